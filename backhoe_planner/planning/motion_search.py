@@ -31,6 +31,7 @@ from backhoe_planner.proof import LeastTimes, least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 
 _FINE_PIECES = 20  # of the best curve at the end
+_FINER_PIECES = (20, 28, 28)  # the same for another cost than the time, in turn, of different lengths; measured
 _SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
 _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
@@ -40,8 +41,7 @@ _MORE_ROUNDS = 80  # the same for another cost than the time, which falls for lo
 _ROUNDS_IN_ONE = 2  # rounds of another cost that count as one for the time: no curve is timed in them; measured
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
-_REFINEMENTS = 3  # at the end at most; chosen, one is mostly enough
-_MUCH_GAIN = 0.05  # part of the cost, for which one more is made; chosen
+_MUCH_GAIN = 0.05  # part of the cost, that the second of these must gain for a third; chosen
 _FINER = 4  # times more of these for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
@@ -509,21 +509,23 @@ class MotionSearch:
         return (1.0 + _LEAST_GAIN) * float(self._least_times.to_boxes(end, end)[0])
 
     def _refine(self) -> None:
-        """The best motion again, on a curve of more pieces; for another cost than the time while that gains much."""
+        """The best motion again, on a curve of more pieces; for another cost than the time on three."""
         self._reserved = 0
-        is_time = self._problem.objective.is_time
-        for _ in range(1 if is_time else _REFINEMENTS):
+        is_time, limits = self._problem.objective.is_time, self._problem.limits
+        for turn, pieces in enumerate((_FINE_PIECES,) if is_time else _FINER_PIECES):
             best = self.best
             if best is None or self._rounds_left() < _FINE_ROUNDS:
                 return
-            curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
+            curve = JointCurve.fitted(best.motion, _FINE_PIECES, limits)
+            if not is_time:
+                curve = JointCurve.fitted(best.motion, pieces, limits, knots=curve.finer_knots(pieces, limits.velocity))
             found = self._bend(
                 curve, best.motion.duration, best.goal, _FINE_ROUNDS * (1 if is_time else _FINER),
                 spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
             )  # fmt: skip
             if found is not None and found.missed <= KEPT_PART * _SPARE:
                 self._offer(replace(best, motion=found.motion, cost=found.cost))
-            if self.best is None or self.best.cost > (1.0 - _MUCH_GAIN) * best.cost:
+            if self.best is None or (turn > 0 and self.best.cost > (1.0 - _MUCH_GAIN) * best.cost):
                 return
 
     def _bend(

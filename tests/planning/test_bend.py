@@ -51,15 +51,21 @@ def differences(cost: Callable[[JointCurve, float], float], curve: JointCurve, n
     for place in np.ndindex(PIECES - 1, curve.control.shape[1]):
         moved = np.zeros_like(curve.control)
         moved[1:-1][place] = nudge
-        sides = (cost(JointCurve(curve.control + sign * moved), DURATION) for sign in (1.0, -1.0))
+        sides = (cost(curve.moved_to(curve.control + sign * moved), DURATION) for sign in (1.0, -1.0))
         found.append(next(sides) - next(sides))
     found.append(cost(curve, DURATION + nudge) - cost(curve, DURATION - nudge))
     return np.array(found) / (2.0 * nudge)
 
 
+UNEVEN = (0.0, 0.05, 0.15, 0.3, 0.5, 0.6, 0.8, 0.95, 1.0)
+
+
 @pytest.mark.parametrize(("objective", "width"), [("work", 1e-9), ("work", 20.0), ("kinetic", 1.0), ("effort", 1.0)])
-def test_the_slope_of_a_cost_is_that_of_differences(planar4: bp.Robot, objective: str, width: float) -> None:
-    problem, curve = problem_of(planar4, objective), bent_curve(planar4)
+@pytest.mark.parametrize("knots", [(), UNEVEN])
+def test_the_slope_of_a_cost_is_that_of_differences(
+    planar4: bp.Robot, objective: str, width: float, knots: tuple[float, ...]
+) -> None:
+    problem, curve = problem_of(planar4, objective), JointCurve(bent_curve(planar4).control, knots)
     own = OwnTime(problem, drive_of(problem))
     slope = own.slope(curve, DURATION, slice(1, -1), width=width).slope
     expected = differences(lambda *at: own.cost(*at, width=width), curve, 1e-5)
@@ -138,8 +144,12 @@ def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
     low, high = planar4.middle.copy(), planar4.middle.copy()
     high[0] += 0.5
     gained = abs(Dynamics(planar4).potential_energy(high) - Dynamics(planar4).potential_energy(low))
-    work = OwnTime(problem, drive_of(problem)).cost(JointCurve.straight(low, high, 12), 1e4, width=1e-9)
-    assert work == pytest.approx(gained, rel=1e-3, abs=1e-3)
+    own = OwnTime(problem, drive_of(problem))
+    for curve in (
+        JointCurve.straight(low, high, 12),
+        JointCurve(JointCurve.straight(low, high, PIECES).control, UNEVEN),
+    ):
+        assert own.cost(curve, 1e4, width=1e-9) == pytest.approx(gained, rel=1e-3, abs=1e-3)
 
 
 def test_no_limit_is_exceeded_in_the_least_duration(backhoe: bp.Robot) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+import backhoe_planner as bp
 from backhoe_planner.planning.descent.curve import JointCurve, basis
 
 
@@ -28,3 +29,53 @@ def test_a_curve_rests_at_its_ends() -> None:
     curve, ends = JointCurve(control), np.array([0.0, 1.0])
     np.testing.assert_allclose(curve(ends), control[[0, -1]], atol=1e-15)
     np.testing.assert_allclose(curve(ends, 1), 0.0, atol=1e-13)
+
+
+UNEVEN = (0.0, 0.03, 0.1, 0.35, 0.6, 0.9, 0.98, 1.0)
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_a_curve_of_pieces_of_different_lengths_is_a_spline_over_its_knots(derivative: int) -> None:
+    control = np.random.default_rng(7).normal(size=(8, 3))
+    knots = np.concatenate((np.zeros(3), UNEVEN, np.ones(3)))
+    spline = BSpline(knots, np.vstack((control[:1], control, control[-1:])), 3)
+    curve, s = JointCurve(control, UNEVEN), np.linspace(0.0, 1.0, 101)
+    np.testing.assert_allclose(curve(s, derivative), spline(s, nu=derivative), rtol=1e-9, atol=1e-9)
+    thirds = np.interp(np.arange(22) / 3.0, np.arange(8), UNEVEN)  # three places to a piece
+    expected = spline(thirds, nu=derivative)
+    np.testing.assert_allclose(curve.weights(22, derivative) @ control, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(curve.at(np.linspace(0.0, 1.0, 22), derivative), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_shares_sum_up_to_an_integral_over_s() -> None:
+    """Of 1 and of s, which the trapezium rule has without an error: 1 and 1/2."""
+    curve = JointCurve(np.zeros((8, 1)), UNEVEN)
+    s = np.interp(np.arange(22) / 3.0, np.arange(8), UNEVEN)
+    assert curve.shares(22).sum() == pytest.approx(1.0)
+    assert curve.shares(22) @ s == pytest.approx(0.5)
+
+
+def test_finer_knots_are_where_accelerations_change() -> None:
+    """Of a curve that is even but for one kick a third of the way: most of them are near there."""
+    control = np.tile(np.linspace(0.0, 1.0, 25)[:, None], (1, 2))
+    control[8] += 0.05
+    knots = np.array(JointCurve(control).finer_knots(28, np.ones(2)))
+    steps = np.diff(knots)
+    assert knots[0] == 0.0
+    assert knots[-1] == 1.0
+    assert np.all(steps > 0.0)
+    near = np.abs(knots[:-1] + 0.5 * steps - 1.0 / 3.0) < 0.08
+    assert np.mean(steps[near]) < 0.5 * np.mean(steps[~near])
+    still = JointCurve(np.zeros((13, 2))).finer_knots(28, np.ones(2))  # nothing moves: as many everywhere
+    np.testing.assert_allclose(still, np.linspace(0.0, 1.0, 29), atol=1e-12)
+
+
+def test_a_motion_along_a_curve_is_fitted_by_that_curve(planar4: bp.Robot) -> None:
+    rng = np.random.default_rng(5)
+    control = JointCurve.straight(np.full(4, -0.3), np.full(4, 0.3), 7).control
+    control[1:-1] += 0.1 * rng.normal(size=(6, 4))
+    curve = JointCurve(control, UNEVEN)
+    time = np.linspace(0.0, 2.0, 4001)
+    motion = bp.Trajectory.from_steps(time, curve(time / 2.0))
+    fitted = JointCurve.fitted(motion, 7, planar4.limits, knots=UNEVEN)
+    np.testing.assert_allclose(fitted.control, control, atol=1e-4)

@@ -1,7 +1,8 @@
 """A curve in joint space from rest to rest: a cubic B-spline over a parameter s from 0 to 1.
 
 The first two control points are the start and the last two the end, so that dq/ds is 0 at both.
-A joint stays between the least and the greatest of its control points.
+A joint stays between the least and the greatest of its control points. A curve that is run at an even
+pace has t = T s. Its pieces may be of different lengths: in u from 0 to 1 each is equally long.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from backhoe_planner.motion import Trajectory
 
 _DEGREE = 3
 _SAMPLES_PER_PIECE = 10  # of a motion to which a curve is fitted; chosen
+_PLACES_OF_JERK, _BESIDE = 400, 4  # at which accelerations are compared, and over how many it is spread; chosen
+_EVEN = 0.5  # of the mean density of knots, that there is anywhere beside what the jerk asks for; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +31,11 @@ class JointCurve:
     Attributes
     ----------
     control: (L + 1, n) control points of a curve of L pieces: the start, L - 1 between, the end [rad or m].
+    knots: (L + 1,) the s between which the pieces are, from 0 to 1; empty where they are equally long, and u is s.
     """
 
     control: Matrix
+    knots: tuple[float, ...] = ()
 
     @property
     def pieces(self) -> int:
@@ -39,40 +44,78 @@ class JointCurve:
 
     def __call__(self, s: Vector, derivative: int = 0) -> Matrix:
         """(K, n) the joints at s (K,), or a derivative by s."""
-        return _read(self._coefficients, s, derivative)
+        u = np.interp(s, self.knots, np.linspace(0.0, 1.0, len(self.knots))) if self.knots else s
+        return self.at(u, derivative)
+
+    def at(self, u: Vector, derivative: int = 0) -> Matrix:
+        """(K, n) the joints at u (K,), or a derivative by s."""
+        return _read(self._coefficients, u, derivative, self.knots)
+
+    def weights(self, places: int, derivative: int = 0) -> Matrix:
+        """(places, L + 1) weights of the control points at equally spaced u, or their derivatives by s."""
+        return basis(self.pieces, places, derivative, self.knots)
+
+    def shares(self, places: int) -> Vector:
+        """(places,) weights of a sum over equally spaced u that is an integral over s (trapezium rule)."""
+        steps = np.diff(_place(np.linspace(0.0, 1.0, places), self.knots))
+        return np.asarray(0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))
+
+    def moved_to(self, control: Matrix) -> JointCurve:
+        """The curve of the same pieces with other control points (L + 1, n)."""
+        return JointCurve(control, self.knots)
 
     @cached_property
     def _coefficients(self) -> Array:
         """(L, 4, n), see `_read`."""
         doubled = np.vstack((self.control[:1], self.control, self.control[-1:]))
-        return np.asarray(_polynomials(self.pieces) @ doubled[np.arange(self.pieces)[:, None] + np.arange(_DEGREE + 1)])
+        polynomials = _polynomials(self.pieces, self.knots)
+        return np.asarray(polynomials @ doubled[np.arange(self.pieces)[:, None] + np.arange(_DEGREE + 1)])
 
     @classmethod
     def straight(cls, start: Vector, end: Vector, pieces: int) -> JointCurve:
         """The straight line from `start` to `end` (n,)."""
         return cls(np.tile(start, (pieces + 1, 1))).ending_at(end)
 
+    def finer_knots(self, pieces: int, unit: Vector) -> tuple[float, ...]:
+        """(pieces + 1,) knots of a curve near this one: more where the accelerations change more.
+
+        Parameters
+        ----------
+        unit: (n,) rad or m of each joint that count alike.
+        """
+        s = np.linspace(0.0, 1.0, _PLACES_OF_JERK + 1)
+        jerk = np.abs(np.diff(self(s, 2) / unit, axis=0)).sum(axis=1)
+        beside = np.pad(jerk, _BESIDE, mode="edge")
+        jerk = np.convolve(beside, np.full(2 * _BESIDE + 1, 1.0 / (2 * _BESIDE + 1)), "valid")
+        density = np.sqrt(jerk)
+        density += _EVEN * (density.mean() or 1.0)
+        counted = np.concatenate(([0.0], np.cumsum(density)))
+        return tuple(np.interp(np.linspace(0.0, 1.0, pieces + 1), counted / counted[-1], s).tolist())
+
     def ending_at(self, end: Vector) -> JointCurve:
         """The curve with its end moved to `end` (n,), and the rest along with it, ever less towards the start."""
         part = np.linspace(0.0, 1.0, len(self.control))[:, None]
-        return JointCurve(self.control + part * part * (3.0 - 2.0 * part) * (end - self.control[-1]))
+        return self.moved_to(self.control + part * part * (3.0 - 2.0 * part) * (end - self.control[-1]))
 
     @classmethod
-    def fitted(cls, motion: Trajectory, pieces: int, limits: JointLimits) -> JointCurve:
+    def fitted(
+        cls, motion: Trajectory, pieces: int, limits: JointLimits, *, knots: tuple[float, ...] = ()
+    ) -> JointCurve:
         """The curve within joint limits that is nearest to a motion over its time, with its ends."""
-        q = motion.at(np.linspace(0.0, motion.duration, _SAMPLES_PER_PIECE * pieces + 1))
-        weights = basis(pieces, len(q), 0)
+        s = _place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1), knots)
+        q = motion.at(motion.duration * s)
+        weights = basis(pieces, len(q), 0, knots)
         control = np.zeros((pieces + 1, q.shape[1]))
         control[0], control[-1] = q[0], q[-1]
         control[1:-1] = np.linalg.lstsq(weights[:, 1:-1], q - weights @ control, rcond=None)[0]
         control[1:-1] = np.clip(control[1:-1], limits.lower, limits.upper)
-        return cls(control)
+        return cls(control, knots)
 
 
 @lru_cache(maxsize=64)
-def basis(pieces: int, places: int, derivative: int) -> Matrix:
-    """(places, pieces + 1) weights of the control points at equally spaced s, or their derivatives by s."""
-    each = _read(_polynomials(pieces), np.linspace(0.0, 1.0, places), derivative)
+def basis(pieces: int, places: int, derivative: int, knots: tuple[float, ...] = ()) -> Matrix:
+    """(places, pieces + 1) weights of the control points at equally spaced u, or their derivatives by s."""
+    each = _read(_polynomials(pieces, knots), np.linspace(0.0, 1.0, places), derivative, knots)
     first = _piece_of(np.linspace(0.0, 1.0, places), pieces)
     weights = np.zeros((places, pieces + _DEGREE))
     np.put_along_axis(weights, first[:, None] + np.arange(_DEGREE + 1), each, axis=1)
@@ -83,35 +126,44 @@ def basis(pieces: int, places: int, derivative: int) -> Matrix:
     return found
 
 
-def _piece_of(s: Vector, pieces: int) -> NDArray[np.intp]:
-    """(K,) the number of the piece in which each s (K,) lies."""
-    return np.clip((s * pieces).astype(np.intp), 0, pieces - 1)
+def _place(u: Vector, knots: tuple[float, ...]) -> Vector:
+    """(K,) s at u (K,)."""
+    return np.asarray(np.interp(u, np.linspace(0.0, 1.0, len(knots)), knots)) if knots else u
 
 
-def _read(coefficients: Array, s: Vector, derivative: int) -> Matrix:
-    """(K, m) a piecewise polynomial at s (K,), or its derivative by s.
+def _piece_of(u: Vector, pieces: int) -> NDArray[np.intp]:
+    """(K,) the number of the piece in which each u (K,) lies."""
+    return np.clip((u * pieces).astype(np.intp), 0, pieces - 1)
+
+
+def _read(coefficients: Array, u: Vector, derivative: int, knots: tuple[float, ...]) -> Matrix:
+    """(K, m) a piecewise polynomial at u (K,), or its derivative by s.
 
     Parameters
     ----------
-    coefficients: (L, 4, m) of each piece, by powers of u = L s - (number of the piece), the lowest first.
+    coefficients: (L, 4, m) of each piece, by powers of x = L (s - the knot where it begins), the lowest first.
     """
     pieces = len(coefficients)
-    piece = _piece_of(s, pieces)
-    u = (s * pieces - piece)[:, None]
-    found = np.zeros((len(s), coefficients.shape[2]))
+    piece = _piece_of(u, pieces)
+    part = u * pieces - piece
+    x = (part * (pieces * np.diff(knots))[piece] if knots else part)[:, None]
+    found = np.zeros((len(u), coefficients.shape[2]))
     for power in range(_DEGREE, derivative - 1, -1):
-        found = found * u + math.perm(power, derivative) * coefficients[piece, power]
+        found = found * x + math.perm(power, derivative) * coefficients[piece, power]
     return found * float(pieces) ** derivative
 
 
 @lru_cache(maxsize=64)
-def _polynomials(pieces: int) -> Array:
-    """(L, 4, 4) every piece of a cubic B-spline: powers of u, times the four control points that bear on it.
+def _polynomials(pieces: int, inner: tuple[float, ...]) -> Array:
+    """(L, 4, 4) every piece of a cubic B-spline: powers of x, times the four control points that bear on it.
 
-    The recursion of Cox and de Boor over the knots 0, 0, 0, 0, 1, 2, ..., L, L, L, L, done for all pieces at once.
+    The recursion of Cox and de Boor over the knots 0, 0, 0, 0, 1, 2, ..., L, L, L, L, or L times those of `inner` with
+    the ends as often, done for all pieces at once.
     """
     knots = np.clip(np.arange(-_DEGREE, pieces + _DEGREE + 1), 0, pieces).astype(float)
-    left = np.arange(pieces, dtype=float)  # knot at which a piece begins, knots[piece + _DEGREE]
+    if inner:
+        knots[_DEGREE : _DEGREE + pieces + 1] = pieces * np.array(inner)
+    left = knots[_DEGREE : _DEGREE + pieces].copy()  # knot at which a piece begins
     basis_functions = [np.eye(1, _DEGREE + 1) * np.ones((pieces, 1))]
     for degree in range(1, _DEGREE + 1):
         higher = [np.zeros((pieces, _DEGREE + 1)) for _ in range(degree + 1)]
@@ -119,9 +171,9 @@ def _polynomials(pieces: int) -> Array:
             before = knots[_DEGREE + 1 + r - degree + np.arange(pieces)]
             after = knots[_DEGREE + 1 + r + np.arange(pieces)]
             part = lower / (after - before)[:, None]
-            times_u = np.roll(part, 1, axis=1)  # the highest power is 0 until the last degree
-            higher[r] += (after - left)[:, None] * part - times_u
-            higher[r + 1] += (left - before)[:, None] * part + times_u
+            times_x = np.roll(part, 1, axis=1)  # the highest power is 0 until the last degree
+            higher[r] += (after - left)[:, None] * part - times_x
+            higher[r + 1] += (left - before)[:, None] * part + times_x
         basis_functions = higher
     found = np.stack(basis_functions, axis=2)
     found.setflags(write=False)

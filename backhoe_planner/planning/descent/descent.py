@@ -263,7 +263,7 @@ class Descent:
             control = here.curve.control + part * (whole.curve.control - here.curve.control)
             duration = here.duration + part * (whole.duration - here.duration)
             self.rounds += 1
-            shorter = self._on_goal(control, duration, goal, looks, below=worst)
+            shorter = self._on_goal(here.curve, control, duration, goal, looks, below=worst)
             if shorter is None:
                 break
             there = shorter
@@ -331,10 +331,10 @@ class Descent:
         x = model.best_step(_MISSED_PRICE, bend=bend, longest=self._longest, most_iterations=_ITERATIONS)
         if x is None:
             return None
-        return self._on_goal(*model.step(x), goal, looks, below=below)
+        return self._on_goal(curve, *model.step(x), goal, looks, below=below)
 
     def _on_goal(
-        self, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float
+        self, here: JointCurve, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float
     ) -> Timed | None:
         """The curve with its end moved onto the goal, see `_timed`; None where that cannot be."""
         if goal is not None:
@@ -343,8 +343,8 @@ class Descent:
                 return None
             limits = self._problem.limits
             # a jump at the end would cost much
-            control = np.clip(JointCurve(control).ending_at(end).control, limits.lower, limits.upper)
-        return self._timed(JointCurve(control), duration, looks, below=below)
+            control = np.clip(here.moved_to(control).ending_at(end).control, limits.lower, limits.upper)
+        return self._timed(here.moved_to(control), duration, looks, below=below)
 
     def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
         """The curve with its fastest motion; None where it has none.

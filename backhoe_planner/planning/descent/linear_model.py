@@ -17,7 +17,7 @@ from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_p
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
-from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import NearKinks
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.site import Proximity
@@ -96,7 +96,7 @@ class LinearModel:
         self._steps = n * len(self._moving)  # of the variables, those of control points
         self._box = np.tile(box, len(self._moving))
         self._places = PLACES_PER_PIECE * curve.pieces + 1
-        self._weights = [basis(curve.pieces, self._places, derivative) for derivative in range(3)]
+        self._weights = [curve.weights(self._places, derivative) for derivative in range(3)]
         self._at = [weights @ curve.control for weights in self._weights]  # q, q', q''
         self._rows: list[Rows] = []
 
@@ -135,8 +135,8 @@ class LinearModel:
         self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
 
     def keep_clear(self, margins: list[Margin], places: int) -> None:
-        """Rows of margins at some of `places` equally spaced s; all may be missed by the slack."""
-        weights = basis(self._curve.pieces, places, 0)[:, self._moving]
+        """Rows of margins at some of `places` equally spaced u; all may be missed by the slack."""
+        weights = self._curve.weights(places)[:, self._moving]
         blocks, rest = [np.zeros((0, self._steps))], [np.zeros(0)]
         for found in margins:
             G = (found.gradient[:, None, :] * weights[found.place][None, :, None]).reshape(-1, self._steps)

@@ -33,7 +33,7 @@ class Looks:
     ----------
     screen: of the same obstacles, with `KEPT_PART` of the spare.
     keep: what is to be kept beside the clearances.
-    steps: equal ones over the curve.
+    steps: over the curve, equally many in every piece.
     spare: to be kept beyond every clearance at the places [m].
     time: the obstacles stand where they are at this time [s].
     hurried: whether to linearise what is nearer alone.
@@ -52,7 +52,7 @@ class Looks:
         self._spare, self._time = spare, time
         self.allowed = KEPT_PART * spare
         self.places = _FINER * steps + 1
-        self._s = np.linspace(0.0, 1.0, self.places)
+        self._u = np.linspace(0.0, 1.0, self.places)
         self._looked_at = np.arange(0, self.places, _FINER)
         self._near = _NEAR_HURRIED if hurried else _NEAR
         self._reach = np.full(self.places, self._near)
@@ -80,7 +80,7 @@ class Looks:
 
     def _margins_at(self, curve: JointCurve, places: Indices) -> tuple[float, list[Margin]]:
         least, margins = find_margins(
-            self._proximity, self._keep, curve(self._s[places]),
+            self._proximity, self._keep, curve.at(self._u[places]),
             spare=self._spare, reach=self._reach[places], time=self._time,
         )  # fmt: skip
         return least, [replace(found, place=int(places[found.place])) for found in margins]
@@ -94,7 +94,7 @@ class Looks:
         for found in margins:
             index = np.searchsorted(at, found.place)
             least[index] = min(least[index], found.margin.min())
-        q = curve(self._s[at])
+        q = curve.at(self._u[at])
         self._proximity.cover_unchecked(q)
         way = np.abs(np.diff(q, axis=0)) @ travel.max(axis=0)
         between: list[range] = []
@@ -105,7 +105,7 @@ class Looks:
         asked = [place for places in between for place in places]
         if not asked:
             return np.zeros(0, dtype=np.intp)
-        found_at = curve(self._s[asked])
+        found_at = curve.at(self._u[asked])
         if self._screen.has_clusters and self._screen.keeps_all_unchecked(found_at):
             return np.zeros(0, dtype=np.intp)
         q_at = dict(zip(asked, found_at, strict=True))

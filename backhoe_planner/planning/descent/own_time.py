@@ -2,7 +2,7 @@
 
     q = q(s)        v = q' / T        a = q'' / T^2        cost = integral of rate(q, v, a) T ds
 
-The integral is a sum over equally spaced s (trapezium rule), and the derivatives are those of the sum.
+The integral is a sum over equally many s of every piece (trapezium rule), and the derivatives are those of the sum.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Drive, Problem, cost_rate
-from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 
@@ -57,13 +57,13 @@ class OwnTime:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
         parts, kinked = self.parts(*_moments(curve, duration))
         rate = np.sum(rounded(parts, width) if kinked else parts, axis=1)
-        return float(_weights(len(rate)) @ rate) * duration
+        return float(curve.shares(len(rate)) @ rate) * duration
 
     def slope(self, curve: JointCurve, duration: float, moving: slice, *, width: float) -> Slope:
         """How the cost changes with the control points `moving` and T."""
         moments = _moments(curve, duration)
         change = _Change(curve, duration, moving, moments)
-        share = duration * _weights(len(moments[0]))
+        share = duration * curve.shares(len(moments[0]))
         if not self.problem.objective.is_positive_power:
             rate, slopes = moment_slopes(lambda *at: self.parts(*at)[0], *moments)
             slope = share @ change.of(slopes[:, 0])
@@ -128,7 +128,7 @@ class _Change:
         self, curve: JointCurve, duration: float, moving: slice, moments: tuple[Matrix, Matrix, Matrix]
     ) -> None:
         self._T, self._v, self._a = duration, moments[1], moments[2]
-        self._weights = [basis(curve.pieces, len(self._v), k)[:, moving] / duration**k for k in range(3)]
+        self._weights = [curve.weights(len(self._v), k)[:, moving] / duration**k for k in range(3)]
 
     def of(self, slopes: Matrix, each: int = 1) -> Matrix:
         """(K each, m) of values with derivatives `slopes` (K each, 3 n) by q, v, a; `each` of them at each moment."""
@@ -154,11 +154,5 @@ def _convex(H: Matrix) -> Matrix:
 
 def _moments(curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
     places = _PLACES_PER_PIECE * curve.pieces + 1
-    q, v, a = (basis(curve.pieces, places, k) @ curve.control / duration**k for k in range(3))
+    q, v, a = (curve.weights(places, k) @ curve.control / duration**k for k in range(3))
     return q, v, a
-
-
-def _weights(places: int) -> Vector:
-    found = np.full(places, 1.0 / (places - 1))
-    found[[0, -1]] *= 0.5
-    return found
