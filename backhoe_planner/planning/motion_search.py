@@ -38,7 +38,7 @@ _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be pro
 _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
 _ROUNDS = 24  # of a descent at most; chosen, half of them end after 7
 _MORE_ROUNDS = 80  # the same for another cost than the time, which falls for longer; chosen
-_ROUNDS_IN_ONE = 2  # rounds of another cost that count as one for the time: no curve is timed in them; measured
+_ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no curve is timed in them; measured
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
 _MUCH_GAIN = 0.05  # part of the cost, that the second of these must gain for a third; chosen
@@ -184,9 +184,14 @@ class MotionSearch:
         return ""
 
     def bound(self) -> float:
-        """What no motion is shorter than [s], as far as it is looked for here; 0 where there is no motion."""
-        self._is_optimal()
-        return self._bound
+        """What no motion is shorter than [s], as near as for the plan; 0 where there is no motion, or in a hurry."""
+        return 0.0 if self.best is None or not self._goes_on() else self._bound_above(self.best.motion, fewer=1)
+
+    def _bound_above(self, known: Trajectory, *, fewer: int) -> float:
+        """What no motion is shorter than [s], from so many times fewer boxes than the plan's bound."""
+        boxes = self._world.work.effort.boxes // fewer
+        found = least_duration(self._problem, self._start, known=known.duration, end=known.q[-1], boxes=boxes)
+        return found.duration
 
     # --- first ways -------------------------------------------------------------------
 
@@ -254,12 +259,12 @@ class MotionSearch:
                 start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
                 spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False,
             )  # fmt: skip
-            if found is not None:
+            if found is not None and found.missed <= (_FURTHER_OFF if self.best is None else _FAR_OFF):
                 on = replace(start, curve=found.curve, duration=found.duration)
                 tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
         tried.sort(key=lambda one: one[0])
         for cost, start in tried[: work.effort.ways_at_once]:
-            if cost > _WORTH_ROUNDS * (tried[0][0] if self.best is None else min(tried[0][0], self.best.cost)):
+            if cost > _WORTH_ROUNDS * tried[0][0]:
                 break
             self._descend(start.curve, start.duration, start.goal, start.way)
 
@@ -457,10 +462,7 @@ class MotionSearch:
         if best is None or not self._problem.objective.is_time or not self._goes_on():
             return False
         if not self._bound:
-            known, boxes = best.motion.duration, self._world.work.effort.boxes // _FEWER_BOXES
-            self._bound = least_duration(
-                self._problem, self._start, known=known, end=best.motion.q[-1], boxes=boxes
-            ).duration
+            self._bound = self._bound_above(best.motion, fewer=_FEWER_BOXES)
         return best.motion.duration <= (1.0 + _LEAST_GAIN) * self._bound
 
     def _is_open(self, index: int) -> bool:
