@@ -128,12 +128,18 @@ def _cover(link: str, joint: int, points: Matrix, fat: NDArray[np.float64]) -> C
     queue, known = deque([np.arange(len(points))]), 1
     while queue:
         members = queue.popleft()
+        if len(members) == 1:
+            centre.append(points[members[0]])
+            radius.append(float(fat[members[0]]))
+            first.append(-1)
+            children.append(0)
+            continue
         held = points[members]
         middle = 0.5 * (held.min(axis=0) + held.max(axis=0))
         centre.append(middle)
         radius.append(float(np.max(np.linalg.norm(held - middle, axis=1) + fat[members])))
         parts = _split(points, members)
-        first.append(known if parts else -1)
+        first.append(known)
         children.append(len(parts))
         queue.extend(parts)
         known += len(parts)
@@ -141,7 +147,7 @@ def _cover(link: str, joint: int, points: Matrix, fat: NDArray[np.float64]) -> C
 
 
 def _split(points: Matrix, members: Indices) -> list[Indices]:
-    """Up to `BRANCHES` parts, each cut across its longest side; none of a single point."""
+    """Up to `BRANCHES` parts of several points, each cut across its longest side."""
     parts = [members]
     while len(parts) < BRANCHES:
         halved = []
@@ -149,13 +155,14 @@ def _split(points: Matrix, members: Indices) -> list[Indices]:
             if len(part) == 1:
                 halved.append(part)
                 continue
-            axis = int(np.argmax(np.ptp(points[part], axis=0)))
-            order = part[np.argsort(points[part, axis], kind="stable")]
+            held = points[part]
+            axis = int((held.max(axis=0) - held.min(axis=0)).argmax())
+            order = part[held[:, axis].argsort(kind="stable")]
             halved += [order[: len(order) // 2], order[len(order) // 2 :]]
         if len(halved) == len(parts):
             break
         parts = halved
-    return parts if len(parts) > 1 else []
+    return parts
 
 
 def _shape(robot: bp.Robot, geometry) -> tuple[Matrix, float, SignedDistance]:  # type: ignore[no-untyped-def]
