@@ -55,12 +55,15 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     least = np.full(len(searches), _NEVER)
 
     def look(row: int, beyond: Vector | float, known: Vector) -> tuple[Vector, Flags]:
-        """(P,) margins at a sample, or lower bounds that are more by `beyond` (P,) than the least; (P,) which are.
+        """(P,) margins at a sample, or lower bounds that are more by `beyond` (P,) than what is to be proven.
+
+        And (P,) which are margins.
 
         The distances are known to be at least `known` (P,) [m].
         """
         here = proximity.appears_at <= time[row]
-        floor = np.where(here, least[owners] + proximity.clearance + beyond, -np.inf)
+        enough = np.where(least < _NEVER, _to_prove(least), least)
+        floor = np.where(here, enough[owners] + proximity.clearance + beyond, -np.inf)
         lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor, known=known)
         margins = np.where(here, lower - proximity.clearance, np.inf)
         pairs = np.flatnonzero(measured & here)
@@ -69,9 +72,22 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
             least[owners[pair]] = searches[owners[pair]].least
         return margins, measured
 
+    def measure(row: int, pairs: Indices) -> None:
+        """Measure some pairs at a sample, as far as each may be the nearest of its obstacle so far."""
+        floor = least[owners[pairs]] + proximity.clearance[pairs]
+        moment = float(time[row])
+        margins = proximity.distances_below_unchecked(pairs, floor, q[row], time=moment) - proximity.clearance[pairs]
+        for pair, margin in zip(pairs.tolist(), margins.tolist(), strict=True):
+            owner = owners[pair]
+            if proximity.appears_at[pair] <= moment and margin < least[owner]:
+                searches[owner].note(margin, moment, pair)
+                least[owner] = searches[owner].least
+
     # where an obstacle is nearest is known about after a few looks; what is further away is then hardly measured
     firsts = np.arange(0, len(time), _FIRST_LOOKS)
-    for row, bounds in zip(firsts.tolist(), proximity.bounds_unchecked(q[firsts]), strict=True):
+    nearest = _nearest_clusters(proximity, q[firsts], time[firsts])
+    for row, bounds, pairs in zip(firsts.tolist(), proximity.bounds_unchecked(q[firsts]), nearest, strict=True):
+        measure(row, pairs)
         look(row, 0.0, bounds)
     # row by row: samples times pairs may be more than a machine's memory holds
     steps, spans, ways = np.abs(np.diff(q, axis=0, append=q[-1:])), np.diff(time), proximity.ways_unchecked(q)
@@ -103,6 +119,16 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
         before, known_before = margins, known
     found = [clearance for search in searches if (clearance := search.finish()) is not None]
     return tuple(sorted(found, key=lambda clearance: clearance.margin))
+
+
+def _nearest_clusters(proximity: Proximity, q: Matrix, time: Vector) -> Indices:
+    """(N, C) of each obstacle that is a cluster the pair that seems nearest in postures q (N, n) at `time` (N,)."""
+    clusters, found = proximity.clusters, []
+    lower = clusters.lower_each(q, time) if len(clusters) else np.zeros((len(q), 0))
+    for owner in np.unique(clusters.owner).tolist():
+        pairs = np.flatnonzero(clusters.owner == owner)
+        found.append(proximity.plain + pairs[np.argmin(lower[:, pairs], axis=1)])
+    return np.array(found, dtype=np.intp).reshape(-1, len(q)).T
 
 
 def _to_prove(least: Any) -> Any:

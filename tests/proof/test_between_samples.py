@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import SAMPLE_PERIOD, build_problem, limit_usage
+from backhoe_planner.site.cluster_distances import ClusterDistances
 
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"/>
 <link name="rod"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
@@ -219,3 +221,31 @@ def test_a_tool_that_turns_round_between_two_samples_of_a_path_does_not_keep_its
         assert use.kept is kept
     assert use.time == pytest.approx(500.0)
     assert use.margin == pytest.approx(0.2 - np.pi)
+
+
+def test_what_may_be_nearest_is_measured_first(
+    backhoe: bp.Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the pieces above a ground only the one that seems nearest is measured however far away it is."""
+    heights = np.random.default_rng(4).normal(-0.6, 0.005, (81, 81))
+    np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
+    ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [20.0, 20.0], "clearance": 0.1}
+    task = {"goal": {"joints": {"swing": 0.5, "boom": 0.7, "stick": -1.2, "bucket": -1.2}}}
+    start = {"joints": {"swing": -0.5, "boom": 0.7, "stick": -1.2, "bucket": -1.2}}
+    scene = bp.scene_from_dict({"version": 1, "start": start, "task": task, "obstacles": [ground]}, folder=tmp_path)
+    q = np.tile([0.0, 0.7, -1.2, -1.2], (101, 1))
+    q[:, 0] = np.linspace(-0.5, 0.5, 101)
+    motion = bp.Trajectory.from_steps(np.linspace(0.0, 4.0, 101), q)
+    reaches, nearest = [], ClusterDistances.nearest
+
+    def counted(self: ClusterDistances, *given: Any, reach: float, **named: Any) -> Any:
+        reaches.append(reach)
+        return nearest(self, *given, reach=reach, **named)
+
+    monkeypatch.setattr(ClusterDistances, "nearest", counted)
+    (found,) = (one for one in bp.certify(backhoe, scene, motion).clearances if one.name == "ground")
+    far = sum(reach > 5.0 for reach in reaches)
+    proximity = bp.Proximity(backhoe, bp.build_obstacles(scene, backhoe), self_collision=False)
+    true = min(proximity.distance_of(pair, row) for row in q[::5] for pair in range(len(proximity.pairs))) - 0.1
+    assert 0.97 * true <= found.margin <= true
+    assert far == 1
