@@ -511,9 +511,11 @@ class MotionSearch:
         return (1.0 + _LEAST_GAIN) * float(self._least_times.to_boxes(end, end)[0])
 
     def _refine(self) -> None:
-        """The best motion again, on a curve of more pieces; for another cost than the time on three."""
+        """The best motion again on a curve of more pieces; for another cost than the time on three, if in no hurry."""
         self._reserved = 0
         is_time, limits = self._problem.objective.is_time, self._problem.limits
+        if not is_time and not self._goes_on():
+            return
         for turn, pieces in enumerate((_FINE_PIECES,) if is_time else _FINER_PIECES):
             best = self.best
             if best is None or self._rounds_left() < _FINE_ROUNDS:
