@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import mul
 from typing import NamedTuple
 
@@ -37,6 +38,7 @@ _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, 
 _RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
 _NO_PAIRS: Indices = np.zeros(0, dtype=np.intp)
+_FEW = 16  # rows; measured: to find out which can bind takes longer than to solve with all of them
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
 
 
@@ -238,11 +240,19 @@ class Shield:
         return Rows("keep", -kept.gradient, _approach_rates(kept.margin, braking_time, dt))
 
     def _clearance_rows(self, gradient: Matrix, bound: Vector, low: Vector, high: Vector) -> tuple[Rows, Indices]:
-        """The rows -g v <= bound (K,) that can bind from `low` to `high`, and which of the K they are."""
+        """The rows -g v <= bound (K,) that can bind from `low` to `high`, and which of the K they are; of few all."""
         G = -gradient
+        if len(bound) <= _FEW:
+            return Rows("clearance", G, bound), _numbers(len(bound))
         fastest = np.maximum(G * low, G * high).dot(self._ones)
         pairs = (bound < fastest).nonzero()[0]
         return (Rows("clearance", G[pairs], bound[pairs]), pairs) if len(pairs) else self._no_clearance
+
+
+@lru_cache(maxsize=_FEW)
+def _numbers(count: int) -> Indices:
+    """0, 1, ... , to be read only."""
+    return np.arange(count)
 
 
 def _is_within(v: Vector, low: Vector, high: Vector) -> bool:

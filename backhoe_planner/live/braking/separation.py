@@ -530,8 +530,7 @@ class Separation:
 
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
-        n = self.planes[:, :3].take(pairs, axis=0)
-        np.negative(n, out=n)
+        n = -self.planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of what does not lie in a row
         joints = self.joint.take(pairs)
         at_once = isinstance(samples, int)
         if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
