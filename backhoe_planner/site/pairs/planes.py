@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
@@ -56,13 +55,16 @@ class SeparatingPlanes:
         # views of Pinocchio's own memory: they show where the joints are now
         poses = [(pose.rotation, pose.translation) for pose in data.oMi]
         self._links = [(link.piece.hull, link.piece.radius, *poses[link.joint]) for link in links]
-        self._bodies, self._first, self._second = bodies, first, second - len(links)
-        self._velocity, self._appears_at = velocity, appears_at
+        # lists: single numbers of them are taken
+        self._first, self._second = first.tolist(), (second - len(links)).tolist()
+        self._bodies, self._appears_at, self._velocity = bodies, appears_at.tolist(), velocity
+        self._moves: list[bool] = [bool(one.any()) for one in velocity]
 
     def end_of_link(self, pair: int, normal: Vector) -> float:
         """The most that normal . x is over the link's piece [m], where the joints are."""
         hull, radius, R, t = self._links[self._first[pair]]
-        most: float = hull.dot(normal.dot(R)).max() + radius + normal.dot(t)
+        along = hull.dot(normal.dot(R))
+        most: float = along[along.argmax()] + radius + normal.dot(t)
         return most
 
     def between(
@@ -75,18 +77,20 @@ class SeparatingPlanes:
         near, normals: (N,) pairs, ascending, and (N, 3) the normals at their nearest points.
         begun, ended: when the motion does [s]; it begins where the joints are.
         """
-        found, rows = [], np.searchsorted(near, pairs).tolist()
+        found, rows = [], near.searchsorted(pairs).tolist()
         for index, (pair, row, needed) in enumerate(zip(pairs.tolist(), rows, least.tolist(), strict=True)):
             if row == len(near) or near[row] != pair or self._appears_at[pair] > begun or not self._is_around(pair):
                 continue
             normal, face = self._face(self._bodies[self._second[pair]], normals[row])
-            speed, since = float(normal.dot(self._velocity[pair])), max(self._appears_at[pair], 0.0)
+            speed = since = 0.0
+            if self._moves[pair]:
+                speed, since = float(normal.dot(self._velocity[pair])), max(self._appears_at[pair], 0.0)
             if face + speed * (begun - since) - self.end_of_link(pair, normal) >= needed:
                 found.append(Plane(index, pair, normal, face + speed * (ended - since) - needed))
         return found
 
     def _is_around(self, pair: int) -> bool:
-        return pair < len(self._second) and bool(0 <= self._second[pair] < len(self._bodies))
+        return pair < len(self._second) and 0 <= self._second[pair] < len(self._bodies)
 
     @staticmethod
     def _face(piece: shapes.Piece, normal: Vector) -> tuple[Vector, float]:
@@ -95,6 +99,7 @@ class SeparatingPlanes:
         The normal is the given one, unless the piece is a half-space: behind any but its own face it has no end.
         """
         if len(piece.hull):
-            return normal, float(piece.hull.dot(normal).min()) - piece.radius
+            along = piece.hull.dot(normal)
+            return normal, float(along[along.argmin()]) - piece.radius
         out: Vector = piece.placement.rotation.dot(piece.shape.n)
         return -out, -float(out.dot(piece.placement.translation)) - float(piece.shape.d)
