@@ -21,7 +21,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import plan_problem
 from backhoe_planner.show import plan_page
@@ -33,6 +33,7 @@ SCAN, TERRAIN, MESH = "scan", "terrain", "rock"
 KINDS = (SCAN, TERRAIN, MESH)
 START = {"swing": 0.0, "boom": 0.7, "stick": -1.2, "bucket": -1.2}
 ROCK = (2.6, -4.2, 0.4)  # m: where the mesh stands
+_CLEARANCE = 0.1  # m
 _NEAR = 0.5  # m beyond a link, within which points are looked at
 _EVERY = 5  # of so many samples of a motion one is checked
 _EXTENT = 15.0  # m to all sides of a scan
@@ -127,7 +128,7 @@ def site_scene(survey: Survey, goal: Vector, *, kinds: Sequence[str], resolution
         "version": 1,
         "start": {"joints": START},
         "task": {"goal": {"position": [round(float(value), 4) for value in goal]}},
-        "clearance": 0.1,
+        "clearance": _CLEARANCE,
         "obstacles": [*_PLAIN, *survey.obstacles(kinds, resolution=resolution)],
     }
     return bp.scene_from_dict(data, folder=survey.folder)
@@ -216,11 +217,13 @@ class PlanCosts:
     seconds: (G, S) to plan, without taking the site in [s].
     durations: (G, S) of the plans that are verified, nan of the others [s].
     least_gap: (S,) of all verified plans from the raw points [m]; infinite where nothing was surveyed.
+    blocked: (G, S) whether a raw point is nearer to the goal than the clearance, so that the tip cannot be there.
     """
 
     seconds: Matrix
     durations: Matrix
     least_gap: Vector
+    blocked: Flags
 
 
 def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]], *, count: int, seed: int) -> PlanCosts:
@@ -235,6 +238,7 @@ def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]],
     places = goals(robot, np.random.default_rng(seed))
     seconds: list[list[float]] = []
     durations: list[list[float]] = []
+    blocked: list[list[bool]] = []
     gaps = np.full(len(sets), np.inf)
     while len(seconds) <= count:  # the first goal warms up
         goal = next(places)
@@ -251,7 +255,8 @@ def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]],
         row[0] = 0.5 * (row[0] + _timed(robot, site_scene(survey, goal, kinds=()))[0])
         seconds.append(row)
         durations.append(lasts)
-    return PlanCosts(np.array(seconds[1:]), np.array(durations[1:]), gaps)
+        blocked.append([bool((np.linalg.norm(points - goal, axis=1) < _CLEARANCE).any()) for points in raw])
+    return PlanCosts(np.array(seconds[1:]), np.array(durations[1:]), gaps, np.array(blocked[1:]))
 
 
 def _timed(robot: bp.Robot, scene: bp.Scene) -> tuple[float, bp.Plan]:
