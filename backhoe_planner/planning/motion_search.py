@@ -149,6 +149,7 @@ class MotionSearch:
         self._bound = 0.0  # no motion is shorter [s]
         self._fastest = np.inf  # s of the fastest motion known, where the cost is not the time
         self._longest = np.inf  # s that a motion may then take
+        self._blocked = np.inf  # cost of the cheapest start of a descent that stayed in an obstacle
         work = world.work
         more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
         self._sampling = Work(replace(work.effort, **more), work.brake)
@@ -221,8 +222,11 @@ class MotionSearch:
         return _Start(curve, found.motion.duration, found.goal, found.way)
 
     def _goes_straight(self, found: FoundMotion) -> bool:
-        """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round."""
-        return not self._problem.objective.is_time and found.way == _STRAIGHT
+        """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round.
+
+        False where a cheaper one is blocked: a way round what stands in it may be cheaper too.
+        """
+        return not self._problem.objective.is_time and found.way == _STRAIGHT and found.cost <= self._blocked
 
     def _straight_starts(self) -> list[_Start]:
         """Straight lines to postures that can be reached in the longest time, the soonest of those near each other."""
@@ -259,7 +263,11 @@ class MotionSearch:
                 start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
                 spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False,
             )  # fmt: skip
-            if found is not None and found.missed <= (_FURTHER_OFF if self.best is None else _FAR_OFF):
+            if found is None:
+                continue
+            if found.missed > (_FURTHER_OFF if self.best is None else _FAR_OFF):
+                self._blocked = min(self._blocked, found.cost)
+            else:
                 on = replace(start, curve=found.curve, duration=found.duration)
                 tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
         tried.sort(key=lambda one: one[0])

@@ -17,6 +17,9 @@ from backhoe_planner.planning.descent.linear_model import LinearModel, find_marg
 from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.site import ClearanceScreen
+from validation.goal_runs import with_objective
+from validation.habitats import load_machine
+from validation.sites import SiteKey, random_site
 
 Data = dict[str, Any]
 
@@ -318,3 +321,12 @@ def test_the_work_of_a_plan_hardly_depends_on_its_seed(backhoe: bp.Robot) -> Non
     scene = digger({"position": [3.5, 3.5, 0.2]}, WALL, objective="work")
     costs = [bp.plan(backhoe, scene, seed=seed).metrics.energy["work"] for seed in range(3)]
     assert max(costs) < 1.1 * min(costs)
+
+
+def test_a_way_round_is_looked_for_where_a_cheaper_straight_line_is_blocked() -> None:
+    """Seed 0 goes round and needs 3,050 J; to another posture a straight line is clear and needs 5,720 J."""
+    robot = load_machine("backhoe")
+    scene = random_site(robot, SiteKey("backhoe", "cluttered", "goal", 0, 501)).scene
+    plan = bp.plan(robot, with_objective(scene, "work"), seed=1)
+    assert plan.verified
+    assert plan.metrics.energy["work"] < 1.1 * 3050.0
