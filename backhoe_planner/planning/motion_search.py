@@ -62,8 +62,9 @@ _FAR, _MORE_MOTIONS = 2.0, 2
 _MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 # times the bound, from which on there is more patience, and by which factor; chosen
-_PATIENCE = ((1.4, 4), (1.1, 2))
-_MORE_POSTURES = 4  # times the usual starting points for postures, where the best is that far above the bound; chosen
+_PATIENCE = ((2.0, 10), (1.4, 4), (1.1, 2))
+# times the bound, from which on more postures are looked for, and times how many starting points; chosen
+_FEW_POSTURES, _MORE_POSTURES = 1.4, 4
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 _LINES_FOR_ONE = (
@@ -390,7 +391,7 @@ class MotionSearch:
         return self.best is not None and self.best.motion.duration > part * self._bound > 0.0
 
     def _is_far(self) -> bool:
-        return self.best is None or (not self._is_optimal() and self._is_above(_PATIENCE[0][0]))
+        return self.best is None or (not self._is_optimal() and self._is_above(_FEW_POSTURES))
 
     def _sample_several(self, number: int) -> list[FoundMotion]:
         """Motions along sampled ways, the cheapest first; `number` were sampled before."""
