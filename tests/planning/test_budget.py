@@ -69,10 +69,9 @@ def site(task: Data, *, start: Data | None = STRETCHED, obstacles: list[Data] | 
 # --- along a path -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("start", [None, STRETCHED])
 @pytest.mark.parametrize(
-    ("objective", "module", "name", "number"),
-    [("work", dynamic_programming._Descent, "step", 3), ("velocity_norm", smoothing, "_step", 2)],
+    ("start", "objective", "module", "name", "number"),
+    [(None, "work", dynamic_programming._Descent, "step", 3), (STRETCHED, "velocity_norm", smoothing, "_step", 2)],
 )
 def test_a_route_is_kept_where_time_runs_out_while_it_is_made_cheaper(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch,
