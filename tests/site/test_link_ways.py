@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from crowds import shape_in_turn
 
 from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.site import Proximity, build_obstacles, scene_from_dict
@@ -32,12 +33,7 @@ def crowd(robot: Robot, seed: int) -> Proximity:
     entries: list[dict[str, Any]] = [{"name": "roof", "shape": "halfspace", "point": [0, 0, 5], "normal": [0, 0, -1]}]
     for index in range(9):
         place = (rng.normal(size=3) * [1.5, 1.5, 0.5] + [0.0, 0.0, 0.5]).tolist()
-        shape: dict[str, Any] = [
-            {"shape": "box", "size": rng.uniform(0.1, 1.0, 3).tolist(), "position": place, "rpy": [0.3, 0.2, 1.0]},
-            {"shape": "sphere", "radius": float(rng.uniform(0.05, 0.3)), "position": place},
-            {"shape": "capsule", "radius": 0.1, "from": place, "to": [*place[:2], place[2] + 1.0]},
-        ][index % 3]
-        entries.append({"name": f"o{index}", **shape})
+        entries.append({"name": f"o{index}", **shape_in_turn(rng, index, place, radius=0.3, height=1.0)})
     entries[-1]["velocity"] = [0.3, 0.0, 0.0]
     scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
     return Proximity(robot, build_obstacles(scene_from_dict(scene), robot))

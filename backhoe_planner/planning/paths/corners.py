@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import (
     SAMPLE_PERIOD,
@@ -136,10 +136,9 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
         if len(stations) < 4 or float(np.max(np.abs(np.diff(q, axis=0)))) < _STILL:
             break
         along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
-        halfway = 0.5 * (stations[1:] + stations[:-1])
         curve = np.asarray(CubicSpline(along, q, axis=0)(0.5 * (along[1:] + along[:-1])))
         tips, ends = kinematics.at(curve).tip_position, kinematics.at(q).tip_position
-        on = np.linalg.norm(ends - targets_along(path, stations).position, axis=1) < _ON_PATH
+        on = _on_path(ends, path, stations)
         chords = np.diff(ends, axis=0)  # on one leg between two samples on the path
         squares = np.maximum(np.sum(chords * chords, axis=1), 1e-18)
         part = np.sum((tips - ends[:-1]) * chords, axis=1) / squares
@@ -147,27 +146,40 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
         rows = np.flatnonzero((off > allowed) & on[:-1] & on[1:] & (np.diff(stations) > _FINEST))
         if not len(rows):
             break
-        targets = targets_along(path, halfway[rows])
-        between, reached = solve_batch(kinematics, targets, curve[rows], iterations=12)
-        rows, between = rows[reached], between[reached]
-        stations, q = np.insert(stations, rows + 1, halfway[rows]), np.insert(q, rows + 1, between, axis=0)
+        stations, q = _with_samples(kinematics, path, stations, q, rows, curve[rows])
     return Stretch(stations, q)
 
 
 def with_halfways(problem: Problem, path: TipPath, stretch: Stretch) -> Stretch:
     """A stretch with a sample more between each two that are on the path, where the joints move between them."""
     kinematics, stations, q = BatchKinematics(problem.robot), stretch.stations, stretch.q
-    tips = kinematics.at(q).tip_position
-    on = np.linalg.norm(tips - targets_along(path, stations).position, axis=1) < _ON_PATH
+    on = _on_path(kinematics.at(q).tip_position, path, stations)
     moving = np.max(np.abs(np.diff(q, axis=0)), axis=1, initial=0.0) > _STILL
     rows = np.flatnonzero(on[:-1] & on[1:] & moving)
     if not len(rows):
         return stretch
-    halfway, guesses = 0.5 * (stations[1:] + stations[:-1])[rows], 0.5 * (q[1:] + q[:-1])[rows]
+    guesses = 0.5 * (q[1:] + q[:-1])[rows]
+    return Stretch(*_with_samples(kinematics, path, stations, q, rows, guesses, near=_NEAR), stretch.obstruction)
+
+
+def _on_path(tips: Matrix, path: TipPath, stations: Vector) -> Flags:
+    """(T,) whether each of the tip's positions (T, 3) is on the path, at its station (T,) [m]."""
+    return np.asarray(np.linalg.norm(tips - targets_along(path, stations).position, axis=1) < _ON_PATH)
+
+
+def _with_samples(
+    kinematics: BatchKinematics, path: TipPath, stations: Vector, q: Matrix, rows: Indices, guesses: Matrix,
+    *, near: float = np.inf,
+) -> tuple[Vector, Matrix]:  # fmt: skip
+    """Stations (T,) [m] and joints (T, n) with one more sample on the path halfway after each of `rows` (K,).
+
+    Where none is found within `near` [rad or m] of its guess (K, n), there is none more.
+    """
+    halfway = 0.5 * (stations[rows] + stations[rows + 1])
     between, reached = solve_batch(kinematics, targets_along(path, halfway), guesses, iterations=12)
-    reached &= np.max(np.abs(between - guesses), axis=1) < _NEAR
+    reached &= np.max(np.abs(between - guesses), axis=1) < near
     rows, halfway, between = rows[reached], halfway[reached], between[reached]
-    return Stretch(np.insert(stations, rows + 1, halfway), np.insert(q, rows + 1, between, axis=0), stretch.obstruction)
+    return np.insert(stations, rows + 1, halfway), np.insert(q, rows + 1, between, axis=0)
 
 
 def _off_chords(kinematics: BatchKinematics, q: Matrix) -> float:
