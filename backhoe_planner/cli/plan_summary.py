@@ -110,7 +110,9 @@ def _print_motion(found: bp.Plan) -> None:
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         OUT.print(f"zones         {visits[0]}{more}")
-    OUT.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples){_minimised(found, 'time')}")
+    samples, longest = f"{len(found.trajectory)} samples", found.findings.allowed_time
+    allowed = "" if longest is None else f", at most {longest:.2f} s was allowed"
+    OUT.print(f"duration      {metrics.duration:.2f} s ({samples}){_minimised(found, 'time')}{allowed}")
     _print_bound(found)
     work = f"{planning.describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})"
     OUT.print(f"work          {work}{_minimised(found, 'work')}")

@@ -47,7 +47,8 @@ class ToGoal:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             branch.play(search.best.motion)
             message = f"{ended}; a better motion was not looked for any more" if ended else ""
-            return Outcome(branch.trajectory(), message=message, findings=Findings(way=search.best.way))
+            findings = Findings(way=search.best.way, allowed_time=search.allowed_time)
+            return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = f"of {search.looked_at:,} motions that sampling looked at none led there"
         if self.search_alone or ended:
             reason: Reason = "budget" if ended else "blocked"

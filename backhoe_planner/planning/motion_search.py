@@ -15,6 +15,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.planning.allowed_time import allowed_time
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
@@ -74,8 +75,7 @@ _START_APART = 0.15  # part of the longest time: joint time between two starts t
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
-_SLOWER_THAN_BOUND = 2.0  # times the bound, that it may take too: which way was found fastest then matters less; chosen
-_SLOWER = 1.5  # times the fastest motion known, that one for another cost than the time may take; chosen
+_SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -148,7 +148,6 @@ class MotionSearch:
             lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
         )
         self._bound = 0.0  # no motion is shorter [s]
-        self._fastest = np.inf  # s of the fastest motion known, where the cost is not the time
         self._longest = np.inf  # s that a motion may then take
         self._blocked = np.inf  # cost of the cheapest start of a descent that stayed in an obstacle
         work = world.work
@@ -185,6 +184,11 @@ class MotionSearch:
             return str(ended)
         return ""
 
+    @property
+    def allowed_time(self) -> float | None:
+        """How long a motion may take [s]; None where its time is the cost, or no motion is known."""
+        return self._longest if np.isfinite(self._longest) else None
+
     def bound(self) -> float:
         """What no motion is shorter than [s], as near as for the plan; 0 where there is no motion, or in a hurry."""
         return 0.0 if self.best is None or not self._goes_on() else self._bound_above(self.best.motion, fewer=1)
@@ -208,10 +212,9 @@ class MotionSearch:
         ended = search.ended if search.best is None else [*search.ended, search.best]
         ended = [replace(one, cost=motion_cost(self._problem, one.motion)) for one in ended]
         if search.best is not None:
-            self._fastest = search.best.motion.duration
             self._offer(ended[-1])
+            self._longest = allowed_time(search.bound(), search.best.motion.duration)
         self._take(GoalPostures(tuple(search._postures), tuple(search._goals)))
-        self._longest = max(_SLOWER * self._fastest, _SLOWER_THAN_BOUND * search.bound())
         self._reserved = self._world.work.descent_rounds // 3
         known = [self._fitted(one) for one in ended]
         ways = self._world.work.effort.ways_at_once

@@ -124,7 +124,7 @@ def test_least_work_is_not_above_that_of_the_fastest_motion(backhoe: bp.Robot) -
     assert cheap.metrics.energy["work"] <= fast.metrics.energy["work"] * 1.001
 
 
-def test_in_twice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trapezium(planar4: bp.Robot) -> None:
+def test_in_thrice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trapezium(planar4: bp.Robot) -> None:
     """1 rad at 1 rad/s and 2 rad/s^2 takes 1.5 s, of which the bound proves 97 to 100 %.
 
     In T the speed between is the v of v (T - v / 2) = 1, reached in v / 2 s, so the integral of v^2 is
@@ -133,7 +133,9 @@ def test_in_twice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trapez
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="velocity_norm"))
     assert plan.verified, plan.message
     T = plan.trajectory.duration
-    assert 0.97 * 3.0 <= T <= 1.02 * 3.0
+    assert plan.findings.allowed_time is not None
+    assert 0.97 * 4.5 <= plan.findings.allowed_time <= 4.5
+    assert 0.99 * plan.findings.allowed_time <= T <= 1.02 * plan.findings.allowed_time
     v = T - np.sqrt(T * T - 2.0)
     assert plan.metrics.energy["velocity_norm"] == pytest.approx(v * v * (T - v + v / 3.0), rel=0.03)
 
@@ -301,16 +303,18 @@ def test_whoever_watches_sees_the_best_get_better(backhoe: bp.Robot) -> None:
     assert seen[-1] == pytest.approx(plan.trajectory.duration, rel=1e-3)
 
 
-def test_least_work_takes_twice_the_least_time_and_no_more_than_that_of_an_even_turn(planar4: bp.Robot) -> None:
+def test_least_work_takes_thrice_the_least_time_and_no_more_than_that_of_an_even_turn(planar4: bp.Robot) -> None:
     """Level, so that only speeding up costs: joint 1 turns the stretched arm by 1 rad, with 2 rad/s^2 at the ends.
 
-    Its speed between is the v of v (T - v / 2) = 1, its work M v^2 / 2. The fastest such turn takes 1.5 s. Where the
-    arm may be drawn in on the way, it costs less.
+    Its speed between is the v of v (T - v / 2) = 1, its work M v^2 / 2. The fastest such turn takes 1.5 s, of which 97
+    to 100 % are proven. Where the arm may be drawn in on the way, it costs less.
     """
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="work"))
     assert plan.verified, plan.message
-    T = 2.0 * 1.5
-    assert 0.5 * T < plan.trajectory.duration < 1.03 * T
+    T = plan.findings.allowed_time
+    assert T is not None
+    assert 0.97 * 4.5 <= T <= 4.5
+    assert 0.5 * T < plan.trajectory.duration < 1.01 * T
     v = T - np.sqrt(T * T - 2.0)
     M = float(Dynamics(planar4).mass_matrices(np.zeros((1, 4)))[0, 0, 0])
     assert 0.0 < plan.metrics.energy["work"] < 1.01 * 0.5 * M * v * v

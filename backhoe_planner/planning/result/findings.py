@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from backhoe_planner.files.records import Record
+from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.site import Obstruction, Transgression
 
 
@@ -54,6 +54,8 @@ class Findings(Record):
     """Where the target is out of reach."""
     way: str = ""
     """How the goal was reached: ``straight``, ``sampled`` and so on."""
+    allowed_time: Figure | None = None
+    """How long the motion might take [s], of a motion to a goal for another objective than the time."""
     attempts: int = 0
     """How many attempts the local law made."""
     closest_distance: float | None = None

@@ -62,8 +62,10 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
 
 
 def _about_duration(plan: Plan) -> str:
-    """Whether it is the objective, and how far above the least possible it is."""
+    """Whether it is the objective, how long it was allowed to be, and how far above the least possible it is."""
     words = ["the objective"] if _minimised(plan) == "time" else []
+    if plan.findings.allowed_time is not None:
+        words.append(f"at most {plan.findings.allowed_time:.2f} s was allowed")
     if plan.bound is not None:
         longer = f": {plan.bound.excess}" if plan.bound.excess else ""
         words.append(f"no motion can take less than {plan.bound.duration:.2f} s{longer}")

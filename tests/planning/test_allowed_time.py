@@ -1,0 +1,44 @@
+"""How long a motion may take that is to cost little: three times the bound, more where that is too little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.planning.allowed_time import allowed_time
+
+
+@pytest.mark.parametrize(
+    ("bound", "fastest", "allowed"),
+    [
+        (2.0, 2.0, 6.0),
+        (2.0, 4.9, 6.0),  # 1.2 times 4.9 s is less than 6 s
+        (2.0, 5.1, 9.0),
+        (2.0, 7.4, 9.0),
+        (2.0, 7.6, 13.5),
+        (0.0, 4.0, 6.0),  # nothing is proven
+        (0.0, 0.0, 0.0),
+    ],
+)
+def test_it_is_a_multiple_of_the_bound(bound: float, fastest: float, allowed: float) -> None:
+    assert allowed_time(bound, fastest) == pytest.approx(allowed)
+
+
+def test_a_plan_says_what_it_was_allowed_and_two_seeds_are_allowed_the_same(planar4: bp.Robot) -> None:
+    joints = [f"joint{k}" for k in (1, 2, 3, 4)]
+    tip = bp.Kinematics(planar4).at(np.array([0.8, 0.3, 0.2, 0.1])).tip_position
+    content = {
+        "version": 1, "start": {"joints": dict.fromkeys(joints, 0.1)}, "objective": "work",
+        "task": {"goal": {"position": (0.6 * tip).tolist()}},
+    }  # fmt: skip
+    plans = [bp.plan(planar4, bp.scene_from_dict(content), seed=seed) for seed in (0, 1)]
+    for plan in plans:
+        longest = plan.findings.allowed_time
+        assert plan.verified, plan.message
+        assert plan.bound is not None
+        assert longest is not None
+        assert longest == pytest.approx(3.0 * plan.bound.duration, rel=0.02)
+        assert plan.metrics.duration <= longest + 0.02
+    fast = bp.plan(planar4, bp.scene_from_dict(content | {"objective": "time"}), effort="quick")
+    assert fast.findings.allowed_time is None
