@@ -57,12 +57,31 @@ def any_robot(request: pytest.FixtureRequest) -> Robot:
     return robot
 
 
+# drawn ten times a second: without a graphics card a frame costs as much as all else that a page does in that time
+FEWER_FRAMES = """
+    window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
+    window.cancelAnimationFrame = clearTimeout;
+"""
+
+
+class Browser:
+    """Opens pages that draw few frames."""
+
+    def __init__(self, opened: Any) -> None:
+        self._opened = opened
+
+    def new_page(self, **settings: Any) -> Any:
+        page = self._opened.new_page(**settings)
+        page.add_init_script(FEWER_FRAMES)
+        return page
+
+
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser() -> Iterator[Browser]:
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not Path(CHROMIUM).exists():
         pytest.skip("chromium is not installed")
     with api.sync_playwright() as playwright:
         opened = playwright.chromium.launch(executable_path=CHROMIUM, args=GRAPHICS)
-        yield opened
+        yield Browser(opened)
         opened.close()

@@ -334,7 +334,7 @@ def test_a_payload_that_cannot_be_held_is_named_with_joint_and_figures(backhoe: 
             "payload": 4000.0,
         }
     )
-    found = plan(backhoe, scene)
+    found = plan(backhoe, scene, effort="quick")
     assert (found.verdict, found.reason) == ("failed", "outside_limits")
     assert "cannot hold the load" in found.message
     assert found.certificate.effort is not None
@@ -392,7 +392,7 @@ def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path
     import json
 
     motion = brisk(backhoe)
-    found = plan(backhoe, scene_at(motion))
+    found = plan(backhoe, scene_at(motion), effort="quick")
     found.save(tmp_path / "plan.json")
     content = json.loads((tmp_path / "plan.json").read_text())
     assert content["certificate"]["limits"]["hydraulics"]["ratio"] <= 1.01
@@ -419,7 +419,7 @@ def test_what_is_verified_can_be_driven(backhoe: Robot, method: str, moving: dic
             "payload": 300.0,
         }
     )
-    found = plan(backhoe, scene, method=method)
+    found = plan(backhoe, scene, method=method, effort="quick")
     assert found.verified, found.message
     use = drive_of(build_problem(backhoe, scene)).use_along(found.trajectory.moments())
     assert max(np.max(use.effort), np.max(use.speeds)) <= 1.01

@@ -323,7 +323,7 @@ def test_least_work_takes_thrice_the_least_time_and_no_more_than_that_of_an_even
 def test_the_work_of_a_plan_hardly_depends_on_its_seed(backhoe: bp.Robot) -> None:
     """Past a wall, with three seeds: what one finds no other misses by a tenth."""
     scene = digger({"position": [3.5, 3.5, 0.2]}, WALL, objective="work")
-    costs = [bp.plan(backhoe, scene, seed=seed).metrics.energy["work"] for seed in range(3)]
+    costs = [bp.plan(backhoe, scene, seed=seed, effort="quick").metrics.energy["work"] for seed in range(3)]
     assert max(costs) < 1.1 * min(costs)
 
 

@@ -43,7 +43,7 @@ def in_between() -> Data:
 
 def test_a_loaded_bucket_swings_round_a_post_within_six_degrees(backhoe: bp.Robot, tmp_path: Path) -> None:
     scene = site(A, B, {"pitch": BAND}, in_between())
-    plan = bp.plan(backhoe, scene)
+    plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
     assert plan.findings.way == "sampled"
     assert np.all(np.abs(pitches(plan) + 2.7) <= 0.05 + 1e-6)
@@ -56,7 +56,7 @@ def test_a_loaded_bucket_swings_round_a_post_within_six_degrees(backhoe: bp.Robo
 
 
 def test_a_pitch_that_must_not_change_at_all_is_kept_round_a_post(backhoe: bp.Robot) -> None:
-    plan = bp.plan(backhoe, site(A, B, {"pitch": [-2.7, -2.7]}, in_between()))
+    plan = bp.plan(backhoe, site(A, B, {"pitch": [-2.7, -2.7]}, in_between()), effort="quick")
     assert plan.verified, plan.message
     np.testing.assert_allclose(pitches(plan), -2.7, atol=1e-6)
 
@@ -67,7 +67,7 @@ def test_the_straight_way_of_the_law_is_used_only_where_it_keeps_the_band(backho
     free = bp.plan(backhoe, site(A, goal, {"below": 9.0}), method="reactive")
     assert free.verified, free.message
     assert np.max(np.abs(pitches(free) + 2.7)) > 0.1
-    kept = bp.plan(backhoe, site(A, goal, {"pitch": BAND}))
+    kept = bp.plan(backhoe, site(A, goal, {"pitch": BAND}), effort="quick")
     assert kept.verified, kept.message
     assert np.max(np.abs(pitches(kept) + 2.7)) <= 0.05 + 1e-6
 
@@ -138,7 +138,7 @@ def test_a_motion_that_leaves_the_band_only_between_two_postures_is_refused(back
 def test_a_goal_at_the_very_edge_of_the_band_is_reached_by_sampling(backhoe: bp.Robot, beyond: float) -> None:
     """What inverse kinematics finds there lies beside the edge by its rounding, which still counts as kept."""
     start, goal = (*A[:3], A[3] - 0.04), (*B[:3], B[3] + 0.05 + beyond)
-    plan = bp.plan(backhoe, site(start, goal, {"pitch": BAND}, in_between()))
+    plan = bp.plan(backhoe, site(start, goal, {"pitch": BAND}, in_between()), effort="quick")
     assert plan.verified, plan.message
     assert plan.findings.way == "sampled"
 
@@ -160,7 +160,7 @@ def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, se
         proximity = bp.Proximity(backhoe, bp.build_obstacles(scene, backhoe))
         if all(np.min(proximity.distances(q) - proximity.clearance) > 0.02 for q in ends):
             break
-    plan = bp.plan(backhoe, scene)
+    plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
     assert np.max(np.abs(pitches(plan) - pitch)) <= half + 1e-6
 

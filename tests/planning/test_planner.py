@@ -73,7 +73,7 @@ def test_every_scene_of_the_project_is_solved(
     scene = bp.load_scene(SCENES / f"{name}.yaml")
     assert scene.tip is None
     robot: bp.Robot = request.getfixturevalue(machine)
-    plan = bp.plan(robot, scene, method="auto")
+    plan = bp.plan(robot, scene, effort="quick")
     assert plan.verified, plan.message
     assert plan.reason == plan.message == ""
     assert plan.certificate.verified
@@ -275,7 +275,7 @@ def test_bad_arguments(planar4: bp.Robot, keys: Data, key: str) -> None:
 
 def test_same_seed_same_plan(planar4: bp.Robot) -> None:
     scene = bp.load_scene(SCENES / "paper_planar.yaml")
-    first, second = (plan_to_dict(bp.plan(planar4, scene, seed=3)) for _ in range(2))
+    first, second = (plan_to_dict(bp.plan(planar4, scene, seed=3, effort="quick")) for _ in range(2))
     for content in (first, second):
         assert content["metrics"].pop("planning_time") > 0.0
     assert first == second

@@ -87,7 +87,7 @@ def test_every_motion_within_the_tube_of_a_verified_plan_keeps_its_clearance(bac
         "tracking": {"joints": {"swing": 0.02, "boom": 0.01, "stick": 0.01, "bucket": 0.03}},
     }  # fmt: skip
     scene = bp.scene_from_dict(content)
-    plan = bp.plan(backhoe, scene)
+    plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verdict == "verified"
     proximity = bp.Proximity(backhoe, bp.build_obstacles(scene, backhoe))
     rng = np.random.default_rng(3)

@@ -706,7 +706,7 @@ def driven(backhoe: Robot) -> tuple[Session, int]:
     return session, session.join()
 
 
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(text=_ANYTHING)
 def test_whatever_a_page_says_is_answered(driven: tuple[Session, int], text: str | bytes) -> None:
     session, page = driven
@@ -1027,7 +1027,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         assert told("teleop")[0]["failure"] == station.failure
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(
     radius=st.sampled_from([0.001, 0.0011, 0.5, 1000.0]),
     at=st.lists(st.sampled_from([-1000.0, -3.0, 0.1, 1000.0]), min_size=3, max_size=3),

@@ -157,7 +157,7 @@ def test_a_sector_is_a_limit_of_the_first_joint(backhoe: Robot) -> None:
 def test_a_plan_keeps_the_stop_distance_and_the_line_says_what_was_passed(backhoe: Robot) -> None:
     low = {"kind": "ceiling", "name": "pipe bridge", "height": 3.2, "stop": 0.3, "warn": 3.0}
     scene = site(low, SECTOR, task={"goal": {"position": [4.2, 1.8, 0.6]}})
-    plan = bp.plan(backhoe, scene, seed=0)
+    plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
     kept = {clearance.obstacle: clearance.distance for clearance in plan.certificate.clearances}
     assert kept["pipe bridge"] >= 0.3 - 2e-4
