@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yourdfpy
 from lxml import etree
 
-from backhoe_planner.machine import shipped_folder
-from backhoe_planner.machine.description.plain_urdf import read_tree
+from backhoe_planner.machine import read_urdf, shipped_folder
+from backhoe_planner.machine.description.urdf_tree import read_tree
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -63,6 +64,23 @@ def test_a_plan_of_primitives_loads_no_mesh_library_and_no_scipy(tmp_path: Path)
     assert plan.is_file()
 
 
+def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Convex pieces come from the cache folder, and a URDF is read without what draws it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    trimesh.creation.box(extents=[0.1, 0.2, 0.3]).export(tmp_path / "arm.stl")
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        '<robot name="r"><link name="base"/><link name="arm"><collision><geometry><mesh filename="arm.stl"/></geometry>'
+        '</collision></link><joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    libraries = ["trimesh", "yourdfpy", "networkx", "shapely", "vhacdx"]
+    assert "trimesh" in loaded(["inspect", str(urdf)], libraries)[1]
+    assert loaded(["inspect", str(urdf)], libraries) == (0, [])
+
+
 @pytest.mark.parametrize("scene", ["yard", "wall"])
 def test_a_step_of_the_servo_loads_nothing(scene: str) -> None:
     """Loading would stall the loop."""
@@ -79,25 +97,28 @@ def test_a_step_of_the_servo_loads_nothing(scene: str) -> None:
     assert "near_obstacle" in done.stdout or "sliding" in done.stdout or "stopped" in done.stdout
 
 
-def test_machines_without_meshes_are_read_as_yourdfpy_reads_them(tmp_path: Path) -> None:
+def test_machines_are_read_as_yourdfpy_reads_them() -> None:
     text = """
     <robot name="r"><material name="red"><color rgba="1 0 0 1"/></material><material name="none"/>
     <link name="a"><visual><origin xyz="1 2 3" rpy="0.1 -1.2 2.5"/><geometry><box size="1 2 3"/></geometry>
       <material name="red"/></visual><collision><geometry><cylinder radius="0.2" length="1"/></geometry></collision>
       <collision><origin xyz="0 0 1"/><geometry><sphere radius="0.3"/></geometry></collision></link>
-    <link name="b"/><link name="c"/><link name="d"/>
+    <link name="b"><visual><geometry><mesh filename="b.dae" scale="1 2 -3"/></geometry></visual>
+      <collision><geometry><mesh filename="package://p/b.stl" scale="0.001"/></geometry></collision></link>
+    <link name="c"><visual><geometry><mesh filename="c.obj"/></geometry></visual></link><link name="d"/>
     <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
       <origin rpy="3 1.5707963 0.2"/><limit lower="-1" upper="2" effort="3" velocity="4"/>
       <safety_controller soft_lower_limit="-0.5" k_velocity="2"/></joint>
     <joint name="k" type="continuous"><parent link="b"/><child link="c"/></joint>
     <joint name="l" type="prismatic"><parent link="c"/><child link="d"/><axis/><mimic joint="j" multiplier="-2"/>
       <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
-    plain = [path.read_text() for path in shipped_folder("models").glob("*.urdf")]
-    for xml in (text, *plain):
+    shipped = [path.read_text() for path in shipped_folder("models").glob("*.urdf")]
+    examples = [read_urdf(f"example:{name}").xml.decode() for name in ("panda", "so101", "TwoDofs", "kinova", "ur5")]
+    for xml in (text, *shipped, *examples):
         root = etree.fromstring(xml.encode(), etree.XMLParser(remove_comments=True))
         ours, theirs = read_tree(root), yourdfpy.URDF._parse_robot(xml_element=root)
         assert_same(ours, theirs)
-    assert len(plain) >= 2
+    assert len(shipped) >= 2
 
 
 def assert_same(ours: Any, theirs: Any) -> None:

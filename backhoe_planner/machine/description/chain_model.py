@@ -12,8 +12,8 @@ from lxml import etree
 from backhoe_planner.errors import InputError, RobotError
 from backhoe_planner.machine.description.base import Base
 from backhoe_planner.machine.description.held_joints import HeldJoint, held_joints
-from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, se3
+from backhoe_planner.machine.description.urdf_tree import Joint
 
 
 @dataclass(frozen=True, eq=False)

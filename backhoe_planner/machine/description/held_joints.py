@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from backhoe_planner.errors import InputError, RobotError
-from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf
+from backhoe_planner.machine.description.urdf_tree import Joint
 
 _SAME = 1e-9  # rad, m: positions nearer to each other are one but for rounding
 

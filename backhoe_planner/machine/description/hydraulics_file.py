@@ -19,8 +19,8 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
-from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf, axis_of
+from backhoe_planner.machine.description.urdf_tree import Joint
 from backhoe_planner.machine.hydraulics.hydraulics import SAME_LENGTH, Cylinder, Hydraulics
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
 

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError
-from backhoe_planner.machine.description.plain_urdf import Geometry
 from backhoe_planner.machine.description.urdf import Urdf, se3
+from backhoe_planner.machine.description.urdf_tree import Geometry, Mesh
 from backhoe_planner.machine.shape.cover_cache import mesh_cover
 from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, sphere
 
@@ -95,7 +95,7 @@ def _body(model: pin.Model, link: str) -> tuple[int, pin.SE3]:
     return int(frame.parentJoint), frame.placement
 
 
-def _mesh_scale(mesh: Any) -> Vector:
+def _mesh_scale(mesh: Mesh) -> Vector:
     return np.full(3, 1.0 if mesh.scale is None else mesh.scale, dtype=float)
 
 
@@ -153,6 +153,7 @@ def _solids_of(urdf: Urdf, geometry: Geometry) -> list[_Solid]:
         return [_Solid(partial(sphere, geometry.sphere.radius))]
     if geometry.cylinder is not None:
         return [_Solid(partial(cylinder, geometry.cylinder.radius, geometry.cylinder.length))]
+    assert geometry.mesh is not None
     path = urdf.mesh_path(geometry.mesh.filename)
     if path is None:
         raise InputError("mesh file not found", found=geometry.mesh.filename)
@@ -182,6 +183,7 @@ def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:
             elif geometry.sphere is not None:
                 kind, size = "sphere", np.array([geometry.sphere.radius])
             else:
+                assert geometry.mesh is not None
                 kind, size, mesh = "mesh", _mesh_scale(geometry.mesh), urdf.mesh_path(geometry.mesh.filename)
             placement, edges = T_joint_link * se3(visual.origin), tuple(map(float, size))
             found.append(Visual(link.name, joint, placement, kind, edges, mesh, rgba))

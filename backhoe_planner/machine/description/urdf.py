@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import graphlib
 import hashlib
-import logging
 import math
 import os
 import sys
@@ -25,7 +24,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import RobotError
 from backhoe_planner.files.file_kinds import refuse_other_kind
 from backhoe_planner.files.provenance import relative_path
-from backhoe_planner.machine.description.plain_urdf import Joint, Tree, names_a_mesh, read_tree
+from backhoe_planner.machine.description.urdf_tree import Joint, Tree, read_tree
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
@@ -339,7 +338,7 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def _check_complete(root: etree._Element, path: Path) -> None:
-    """Check that shapes and inertias have all their parts; yourdfpy drops incomplete ones silently."""
+    """Check that shapes and inertias have all their parts."""
     for link in root.findall("link"):
         for shape in (*link.findall("collision"), *link.findall("visual")):
             geometry = shape.find("geometry")
@@ -368,7 +367,7 @@ def _need(element: etree._Element, attributes: tuple[str, ...], path: Path) -> N
 
 
 def _fill_limits(root: etree._Element) -> None:
-    """Write 0, which says nothing, for velocity and effort where a limit has none: yourdfpy asks for them."""
+    """Write 0, which says nothing, for velocity and effort where a limit has none: Pinocchio asks for them."""
     for limit in root.findall("joint/limit"):
         for attribute in ("velocity", "effort"):
             if limit.get(attribute) is None:
@@ -376,7 +375,7 @@ def _fill_limits(root: etree._Element) -> None:
 
 
 def _read_tree(root: etree._Element, path: Path) -> Tree:
-    """Links and joints; yourdfpy reads those of a machine with meshes, in records with the same fields."""
+    """Links and joints, each with its name and, where a joint stands, the links that it joins."""
     for element in root:
         if element.tag not in ("link", "joint"):
             continue
@@ -387,34 +386,7 @@ def _read_tree(root: etree._Element, path: Path) -> Tree:
                 node = element.find(child)
                 if node is None or not node.get("link"):
                     raise RobotError(f"has no <{child} link=...>", file=path, key=_element_key(element))
-    try:
-        return _read_by_yourdfpy(root) if names_a_mesh(root) else read_tree(root)
-    except Exception as error:  # yourdfpy raises whatever its parsing runs into
-        raise RobotError(f"cannot be read: {error}", file=path) from error
-
-
-def _read_by_yourdfpy(root: etree._Element) -> Tree:
-    """Links and joints, read by yourdfpy without a word in its log.
-
-    Raises
-    ------
-    ValueError: it is not valid to yourdfpy.
-    """
-    import yourdfpy
-
-    quiet = logging.getLogger("yourdfpy")
-    level = quiet.level
-    quiet.setLevel(logging.CRITICAL)
-    try:
-        parsed = yourdfpy.URDF(
-            robot=yourdfpy.URDF._parse_robot(xml_element=root), build_scene_graph=False, load_meshes=False
-        )
-        if not parsed.validate():
-            raise ValueError("; ".join(str(getattr(error, "msg", error)) for error in parsed.errors))
-    finally:
-        quiet.setLevel(level)
-    tree: Tree = parsed.robot
-    return tree
+    return read_tree(root)
 
 
 def _check_tree(robot: Tree, path: Path) -> None:

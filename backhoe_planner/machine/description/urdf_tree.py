@@ -1,8 +1,7 @@
-"""Links and joints of a URDF that names no mesh file.
+"""Links and joints of a URDF, with the files of its meshes by name; no mesh is loaded.
 
-`yourdfpy` reads any URDF, and loads trimesh and what that asks for before it reads a word. A
-machine of boxes, cylinders and spheres is read here, into records with the same fields. The
-other elements and attributes of a URDF are not kept.
+The records have the fields of `yourdfpy`'s, which loads trimesh and what that asks for before it
+reads a word. The other elements and attributes of a URDF are not kept.
 """
 
 from __future__ import annotations
@@ -42,14 +41,22 @@ class Sphere:
     radius: float
 
 
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A mesh file as the URDF names it, and its `scale`, one number or (3,); None where it is not given."""
+
+    filename: str
+    scale: float | Vector | None
+
+
 @dataclass(frozen=True)
 class Geometry:
-    """Exactly one of four shapes; `mesh` is a yourdfpy.Mesh."""
+    """Exactly one of four shapes."""
 
     box: Box | None = None
     cylinder: Cylinder | None = None
     sphere: Sphere | None = None
-    mesh: Any = None
+    mesh: Mesh | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,13 +144,8 @@ class Tree:
     materials: list[Material]
 
 
-def names_a_mesh(root: etree._Element) -> bool:
-    """Whether a shape of the URDF with this `root` is a mesh."""
-    return next(root.iter("mesh"), None) is not None
-
-
 def read_tree(root: etree._Element) -> Tree:
-    """Links and joints below the `root` of a URDF that names no mesh.
+    """Links and joints below the `root` of a URDF.
 
     Raises
     ------
@@ -171,12 +173,19 @@ def _shape(element: etree._Element) -> Shape:
 
 
 def _geometry(element: etree._Element) -> Geometry:
+    if element.tag == "mesh":
+        return Geometry(mesh=Mesh(element.get("filename"), _where_given(_scale, element.get("scale"))))
     if element.tag == "box":
         return Geometry(box=Box(_numbers(element.get("size"))))
     radius = float(element.get("radius"))
     if element.tag == "cylinder":
         return Geometry(cylinder=Cylinder(radius, float(element.get("length"))))
     return Geometry(sphere=Sphere(radius))
+
+
+def _scale(text: str) -> float | Vector:
+    numbers = _numbers(text)
+    return float(numbers[0]) if len(numbers) == 1 else numbers
 
 
 def _material(element: etree._Element) -> Material:
