@@ -67,7 +67,7 @@ def test_a_plan_of_primitives_loads_no_mesh_library_and_no_scipy(tmp_path: Path)
 def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Convex pieces come from the cache folder, and a URDF is read without what draws it."""
+    """Convex pieces come from the cache folder, and so does what yourdfpy said of the URDF."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     trimesh.creation.box(extents=[0.1, 0.2, 0.3]).export(tmp_path / "arm.stl")
     urdf = tmp_path / "arm.urdf"
@@ -77,8 +77,12 @@ def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
         '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
     )
     libraries = ["trimesh", "yourdfpy", "networkx", "shapely", "vhacdx"]
-    assert "trimesh" in loaded(["inspect", str(urdf)], libraries)[1]
+    assert {"trimesh", "yourdfpy"} <= set(loaded(["inspect", str(urdf)], libraries)[1])
     assert loaded(["inspect", str(urdf)], libraries) == (0, [])
+    trimesh.creation.box(extents=[0.1, 0.2, 0.4]).export(tmp_path / "arm.stl")
+    assert "yourdfpy" not in loaded(["inspect", str(urdf)], libraries)[1]
+    urdf.write_text(urdf.read_text().replace("-1", "-2"))
+    assert "yourdfpy" in loaded(["inspect", str(urdf)], libraries)[1]
 
 
 @pytest.mark.parametrize("scene", ["yard", "wall"])

@@ -23,7 +23,7 @@ from backhoe_planner.files.records import Record, explain
 from validation.tables import Row, markdown
 
 VERSION: Literal[1] = 1
-_LIBRARIES = ("backhoe_planner", "pin", "coal", "numpy", "scipy", "trimesh")
+_LIBRARIES = ("backhoe_planner", "pin", "coal", "numpy", "scipy", "yourdfpy")
 
 Amount = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Part = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]

@@ -121,6 +121,14 @@ BROKEN = {
         robot_xml(arm='<link name="arm"><inertial><mass value="1"/><inertia ixx="1"/></inertial></link>'),
         ["link 'arm' > inertial > inertia", "ixy"],
     ),
+    "colour without a number": (
+        robot_xml(arm=ARM + '<material name="paint"><color rgba="red"/></material>'),
+        ["cannot be read", "red"],
+    ),
+    "colour without a number beside a mesh": (
+        robot_xml(arm=solid('<mesh filename="a.stl"/>') + '<material name="paint"><color rgba="red"/></material>'),
+        ["cannot be read", "red"],
+    ),
     "missing mesh": (
         robot_xml(arm=solid('<mesh filename="meshes/arm.stl"/>')),
         ["link 'arm' > collision", "mesh file not found", "meshes/arm.stl", "relative to the URDF"],

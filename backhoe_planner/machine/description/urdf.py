@@ -24,7 +24,8 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import RobotError
 from backhoe_planner.files.file_kinds import refuse_other_kind
 from backhoe_planner.files.provenance import relative_path
-from backhoe_planner.machine.description.urdf_tree import Joint, Tree, read_tree
+from backhoe_planner.machine.description.urdf_tree import Joint, Tree, names_a_mesh, read_tree
+from backhoe_planner.machine.description.yourdfpy_check import check_by_yourdfpy
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
@@ -338,7 +339,7 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def _check_complete(root: etree._Element, path: Path) -> None:
-    """Check that shapes and inertias have all their parts."""
+    """Check that shapes and inertias have all their parts; yourdfpy drops incomplete ones silently."""
     for link in root.findall("link"):
         for shape in (*link.findall("collision"), *link.findall("visual")):
             geometry = shape.find("geometry")
@@ -367,7 +368,7 @@ def _need(element: etree._Element, attributes: tuple[str, ...], path: Path) -> N
 
 
 def _fill_limits(root: etree._Element) -> None:
-    """Write 0, which says nothing, for velocity and effort where a limit has none: Pinocchio asks for them."""
+    """Write 0, which says nothing, for velocity and effort where a limit has none; they are asked for."""
     for limit in root.findall("joint/limit"):
         for attribute in ("velocity", "effort"):
             if limit.get(attribute) is None:
@@ -375,7 +376,7 @@ def _fill_limits(root: etree._Element) -> None:
 
 
 def _read_tree(root: etree._Element, path: Path) -> Tree:
-    """Links and joints, each with its name and, where a joint stands, the links that it joins."""
+    """Links and joints; yourdfpy checks those of a machine with meshes."""
     for element in root:
         if element.tag not in ("link", "joint"):
             continue
@@ -386,7 +387,12 @@ def _read_tree(root: etree._Element, path: Path) -> Tree:
                 node = element.find(child)
                 if node is None or not node.get("link"):
                     raise RobotError(f"has no <{child} link=...>", file=path, key=_element_key(element))
-    return read_tree(root)
+    try:
+        if names_a_mesh(root):
+            check_by_yourdfpy(root)
+        return read_tree(root)
+    except ValueError as error:
+        raise RobotError(f"cannot be read: {error}", file=path) from error
 
 
 def _check_tree(robot: Tree, path: Path) -> None:

@@ -144,6 +144,11 @@ class Tree:
     materials: list[Material]
 
 
+def names_a_mesh(root: etree._Element) -> bool:
+    """Whether a shape of the URDF with this `root` is a mesh."""
+    return next(root.iter("mesh"), None) is not None
+
+
 def read_tree(root: etree._Element) -> Tree:
     """Links and joints below the `root` of a URDF.
 
