@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import TipPath, drive_of, time_way
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.blending import blend
@@ -95,17 +96,18 @@ def _play_checked(check: MotionCheck, stepper: Stepper, path: JointPath) -> None
     stepper.play(time_way(blend(check, path), problem.limits, drive=drive_of(problem)))
 
 
-def _near(world: World, path: TipPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:
-    """The condition that the tip is within `reach` [m] of the path between two arc lengths [m]."""
+def _near(world: World, path: TipPath, low: float, high: float, reach: float) -> Callable[[Matrix], bool]:
+    """The condition that the tip is within `reach` [m] of the path between two arc lengths [m], at all q (B, n)."""
+    kinematics = BatchKinematics(world.problem.robot)
     marks = path.stations[(path.stations > low) & (path.stations < high)]
     corners = np.array([path(float(s)) for s in (low, *marks, high)])
     steps = np.diff(corners, axis=0)
     squares = np.maximum(np.einsum("ki,ki->k", steps, steps), 1e-18)
 
-    def near(q: Vector) -> bool:
-        off = world.kinematics.at(q).tip_position - corners[:-1]
-        part = np.clip(np.einsum("ki,ki->k", off, steps) / squares, 0.0, 1.0)
-        off -= part[:, None] * steps
-        return bool(np.min(np.einsum("ki,ki->k", off, off)) <= reach * reach)
+    def near(q: Matrix) -> bool:
+        off = kinematics.at(q).tip_position[:, None] - corners[:-1]
+        part = np.clip(np.einsum("bki,ki->bk", off, steps) / squares, 0.0, 1.0)
+        off -= part[:, :, None] * steps
+        return bool(np.max(np.min(np.einsum("bki,bki->bk", off, off), axis=1)) <= reach * reach)
 
     return near

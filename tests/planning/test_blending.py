@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Robot, travel_bounds
 from backhoe_planner.motion import SmoothWay, Trajectory, chord_sagitta, time_way
 from backhoe_planner.motion.timing import timing
@@ -29,7 +29,7 @@ CORNERS = np.array(
 )
 
 
-def open_field(robot: Robot, *, near: Callable[[Vector], bool] | None = None) -> MotionCheck:
+def open_field(robot: Robot, *, near: Callable[[Matrix], bool] | None = None) -> MotionCheck:
     problem = problem_of(robot, STRETCHED, STRETCHED, [])
     return MotionCheck(problem, Proximity(robot, (), self_collision=False), [STRETCHED], spare=0.0, near=near)
 
@@ -125,7 +125,7 @@ def test_a_corner_next_to_an_obstacle_is_cut_less(planar4: Robot) -> None:
 
 
 def test_where_no_cut_is_clear_the_way_stops_in_the_corner(planar4: Robot) -> None:
-    way = blend(open_field(planar4, near=on_polyline), JointPath(CORNERS.copy()))
+    way = blend(open_field(planar4, near=lambda q: all(map(on_polyline, q))), JointPath(CORNERS.copy()))
     np.testing.assert_array_equal(way.cuts, 0.0)
     np.testing.assert_array_equal(way.stops, way.stations)
     trajectory = time_way(way, planar4.limits)

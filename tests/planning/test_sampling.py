@@ -49,7 +49,7 @@ def find_way(
     effort: Effort = EFFORTS["normal"],
     spare: float,
     time: float = 0.0,
-    near: Callable[[Vector], bool] | None = None,
+    near: Callable[[Matrix], bool] | None = None,
 ) -> JointPath | None:
     ends = [np.array(q, dtype=float) for q in (start, *goals)]
     check = MotionCheck(problem, proximity, ends, spare=spare, time=time, near=near, brake=brake)
@@ -138,8 +138,8 @@ def test_a_start_tighter_than_the_spare_can_be_left(planar4: Robot, margin: floa
 def test_a_further_condition_is_kept(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
 
-    def folded(q: Vector) -> bool:
-        return bool(q[1] <= 0.05)
+    def folded(q: Matrix) -> bool:
+        return bool(np.all(q[:, 1] <= 0.05))
 
     way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, near=folded)
     assert way is not None
@@ -164,9 +164,9 @@ def test_obstacles_stand_where_they_are_at_the_time(planar4: Robot) -> None:
     assert corners(12.0) == 2  # it has gone 10 m
 
 
-def cut_off(q: Vector) -> bool:
+def cut_off(q: Matrix) -> bool:
     """Nothing gets past this angle of the first joint."""
-    return bool(abs(q[0] - 0.7) > 0.1)
+    return bool(np.all(np.abs(q[:, 0] - 0.7) > 0.1))
 
 
 def test_a_search_ends_after_the_motions_that_it_may_look_at(planar4: Robot) -> None:
@@ -196,12 +196,12 @@ def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
     asked = 0
 
-    def broken(q: Vector) -> bool:
+    def broken(q: Matrix) -> bool:
         nonlocal asked
         asked += 1
         if asked > 500:
             raise ZeroDivisionError("of the condition")
-        return bool(abs(q[0] - 0.7) > 0.1)
+        return cut_off(q)
 
     with pytest.raises(ZeroDivisionError, match="of the condition"):
         find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, near=broken)
@@ -238,7 +238,7 @@ from backhoe_planner.planning import EFFORTS, MotionCheck, Work, blend, sample_p
 from bar_scenes import STRETCHED, TURNED, across_bar
 
 def cut_off(q):
-    return abs(q[0] - 0.7) > 0.1
+    return bool(np.all(np.abs(q[:, 0] - 0.7) > 0.1))
 
 def run(mode):
     problem, proximity = across_bar(bp.load_robot("example:planar4"))

@@ -274,12 +274,15 @@ def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
 def _knots(stations: Vector, q: Matrix, corners: Mask, spacing: float) -> NDArray[np.intp]:
     """(M,) rows that are knots: both ends, every corner, and between as many as are needed."""
     found = [0]
-    for row in range(1, len(stations) - 1):
+    at, sharp, joints = stations.tolist(), corners.tolist(), q.tolist()  # of a few joints, lists are the quicker
+    for row in range(1, len(at) - 1):
         last = found[-1]
-        far = stations[row] - stations[last] > spacing - 1e-9
-        if corners[row] or far or np.max(np.abs(q[row] - q[last])) > _KNOT_TURN * spacing:
-            found.append(row)
-    return np.array([*found, len(stations) - 1])
+        if not sharp[row] and at[row] - at[last] <= spacing - 1e-9:
+            turn = max(abs(a - b) for a, b in zip(joints[row], joints[last], strict=True))
+            if turn <= _KNOT_TURN * spacing:
+                continue
+        found.append(row)
+    return np.array([*found, len(at) - 1])
 
 
 def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:

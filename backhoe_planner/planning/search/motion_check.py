@@ -24,12 +24,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-Condition = Callable[[Vector], bool]
+Condition = Callable[[Matrix], bool]  # whether all configurations (B, n) fulfil it
 
 _SLOPE = 0.05  # m of spare per metre of travel away from a tight end; chosen small, since B grows by it
 _ROUNDING = 5e-7  # m: chosen far below every clearance, and far above the rounding of a distance
@@ -223,7 +223,8 @@ class MotionCheck:
     def _stays_near(self, point: Callable[[float], Vector], rate: Vector) -> bool:
         assert self._near is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _NEAR_EVERY)) + 1
-        return all(self._near(point(part)) for part in places(steps))
+        at = places(steps)  # most of what is too far off is so at an end or in the middle
+        return all(self._near(np.array([point(part) for part in some])) for some in (at[:3], at[3:]) if some)
 
     # --- what is known -----------------------------------------------------------
 
@@ -297,7 +298,7 @@ class MotionCheck:
         return spare
 
     def _add_end(self, q: Vector) -> bool:
-        if not self._within_limits(q) or (self._near is not None and not self._near(q)):
+        if not self._within_limits(q) or (self._near is not None and not self._near(q[None])):
             return False
         if self._keep is not None and not self._keep.holds(q):
             return False
