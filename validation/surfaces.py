@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -124,45 +123,49 @@ def link_shapes(robot: bp.Robot) -> tuple[list[Cover], list[Solid]]:
 
 def _cover(link: str, joint: int, points: Matrix, fat: NDArray[np.float64]) -> Cover:
     """The tree of balls over points (N, 3) that reach `fat` (N,) beyond themselves [m]."""
-    centre, radius, first, children = [], [], [], []
-    queue, known = deque([np.arange(len(points))]), 1
-    while queue:
-        members = queue.popleft()
-        if len(members) == 1:
-            centre.append(points[members[0]])
-            radius.append(float(fat[members[0]]))
-            first.append(-1)
-            children.append(0)
-            continue
-        held = points[members]
-        middle = 0.5 * (held.min(axis=0) + held.max(axis=0))
-        centre.append(middle)
-        radius.append(float(np.max(np.linalg.norm(held - middle, axis=1) + fat[members])))
-        parts = _split(points, members)
-        first.append(known)
-        children.append(len(parts))
-        queue.extend(parts)
-        known += len(parts)
-    return Cover(link, joint, np.array(centre), np.array(radius), np.array(first), np.array(children))
+    levels = []
+    members, sizes, known = np.arange(len(points)), np.array([len(points)]), 1
+    while len(sizes):
+        begin = np.cumsum(sizes) - sizes
+        held, alone = points[members], sizes == 1
+        centre = 0.5 * (np.minimum.reduceat(held, begin) + np.maximum.reduceat(held, begin))
+        centre[alone] = held[begin[alone]]
+        away = np.linalg.norm(held - np.repeat(centre, sizes, axis=0), axis=1)
+        radius = np.maximum.reduceat(away + fat[members], begin)
+        # what is a point has no parts; all other balls of a level are split at once
+        members, sizes = members[np.repeat(~alone, sizes)], sizes[~alone]
+        members, sizes, children = _split(points, members, sizes)
+        first, counts = np.full(len(alone), -1), np.zeros(len(alone), dtype=int)
+        first[~alone], counts[~alone] = known + np.cumsum(children) - children, children
+        known += len(sizes)
+        levels.append((centre, radius, first, counts))
+    return Cover(link, joint, *(np.concatenate(parts) for parts in zip(*levels, strict=True)))
 
 
-def _split(points: Matrix, members: Indices) -> list[Indices]:
-    """Up to `BRANCHES` parts of several points, each cut across its longest side."""
-    parts = [members]
-    while len(parts) < BRANCHES:
-        halved = []
-        for part in parts:
-            if len(part) == 1:
-                halved.append(part)
-                continue
-            held = points[part]
-            axis = int((held.max(axis=0) - held.min(axis=0)).argmax())
-            order = part[held[:, axis].argsort(kind="stable")]
-            halved += [order[: len(order) // 2], order[len(order) // 2 :]]
-        if len(halved) == len(parts):
-            break
-        parts = halved
-    return parts
+def _split(points: Matrix, members: Indices, sizes: Indices) -> tuple[Indices, Indices, Indices]:
+    """Sets of points, each split into up to `BRANCHES` parts, cut across their longest sides.
+
+    Parameters
+    ----------
+    members: (N,) indices of points, set by set.
+    sizes: (S,) how many points each set has, 2 or more.
+
+    Returns
+    -------
+    (N,) and (P,) the same of the parts, and (S,) how many parts each set has.
+    """
+    children = np.ones(len(sizes), dtype=int)
+    if not len(sizes):
+        return members, sizes, children
+    owner = np.arange(len(sizes))
+    for _ in range(BRANCHES.bit_length() - 1):
+        begin, held = np.cumsum(sizes) - sizes, points[members]
+        axis = np.argmax(np.maximum.reduceat(held, begin) - np.minimum.reduceat(held, begin), axis=1)
+        place = np.repeat(np.arange(len(sizes)), sizes)
+        members = members[np.lexsort((held[np.arange(len(held)), axis[place]], place))]
+        halves = np.column_stack((sizes // 2, sizes - sizes // 2)).ravel()
+        owner, sizes = np.repeat(owner, 2)[halves > 0], halves[halves > 0]
+    return members, sizes, np.bincount(owner, minlength=len(children))
 
 
 def _shape(robot: bp.Robot, geometry) -> tuple[Matrix, float, SignedDistance]:  # type: ignore[no-untyped-def]

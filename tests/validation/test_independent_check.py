@@ -15,7 +15,7 @@ from validation import independent_check
 from validation.habitats import load_machine
 from validation.signed_distances import obstacle_distance, voxels_distance
 from validation.sites import SiteKey, random_site
-from validation.surfaces import link_shapes
+from validation.surfaces import BRANCHES, link_shapes
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,27 @@ def test_the_independent_check_finds_the_least_distance_that_all_points_give(pla
             rotation, translation = placements[cover.joint]
             placed = points @ np.swapaxes(rotation, 1, 2) + translation[:, None]
             assert found[cover.link, spec.name] == pytest.approx(np.min(distance(placed.reshape(-1, 3))), abs=1e-12)
+
+
+def test_every_ball_of_a_cover_holds_its_parts_and_every_point_is_a_leaf(plan: bp.Plan) -> None:
+    covers, _ = link_shapes(plan.robot)
+    assert max(len(cover.points) for cover in covers) > 100
+    for cover in covers:
+        inner = np.flatnonzero(cover.first >= 0)
+        parts = [np.arange(cover.first[ball], cover.first[ball] + cover.children[ball]) for ball in inner.tolist()]
+        assert sorted(np.concatenate([[0], *parts]).tolist()) == list(range(len(cover.first)))
+        assert all(2 <= len(part) <= BRANCHES for part in parts)
+        depth = np.zeros(len(cover.first), dtype=int)
+        above = np.zeros(len(cover.first), dtype=int)
+        for ball, part in zip(inner.tolist(), parts, strict=True):
+            depth[part], above[part] = depth[ball] + 1, ball
+        assert depth.max() <= np.ceil(np.log2(len(cover.points)) / np.log2(BRANCHES)) + 1
+        held = np.flatnonzero(cover.first < 0)
+        at, node = cover.centre[held], above[held]
+        for _ in range(int(depth.max())):
+            off = np.linalg.norm(at - cover.centre[node], axis=1) + cover.radius[held]
+            assert np.all(off <= cover.radius[node] + 1e-12)
+            node = above[node]
 
 
 def test_a_claim_that_is_too_high_is_refuted(plan: bp.Plan) -> None:
