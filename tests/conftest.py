@@ -43,8 +43,8 @@ def panda() -> Robot:
 
 @pytest.fixture(scope="session")
 def around_a_ball(planar4: Robot) -> bp.Plan:
-    """Along a path of 2 m at 0.4 m/s, and around a ball of 15 cm beside its middle."""
-    ball = {"name": "ball", "shape": "sphere", "radius": 0.15, "position": [2.1, 0.0, 0.0]}
+    """Along a path of 2 m at 0.4 m/s, and around a ball of 30 cm in its middle."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.0, 0.0, 0.0]}
     task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-1.0, 1.0)], "speed": 0.4}}
     content = {"version": 1, "task": task, "clearance": 0.02, "influence": 0.4, "obstacles": [ball]}
     return bp.plan(planar4, bp.scene_from_dict(content), effort="quick")

@@ -106,7 +106,7 @@ def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
     robot = bp.load_robot(tmp_path / "gate.urdf")
     ball = {"name": "ball", "shape": "sphere", "radius": 0.05, "position": [0.5, 0.0, 0.7]}
     servo = standing(robot, [0.0], obstacles=[ball])
-    forth = driven(servo, [0.3, 0.0, 0.0], 12.0)
+    forth = driven(servo, [0.3, 0.0, 0.0], 6.0)
     # the bar's long side is 0.04 m from its middle line, and 0.05 + 0.05 m are to be kept
     touching = 0.25 * math.pi - math.asin((0.04 + 0.05 + 0.05) / math.hypot(0.5, 0.5))
     assert touching - 0.05 < forth[-1].q[0] <= touching

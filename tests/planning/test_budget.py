@@ -78,10 +78,10 @@ def test_a_route_is_kept_where_time_runs_out_while_it_is_made_cheaper(
     start: Data | None, objective: str, module: Any, name: str, number: int,
 ) -> None:  # fmt: skip
     scene = site(LINE, start=start, objective=objective)
-    whole = bp.plan(planar4, scene)
+    whole = bp.plan(planar4, scene, effort="quick")
     assert whole.message == ""
     monkeypatch.setattr(module, name, clock.runs_out_at(getattr(module, name), number))
-    cut_short = bp.plan(planar4, scene, budget=5.0)
+    cut_short = bp.plan(planar4, scene, effort="quick", budget=5.0)
     assert clock.now >= 1e9, "the search was not interrupted"
     assert (cut_short.verdict, cut_short.reason) == ("verified", "")
     assert cut_short.message.startswith("time ran out after 5 s of computing; --budget gives more")

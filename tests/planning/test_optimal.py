@@ -121,7 +121,8 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
         assert np.all(cheap <= problem.limits.upper)
         for row in cheap:
             assert np.all(proximity.distances(row) >= proximity.clearance - 1e-4)
-    assert fell >= 1
+        break
+    assert fell == 1
 
 
 def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> None:

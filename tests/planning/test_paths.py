@@ -14,6 +14,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, sol
 from backhoe_planner.motion import PathCost, Problem, build_problem, step_lengths
 from backhoe_planner.planning import PathLayers, PathResolver, Resolution, Stretch, redundancy_of, smooth_stretch
 from validation.habitats import load_machine
+from validation.independent_check import refutations
 from validation.sites import SiteKey, random_site
 
 Data = dict[str, Any]
@@ -55,21 +56,17 @@ def elbow(tmp_path_factory: pytest.TempPathFactory) -> bp.Robot:
     return bp.load_robot(file, tip="tip")
 
 
-@pytest.fixture(scope="module")
-def around(planar4: bp.Robot) -> bp.Plan:
-    """Around a ball that stands on the path."""
-    return bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)]))
-
-
 HALF_WIDTH = 0.04  # of planar4's links: boxes that end at the tip
 
 
 # --- through an obstacle, along a wall, by one elbow, beyond a limit ----------------------
 
 
-def test_through_the_middle_of_an_obstacle(around: bp.Plan) -> None:
+def test_through_the_middle_of_an_obstacle(around_a_ball: bp.Plan) -> None:
     """The tip can follow up to the clearance where the last link points at the ball, a little less where it slants."""
-    assert around.verified
+    around = around_a_ball
+    assert around.verified, around.message
+    assert len(around.certificate.detours) == around.metrics.detour.count == 1
     near = 0.3 + CLEARANCE
     [detour] = around.findings.detours
     assert 1.0 - near - HALF_WIDTH - 0.02 < span(detour)[0] < 1.0 - near + 1e-3
@@ -78,6 +75,8 @@ def test_through_the_middle_of_an_obstacle(around: bp.Plan) -> None:
     # beside the ball's middle the tip has to be at least as far from the path as from the ball
     assert near - 1e-3 < around.metrics.detour.max_deviation < 2.5 * near
     assert around.metrics.detour.length > np.pi * near * 0.9
+    assert np.min(np.linalg.norm(around.tip_path() - [2.0, 0.0, 0.0], axis=1)) > near
+    assert refutations(around, refine=3) == []
 
 
 def test_where_detours_are_not_allowed_none_is_looked_for_and_the_same_is_said(
@@ -188,10 +187,10 @@ def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
 
 
 def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
-    points = [[2.0, -0.1, 0.0], [2.0, 0.1, 0.0]] * 6
+    points = [[2.0, -0.1, 0.0], [2.0, 0.1, 0.0]] * 4
     found = bp.plan(planar4, site(points), effort="quick")
     assert found.verified
-    assert found.certificate.tracking.followed == pytest.approx(11 * 0.2, abs=1e-3)
+    assert found.certificate.tracking.followed == pytest.approx(7 * 0.2, abs=1e-3)
 
 
 # --- seven joints -------------------------------------------------------------------------
@@ -336,9 +335,9 @@ def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed
 # --- the same again -----------------------------------------------------------------------
 
 
-def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around: bp.Plan) -> None:
-    again = bp.plan(planar4, around.scene)
+def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.Plan) -> None:
+    again = bp.plan(planar4, around_a_ball.scene, effort="quick")
     assert again.verified
-    np.testing.assert_array_equal(again.trajectory.q, around.trajectory.q)
-    np.testing.assert_array_equal(again.trajectory.time, around.trajectory.time)
-    assert again.findings == around.findings
+    np.testing.assert_array_equal(again.trajectory.q, around_a_ball.trajectory.q)
+    np.testing.assert_array_equal(again.trajectory.time, around_a_ball.trajectory.time)
+    assert again.findings == around_a_ball.findings

@@ -125,20 +125,6 @@ def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
         assert at.pitch == pytest.approx(asked, abs=0.01)
 
 
-def test_a_detour_around_a_ball(around_a_ball: bp.Plan) -> None:
-    plan = around_a_ball
-    assert plan.verified, plan.message
-    (detour,) = plan.certificate.detours
-    # the ball and its clearance cover the path for 0.13 m before and behind y = 0
-    reach = float(np.sqrt(0.17**2 - 0.1**2))
-    assert detour.path_from < 1.0 - reach
-    assert detour.path_to > 1.0 + reach
-    assert 0.07 < detour.max_deviation < 1.0
-    assert plan.metrics.detour.count == 1
-    assert np.min(np.linalg.norm(tips(plan) - [2.1, 0.0, 0.0], axis=1)) > 0.17
-    assert refutations(plan, refine=3) == []
-
-
 def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Robot) -> None:
     scene = site(path(speed=0.4, detour=False), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
     plan = bp.plan(planar4, scene, effort="quick")

