@@ -56,8 +56,8 @@ def samples(mesh: trimesh.Trimesh) -> Matrix:
 
 SOLIDS = {
     "L": (ell(), [(1.6, 1.6, 0.5), (1.9, 1.9, 0.1)]),
-    "torus": (trimesh.creation.torus(1.0, 0.25, 16, 8), [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, -0.4, 0.1)]),
-    "pipe": (trimesh.creation.annulus(0.8, 1.0, 2.0, 16), [(0.0, 0.0, 0.0), (0.0, 0.5, 0.9)]),
+    "torus": (trimesh.creation.torus(1.0, 0.25, 12, 6), [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, -0.4, 0.1)]),
+    "pipe": (trimesh.creation.annulus(0.8, 1.0, 1.0, 16), [(0.0, 0.0, 0.0), (0.0, 0.5, 0.45)]),
     "bucket": (
         trimesh.util.concatenate(
             [
