@@ -214,8 +214,7 @@ class Proximity:
 
         Each with the indices of its pairs; to be read only.
         """
-        for part in self._geometry.parts_with(asked):
-            yield part.pairs, part.model
+        yield from ((part.pairs, part.model) for part in self._geometry.parts_with(asked))
 
     def at(
         self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf,
@@ -349,6 +348,11 @@ class Proximity:
                 found[row] = np.concatenate(([reading.distance], *reading[1:]))
         return found, unread
 
+    @property
+    def found_unchecked(self) -> Vector:
+        """(P,) what the last call of `at` found all distances to be at least [m]; to be read only."""
+        return self._known.last
+
     def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement was made at `q` and `time`."""
         q, time = self._checked(q, time)
@@ -449,7 +453,6 @@ class Proximity:
         if not isinstance(floor, np.ndarray) or floor.shape != self.clearance.shape:
             floor = as_array(floor, len(self.pairs), key="floor", finite=False)
         self._place(q, time)
-        every = self._known.every
         lower = self._lower_with(known, q, time)
         self._raise_by_grids(lower, floor)
         needed = lower < floor
@@ -457,7 +460,7 @@ class Proximity:
         found, unread = self._measure(pairs, floor[pairs], lower[pairs])
         lower[pairs] = found[:, 0]
         needed[pairs[unread]] = False
-        self._known.keep(every, lower, q, time)
+        self._known.keep(self._known.every, lower, q, time)
         self._near = None
         return lower.copy(), needed
 
@@ -512,8 +515,6 @@ class Proximity:
         q, time = self._checked(q, time)
         pairs = self._checked_pairs(pairs)
         least = as_array(least, len(pairs), key="least", finite=False)
-        if not len(pairs):
-            return True
         self._place(q, time)
         return all(
             self._geometry.measure(pair).min_distance >= bound

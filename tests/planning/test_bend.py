@@ -182,3 +182,18 @@ def test_the_curvature_stays_positive_where_the_cost_bends_down() -> None:
         step = rng.normal(size=11)
         bend = bend.after(step, bend.slope - 3.0 * step, nothing, Kinks.none(11))
     assert np.linalg.eigvalsh(bend.curvature).min() > 0.0
+
+
+def test_what_a_step_does_not_show_becomes_less_in_all_directions() -> None:
+    """By hand: the slope stays along a step, so all is scaled by 0.85, and a fifth of that is left along it."""
+    bend = Bend(np.array([1.0, 2.0]), np.eye(2), np.zeros((2, 2)), Kinks.none(2))
+    after = bend.after(np.array([1.0, 0.0]), bend.slope, bend.known, bend.kinks)
+    np.testing.assert_allclose(after.curvature, [[0.2 * 0.85, 0.0], [0.0, 0.85]], atol=1e-12)
+
+
+def test_what_a_step_shows_just_as_expected_changes_nothing() -> None:
+    curvature = np.array([[2.0, 0.5], [0.5, 1.0]])
+    bend = Bend(np.array([1.0, 2.0]), curvature, np.zeros((2, 2)), Kinks.none(2))
+    step = np.array([0.3, -0.1])
+    after = bend.after(step, bend.slope + curvature @ step, bend.known, bend.kinks)
+    np.testing.assert_allclose(after.curvature, curvature, atol=1e-12)

@@ -103,6 +103,7 @@ class Descent:
 
     Attributes
     ----------
+    rate: (n,) of the joints at most [rad/s or m/s].
     rounds: how many were made so far; a step that is mended counts as two.
     """
 
@@ -114,7 +115,7 @@ class Descent:
         self._time, self._brake, self._hurried = time, brake, hurried
         self._drive = drive_of(problem)
         self._own_time = None if problem.objective.is_time else OwnTime(problem, self._drive)
-        rate = problem.limits.velocity
+        self.rate = rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
         self._width = _LEAST_WIDTH  # of kinks of the cost's rate that are rounded off, in its unit per second

@@ -20,6 +20,7 @@ from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import NearKinks
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
+from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import Proximity
 
 PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations are linear on a piece
@@ -47,8 +48,9 @@ class Margin:
 
 
 def find_margins(
-    proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float | Vector, time: float
-) -> tuple[float, list[Margin]]:
+    proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float | Vector, time: float,
+    places: Indices | None = None, seen: SeenDistances | None = None,
+) -> tuple[float, list[Margin]]:  # fmt: skip
     """The least margin over places q (K, n), infinite where nothing is near, and all margins below `reach` [m].
 
     `reach` is one number, or (K,) of the places.
@@ -58,23 +60,33 @@ def find_margins(
     keep: what is to be kept beside the clearances.
     spare: to be kept beyond every clearance [m]; a tenth of it of what is to be kept [rad or m].
     time: the obstacles stand where they are at this time [s].
+    places: (K,) their indices; by default they are counted.
+    seen: what is known of the distances there already, from the same `time`, and what is found out now.
     """
     least, found = np.inf, []
-    margins = np.broadcast_to(reach + spare, len(q)).tolist()
+    places = np.arange(len(q)) if places is None else places
+    seen = seen or SeenDistances()
+    margins = np.broadcast_to(reach + spare, len(q))
+    proximity.cover_unchecked(q)
+    bounds = seen.bounds(places, q, proximity.travel)
+    needed = proximity.clearance + margins[:, None]
+    near = (bounds <= needed).any(axis=1)
     if len(proximity.clusters):
-        needed = proximity.clearance[proximity.plain :] + np.array(margins)[:, None]
-        proximity.clusters.expect(q, time, needed=needed)
-    bounds = proximity.bounds_unchecked(q)
-    for place, (row, known) in enumerate(zip(q, bounds, strict=True)):
-        nearby = proximity.at(row, time=time, margin=margins[place], known=known)
-        if len(nearby):
-            margin = nearby.margin - spare
-            least = min(least, float(margin.min()))
-            found.append(Margin(place, margin, nearby.gradient))
+        proximity.clusters.expect(q[near], time, needed=needed[near, proximity.plain :])
+    by_balls = proximity.bounds_unchecked(q[near])
+    for row, place in enumerate(places.tolist()):
+        if near[row]:
+            known = np.maximum(bounds[row], next(by_balls))
+            nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=known)
+            seen.keep(place, q[row], proximity.found_unchecked)
+            if len(nearby):
+                margin = nearby.margin - spare
+                least = min(least, float(margin.min()))
+                found.append(Margin(place, margin, nearby.gradient))
         if keep is not None and place > 0:  # the start cannot be changed
-            margin = keep.margins(row) - _SPARE_OF_KEPT * spare
+            margin = keep.margins(q[row]) - _SPARE_OF_KEPT * spare
             least = min(least, float(margin.min()))
-            found.append(Margin(place, margin, keep.gradients(row)))
+            found.append(Margin(place, margin, keep.gradients(q[row])))
     return least, found
 
 

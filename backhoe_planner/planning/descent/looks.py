@@ -7,7 +7,6 @@ that only says yes or no is asked there.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from backhoe_planner.arrays import Indices
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import Margin, find_margins
+from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import ClearanceScreen, Proximity
 
 KEPT_PART = 0.5  # of the spare, that is kept between equal steps, and with which a curve counts as clear; chosen
@@ -56,6 +56,7 @@ class Looks:
         self._looked_at = np.arange(0, self.places, _FINER)
         self._near = _NEAR_HURRIED if hurried else _NEAR
         self._reach = np.full(self.places, self._near)
+        self._seen = SeenDistances()
 
     @property
     def known(self) -> tuple[int, int]:
@@ -79,11 +80,10 @@ class Looks:
                 self._reach[found.place] = _FAR
 
     def _margins_at(self, curve: JointCurve, places: Indices) -> tuple[float, list[Margin]]:
-        least, margins = find_margins(
+        return find_margins(
             self._proximity, self._keep, curve.at(self._u[places]),
-            spare=self._spare, reach=self._reach[places], time=self._time,
+            spare=self._spare, reach=self._reach[places], time=self._time, places=places, seen=self._seen,
         )  # fmt: skip
-        return least, [replace(found, place=int(places[found.place])) for found in margins]
 
     def _notice(self, curve: JointCurve, margins: list[Margin]) -> Indices:
         """Places that are not clear, the first between each two at which it is looked, whose margins are `margins`."""

@@ -17,7 +17,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 
-_PLACES_PER_PIECE = 3  # of the sum; chosen
+_PLACES_PER_PIECE = 4  # of the sum; chosen, with 3 what lies between them may cost three times as much as is seen
 _STRETCHES = 8  # in which the least T is found; chosen, mostly two are needed
 _WITHIN = 1e-3  # part of a limit that may be exceeded at the places; the samples of a motion are checked later
 

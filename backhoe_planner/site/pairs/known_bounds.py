@@ -108,6 +108,11 @@ class KnownBounds:
         """(n,) and [s] where and when the last measurement was made."""
         return self._q, self._time
 
+    @property
+    def last(self) -> Vector:
+        """(M,) the lower bounds that were kept last, of the pairs that these were of [m]; to be read only."""
+        return self._lower
+
     def is_at(self, q: Vector, time: float) -> bool:
         """Whether what is known was measured at q (n,) and `time`."""
         return self._time == time and not np.count_nonzero(self._q != q)

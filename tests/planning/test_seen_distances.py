@@ -1,0 +1,55 @@
+"""What was found out of the distances along a curve is not measured again, and changes nothing of what is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.linear_model import find_margins
+from backhoe_planner.planning.descent.seen_distances import SeenDistances
+from validation.habitats import load_machine
+from validation.sites import SiteKey, random_site
+
+
+def test_what_a_place_has_lost_since_is_taken_off() -> None:
+    """Joint 1 moved by 0.1 rad, joint 2 by 0.2 back: 2 x 0.1 off the first distance, 0.1 + 0.2 off the second."""
+    seen = SeenDistances()
+    seen.keep(7, np.array([0.0, 0.0]), np.array([1.0, 0.5]))
+    found = seen.bounds(np.array([3, 7]), np.array([[5.0, 5.0], [0.1, -0.2]]), np.array([[2.0, 0.0], [1.0, 1.0]]))
+    np.testing.assert_allclose(found, [[-np.inf, -np.inf], [0.8, 0.2]])
+
+
+@pytest.mark.parametrize("machine", ["backhoe", "panda", "telescope"])
+def test_margins_are_those_that_are_found_without_it(machine: str) -> None:
+    """Of a curve that changes like in a descent, some places of which are looked at in some rounds only."""
+    robot = load_machine(machine)
+    problem = build_problem(robot, random_site(robot, SiteKey(machine, "narrow", "goal", 0, 5)).scene)
+    start, limits = problem.start_q, robot.limits
+    assert start is not None
+    rng = np.random.default_rng(2)
+    end = np.clip(start + rng.uniform(-0.6, 0.6, robot.n), limits.lower, limits.upper)
+    curve, seen, measured = JointCurve.straight(start, end, 8), SeenDistances(), np.zeros(2)
+    with_it, without = (bp.Proximity(robot, problem.obstacles) for _ in range(2))
+    for size in (0.1, 0.05, 0.02, 0.01, 0.01, 0.005):
+        step = rng.normal(0.0, size, curve.control.shape)
+        curve = curve.moved_to(np.clip(curve.control + step, limits.lower, limits.upper))
+        places = np.flatnonzero(rng.uniform(size=49) < 0.8)
+        q = curve.at(np.linspace(0.0, 1.0, 49)[places])
+        before = np.array([with_it.measured, without.measured])
+        reach = rng.choice([0.08, 0.08, 0.4], len(places))
+        found, plain = (
+            find_margins(
+                proximity, problem.keep, q, spare=0.003, reach=reach, time=0.0, places=places, seen=own
+            )
+            for proximity, own in ((with_it, seen), (without, None))
+        )  # fmt: skip
+        assert found[0] == pytest.approx(plain[0], abs=1e-9)  # coal begins where it ended
+        assert [one.place for one in found[1]] == [one.place for one in plain[1]]
+        for one, other in zip(found[1], plain[1], strict=True):
+            np.testing.assert_allclose(one.margin, other.margin, atol=1e-9)
+            np.testing.assert_allclose(one.gradient, other.gradient, atol=1e-6)
+        measured += np.array([with_it.measured, without.measured]) - before
+    assert measured[0] < 0.95 * measured[1]
