@@ -23,5 +23,12 @@ def allowed_time(bound: float, fastest: float) -> float:
     """
     if bound <= 0.0:
         return _LONGER * fastest
+    if has_room(bound, fastest):
+        return _TIMES_BOUND * bound
     steps = math.ceil(math.log(_ROOM * fastest / (_TIMES_BOUND * bound), _LONGER))
-    return _TIMES_BOUND * bound * _LONGER ** max(steps, 0)
+    return _TIMES_BOUND * bound * _LONGER**steps
+
+
+def has_room(bound: float, fastest: float) -> bool:
+    """Whether the bound alone decides, with a motion as fast as this known; see `allowed_time`."""
+    return _ROOM * fastest <= _TIMES_BOUND * bound

@@ -15,7 +15,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_way
-from backhoe_planner.planning.allowed_time import allowed_time
+from backhoe_planner.planning.allowed_time import allowed_time, has_room
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
@@ -23,10 +23,11 @@ from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.effort import OutOfTime, Work
+from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime, Work
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.sampling import sample_path
 from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.planning.starts import Start, cheapest
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import LeastTimes, least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
@@ -64,6 +65,8 @@ _MOTIONS = 2_000  # that one sampled way looks at, where another is known; chose
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 # times the bound, from which on there is more patience, and by which factor; chosen
 _PATIENCE = ((2.0, 10), (1.4, 4), (1.1, 2))
+# the same for another cost than the time, in place of the bound with the cheapest start that stays in an obstacle
+_PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
 # times the bound, from which on more postures are looked for, and times how many starting points; chosen
 _FEW_POSTURES, _MORE_POSTURES = 1.4, 4
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
@@ -71,7 +74,6 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 _LINES_FOR_ONE = (
     3  # straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
 )
-_START_APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
@@ -99,16 +101,6 @@ class FoundMotion:
 
     motion: Trajectory
     cost: float
-    goal: Goal
-    way: str
-
-
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """A curve from which a descent may begin, about how long it takes [s], where it ends, and how it was found."""
-
-    curve: JointCurve
-    duration: float
     goal: Goal
     way: str
 
@@ -149,7 +141,8 @@ class MotionSearch:
         )
         self._bound = 0.0  # no motion is shorter [s]
         self._longest = np.inf  # s that a motion may then take
-        self._blocked = np.inf  # cost of the cheapest start of a descent that stayed in an obstacle
+        # cost of the cheapest start of a descent after its first rounds: of those that stay in an obstacle, and others
+        self._blocked = self._early = np.inf
         work = world.work
         more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
         self._sampling = Work(replace(work.effort, **more), work.brake)
@@ -176,7 +169,7 @@ class MotionSearch:
             if not np.isfinite(self._longest):
                 self._go_straight(self._order if self._goes_on() else self._least_blocked())
             if self._goes_on() and self._is_far():
-                self._look_for_postures()
+                self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
             if self.best is None or not self._goes_straight(self.best):
                 self._go_round()
             self._refine()
@@ -202,37 +195,52 @@ class MotionSearch:
     # --- first ways -------------------------------------------------------------------
 
     def _go_fast(self) -> None:
-        """What the search for the fastest motion ends at is offered, and where it costs least brought down."""
-        world = self._world.for_time()
+        """How long a motion may take; where the searches for that end, and lines to many postures, brought down."""
+        work = self._world.work
+        ended: list[FoundMotion] = []
+        for effort in (EFFORTS["quick"], work.effort) if self._goes_on() else (work.effort,):
+            search = self._search_fastest(effort)
+            if search is None:
+                return
+            self._take(GoalPostures(tuple(search._postures), tuple(search._goals)))
+            ended += search.ended
+            if search.best is not None:
+                ended.append(search.best)
+                fastest = search.best.motion
+                bound = self._bound_above(fastest, fewer=1) if self._goes_on() else 0.0
+                self._longest = min(self._longest, allowed_time(bound, fastest.duration))
+                self._offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
+                if has_room(bound, fastest.duration):
+                    break
+        if self._goes_on() and np.isfinite(self._longest):
+            self._look_for_postures(within=self._longest)
+        self._reserved = work.descent_rounds // 3
+        lines = self._straight_starts() if self._goes_on() else []
+        ways = work.effort.ways_at_once
+        self._descend_cheapest(([self._fitted(one) for one in ended], ways), (lines, _LINES_FOR_ONE * ways))
+
+    def _search_fastest(self, effort: Effort) -> MotionSearch | None:
+        """A search for the fastest motion that has ended; None where it has no posture on a goal."""
+        world = self._world.for_time(effort)
         found = find_goal_postures(world, self._problem.goals, near=self._start, time=self._time)
         if isinstance(found, Outcome):
-            return
+            return None
         search = MotionSearch(world, self._start, found, time=self._time)
         search.run()
-        ended = search.ended if search.best is None else [*search.ended, search.best]
-        ended = [replace(one, cost=motion_cost(self._problem, one.motion)) for one in ended]
-        if search.best is not None:
-            self._offer(ended[-1])
-            self._longest = allowed_time(search.bound(), search.best.motion.duration)
-        self._take(GoalPostures(tuple(search._postures), tuple(search._goals)))
-        self._reserved = self._world.work.descent_rounds // 3
-        known = [self._fitted(one) for one in ended]
-        ways = self._world.work.effort.ways_at_once
-        lines = self._straight_starts() if self._goes_on() else []
-        self._descend_cheapest((known, ways), (lines, _LINES_FOR_ONE * ways))
+        return search
 
-    def _fitted(self, found: FoundMotion) -> _Start:
+    def _fitted(self, found: FoundMotion) -> Start:
         curve = JointCurve.fitted(found.motion, self._world.work.effort.pieces, self._problem.limits)
-        return _Start(curve, found.motion.duration, found.goal, found.way)
+        return Start(curve, found.motion.duration, found.goal, found.way)
 
     def _goes_straight(self, found: FoundMotion) -> bool:
         """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round.
 
-        False where a cheaper one is blocked: a way round what stands in it may be cheaper too.
+        False where one is blocked that is cheaper as early: a way round what stands in it may be cheaper too.
         """
-        return not self._problem.objective.is_time and found.way == _STRAIGHT and found.cost <= self._blocked
+        return not self._problem.objective.is_time and found.way == _STRAIGHT and self._early <= self._blocked
 
-    def _straight_starts(self) -> list[_Start]:
+    def _straight_starts(self) -> list[Start]:
         """Straight lines to postures that can be reached in the longest time, the soonest of those near each other."""
         pieces, rate = self._world.work.effort.pieces, self._problem.limits.velocity
         ends: list[int] = []
@@ -244,7 +252,7 @@ class MotionSearch:
             if min(apart, default=np.inf) > _END_APART * self._longest:
                 ends.append(index)
         return [
-            _Start(
+            Start(
                 JointCurve.straight(self._start, self._postures[index], pieces),
                 self._least[index],
                 self._goals[index],
@@ -253,15 +261,18 @@ class MotionSearch:
             for index in ends
         ]
 
-    def _descend_cheapest(self, *groups: tuple[Sequence[_Start], int]) -> None:
+    def _descend_cheapest(self, *groups: tuple[Sequence[Start], int]) -> None:
         """A few rounds of descents from the cheapest starts, so many of each group, then all rounds of the best."""
-        work = self._world.work
-        chosen = [start for group, count in groups for start in self._cheapest(group, count)]
+        work, screen = self._world.work, ClearanceScreen(self._world.proximity, time=self._time)
+        chosen = [
+            start for group, count in groups
+            for start in cheapest(group, count, self._descent, screen, longest=self._longest)
+        ]  # fmt: skip
         if len(chosen) == 1:
             start = chosen[0]
             self._descend(start.curve, max(start.duration, self._longest), start.goal, start.way)
             return
-        tried: list[tuple[float, _Start]] = []
+        tried: list[tuple[float, Start]] = []
         for start in chosen:
             found = self._bend(
                 start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
@@ -275,31 +286,11 @@ class MotionSearch:
                 on = replace(start, curve=found.curve, duration=found.duration)
                 tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
         tried.sort(key=lambda one: one[0])
+        self._early = min(self._early, tried[0][0] if tried else np.inf)
         for cost, start in tried[: work.effort.ways_at_once]:
             if cost > _WORTH_ROUNDS * tried[0][0]:
                 break
             self._descend(start.curve, start.duration, start.goal, start.way)
-
-    def _cheapest(self, starts: Sequence[_Start], count: int) -> list[_Start]:
-        """At most `count` of them: what costs least, and less is blocked, first; of those near each other one."""
-        longest = self._longest
-        screen = ClearanceScreen(self._world.proximity, time=self._time)
-        part = np.linspace(0.0, 1.0, _PLACES)
-        cost = [
-            self._descent.estimate(start.curve, max(start.duration, longest), longest=longest)
-            * (2.0 - float(np.mean(screen.keeps(start.curve(part)))))
-            for start in starts
-        ]
-        chosen: list[_Start] = []
-        rate = self._problem.limits.velocity
-        for index in np.argsort(cost, kind="stable"):
-            start = starts[index]
-            apart = [float(np.max(np.abs(start.curve.control - one.curve.control) / rate)) for one in chosen]
-            if min(apart, default=np.inf) > _START_APART * longest:
-                chosen.append(start)
-            if len(chosen) == count:
-                break
-        return chosen
 
     def _goes_on(self) -> bool:
         """Whether the search goes on where it has found a motion."""
@@ -327,20 +318,17 @@ class MotionSearch:
         self._order = sorted(range(len(self._postures)), key=lambda index: self._least[index])
         return [index for index in self._order if index >= before]
 
-    def _look_for_postures(self) -> None:
-        """Look for more postures that can be reached sooner than the best motion ends, and go straight there."""
+    def _look_for_postures(self, within: float | None) -> list[int]:
+        """Look for more postures, in so much time [s] or anywhere; which they are, the soonest first."""
         found = find_goal_postures(
             self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES,
-            travel=self._travel(),
+            travel=None if within is None else self._travel(within),
         )  # fmt: skip
-        if not isinstance(found, Outcome):
-            self._go_straight(self._take(found))
+        return [] if isinstance(found, Outcome) else self._take(found)
 
-    def _travel(self) -> Vector | None:
-        """(n,) how far each joint gets in the time of the best motion, from rest to rest [rad or m]; None without."""
-        if self.best is None:
-            return None
-        limits, T = self._problem.limits, self.best.motion.duration
+    def _travel(self, T: float) -> Vector:
+        """(n,) how far each joint gets in T [s], from rest to rest [rad or m]."""
+        limits = self._problem.limits
         peak = np.minimum(limits.velocity, 0.5 * limits.acceleration * T)
         return np.asarray(peak * (T - peak / limits.acceleration))
 
@@ -387,6 +375,9 @@ class MotionSearch:
         usual = self._world.work.effort.dull_searches
         if not self._goes_on():
             return 0
+        if not self._problem.objective.is_time:
+            best = np.inf if self.best is None else self.best.cost
+            return usual * next((factor for part, factor in _PATIENCE_ROUND if best > part * self._blocked), 1)
         return usual * next((factor for part, factor in _PATIENCE if self._is_above(part)), 1)
 
     def _is_above(self, part: float) -> bool:

@@ -14,7 +14,7 @@ from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Watcher
-from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.search.effort import Effort, Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
 
@@ -48,11 +48,11 @@ class World:
         other._put(obstacles)
         return other
 
-    def for_time(self) -> World:
-        """The same problem, to be solved in the least time, with work of its own; nobody watches."""
+    def for_time(self, effort: Effort) -> World:
+        """The same problem, to be solved in the least time with this effort; nobody watches."""
         other = copy.copy(self)
         other.problem = replace(self.problem, objective=OBJECTIVES["time"])
-        other.work, other._watch = Work(self.work.effort, self.work.brake), None
+        other.work, other._watch = Work(effort, self.work.brake), None
         other._put(self._obstacles)
         return other
 
