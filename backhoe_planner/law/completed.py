@@ -82,9 +82,9 @@ class CriticalRows(NamedTuple):
 
 def activation(distance: Vector, unity: float, influence: float) -> Vector:
     """(K,) alpha_h of Maciejewski and Klein for `distance` (K,): 1 up to `unity`, a cosine to 0 at `influence` [m]."""
-    part = (distance - unity) / (influence - unity)
-    np.minimum(np.maximum(part, 0.0, out=part), 1.0, out=part)
-    part *= np.pi
+    part = distance - unity
+    part *= math.pi / (influence - unity)
+    np.minimum(np.maximum(part, 0.0, out=part), math.pi, out=part)
     np.cos(part, out=part)
     part += 1.0
     part *= 0.5
@@ -135,6 +135,7 @@ class CompletedLaw:
         columns = (robot.limits.lower, robot.limits.upper, zone)
         self._ranges = list(zip(*(column.tolist() for column in columns), strict=True))
         self._epsilon = _EPSILON * np.eye(robot.n)
+        self._per_margin = math.pi / (self.influence - self.unity)
 
     def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
         """The joint velocity that serves the tip first, and everything else in the null space.
@@ -246,29 +247,31 @@ class CompletedLaw:
 
     def _sums_of_rows(self, nearby: Nearby | CriticalRows, rates: Matrix) -> tuple[float, float]:
         """Numerator and denominator of H in `wish_on_null_line`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
+        margins, drifts = nearby.margin, nearby.drift
+        influence, unity, nominal, per_margin = self.influence, self.unity, self.nominal, self._per_margin
+        above = below = 0.0
         if len(rates) <= _FEW:
-            above, below, influence, unity = 0.0, _EPSILON, self.influence, self.unity
-            rows = zip(nearby.margin.tolist(), nearby.drift.tolist(), rates.tolist(), strict=True)
-            for margin, drift, (along, speed) in rows:
+            for margin, drift, (along, speed) in zip(margins.tolist(), drifts.tolist(), rates.tolist(), strict=True):
                 if margin >= influence:
                     continue
-                weight, away = self._s_o, -drift
+                weighted, missing = along, -drift - speed
                 if margin > unity:
-                    weight *= self._activation(margin)
+                    weighted *= 0.5 + 0.5 * math.cos(per_margin * (margin - unity))
                 elif margin < unity:
-                    nearest = max(margin, unity / _NEAREST_PUSH)
-                    away += self.nominal * max((unity / nearest) ** 2 - 1.0, 0.0)
-                below += weight * along * along
-                if away > speed:
-                    above += weight * along * (away - speed)
-            return above, below
+                    missing += nominal * ((unity / max(margin, unity / _NEAREST_PUSH)) ** 2 - 1.0)
+                below += weighted * along
+                if missing > 0.0:
+                    above += weighted * missing
+            return self._s_o * above, _EPSILON + self._s_o * below
         by_z, rate = rates.T
-        weighted = self._s_o * activation(nearby.margin, self.unity, self.influence) * by_z
-        missing = self.nominal * push_factor(nearby.margin, self.unity)
-        missing -= nearby.drift
-        missing -= rate
+        weighted = activation(margins, unity, influence)
+        weighted *= by_z
+        missing = drifts + rate
+        np.negative(missing, out=missing)
+        if margins[margins.argmin()] < unity:
+            missing += nominal * push_factor(margins, unity)
         np.maximum(missing, 0.0, out=missing)
-        return float(weighted.dot(missing)), _EPSILON + float(weighted.dot(by_z))
+        return self._s_o * float(weighted.dot(missing)), _EPSILON + self._s_o * float(weighted.dot(by_z))
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""

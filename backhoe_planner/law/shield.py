@@ -19,7 +19,6 @@ be met costs a price instead of an error, and the missing speed is reported.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from operator import mul
 from typing import NamedTuple
@@ -33,7 +32,7 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
 _ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W; chosen
-_ACROSS_ROOT = math.sqrt(_ACROSS)
+_DIRECTIONS = np.array([_ACROSS, _ACROSS, _ACROSS, 0.0])
 _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, this stops within 80 % of each margin
 _RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
@@ -55,8 +54,7 @@ class Kept(NamedTuple):
     gradient: Matrix
 
 
-@dataclass(frozen=True)
-class Shielded:
+class Shielded(NamedTuple):
     """The result of the shield.
 
     Attributes
@@ -82,11 +80,11 @@ class Shield:
     def __init__(self, limits: JointLimits) -> None:
         self.limits = check_kind(limits, JointLimits, key="limits")
         self._n = n = len(limits.velocity)
-        self._eye, self._ones = _FREE * np.eye(n), np.ones(n)
+        self._eye = _FREE * np.eye(n)
         self._no_clearance = Rows.none("clearance", n), _NO_PAIRS
-        self._per_acceleration = (1.0 / limits.acceleration).tolist()
-        columns = limits.lower, limits.upper, limits.velocity, limits.acceleration
-        self._joints = list(zip(*(column.tolist() for column in columns), strict=True))
+        self._per_acceleration: list[float] = (1.0 / limits.acceleration).tolist()
+        self._dt = math.nan
+        self._joints: list[tuple[float, ...]] = []  # what a step of that length knows of each joint
 
     def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
         """(n,), (n,) the joint velocities that keep every joint limit, with room to brake.
@@ -104,20 +102,54 @@ class Shield:
         return self._bounds(q, v_before, as_number(dt, key="dt", above=0.0))
 
     def _bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
-        lead = 1.5 * dt
+        lows, highs, _, _ = self._range(q, v_before, v_before, dt)
+        return np.array(lows), np.array(highs)
+
+    def _range(
+        self, q: Vector, v_before: Vector, wish: Vector, dt: float
+    ) -> tuple[list[float], list[float], float, bool]:
+        """The velocity bounds as n numbers each, the longer time of braking [s], and whether the wish is within them.
+
+        The time is that in which all joints come to rest from `v_before` (n,) or from the `wish` (n,).
+        """
+        if dt != self._dt:
+            self._dt, self._joints = dt, self._joints_of(dt)
+        lead, within, time = 1.5 * dt, True, 0.0
         lows, highs = [], []
         # for a handful of joints plain numbers cost a fraction of what arrays would
-        for position, rate, (least, most, velocity, a) in zip(q.tolist(), v_before.tolist(), self._joints, strict=True):
-            above, below = most - position, position - least
-            # where there is room to brake from full speed, only the speed limit counts
-            room = 0.5 * velocity * velocity / a + lead * velocity
-            upper = velocity if above > room else min(velocity, _stoppable(above, a, lead))
-            lower = velocity if below > room else min(velocity, _stoppable(below, a, lead))
-            fastest, slowest = rate + a * dt, rate - a * dt
-            low = min(max(-lower, slowest), fastest)
+        joints = zip(q.tolist(), v_before.tolist(), wish.tolist(), self._joints, strict=True)
+        for position, rate, wished, (least, most, first, last, velocity, a, change, per) in joints:
+            low, high = rate - change, rate + change
+            if first < position < last:  # mostly there is room to brake from full speed
+                upper, lower = velocity, -velocity
+            else:
+                upper = min(velocity, _stoppable(most - position, a, lead))
+                lower = -min(velocity, _stoppable(position - least, a, lead))
+            slowest, fastest = low, high
+            if lower > low:
+                low = lower if lower < fastest else fastest
+            if upper < high:
+                high = upper if upper > slowest else slowest
+            if high < low:
+                high = low
             lows.append(low)
-            highs.append(max(min(max(upper, slowest), fastest), low))
-        return np.array(lows), np.array(highs)
+            highs.append(high)
+            if not low <= wished <= high:
+                within = False
+            before, after = abs(rate) * per, abs(wished) * per
+            if before > time:
+                time = before
+            if after > time:
+                time = after
+        return lows, highs, time, within
+
+    def _joints_of(self, dt: float) -> list[tuple[float, ...]]:
+        """Of each joint its range, the part of it in which there is room to brake from full speed, and its limits."""
+        limits = self.limits
+        velocity, a = limits.velocity, limits.acceleration
+        room = 0.5 * velocity * velocity / a + 1.5 * dt * velocity
+        columns = limits.lower, limits.upper, limits.lower + room, limits.upper - room, velocity, a, a * dt
+        return list(zip(*(column.tolist() for column in columns), self._per_acceleration, strict=True))
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
@@ -194,18 +226,18 @@ class Shield:
         ----------
         kept: what is to be kept beside the clearances.
         """
-        low, high = self._bounds(q, v_before, dt)
-        time = max(self._braking_time(v_before), self._braking_time(wish))
-        count, gradient = len(nearby), nearby.gradient
+        lows, highs, time, within = self._range(q, v_before, wish, dt)
+        gradient = nearby.gradient
+        count = len(gradient)
         bound = _approach_rates(nearby.margin - extra_margin, time, dt)
         bound += nearby.drift
         keep = () if kept is None else (self._keep_rows(kept, time, dt),)
-        if (
-            _is_within(wish, low, high)
-            and not (count and np.count_nonzero(gradient.dot(wish) < -bound))
-            and all(block.are_kept_by(wish) for block in keep)
-        ):
-            return Shielded(v=wish, slack=0.0, binding=_NO_PAIRS)
+        if within:
+            left = gradient.dot(wish)
+            left += bound
+            if (not count or left[left.argmin()] >= 0.0) and all(block.are_kept_by(wish) for block in keep):
+                return Shielded(wish, 0.0, _NO_PAIRS)
+        low, high = np.array(lows), np.array(highs)
         clearance, pairs = self._clearance_rows(gradient, bound, low, high) if count else self._no_clearance
         rows = (clearance, *keep)
         H = self._weight(wish, J_tip)
@@ -213,10 +245,11 @@ class Shield:
         x = self._braked(v_before, dt) if solution is None else solution.x
         v = np.minimum(np.maximum(x, low), high)
         if len(pairs) == 0:
-            return Shielded(v=v, slack=0.0, binding=pairs)
-        over = clearance.G.dot(v) - clearance.h
-        slack = float(over.max(initial=0.0))
-        return Shielded(v=v, slack=slack if slack > _MET else 0.0, binding=pairs[over > -_MET])
+            return Shielded(v, 0.0, pairs)
+        over = clearance.G.dot(v)
+        over -= clearance.h
+        slack = float(over[over.argmax()])
+        return Shielded(v, slack if slack > _MET else 0.0, pairs[over > -_MET])
 
     def _braked(self, v: Vector, dt: float) -> Vector:
         time = self._braking_time(v)
@@ -224,15 +257,17 @@ class Shield:
 
     def _weight(self, wish: Vector, J_tip: Matrix) -> Matrix:
         """(n, n) W."""
-        across = _ACROSS_ROOT * J_tip
+        n = self._n
         tip = J_tip.dot(wish)
         speed2 = float(tip.dot(tip))
-        H = across.T.dot(across)
-        H += self._eye
+        # the tip's three directions, and the one of the wish, each with its weight
+        rows, weights = np.empty((4, n)), _DIRECTIONS.copy()
+        rows[:3] = J_tip
+        tip.dot(J_tip, out=rows[3])
         if speed2 > 1e-12:
-            along = tip.dot(J_tip)
-            along *= math.sqrt((_ACROSS - _ALONG) / speed2)
-            H -= along[:, None] * along
+            weights[3] = (_ALONG - _ACROSS) / speed2
+        H = (rows.T * weights).dot(rows)
+        H += self._eye
         return np.asarray(H)
 
     def _keep_rows(self, kept: Kept, braking_time: float, dt: float) -> Rows:
@@ -244,9 +279,13 @@ class Shield:
         G = -gradient
         if len(bound) <= _FEW:
             return Rows("clearance", G, bound), _numbers(len(bound))
-        fastest = np.maximum(G * low, G * high).dot(self._ones)
-        pairs = (bound < fastest).nonzero()[0]
-        return (Rows("clearance", G[pairs], bound[pairs]), pairs) if len(pairs) else self._no_clearance
+        middle = 0.5 * (low + high)
+        fastest = np.abs(G).dot(high - middle)
+        fastest += G.dot(middle)
+        pairs = (bound <= fastest).nonzero()[0]
+        if len(pairs) == 0:
+            return self._no_clearance
+        return Rows("clearance", G.take(pairs, axis=0), bound.take(pairs)), pairs
 
 
 @lru_cache(maxsize=_FEW)
@@ -255,16 +294,10 @@ def _numbers(count: int) -> Indices:
     return np.arange(count)
 
 
-def _is_within(v: Vector, low: Vector, high: Vector) -> bool:
-    """Whether v (n,) is within its bounds (n,)."""
-    # for a handful of joints plain numbers cost a fraction of what arrays would
-    return all(least <= rate <= most for rate, least, most in zip(v.tolist(), low.tolist(), high.tolist(), strict=True))
-
-
 def _approach_rates(margin: Vector, braking_time: float, dt: float) -> Vector:
     """(K,) gamma margin: how fast margins (K,) may shrink; negative where one is lost, the speed of the way back."""
     bound = margin * (_STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt))
-    if np.count_nonzero(margin < 0.0):
+    if len(margin) and margin[margin.argmin()] < 0.0:
         bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
     return bound
 

@@ -43,14 +43,12 @@ from backhoe_planner.site.pair_listing import list_pairs, travel_within, with_tr
 from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
-from backhoe_planner.site.pairs.nearby import Nearby
+from backhoe_planner.site.pairs.nearby import Nearby, distance_gradients
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
 from backhoe_planner.site.pairs.planes import SeparatingPlanes
 from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
-# what n_a p_b omega_c counts in n . (omega x p), (a b, c)
-_TURNS = np.array([np.cross(np.eye(3), axis) for axis in np.eye(3)]).reshape(9, 3)
 _FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
 
 
@@ -262,24 +260,21 @@ class Proximity:
         further = stop * (float(self._known.furthest.dot(fastest)) + self._fastest)
         some = self._known.around(margin, max(margin, further), q, time)
         lower = self._known.lower(some, q, time)
-        reach = some.clearance + margin
         if further <= margin:
-            return self._rows(*self._measure_within(some, reach, lower, q, time))
-        change = fastest - np.abs(v)
-        lead, near = Lead(v - change, v + change, longest), lower <= reach
-        np.maximum(reach, some.clearance + stop * (some.travel.dot(fastest) + some.speed), out=reach)
-        doubtful = ((lower <= reach) & ~near).nonzero()[0]
-        doubtful = doubtful[: np.searchsorted(doubtful, len(lower) - len(self.clusters))]  # clusters have no ball
-        if len(doubtful) > _FEW:
-            far = lower[doubtful] - some.clearance[doubtful]
-            reach[doubtful[~self._may_bind(some.pairs[doubtful], far, lead, time)]] = -np.inf
+            return self._rows(*self._measure_within(some, some.reach, lower, q, time), margin)
+        lead = Lead(v, fastest - np.abs(v), longest)
+        reach = some.travel.dot(fastest)
+        reach += some.speed
+        reach *= stop
+        reach += some.clearance
+        np.maximum(reach, some.reach, out=reach)
+        if np.count_nonzero(lower <= reach) > _FEW:
+            doubtful = ((lower <= reach) & (lower > some.reach)).nonzero()[0]
+            doubtful = doubtful[: doubtful.searchsorted(len(lower) - len(self.clusters))]  # clusters have no ball
+            pairs, left = some.pairs[doubtful], lower[doubtful] - some.clearance[doubtful]
+            rate = self.approach_unchecked(pairs, v, time) + self.travel[pairs] @ lead.change
+            reach[doubtful[left >= lead.longest * rate]] = -np.inf
         return self._rows(*self._measure_within(some, reach, lower, q, time), margin, lead)
-
-    def _may_bind(self, pairs: Indices, margin: Vector, lead: Lead, time: float) -> Flags:
-        """(K,) whether `lead` may take in `pairs` (K,) that have at least `margin` (K,) left and are apart [m]."""
-        v = 0.5 * (lead.low + lead.high)
-        rate = self.approach_unchecked(pairs, v, time) + self.travel[pairs] @ (lead.high - v)
-        return np.asarray(margin < lead.longest * rate)
 
     def approach_unchecked(self, pairs: Indices, v: Vector, time: float) -> Vector:
         """(K,) bounds of how fast `pairs` (K,) that are apart come nearer at joint velocities v (n,) [m/s].
@@ -300,21 +295,24 @@ class Proximity:
         Those that are within it, K, and (K, 10) their distances, normals and nearest points. What is known of all
         distances is kept.
         """
-        if len(self.clusters):
+        some_clusters = len(self.clusters) > 0
+        if some_clusters:
             self._raise_by_grids(lower, reach)
         rows = (lower <= reach).nonzero()[0]
         self.measured += len(rows)
         near, reach = some.pairs.take(rows), reach.take(rows)
-        found, unread = self._measure(near, reach, lower[rows] if len(self.clusters) else None)
+        found, unread = self._measure(near, reach, lower[rows] if some_clusters else None)
         measured = found[:, 0]
         lower[rows] = measured
         self._known.keep(some, lower, q, time)
         is_near = measured <= reach
-        is_near[unread] = False
+        if unread:
+            is_near[unread] = False
         if self._some_appear:
             is_near &= self.appears_at[near] <= time
-        if np.count_nonzero(is_near) < len(near):
-            near, found = near[is_near], found[is_near]
+        rows = is_near.nonzero()[0]
+        if len(rows) < len(near):
+            near, found = near.take(rows), found.take(rows, axis=0)
         self._near = near, found
         return near, found
 
@@ -579,20 +577,24 @@ class Proximity:
         self._q = q
         self._geometry.place()
 
-    def _rows(self, pair: Indices, found: Matrix, margin: float = np.inf, lead: Lead | None = None) -> Nearby:
-        """The rows of what was `found` (K, 10) of pairs; with a lead only those within `margin` [m], and its own."""
-        J, normal, point = self._J, found[:, 1:4], found[:, 4:7]
-        # a point p has the speed n . v + n . (omega x p) along n; so has its witness, which lies along n from it
-        gradient = normal.dot(J[:3])
-        gradient += (normal[:, :, None] * point[:, None, :]).reshape(-1, 9).dot(_TURNS.dot(J[3:]))
+    def _rows(self, pair: Indices, found: Matrix, margin: float | None = None, lead: Lead | None = None) -> Nearby:
+        """The rows of what was `found` (K, 10) of pairs; with a lead only those within `margin` [m], and its own.
+
+        With a margin all other pairs are known to be further away than that.
+        """
+        gradient = distance_gradients(found, self._J)
         gradient *= self._sense.take(pair, axis=0)
         left = found[:, 0] - self.clearance.take(pair)
-        drift = np.vecdot(normal, self._velocity[pair]) if self._moving else np.zeros(len(pair))
-        if lead is not None:
-            counts = left <= margin
-            if np.count_nonzero(counts) < len(counts):
+        drift = np.vecdot(found[:, 1:4], self._velocity[pair]) if self._moving else np.zeros(len(pair))
+        if margin is not None:
+            if lead is not None and len(left) and left[left.argmax()] > margin:
+                counts = left <= margin
                 counts |= lead.can_bind(left, gradient, drift)
-                pair, found, gradient, left, drift = (part[counts] for part in (pair, found, gradient, left, drift))
+                rows = counts.nonzero()[0]
+                pair, left, drift = pair.take(rows), left.take(rows), drift.take(rows)
+                found, gradient = found.take(rows, axis=0), gradient.take(rows, axis=0)
+            if not self._some_appear:
+                self._known.note_near(pair, left, margin)
         return Nearby(
             pair, found[:, 0], left, normal=found[:, 1:4], point_link=found[:, 4:7], point_obstacle=found[:, 7:],
             gradient=gradient, drift=drift,

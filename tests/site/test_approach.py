@@ -82,6 +82,25 @@ def test_what_is_not_measured_stays_as_far_as_it_is_said_to(backhoe: Robot, movi
     assert near > 100
 
 
+def test_a_step_is_unproven_for_the_pairs_of_which_the_plain_bound_says_so(backhoe: Robot) -> None:
+    """What was measured, less the travel on the way, against the clearance; no other pair came near enough."""
+    proximity, oracle = crowd(backhoe, 6, 3, moving=False), crowd(backhoe, 6, 3, moving=False)
+    rng, limits = np.random.default_rng(21), backhoe.limits
+    none = some = 0
+    for _ in range(150):
+        q, v = backhoe.random_q(rng), rng.uniform(-1.0, 1.0, 4) * limits.velocity
+        near = proximity.at_unchecked(q, time=0.0, margin=0.6, **lead_at(backhoe, v))
+        there = np.clip(q + rng.choice([1.0, 5.0]) * DT * v, limits.lower, limits.upper)
+        spare = float(rng.choice([0.0, 0.05]))
+        way = oracle.travel @ np.abs(there - q)
+        expected = (oracle.distances(q) - way < oracle.clearance + spare).nonzero()[0]
+        unproven = proximity.unproven_unchecked(there, time=0.0, spare=spare)
+        assert set(expected.tolist()) <= set(unproven.tolist())
+        np.testing.assert_array_equal(np.intersect1d(unproven, near.pair), np.intersect1d(expected, near.pair))
+        none, some = none + (len(expected) == 0), some + (len(expected) > 0)
+    assert min(none, some) > 10
+
+
 def test_no_pair_approaches_faster_than_its_bound(any_robot: Robot) -> None:
     proximity = crowd(any_robot, 20, 4, moving=True)
     rng = np.random.default_rng(8)

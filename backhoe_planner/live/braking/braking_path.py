@@ -17,11 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.lib.stride_tricks import as_strided
 
-from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.live.braking.gaps import Gaps
-from backhoe_planner.machine import Robot, bend_weights
+from backhoe_planner.machine import Robot, bend_weights, joint_poses
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
 FINEST_PARTS = 2 * MOST_PARTS  # of one that is looked at in halves of its parts
@@ -93,7 +92,7 @@ class Placements:
         self.R, self.t = self.T[..., :3, :3], self.T[..., :3, 3]
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which is never allocated anew
-        self._poses = _one_behind_the_other([(pose.rotation, pose.translation) for pose in self._data.oMi])
+        self._poses = joint_poses(self._data)
         self._jacobian = self._data.J.reshape(6, n)
         self._rows = [(self.T[sample, :, :3], self.J[sample]) for sample in range(most)]
 
@@ -107,16 +106,6 @@ class Placements:
         """Let rows 1 to `count` become 2, 4, ... to twice that."""
         for sample in range(count, 0, -1):
             self.T[2 * sample], self.J[2 * sample] = self.T[sample], self.J[sample]
-
-
-def _one_behind_the_other(poses: list[tuple[Array, Array]]) -> Array:
-    """One view (P, 3, 4) of the poses R, t of the items of one C++ vector, which are equally far apart in memory.
-
-    Each is three columns, and then the translation as a fourth.
-    """
-    first, second, *_ = (R.__array_interface__["data"][0] for R, _ in poses)
-    R, _ = poses[0]
-    return as_strided(R, (len(poses), 3, 4), (second - first, *R.strides), writeable=False)
 
 
 class BrakingPath:

@@ -13,12 +13,26 @@ from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine.robot import Robot
 
 _Angle = TypeVar("_Angle", float, Array)
+_WORLD_AXES = pin.LOCAL_WORLD_ALIGNED
+
+
+def joint_poses(data: pin.Data) -> Array:
+    """(joints, 3, 4) R and t of every joint's frame in the world, a view of Pinocchio's memory; joint 0 is the world.
+
+    It shows where the joints of `data` are now. They stand one behind the other in memory, equally far apart.
+    """
+    poses = [(pose.rotation, pose.translation) for pose in data.oMi]
+    first, second, *_ = (R.__array_interface__["data"][0] for R, _ in poses)
+    R, t = poses[0]
+    assert t.__array_interface__["data"][0] == first + 3 * R.strides[1], "the translation follows the rotation"
+    return as_strided(R, (len(poses), 3, 4), (second - first, *R.strides), writeable=False)
 
 
 def wrap_angle(angle: _Angle) -> _Angle:
@@ -52,7 +66,7 @@ class Configuration:
     @property
     def tip_position(self) -> Vector:
         """(3,) [m], world."""
-        return np.asarray(self.T_world_tip.translation)
+        return self.points[-1]
 
     @property
     def tip_rotation(self) -> Matrix:
@@ -103,9 +117,11 @@ class Kinematics:
         self._n = robot.n
         self._data = data = robot.model.createData()
         # views of Pinocchio's own memory: they show what it computed last, and are copied where they are handed out
-        self._origins = [data.oMi[joint].translation for joint in range(1, robot.model.njoints)]
+        self._origins = joint_poses(data)[1:, :, 3]
         self._tip = data.oMf[robot.tip_frame]
+        self._tip_position = self._tip.translation
         self._J = data.J.reshape(6, self._n)  # of one joint alone it is 1-D
+        self._pin = robot.model, data, robot.tip_frame
 
     def at(self, q: Vector) -> Configuration:
         """The configuration at `q` (n,).
@@ -114,16 +130,19 @@ class Kinematics:
         ------
         InputError: `q` is not n finite numbers.
         """
-        robot, data = self.robot, self._data
-        q = as_vector(q, self._n, key="q", names=robot.joint_names)
-        pin.computeJointJacobians(robot.model, data, q)
-        pin.updateFramePlacement(robot.model, data, robot.tip_frame)
-        jacobian = pin.getFrameJacobian(robot.model, data, robot.tip_frame, pin.LOCAL_WORLD_ALIGNED)
-        T_world_tip = self._tip.copy()
+        return self.at_unchecked(as_vector(q, self._n, key="q", names=self.robot.joint_names))
+
+    def at_unchecked(self, q: Vector) -> Configuration:
+        """The same for callers in a loop, whose arguments are right as they are made."""
+        (model, data, tip), n = self._pin, self._n
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacement(model, data, tip)
+        jacobian = pin.getFrameJacobian(model, data, tip, _WORLD_AXES)
         own_q = q.copy()
         own_q.setflags(write=False)
-        points = np.array([*self._origins, T_world_tip.translation])
-        return Configuration(robot, own_q, T_world_tip, jacobian.reshape(6, self._n), self._J.copy(), points)
+        points = np.empty((n + 1, 3))
+        points[:n], points[n] = self._origins, self._tip_position
+        return Configuration(self.robot, own_q, self._tip.copy(), jacobian.reshape(6, n), self._J.copy(), points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -324,7 +324,7 @@ def in_doubt(distance: Any) -> Any:
 
 def rows_in_doubt(distances: Vector) -> list[int]:
     """Which of many distances (K,) to measure again; see `in_doubt`."""
-    if np.count_nonzero(distances > _CONTACT) == len(distances):  # the common case first
+    if len(distances) == 0 or distances[distances.argmin()] > _CONTACT:  # the common case first; nan counts as least
         return []
     found: list[int] = in_doubt(distances).nonzero()[0].tolist()
     return found

@@ -81,8 +81,8 @@ class Stepper:
         self.proximity = proximity
         self._kinematics = kinematics
         self._shield = Shield(problem.limits)
-        self._acceleration = problem.limits.acceleration
         limits = problem.limits
+        self._acceleration, self._change = limits.acceleration, limits.acceleration * STEP
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), strict=True))
         self._longest_stop = self._shield.stopping_time(problem.limits.velocity)
         self._last_dt = STEP
@@ -110,13 +110,14 @@ class Stepper:
         Those are the pairs within the influence distance, and those whose distance could be
         used up before the machine stops, whatever velocity within the limits is wished for.
         """
-        change = self._acceleration * (0.5 * (STEP + self._last_dt))
-        fastest = np.abs(self.v) + change
+        dt = self._last_dt
+        fastest = np.abs(self.v)
+        fastest += self._change if dt == STEP else self._acceleration * (0.5 * (STEP + dt))
         nearby = self.proximity.at_unchecked(
             self.q, time=self.time, margin=self.problem.scene.influence, v=self.v, fastest=fastest,
             stop=self._shield.stopping_time_unchecked(fastest), longest=self._longest_stop,
         )  # fmt: skip
-        return self._kinematics.at(self.q), nearby
+        return self._kinematics.at_unchecked(self.q), nearby
 
     def advance(self, wish: Vector, nearby: Nearby, J_tip: Matrix, *, dt: float = STEP) -> bool:
         """Take the step nearest to `wish` (n,) that is proven clear; False if none is.

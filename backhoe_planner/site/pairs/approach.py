@@ -32,18 +32,21 @@ class Lead(NamedTuple):
 
     Attributes
     ----------
-    low, high: (n,) the joint velocities that are possible next [rad/s or m/s].
+    v, change: (n,) the joint velocities, and how far from each on either side is possible next [rad/s or m/s].
     longest: the time [s].
     """
 
-    low: Vector
-    high: Vector
+    v: Vector
+    change: Vector
     longest: float
 
     def can_bind(self, margin: Vector, gradient: Matrix, drift: Vector) -> Flags:
         """(K,) whether margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count."""
-        rate = -np.add.reduce(np.minimum(gradient * self.low, gradient * self.high), axis=1) - drift
-        return np.asarray(margin < self.longest * rate)
+        rate = np.abs(gradient).dot(self.change)
+        rate -= gradient.dot(self.v)
+        rate -= drift
+        rate *= self.longest
+        return np.asarray(margin < rate)
 
 
 class ApproachBounds:

@@ -18,6 +18,7 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 
 _SKIN = 0.4  # m of travel after which pairs are chosen anew; chosen, some ten steps of a quick motion
+_NONE: Indices = np.zeros(0, dtype=np.intp)
 _SMALL = 400  # pairs; measured: to bound as many takes as long as to keep a choice of them
 
 
@@ -30,6 +31,7 @@ class PairSelection(NamedTuple):
     pairs: (M,) their numbers, ascending.
     clearance, travel, speed, appears_at: (M,), (M, n), (M,), (M,) as in `Proximity`; `travel` column by column, as
         its product with a few joints' motion then takes half the time.
+    reach: (M,) the distance within which a pair is within the margin [m].
     """
 
     margin: float
@@ -38,6 +40,7 @@ class PairSelection(NamedTuple):
     travel: Matrix
     speed: Vector
     appears_at: Vector
+    reach: Vector
 
 
 class _Around(NamedTuple):
@@ -86,6 +89,8 @@ class KnownBounds:
         self._fastest = float(speed.max(initial=0.0))
         self._lower = np.full(len(clearance), -np.inf)
         self._q, self._time = np.zeros(travel.shape[1]), 0.0
+        # the pairs that were near then, what they have left, and what all others have at least, if that is known
+        self._near: tuple[Indices, Vector, float] | None = None
         self._take(travel, floor)
 
     def renew(self, travel: Matrix, floor: Vector) -> None:
@@ -159,6 +164,14 @@ class KnownBounds:
         if some is not self._known:
             self._others = np.inf
         self._known, self._lower, self._q, self._time = some, lower, q.copy(), time
+        self._near = None
+
+    def note_near(self, pairs: Indices, left: Vector, beyond: float) -> None:
+        """Where distances were kept for last, `pairs` (K,) have `left` (K,) beyond their clearance [m].
+
+        All others have at least `beyond` [m].
+        """
+        self._near = pairs, left, beyond
 
     def lower(self, some: PairSelection, q: Vector, time: float) -> Vector:
         """(M,) lower bounds of the distances of `some` at q (n,) and `time` [m]."""
@@ -184,7 +197,17 @@ class KnownBounds:
         some = self._known
         if way is not None and some is self.every:
             return (self._lower - way < self._clearance + spare).nonzero()[0]
-        dq = np.abs(q - self._q)
+        dq, near = np.abs(q - self._q), self._near
+        if near is not None:
+            pairs, left, beyond = near
+            furthest = self._way(dq, time - self._time) + spare
+            if beyond >= furthest:
+                if not len(left) or left[left.argmin()] >= furthest:
+                    return _NONE
+                needed = self._travel.take(pairs, axis=0).dot(dq)
+                if self._fastest:
+                    needed += self._speed[pairs] * abs(time - self._time)
+                return pairs.take((left < (needed + spare if spare else needed)).nonzero()[0])
         if some.margin < spare or (self._others < np.inf and self._others - self._way(dq, time - self._time) < spare):
             some = self.every
         lower = self.lower(some, q, time)
@@ -216,7 +239,8 @@ class KnownBounds:
 
     def _select(self, pairs: Indices, margin: float) -> PairSelection:
         travel = np.asfortranarray(self._travel[pairs])
-        return PairSelection(margin, pairs, self._clearance[pairs], travel, self._speed[pairs], self._appears_at[pairs])
+        clearance, speed, appears_at = self._clearance[pairs], self._speed[pairs], self._appears_at[pairs]
+        return PairSelection(margin, pairs, clearance, travel, speed, appears_at, clearance + margin)
 
 
 def age(time: float, appears_at: Vector) -> Vector:

@@ -10,6 +10,31 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 
+# columns of what is found of a pair: a distance, a normal n, and the point p of the link; (n, p x n) is made of
+# products of the first with the second ones, the last three of which are taken off
+_NEXT_LAST, _LAST_NEXT = np.array([5, 6, 4, 6, 4, 5]), np.array([3, 1, 2, 2, 3, 1])
+_SUMS = np.zeros((9, 6))
+_SUMS[:6] = np.eye(6)
+_SUMS[6:, 3:] = -np.eye(3)
+
+
+def distance_gradients(found: Matrix, J: Matrix) -> Matrix:
+    """(K, n) n . J_1 of what was `found` (K, 10) of pairs: by the joints, how fast the link's point moves along n.
+
+    A point p has the speed n . v + (p x n) . omega along n; so has its witness, which lies along n from it.
+
+    Parameters
+    ----------
+    found: distance, normal n, nearest point p of the link, and the other one, world.
+    J: (6, n) Pinocchio's joint Jacobians there.
+    """
+    parts = np.empty((len(found), 9))
+    parts[:, :3] = found[:, 1:4]
+    products = found.take(_NEXT_LAST, axis=1)
+    products *= found.take(_LAST_NEXT, axis=1)
+    parts[:, 3:] = products
+    return parts.dot(_SUMS.dot(J))
+
 
 @dataclass(eq=False, slots=True)
 class Nearby:
