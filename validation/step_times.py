@@ -9,7 +9,8 @@ Pink is installed (pip install pin-pink "qpsolvers[daqp]").
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -271,6 +272,19 @@ def time_in_turn(problem: Problem, drive: Drive, steps: int, *, block: int = 100
     whole = StepTimes(times, configurations, float(np.mean([part.rows for part in taken])))
     ratios = [np.median(part.whole) / np.median(alone) for part, alone in zip(taken, calls, strict=True)]
     return TimesInTurn(whole, np.concatenate(calls), np.array(ratios), np.concatenate(of_pink))
+
+
+def least_of(runs: Sequence[TimesInTurn]) -> TimesInTurn:
+    """Of runs that took the same steps, the least time of each step and of each call.
+
+    What else the computer does hardly lengthens the same step in all of them.
+    """
+    first, blocks = runs[0], len(runs[0].ratios)
+    times = {name: np.min([run.steps.times[name] for run in runs], axis=0) for name in first.steps.times}
+    calls, pink = (np.min(found, axis=0) for found in ([run.calls for run in runs], [run.pink for run in runs]))
+    steps = replace(first.steps, times=times)
+    whole, alone = steps.whole.reshape(blocks, -1), calls.reshape(blocks, -1)
+    return TimesInTurn(steps, calls, np.median(whole, axis=1) / np.median(alone, axis=1), pink)
 
 
 def percentiles(times: Times) -> dict[str, float]:

@@ -36,11 +36,11 @@ def plain_answer(
 ) -> Vector:
     """(n,) the solution of the whole program, by the module's text."""
     low, high = plain_bounds(limits, q, v, DT)
-    time = max(np.max(np.abs(v) / limits.acceleration), np.max(np.abs(wish) / limits.acceleration))
+    time = float(np.max(np.abs([v, wish]) / limits.acceleration))
     margin = nearby.margin - extra
     bound = np.where(margin < 0.0, -np.minimum(-margin, 0.25), margin * 1.6 / max(time, 2.0 * 1.6 * DT)) + nearby.drift
     tip = J_tip @ wish
-    along = np.outer(tip, tip) / max(tip @ tip, 1e-12)
+    along = np.outer(tip, tip) / max(float(tip @ tip), 1e-12)
     W = J_tip.T @ (10.0 * (np.eye(3) - along) + along) @ J_tip + 0.05 * np.eye(len(wish))
     program = QuadraticProgram(W, -W @ wish, low, high, (Rows("clearance", -nearby.gradient, bound),))
     found = solve_program(program)

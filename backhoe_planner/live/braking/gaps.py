@@ -14,7 +14,8 @@ class Memory:
 
     def __init__(self) -> None:
         self._columns, self._gaps = np.zeros(0), np.zeros(0)
-        self._pieces: Indices = np.zeros(0, dtype=np.intp)
+        self._shape, self._firsts = (0, 0, 0), np.zeros((0, 0), dtype=np.intp)
+        self._pieces = b""  # of the columns that are there, as bytes: two of these are compared at once
 
     def columns(self, corners: Array, pieces: Indices) -> Array:
         """(K, 4, V) of `corners` (M, 4, V), which never change, those of `pieces` (K,).
@@ -24,11 +25,12 @@ class Memory:
         most = corners.shape[2]
         size = 4 * len(pieces) * most
         if size > len(self._columns):
-            self._columns, self._pieces = np.zeros(2 * size), pieces[:0]
+            self._columns, self._pieces = np.zeros(2 * size), b""
         columns = self._columns[:size].reshape(len(pieces), 4, most)
-        if len(pieces) != len(self._pieces) or np.count_nonzero(pieces != self._pieces):
+        key = pieces.tobytes()
+        if key != self._pieces:
             corners.take(pieces, axis=0, out=columns, mode="clip")
-            self._pieces = pieces
+            self._pieces = key
         return columns
 
     def gaps(self, pairs: int, samples: int, corners: int) -> Array:
@@ -37,6 +39,14 @@ class Memory:
         if size > len(self._gaps):
             self._gaps = np.zeros(2 * size)
         return self._gaps[:size].reshape(pairs, samples, corners)
+
+    def firsts(self, pairs: int, samples: int, corners: int) -> Indices:
+        """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, to be read only."""
+        shape = pairs, samples, corners
+        if shape != self._shape:
+            self._shape = shape
+            self._firsts = np.arange(0, pairs * samples * corners, corners).reshape(pairs, samples)
+        return self._firsts
 
 
 class Gaps(NamedTuple):

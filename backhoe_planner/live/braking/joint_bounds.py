@@ -94,34 +94,36 @@ class JointBounds:
         rates = v.tolist()
         time = max([abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True)])
         look = dt + 0.5 * (time + dt / BRAKING)
-        lows, highs = [], []
+        lows, highs, reached_low, reached_high = [], [], [], []
         tight = cut = False
         for position, rate, wished, change, (lower, upper, fastest) in zip(
             q.tolist(), rates, wish.tolist(), self.changes, self._ranges, strict=True
         ):
-            above, below = upper - position, position - lower
-            high, low = min(above / look, fastest), max(-below / look, -fastest)
+            above, below, room = upper - position, position - lower, fastest * look
+            high = fastest if above > room else above / look
+            low = -fastest if below > room else -below / look
+            down, up = rate - change, rate + change
             if above < -TOLERANCE:
                 high = -min(max(-RECOVERY * above, SLOWEST_RECOVERY), FASTEST_RECOVERY)
                 low = min(low, high)
             elif below < -TOLERANCE:
                 low = min(max(-RECOVERY * below, SLOWEST_RECOVERY), FASTEST_RECOVERY)
                 high = max(low, high)
-            else:
-                tight |= high < rate - change or low > rate + change
-            cut |= wished > high + TOLERANCE or wished < low - TOLERANCE
+            elif high < down or low > up:
+                tight = True
+            if wished > high + TOLERANCE or wished < low - TOLERANCE:
+                cut = True
             highs.append(high)
             lows.append(low)
+            reached_low.append(down if low < down else up if low > up else low)
+            reached_high.append(down if high < down else up if high > up else high)
         if tight:
             # a joint needs all that is left of its range to brake: the others must not make that way longer
             caps = (self.acceleration * max(time - dt, 0.0)).tolist()
             highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
             lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
-        reached_low, reached_high = [], []
-        for low, high, rate, change in zip(lows, highs, rates, self.changes, strict=True):
-            down, up = rate - change, rate + change
-            reached_low.append(down if low < down else up if low > up else low)
-            reached_high.append(down if high < down else up if high > up else high)
+            reached_low = np.clip(lows, v - self.change, v + self.change).tolist()
+            reached_high = np.clip(highs, v - self.change, v + self.change).tolist()
         return VelocityRange(
             low=np.array(reached_low),
             high=np.array(reached_high),

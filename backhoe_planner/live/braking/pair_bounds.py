@@ -2,7 +2,11 @@
 
 A distance that was measured, or proven over a braking path, stays valid if the travel of
 the pair's points since then is subtracted. That travel is counted once for all pairs that
-have the same radii: an odometer per class adds up how far points can have come.
+have the same radii: an odometer per class adds up how far points can have come. A bound is
+kept as what it would have been when the odometer stood at 0.
+
+Pairs that are far away are not looked at in a step: those that are near or a little further
+are chosen once, and chosen anew when the odometers have moved by that little.
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ _FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, where nothing is
 _AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path take some 10 MB
 _PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured before it is carried; chosen
 _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
+_SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
@@ -63,6 +68,19 @@ class Awake(NamedTuple):
     budget: Vector
 
 
+class _Watch:
+    """The pairs (K,) that are looked at, and their classes, until the odometers have moved by `until` [m]."""
+
+    def __init__(self) -> None:
+        self.pairs: Indices = np.zeros(0, dtype=np.intp)
+        self.classes: Indices = self.pairs
+        self.until = -math.inf
+
+    def choose(self, pairs: Indices, classes: Indices, *, until: float = _SKIN) -> None:
+        """From now on look at `pairs` (K,), of all with these classes (P,)."""
+        self.pairs, self.classes, self.until = pairs, classes.take(pairs), until
+
+
 class PairBounds:
     """Lower bounds of the distances of all pairs: where the machine is, and over its braking path.
 
@@ -83,9 +101,8 @@ class PairBounds:
         self._separation = separation
         self._influence = influence
         count, classes = len(separation), len(separation.travel)
-        # over the braking path and at its start, each with the odometer at that moment
-        self._proven, self._proven_at = np.full(count, -FAR), np.zeros(count)
-        self._distance, self._distance_at = np.full(count, -FAR), np.zeros(count)
+        # over the braking path and at its start, each and what the odometer had counted
+        self._proven, self._distance = np.full(count, -FAR), np.full(count, -FAR)
         self.required = separation.clearance.copy()
         self._renewed_at = np.zeros(count, dtype=np.int64)
         # margins within which a pair is looked at, and within which it slows the machine down
@@ -95,6 +112,8 @@ class PairBounds:
         self.anything_moves = False
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         self._moved_by = np.zeros(classes)
+        # the pairs that may be near, and whose braking path may be, until the odometers have moved that far [m]
+        self._around, self._around_path = _Watch(), _Watch()
         self._memory = Memory()
         self._accepted: tuple[Indices, Vector, Indices] | None = None
 
@@ -103,9 +122,8 @@ class PairBounds:
     def extend(self, pairs: Indices, *, slow: Vector) -> None:
         """Take in new pairs (K,); within the margins `slow` (K,) they slow the machine down [m]."""
         count = len(pairs)
-        far, none = np.full(count, -FAR), np.zeros(count)
-        self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
-        self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
+        far = np.full(count, -FAR)
+        self._proven, self._distance = np.append(self._proven, far), np.append(self._distance, far)
         self.required = np.append(self.required, self._separation.clearance[pairs])
         self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
         self._slow_from = np.append(self._slow_from, slow)
@@ -113,9 +131,7 @@ class PairBounds:
 
     def keep(self, kept: Flags) -> None:
         """Forget the pairs for which `kept` (P,) is false."""
-        for name in (
-            "_proven", "_proven_at", "_distance", "_distance_at", "required", "_renewed_at", "_reach", "_slow_from",
-        ):  # fmt: skip
+        for name in ("_proven", "_distance", "required", "_renewed_at", "_reach", "_slow_from"):
             setattr(self, name, getattr(self, name)[kept])
 
     def sort(self, stands: Flags, per_step: Vector, per_step_on_path: Vector) -> None:
@@ -131,11 +147,19 @@ class PairBounds:
         self._per_step, self._per_step_on_path = per_step, per_step_on_path
         self._within = self._separation.clearance + self._reach
         self._slows = bool(self._slow_from.any())
+        self._furthest_step = float(per_step_on_path.max(initial=0.0))
+        self._look_at_all()
+
+    def _look_at_all(self) -> None:
+        """Choose anew which pairs are looked at."""
+        self._around.until = self._around_path.until = -math.inf
 
     def drift(self) -> None:
         """Let the obstacles move on for a step."""
         self._distance -= self._per_step
         self._proven -= self._per_step_on_path
+        self._around.until -= self._furthest_step
+        self._around_path.until -= self._furthest_step
 
     def measure(self, pairs: Indices, path: BrakingPath, at: Placements, step: int) -> None:
         """Measure pairs that are new or were moved, and note their distances over the braking path."""
@@ -165,6 +189,7 @@ class PairBounds:
         separation = self._separation
         self.required = np.minimum(self.required, separation.clearance)
         self._within = separation.clearance + self._reach
+        self._look_at_all()
         bound = self.lower()[pairs] - separation.travel.dot(np.abs(path.delta))[separation.classes[pairs]]
         clear = self.stands[pairs] & (bound >= separation.clearance[pairs] + BUFFER)
         known = pairs[clear]
@@ -245,20 +270,25 @@ class PairBounds:
 
     def set_distance(self, pairs: Indices, distance: Vector) -> None:
         """Note the distances (K,) at the beginning of this step [m]."""
-        self._distance[pairs] = distance
-        self._distance_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
+        self._distance[pairs] = distance + self._start_odometer[self._separation.classes[pairs]]
+        self._around.until = -math.inf
+
+    def require(self, pairs: Indices, distance: Vector) -> None:
+        """From now on pairs (K,) must keep these distances (K,) [m]."""
+        self.required[pairs] = distance
+        self._around_path.until = -math.inf
 
     def room_of_braking(self, pairs: Indices) -> Vector:
         """(K,) what is proven of the present braking path beyond what is required [m]."""
         separation = self._separation
-        proven = self._proven.take(pairs) + self._proven_at.take(pairs)
+        proven = self._proven.take(pairs)
         proven -= self._path_odometer.take(separation.classes.take(pairs))
         return np.asarray(proven - self.required.take(pairs))
 
     def set_proven(self, pairs: Indices, bound: Vector) -> None:
         """Note the distances (K,) that are proven over the present braking path [m]."""
-        self._proven[pairs] = bound
-        self._proven_at[pairs] = self._path_odometer[self._separation.classes[pairs]]
+        self._proven[pairs] = bound + self._path_odometer[self._separation.classes[pairs]]
+        self._around_path.until = -math.inf
 
     # --- during a step -------------------------------------------------------------------
 
@@ -268,24 +298,28 @@ class PairBounds:
         What is known of a pair that is left out becomes less with every step, so that its turn comes.
         """
         separation = self._separation
-        odometer = self._start_odometer.take(separation.classes)
-        lower = self._distance + self._distance_at
+        watch = self._around
+        if watch.until < 0.0:
+            left = self.lower() - self._within
+            watch.choose((left < _SKIN).nonzero()[0], separation.classes)
+        odometer = self._start_odometer.take(watch.classes)
+        lower = self._distance.take(watch.pairs)
         lower -= odometer
-        pairs = (lower < self._within).nonzero()[0]
-        if len(pairs) == 0:
-            return Near(pairs, NO_GAPS, np.zeros(0), np.zeros(0))
+        rows = (lower < self._within.take(watch.pairs)).nonzero()[0]
+        if len(rows) == 0:
+            return Near(rows, NO_GAPS, np.zeros(0), np.zeros(0))
+        pairs, lower = watch.pairs.take(rows), lower.take(rows)
         left_out = -1, math.inf
         if len(pairs) > MOST_NEAR:
-            pairs, left_out = self._tightest_of(pairs, lower.take(pairs) - separation.clearance.take(pairs))
+            kept, left_out = self._tightest_of(pairs, lower - separation.clearance.take(pairs))
+            rows, pairs, lower = rows[kept], pairs[kept], lower[kept]
         gaps = separation.gaps(pairs, at, 1, memory=self._memory)
-        distance = lower.take(pairs)
-        np.maximum(distance, gaps.least[:, 0], out=distance)
-        self._distance[pairs] = distance
-        self._distance_at[pairs] = odometer.take(pairs)
+        distance = np.maximum(lower, gaps.least[:, 0], out=lower)
+        self._distance[pairs] = distance + odometer.take(rows)
         return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs), *left_out)
 
-    def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Indices, tuple[int, float]]:
-        """The tightest of `pairs` (K,) and all that slow the machine down; of the others the tightest, and its margin.
+    def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
+        """Which of `pairs` (K,) are the tightest or slow the machine down; of the others the tightest, and its margin.
 
         margin: (K,) of the pairs [m].
         """
@@ -293,7 +327,7 @@ class PairBounds:
         kept[margin.argpartition(MOST_NEAR)[:MOST_NEAR]] = True
         margin[kept] = np.inf
         rest = int(margin.argmin())
-        return pairs[kept], (-1 if kept[rest] else int(pairs[rest]), float(margin[rest]))
+        return kept, (-1 if kept[rest] else int(pairs[rest]), float(margin[rest]))
 
     def pace(self, near: Near) -> float:
         """The part of the wished speed that the slow distances of zones leave."""
@@ -308,14 +342,21 @@ class PairBounds:
         """The pairs that matter if the braking path's end moves by up to `change` (n,) [rad or m]."""
         separation = self._separation
         budget = separation.travel.dot(change)
+        watch = self._around_path
+        if watch.until < budget[budget.argmax()]:
+            left = self._proven - self.required
+            left -= self._path_odometer.take(separation.classes)
+            most = _SKIN + float(budget.max())
+            watch.choose((left < most + BUFFER).nonzero()[0], separation.classes, until=most)
         # pairs within the buffer are always looked at: else a wish would be held back every other step
-        left = self._proven + self._proven_at
-        left -= self.required
-        left -= BUFFER
-        awake = left < (self._path_odometer + budget).take(separation.classes)
+        left = self._proven.take(watch.pairs)
+        left -= self.required.take(watch.pairs)
+        needed = self._path_odometer + budget
+        needed += BUFFER
+        awake = left < needed.take(watch.classes)
         if len(self.inside):  # the way out of these is found separately
-            awake[self.inside] = False
-        return Awake(awake.nonzero()[0], budget)
+            awake[np.isin(watch.pairs, self.inside)] = False
+        return Awake(watch.pairs.take(awake.nonzero()[0]), budget)
 
     def accept(self, awake: Indices, clearance: PathClearance) -> None:
         """A braking path is about to be taken; `clearance` is what was proven of it for the pairs `awake` (K,)."""
@@ -335,20 +376,22 @@ class PairBounds:
         """
         travel = self._separation.travel
         if end_moved is not None:
-            self._path_odometer += travel.dot(np.abs(end_moved))
+            came = travel.dot(np.abs(end_moved))
+            self._path_odometer += came
+            self._around_path.until -= float(came[came.argmax()])
             if self._accepted is not None:
                 awake, bound, classes = self._accepted
-                self._proven[awake] = bound
-                self._proven_at[awake] = self._path_odometer[classes]
-        self._moved_by = travel.dot(np.abs(moved))
-        self._start_odometer += self._moved_by
+                self._proven[awake] = bound + self._path_odometer.take(classes)
+        self._moved_by = moved_by = travel.dot(np.abs(moved))
+        self._start_odometer += moved_by
+        self._around.until -= float(moved_by[moved_by.argmax()])
 
     def renew(self, near: Near, at: Placements, step: int) -> None:
         """Measure one plane anew every few steps, by the placements' row 0."""
         if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
             return
         # not near.margin: some pairs were measured since the beginning of the step
-        margin = self._distance.take(near.pairs) - self._separation.clearance.take(near.pairs)
+        margin = self._distance_of(near.pairs) - self._separation.clearance.take(near.pairs)
         nearest = int(margin.argmin())
         close = margin[nearest] <= CLOSE
         if not close and step % _FAR_RENEWED_EVERY:
@@ -357,8 +400,9 @@ class PairBounds:
         value = (step - self._renewed_at[near.pairs]) / (_URGENT + np.maximum(margin, 0.0))
         turn = step // _NEAR_RENEWED_EVERY % 2
         pair = int(near.pairs[nearest if close and turn else value.argmax()])
-        self._distance[pair] = self._separation.renew(pair, at, 0)
-        self._distance_at[pair] = self._start_odometer[self._separation.classes[pair]]
+        self._distance[pair] = (
+            self._separation.renew(pair, at, 0) + self._start_odometer[self._separation.classes[pair]]
+        )
         self._renewed_at[pair] = step
 
     def renew_soon(self, pairs: Indices) -> None:
@@ -373,8 +417,8 @@ class PairBounds:
         if len(pairs) == 0:
             return -1, math.inf
         separation = self._separation
-        margins = self._distance.take(pairs) - separation.clearance.take(pairs)
-        margins -= self._moved_by.take(separation.classes.take(pairs))
+        margins = self._distance_of(pairs)
+        margins -= separation.clearance.take(pairs)
         row = int(margins.argmin())
         pair, margin = int(pairs[row]), float(margins[row])
         if near.next >= 0:
@@ -387,7 +431,13 @@ class PairBounds:
 
     def lower(self) -> Vector:
         """(P,) lower bounds of all distances where the machine is [m]."""
-        return self._distance + self._distance_at - self._start_odometer[self._separation.classes]
+        return self._distance - self._start_odometer[self._separation.classes]
+
+    def _distance_of(self, pairs: Indices) -> Vector:
+        """(K,) the same of some pairs (K,)."""
+        found = self._distance.take(pairs)
+        found -= self._start_odometer.take(self._separation.classes.take(pairs))
+        return found
 
     def tightest_of_all(self) -> tuple[int, float]:
         """The same of all pairs, from the bounds alone."""

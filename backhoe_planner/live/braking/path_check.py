@@ -250,13 +250,15 @@ class PathCheck:
         """What was found of the path that was taken is no longer true."""
         self._last = None
 
-    def rows_before(self, now: BrakingPath, *, firm: bool) -> tuple[Rows, ...]:
-        """The rows of a path `now` by what was found of the path that was taken a step ago; none where that is unknown.
+    def rows_before(self, q: Vector, v: Vector, *, firm: bool) -> tuple[Rows, ...]:
+        """The rows of the path of a step at v (n,) from q (n,) by what was found of the one that was taken a step ago.
+
+        None where that is unknown.
 
         The two paths are so close to each other that the gaps along the one follow from those along the
         other and from how fast they fall.
         """
-        return () if self._last is None else self.rows(*self._last, firm=firm, now=now)
+        return () if self._last is None else self.rows(*self._last, firm=firm, now=self.path(q, v))
 
     def rows(
         self,

@@ -393,7 +393,7 @@ class Separation:
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         count = len(T)
         planes = self.planes.take(pairs, axis=0)
-        if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
+        if self.some_relative and _some(other := self.other.take(pairs)):
             frames = T.take(other, axis=1)
             inside, planes = planes, np.empty((count, len(pairs), 4))
             normals = planes[..., :3] = np.matmul(frames[..., :3, :3], inside[:, :3, None])[..., 0]
@@ -410,8 +410,7 @@ class Separation:
         gaps = memory.gaps(len(pairs), count, columns.shape[2])
         np.matmul(local.transpose(1, 0, 2), columns, out=gaps)
         nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
-        place = np.arange(0, gaps.size, gaps.shape[2]).reshape(nearest.shape)
-        place += nearest
+        place = memory.firsts(len(pairs), count, columns.shape[2]) + nearest
         return Gaps(gaps, nearest, gaps.reshape(-1).take(place), columns)
 
     def least_on(
@@ -530,18 +529,18 @@ class Separation:
 
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
-        n = -self.planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of what does not lie in a row
+        n = self.planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of what does not lie in a row
         joints = self.joint.take(pairs)
         at_once = isinstance(samples, int)
-        if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
+        if self.some_relative and _some(other := self.other.take(pairs)):
             n = np.matmul(at.R[samples].take(other, axis=0) if at_once else at.R[samples, other], n[:, :, None])[..., 0]
         frames = at.T[samples].take(joints, axis=0) if at_once else at.T[samples, joints]
         x = np.matmul(frames, corner[:, :, None])[..., 0]
         products = x.take(_NEXT_LAST, axis=1)
         products *= n.take(_LAST_NEXT, axis=1)
-        both = np.empty((len(pairs), 6))  # n, and x cross n
-        both[:, :3] = n
-        np.subtract(products[:, :3], products[:, 3:], out=both[:, 3:])
+        both = np.empty((len(pairs), 6))  # minus n, and minus n cross x, as the planes have minus the normals
+        np.negative(n, out=both[:, :3])
+        np.subtract(products[:, 3:], products[:, :3], out=both[:, 3:])
         rows: Matrix = self.mask.take(pairs, axis=0)
         rows *= both.dot(at.J[samples]) if at_once else np.matmul(both[:, None, :], at.J[samples])[:, 0]
         return rows
@@ -551,6 +550,11 @@ class Separation:
         other = int(self.other[pair])
         normal = -self.planes[pair, :3]
         return np.asarray(at.R[0, other] @ normal if other else normal)
+
+
+def _some(numbers: Indices) -> bool:
+    """Whether any of numbers (K,), K > 0, is not 0; none is less."""
+    return bool(numbers[numbers.argmax()])
 
 
 def _no_planes(count: int) -> Matrix:

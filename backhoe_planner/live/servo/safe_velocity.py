@@ -155,7 +155,7 @@ class VelocityFilter:
         torn = self._bounds.anything_moves and (
             len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
         )
-        before = check.rows_before(check.path(state.q, wish.target), firm=torn)
+        before = check.rows_before(state.q, wish.target, firm=torn)
         if before and not all(block.are_kept_by(wish.target, -_BINDING) for block in (*before, evasion)):
             # what held the machine back a step ago mostly still does: no path at the wish has to be checked first
             start, held_back, evading = 1, True, not evasion.are_kept_by(wish.target, TOLERANCE)
@@ -238,7 +238,7 @@ class VelocityFilter:
         bounds.set_distance(pairs, clearance[pairs] - depth)
         if found is None:
             return SafeVelocity(self._joints.brake(state.v), True, False, None)
-        bounds.required[pairs] = clearance[pairs] - np.maximum(found.level, 0.0)
+        bounds.require(pairs, clearance[pairs] - np.maximum(found.level, 0.0))
         out, bound = self._recovery.clear_again(pairs, found)
         bounds.set_proven(out, bound)
         if len(out):  # from now on these must keep their clearance
@@ -305,7 +305,7 @@ class VelocityFilter:
     def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
         """The rows of obstacles that come nearer, and of moving ones that are too close already."""
         separation = self._separation
-        if len(near.pairs) == 0:
+        if len(near.pairs) == 0 or not self._bounds.anything_moves:
             return self._nothing_comes
         clearance = separation.clearance.take(near.pairs)
         too_close = np.maximum(near.distance, self._bounds.required.take(near.pairs)) < clearance - _VIOLATED

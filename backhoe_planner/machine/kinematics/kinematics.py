@@ -66,7 +66,8 @@ class Configuration:
     @property
     def tip_position(self) -> Vector:
         """(3,) [m], world."""
-        return self.points[-1]
+        position: Vector = self.points[-1]
+        return position
 
     @property
     def tip_rotation(self) -> Matrix:

@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import LinkPiece
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import LinkPiece, joint_poses
 from backhoe_planner.machine.shape import shapes
 
 _NO_LENGTH = 1e-9  # m: where centres coincide there is no direction
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_NEXT, _LAST, _ONES = np.array([1, 2, 0]), np.array([2, 0, 1]), np.ones(3)
 
 
 class Lead(NamedTuple):
@@ -64,11 +64,14 @@ class ApproachBounds:
     def __init__(self, links: Sequence[LinkPiece], bodies: Sequence[shapes.Piece]) -> None:
         own = [_ball(link.piece) for link in links]
         balls = own + [_ball(body) for body in bodies]
-        self._own, self._size = np.array([centre for centre, _ in own]), np.array([size for _, size in balls])
-        self._centre = np.array([centre for centre, _ in balls])
+        self._size = np.array([size for _, size in balls])
+        # vectors stand in columns here: numpy is several times quicker along rows that lie in memory as such
+        self._centre = np.ascontiguousarray(np.reshape([centre for centre, _ in balls], (-1, 3)).T)
         self._joint = np.array([*(link.joint for link in links), *(0 for _ in bodies)], dtype=np.intp)
-        joints = self._joint[: len(own)]
-        self._rows = [(joint, np.flatnonzero(joints == joint)) for joint in np.unique(joints).tolist() if joint > 0]
+        self._own_joint = self._joint[: len(own)]
+        self._own = np.array([(*centre, 1.0) for centre, _ in own]).reshape(-1, 4, 1)
+        self._poses: Array | None = None
+        self._inward: Matrix  # its columns are 1 for the joints that move a body
 
     def at(
         self, data: pin.Data, J: Matrix, v: Vector, *, piece: Indices, body: Indices, shift: Matrix, velocity: Matrix
@@ -77,31 +80,38 @@ class ApproachBounds:
 
         Parameters
         ----------
+        data: always the same.
         J: (6, n) Pinocchio's joint Jacobians there.
         v: (n,) joint velocities [rad/s or m/s].
         piece, body: (K,) numbers of the links' pieces that come near, and of what they come near to.
         shift: (K, 3) how far the bodies have moved [m], world; velocity: (K, 3) of the bodies [m/s].
         """
-        for joint, rows in self._rows:
-            place = data.oMi[joint]
-            self._centre[rows] = self._own[rows] @ place.rotation.T + place.translation
-        motion = np.zeros((len(v) + 1, 6))  # of each joint's body: velocity at the world's origin, angular velocity
-        np.cumsum((J * v).T, axis=0, out=motion[1:])
-        here, size = self._centre.take(piece, axis=0), self._size.take(piece)
-        seen = motion.take(self._joint.take(piece), axis=0) - motion.take(self._joint.take(body), axis=0)
-        turn = seen[:, 3:]
-        passing = seen[:, :3] - velocity + turn[:, _NEXT] * here[:, _LAST] - turn[:, _LAST] * here[:, _NEXT]
-        away = self._centre.take(body, axis=0) + shift - here
-        length = np.sqrt(np.vecdot(away, away))
-        speed = np.sqrt(np.vecdot(passing, passing))
-        length = np.maximum(length, _NO_LENGTH)
+        if self._poses is None:
+            self._poses, self._inward = joint_poses(data), np.triu(np.ones((len(v), len(v))))
+        placed = np.matmul(self._poses.take(self._own_joint, axis=0), self._own)
+        self._centre[:, : len(placed)] = placed[..., 0].T
+        motion = np.zeros((6, len(v) + 1))  # of each joint's body: velocity at the world's origin, angular velocity
+        motion[:, 1:] = (J * v).dot(self._inward)
+        here, size = self._centre.take(piece, axis=1), self._size.take(piece)
+        seen = motion.take(self._joint.take(piece), axis=1)
+        seen -= motion.take(self._joint.take(body), axis=1)
+        turn = seen[3:]
+        passing = seen[:3] + turn.take(_NEXT, axis=0) * here.take(_LAST, axis=0)
+        passing -= turn.take(_LAST, axis=0) * here.take(_NEXT, axis=0)
+        passing -= velocity.T
+        away = self._centre.take(body, axis=1)
+        away -= here
+        away += shift.T
+        length = np.maximum(np.sqrt(_ONES.dot(away * away)), _NO_LENGTH)
+        speed2 = _ONES.dot(passing * passing)
+        speed = np.sqrt(speed2)
         sine = np.minimum((self._size.take(body) + size) / length, 1.0)
         cosine = np.sqrt(1.0 - sine * sine)
-        along = np.vecdot(away, passing) / length
-        across = np.sqrt(np.maximum(speed * speed - along * along, 0.0))
+        along = _ONES.dot(away * passing) / length
+        across = np.sqrt(np.maximum(speed2 - along * along, 0.0))
         aside = (along < speed * cosine) & (sine < 1.0)
         towards = np.where(aside, along * cosine + across * sine, speed)
-        return np.asarray(towards + np.sqrt(np.vecdot(turn, turn)) * size)
+        return np.asarray(towards + np.sqrt(_ONES.dot(turn * turn)) * size)
 
 
 def _ball(piece: shapes.Piece) -> tuple[Vector, float]:

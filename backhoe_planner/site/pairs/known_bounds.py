@@ -207,7 +207,8 @@ class KnownBounds:
                 needed = self._travel.take(pairs, axis=0).dot(dq)
                 if self._fastest:
                     needed += self._speed[pairs] * abs(time - self._time)
-                return pairs.take((left < (needed + spare if spare else needed)).nonzero()[0])
+                unproven: Indices = pairs.take((left < (needed + spare if spare else needed)).nonzero()[0])
+                return unproven
         if some.margin < spare or (self._others < np.inf and self._others - self._way(dq, time - self._time) < spare):
             some = self.every
         lower = self.lower(some, q, time)

@@ -33,7 +33,8 @@ def distance_gradients(found: Matrix, J: Matrix) -> Matrix:
     products = found.take(_NEXT_LAST, axis=1)
     products *= found.take(_LAST_NEXT, axis=1)
     parts[:, 3:] = products
-    return parts.dot(_SUMS.dot(J))
+    gradients: Matrix = parts.dot(_SUMS.dot(J))
+    return gradients
 
 
 @dataclass(eq=False, slots=True)
