@@ -341,3 +341,11 @@ def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.
     np.testing.assert_array_equal(again.trajectory.q, around_a_ball.trajectory.q)
     np.testing.assert_array_equal(again.trajectory.time, around_a_ball.trajectory.time)
     assert again.findings == around_a_ball.findings
+
+
+def test_routes_of_short_steps_are_tried_where_the_cheapest_cross_between_curves_of_self_motion() -> None:
+    """The site comes from a motion that follows the path. The 40 cheapest routes all cross where none can."""
+    robot = load_machine("panda")
+    site = random_site(robot, SiteKey("panda", "terrain", "path", 0, 6400))
+    plan = bp.plan(robot, site.scene, effort="quick")
+    assert plan.verdict == "verified", plan.message

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,9 @@ _EXTENSION = 0.005  # m to within which a detour is begun late and ended early; 
 _NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
 _TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
 _AS_FAR_PART = 4  # one in so many of routes and node pairs is for how far a path can be followed at all; chosen
+_CHEAP_PART = (
+    4  # one in so many of them is for the cheapest routes, if they fail; chosen: the others, of short steps, do not
+)
 _PATIENCE = 3  # routes that fail in one gap between layers before more of its steps are tested at once; chosen
 _STRIKES = 9  # such routes after which it is split; chosen
 _AT_ONCE = 48  # steps; chosen, they cost as much as two searches
@@ -80,6 +84,13 @@ class Resolution:
     step: WaypointStep | None = None
     routes: int = 0
     gave_up: bool = False
+
+
+class _Share(NamedTuple):
+    """A part of the effort of a plan: routes that are tested, and pairs of nodes that they look at."""
+
+    routes: int
+    node_pairs: int
 
 
 class PathResolver:
@@ -143,6 +154,7 @@ class PathResolver:
         self._too_long: dict[int, WaypointStep] = {}
         self._off_path = False
         self._routes = 0
+        self._gave_up = False
         self._splits = 0
 
     @property
@@ -167,18 +179,38 @@ class PathResolver:
         off_path: whether the tip is off the path at `begin`; a detour leads there.
         price: costs (N,) of beginning at the nodes (N, n) of the first layer.
         """
+        first = self._layers[0]
+        costs = price(first) if price is not None and begin is None else np.zeros(len(first))
+        if begin is not None:
+            costs = np.zeros(1) if off_path else np.append(0.0, np.full(len(first), np.inf))
+        self._motions, self._ways, self._too_long = {}, {}, {}
+        self._off_path, self._routes = off_path, 0
+        effort = self._work.effort
+        graph = self._graph(begin, self._cost, detours=detours)
+        part = 1 if detours else _CHEAP_PART
+        pieces = self._search(graph, costs, _Share(effort.routes // part, effort.node_pairs // part), detours=detours)
+        if pieces is None and self._gave_up and not detours:
+            costs = np.where(np.isfinite(costs), 0.0, np.inf)
+            graph = self._graph(begin, self._squared_steps, detours=False)
+            share = _Share(effort.routes - self._routes, effort.node_pairs - effort.node_pairs // part)
+            pieces = self._search(graph, costs, share, detours=False)
+        return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
+
+    def _graph(self, begin: Vector | None, cost: StepCost, *, detours: bool) -> LayeredGraph:
+        """The graph of the layers, as far as it is known which of its steps can be driven.
+
+        Parameters
+        ----------
+        begin, detours: as for `resolve`.
+        """
         layers, stations = list(self._layers), self._stations
-        costs = price(layers[0]) if price is not None and begin is None else np.zeros(len(layers[0]))
-        if begin is not None and off_path:
+        if begin is not None and self._off_path:
             layers, stations = [begin[None, :], *layers], np.append(stations[0], stations)
-            costs = np.zeros(1)
         elif begin is not None:
             layers[0] = np.vstack((begin[None, :], layers[0]))
-            costs = np.append(0.0, np.full(len(layers[0]) - 1, np.inf))
-        self._motions, self._ways, self._too_long = {}, {}, {}
         turning = float(self._stations[1] - self._stations[0])
         graph = LayeredGraph(
-            stations, layers, cost=self._cost, turning=turning, detours=detours, turns=self._may_turn,
+            stations, layers, cost=cost, turning=turning, detours=detours, turns=self._may_turn,
             longest=None if self._steps is None else self._legs_to(stations)[:, None] * self._steps,
             reduce=self._problem.robot.reduce_unchecked, brake=self._work.brake,
         )  # fmt: skip
@@ -186,28 +218,37 @@ class PathResolver:
             for start in np.flatnonzero(stations < mark - _SAME).tolist():
                 for end in np.flatnonzero(stations > mark + _SAME).tolist():
                     graph.forbid_detours(start, end)
-        self._off_path = off_path
-        pieces = self._search(graph, costs, detours=detours)
-        return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
+        for edge, motion in self._motions.items():
+            if motion is None:
+                graph.forbid(edge)
+        return graph
+
+    def _squared_steps(self, a: Matrix, b: Matrix, span: float) -> Matrix:
+        """(A, B) the squares of the steps from each of a (A, n) to each of b (B, n), by which routes have short steps.
+
+        Where the configurations lie on several curves of self-motion, what is cheapest may be to cross from one to
+        another wherever they come near each other. No step there can be driven, and there are as many as pairs of
+        nodes. Short steps stay on a curve, and away from what is in the way between two nodes.
+        """
+        change = self._problem.robot.reduce_unchecked(b[None, :, :] - a[:, None, :])
+        return np.asarray(np.sum(change * change, axis=2))
 
     def _legs_to(self, stations: Vector) -> Vector:
         """(L,) how many legs of the path end between the layer before and each layer; at least one."""
         marks = np.unique(self._path.stations)
         return np.maximum(np.diff(np.searchsorted(marks, stations + _SAME, side="right"), prepend=0), 1).astype(float)
 
-    def _has_effort(self, graph: LayeredGraph) -> bool:
-        """Whether another route may be looked for."""
-        effort = self._work.effort
-        return self._routes < effort.routes and graph.looked_at < effort.node_pairs
-
-    def _search(self, graph: LayeredGraph, costs: Vector, *, detours: bool) -> tuple[Stretch | Bypass, ...] | None:
-        """The pieces of the best route that can be driven, None where there is no route."""
+    def _search(
+        self, graph: LayeredGraph, costs: Vector, share: _Share, *, detours: bool
+    ) -> tuple[Stretch | Bypass, ...] | None:
+        """The pieces of the best route that can be driven; None where there is none, or the `share` is used up."""
         failures: dict[tuple[int, int], int] = {}
         strikes: dict[tuple[float, float], int] = {}
-        effort = self._work.effort
-        self._routes = 0
-        while self._has_effort(graph):
-            if sum(failures.values()) >= effort.detours:
+        last = self._routes + share.routes
+        self._gave_up = False
+        while sum(failures.values()) < self._work.effort.detours:
+            if self._routes >= last or graph.looked_at >= share.node_pairs:
+                self._gave_up = True
                 break
             self._routes += 1
             route = graph.best_route(costs)
@@ -506,7 +547,7 @@ class PathResolver:
                 return Resolution(pieces, routes=self._routes)
             break
         obstruction = replace(self._obstruction(*beyond), path_from=left, path_to=self._free_again(left))
-        return Resolution(pieces, obstruction, step, self._routes, not self._has_effort(graph))
+        return Resolution(pieces, obstruction, step, self._routes, self._gave_up)
 
 
 def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> Vector:
