@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import (
     SAMPLE_PERIOD,
     PathCost,
@@ -28,8 +26,6 @@ from backhoe_planner.planning.outcome import (
     blocked_path,
     by_arc_length,
     no_posture,
-    out_of_reach,
-    rest_at_start,
 )
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
@@ -46,10 +42,6 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import TOUCH, describe_step
 from backhoe_planner.site import ClearanceScreen
 
-_MOST_WAYPOINTS = 32  # that are tried from `_GUESSES` before a path is planned; chosen: the others hang on them
-_CARRIED = 2  # configurations of a waypoint before, and of one behind, from which another is tried; chosen
-_GUESSES = 24  # starting points for each of them: as many as `Postures.at` takes
-_MORE_GUESSES = 192  # for one at which everything that was found collides; chosen: eight times as many
 _ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about what chords are off the curve
 _FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between them then: chords are 25 times nearer to the curve
 _GRID = np.radians(2.5)  # of the free parameter, where there is one: half the usual step, which one can afford
@@ -81,104 +73,6 @@ class AlongPath:
     def by_law(self, world: World, stepper: Stepper | None) -> Outcome:
         """By the completed law alone, from rest or (None) from anywhere on the beginning of the path."""
         return follow_with_law(world, self.path, stepper)
-
-
-def impossible_waypoint(world: World, path: TipPath) -> Outcome | None:
-    """The first waypoint that is out of reach; None where there is none.
-
-    Where full poses are asked for and the path may not be left, one at which everything that is
-    found collides counts too.
-    """
-    return _Waypoints(world, path).first_impossible()
-
-
-class _Waypoints:
-    """The waypoints of a path, each looked at for itself."""
-
-    def __init__(self, world: World, path: TipPath) -> None:
-        task = world.problem.scene.task.path
-        robot = world.problem.robot
-        self._world = world
-        self._path = path
-        self._kinematics = BatchKinematics(robot)
-        rng = np.random.default_rng(world.seed)
-        self._guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_MORE_GUESSES - 1))])
-        # what moves may be gone when the tip comes there
-        stays = task is None or task.detour or world.problem.is_dynamic or path.target(0.0).rotation is None
-        self._found: dict[int, Matrix] = {}  # of a waypoint, configurations
-        self._screen = None if stays else ClearanceScreen(world.proximity, spare=-TOUCH)
-
-    def first_impossible(self) -> Outcome | None:
-        """As `impossible_waypoint`."""
-        count = len(self._path.stations)
-        few = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
-        found = self._first_of(few)
-        last = count if found is None else found[0]
-        others = np.setdiff1d(np.arange(last), few)
-        return (self._first_of(self._not_carried(others)) or found or (0, None))[1]
-
-    def _not_carried(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Those of some waypoints that the tip is not put on from what was found for a waypoint beside."""
-        known = np.array(sorted(self._found), dtype=int)
-        targets = {index: self._path.target(float(self._path.stations[index])) for index in indices.tolist()}
-        for number in range(2 * _CARRIED):
-            if not len(indices) or not len(known):
-                break
-            # in turn from the waypoint before and from the one behind
-            behind = np.minimum(np.searchsorted(known, indices), len(known) - 1)
-            beside = known[behind if number % 2 else np.maximum(behind - 1, 0)]
-            guesses = np.array([self._found[other][number // 2 % len(self._found[other])] for other in beside.tolist()])
-            batch = TargetBatch.of([targets[index] for index in indices.tolist()])
-            q, good = solve_batch(self._kinematics, batch, guesses)
-            if self._screen is not None:
-                good[good] = self._screen.keeps(q[good])
-            indices = indices[~good]
-        return indices
-
-    def _first_of(self, indices: NDArray[np.intp]) -> tuple[int, Outcome] | None:
-        """The first impossible of some waypoints, and what to say of it."""
-        if not len(indices):
-            return None
-        targets = [self._path.target(float(self._path.stations[index])) for index in indices]
-        guesses = self._guesses[:_GUESSES]
-        q, reached = self._solve(targets, guesses)
-        good = reached if self._screen is None else reached.copy()
-        if self._screen is not None:
-            good[reached] = self._screen.keeps(q[reached])
-        for row in np.flatnonzero(good.any(axis=1)).tolist():
-            self._found[int(indices[row])] = q[row][good[row]]
-        for row in np.flatnonzero(~good.any(axis=1)).tolist():
-            failure = self._failure(int(indices[row]), targets[row])
-            if failure is not None:
-                return int(indices[row]), failure
-        return None
-
-    def _failure(self, index: int, target: TipTarget) -> Outcome | None:
-        """Why a waypoint is impossible, after a longer search; None where it is not."""
-        world, path = self._world, self._path
-        what = "beginning of the path" if index == 0 else f"waypoint {path.number(index)} of the path"
-        best = solve_inverse_kinematics(world.problem.robot, target)
-        if not best.reached:
-            return out_of_reach(world, best, target, what)
-        if self._screen is None:
-            return None
-        q, reached = self._solve([target], self._guesses)
-        ends = np.vstack((best.q[None, :], q[reached]))
-        if self._screen.keeps(ends).any():
-            return None
-        contacts = [contact for contact in map(world.proximity.tightest, ends) if contact is not None]
-        mildest = max(contacts, key=lambda contact: contact.margin)
-        station = float(path.stations[index])
-        why = f": at the {what} none of {len(ends)} configurations that were found is clear; detours are not allowed"
-        found = replace(mildest, path_from=station, path_to=station)
-        return blocked_path(rest_at_start(world, best.q), found, path, why)
-
-    def _solve(self, targets: Sequence[TipTarget], guesses: Matrix) -> tuple[Array, Flags]:
-        """(T, G, n), (T, G) where the search ends from each guess for each target, and whether it arrived."""
-        rows = np.repeat(np.arange(len(targets)), len(guesses))
-        batch = TargetBatch.of(targets).take(rows)
-        q, reached = solve_batch(self._kinematics, batch, np.tile(guesses, (len(targets), 1)))
-        return q.reshape(len(targets), len(guesses), -1), reached.reshape(len(targets), len(guesses))
 
 
 def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, since: float | None = None) -> Outcome:

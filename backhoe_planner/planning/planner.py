@@ -19,10 +19,11 @@ from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
-from backhoe_planner.planning.path_planning import AlongPath, impossible_waypoint, plan_along_path
+from backhoe_planner.planning.path_planning import AlongPath, plan_along_path
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, OutOfTime, Work
+from backhoe_planner.planning.waypoints import path_within_reach
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_motion
 
@@ -98,14 +99,15 @@ def _find_motion(world: World, method: Method) -> Outcome:
 
 
 def _plan_task(world: World, method: Method) -> Outcome:
-    problem = world.problem
-    if problem.path is not None:
-        failure = waypoint_breaks_keep(world, problem.path) or impossible_waypoint(world, problem.path)
-        if failure is not None:
-            counted = failure.reason == "unreachable" and problem.keep is not None
-            return replace(failure, message=f"{failure.message}, as `keep` has it") if counted else failure
+    problem, path = world.problem, world.problem.path
+    if path is not None:
+        within = waypoint_breaks_keep(world, path) or path_within_reach(world, path)
+        if isinstance(within, Outcome):
+            counted = within.reason == "unreachable" and problem.keep is not None
+            return replace(within, message=f"{within.message}, as `keep` has it") if counted else within
+        world, path = within
         if problem.start_q is None and problem.start_target is None:
-            return _plan_from_anywhere(world, AlongPath(problem.path), method)
+            return _plan_from_anywhere(world, AlongPath(path), method)
     start = _start(world)
     failure = start if isinstance(start, Outcome) else bad_start(world, start)
     if failure is not None:
@@ -118,8 +120,8 @@ def _plan_task(world: World, method: Method) -> Outcome:
         if method == "paper":
             return task.by_paper(world, stepper)
     else:
-        assert problem.path is not None
-        task = AlongPath(problem.path)
+        assert path is not None
+        task = AlongPath(path)
     return task.by_law(world, stepper) if method == "reactive" else plan_over_time(world, task, stepper)
 
 

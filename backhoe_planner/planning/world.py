@@ -56,6 +56,15 @@ class World:
         other._put(self._obstacles)
         return other
 
+    def within(self, tolerance: float) -> World:
+        """The same problem with a path whose tip may be off it by `tolerance` [m]."""
+        other = copy.copy(self)
+        scene = self.problem.scene
+        assert scene.task.path is not None
+        task = scene.task.model_copy(update={"path": scene.task.path.model_copy(update={"tolerance": tolerance})})
+        other.problem = replace(self.problem, scene=scene.model_copy(update={"task": task}))
+        return other
+
     def stepper(self, q: Vector) -> Stepper:
         """A motion that begins at `q` (n,), at rest."""
         return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pinocchio import Quaternion
 
 import backhoe_planner as bp
+from backhoe_planner.motion import build_problem
 from validation.pose_paths import Problem, draw, load_arm
 
 
@@ -79,3 +82,55 @@ def test_positions_alone_are_searched_as_before(backhoe: bp.Robot, detour: bool)
     scene = bp.scene_from_dict({"version": 1, "task": task, "obstacles": [ball]})
     plan = bp.plan(backhoe, scene, effort="quick", budget=1e-9)
     assert plan.reason == "budget"
+
+
+def bent_path(corner: list[float], **keys: object) -> bp.Scene:
+    """From beside the stretched planar arm to a corner ahead of it, and to its other side."""
+    points = [[3.2, 0.3, 0.0], corner, [3.2, -0.3, 0.0]]
+    path = {"waypoints": [{"position": point} for point in points], "tolerance": 0.005, "detour": False, **keys}
+    return bp.scene_from_dict({"version": 1, "task": {"path": path}})
+
+
+@pytest.mark.parametrize("beyond", [0.002, 0.004])
+def test_a_corner_out_of_reach_by_less_than_the_tolerance_is_followed_within_it(beyond: float) -> None:
+    """The planar arm is 4 m long: the tip comes no nearer to the corner than by what the corner is beyond."""
+    robot = bp.load_robot("example:planar4")
+    plan = bp.plan(robot, bent_path([4.0 + beyond, 0.0, 0.0]), effort="quick")
+    assert plan.verdict == "verified", plan.message
+    assert beyond <= plan.certificate.tracking.max_error <= 0.005
+    tips = np.vstack([np.linspace(a, b, 20) for a, b in pairwise(plan.tip_path())])
+    corner = np.linalg.norm(tips - [4.0 + beyond, 0.0, 0.0], axis=1)
+    assert beyond - 1e-9 <= np.min(corner) <= 0.005
+
+
+def test_a_corner_out_of_reach_by_more_than_the_tolerance_is_named() -> None:
+    plan = bp.plan(bp.load_robot("example:planar4"), bent_path([4.006, 0.0, 0.0]), effort="quick")
+    assert plan.reason == "unreachable"
+    assert "waypoint 2 of the path" in plan.message
+
+
+@pytest.mark.parametrize(("too_near", "reason"), [(0.0006, ""), (0.002, "blocked")])
+def test_a_pose_too_near_by_less_than_the_tolerance_is_followed_within_it(too_near: float, reason: str) -> None:
+    """The hand comes up to a ball and goes back; it is as near to the ball in all configurations."""
+    robot = bp.load_robot("example:panda", tip="panda_hand_tcp")
+    q = np.array([0.0, 0.0, 0.0, -1.8, 0.0, 1.8, 0.8])
+    at = bp.Kinematics(robot).at(q)
+    turn, beside = Quaternion(at.tip_rotation), np.array([0.1, 0.0, 0.05])
+    poses = [
+        {"position": (at.tip_position + off).tolist(), "quaternion": [turn.w, turn.x, turn.y, turn.z]}
+        for off in np.array([[-0.05, 0.0, 0.0], [0.0, 0.0, 0.0], [-0.05, 0.02, 0.0]])
+    ]
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.03, "position": (at.tip_position + beside).tolist()}
+    task = {"path": {"waypoints": poses, "tolerance": 0.001, "detour": False}}
+
+    def scene(clearance: float) -> bp.Scene:
+        return bp.scene_from_dict({"version": 1, "task": task, "obstacles": [{**ball, "clearance": clearance}]})
+
+    proximity = bp.Proximity(robot, build_problem(robot, scene(0.0)).obstacles)
+    of_hand = [pair.link == "panda_hand" and pair.obstacle == "ball" for pair in proximity.pairs]
+    apart = float(np.min(proximity.distances(q)[of_hand]))
+    plan = bp.plan(robot, scene(apart + too_near), effort="quick")
+    assert plan.reason == reason, plan.message
+    if not reason:
+        assert plan.verdict == "verified"
+        assert too_near <= plan.certificate.tracking.max_error + 1e-9 <= 0.001

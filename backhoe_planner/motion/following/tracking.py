@@ -164,8 +164,12 @@ def track_path(
     )
     chord = bound - np.maximum(error[:-1], error[1:])
     between = np.maximum(np.append(chord, 0.0), np.append(0.0, chord))
-    between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
-    near = error + between <= tolerance
+    off = error + between
+    # where a chord passes a corner, its part on either side is further from that leg neither than its end nor than
+    # it is from the corner
+    cut = _cut_corners(path, station, tips)
+    off[:-1] = np.maximum(off[:-1], np.where(cut > 0.0, cut + sagitta, 0.0))
+    near = off <= tolerance
     on = near & (angle <= angle_tolerance)
     if path.asks_orientation:
         turned = angle_bounds(
@@ -214,7 +218,7 @@ def track_path(
     return Tracking(
         done=not missing,
         shortfall=" and ".join(missing),
-        max_error=float(np.max((error + between)[on])),
+        max_error=float(np.max(off[on])),
         mean_error=float(np.mean(error[on])),
         max_angle_error=float(np.max(angle[on])),
         path_length=path.arc(path.length),
