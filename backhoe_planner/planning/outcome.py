@@ -10,6 +10,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import InverseKinematics, TipTarget
 from backhoe_planner.motion import TipPath, Trajectory
+from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import PostureResult
@@ -30,12 +31,14 @@ class Outcome:
     reason: empty where nothing is known to be wrong.
     message: the same in words; beside an empty reason, that time ran out while the motion was made better.
     findings: the numbers behind them, and how the motion was found.
+    law: how the local law follows the path, from where the motion may begin to; None where that was not looked for.
     """
 
     trajectory: Trajectory
     reason: Reason = ""
     message: str = ""
     findings: Findings = NOTHING
+    law: LawWay | None = None
 
     def adding(self, **findings: Any) -> Outcome:
         """The same with more findings, by their names."""

@@ -32,7 +32,7 @@ from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.paths.stretch import LawWay, Stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import fastest_motion, law_motion
 from backhoe_planner.planning.result.findings import Findings
@@ -182,7 +182,7 @@ class _Along:
             stepper = stepper.branch(attempt=stepper.attempt)
         # of a path that may not be left and is blocked, an answer at once is worth more than a cheaper beginning
         fails = resolved.obstruction is not None and not self._may_leave
-        pieces = list(resolved.pieces) if fails else self._improve(resolved, begin)
+        pieces, law = (list(resolved.pieces), None) if fails else self._improve(resolved, begin)
         brake = self._world.work.brake
         message = f"{brake.message}; a cheaper motion was not looked for" if brake.is_used_up() else ""
         stepper = self._world.stepper(_first(pieces)) if stepper is None else stepper
@@ -194,6 +194,7 @@ class _Along:
             stepper.trajectory(),
             message=message,
             findings=Findings(detours=tuple(by_arc_length(detour, self._path) for detour in detours)),
+            law=law,
         )
 
     def _within_steps(self, resolved: Resolution, begin: Vector | None) -> Resolution:
@@ -250,9 +251,9 @@ class _Along:
         along = _Along(self._world, self._path, self._resolver, self._cost, transit, self._resolver_within)
         return along.plan(transit.q)
 
-    def _improve(self, resolved: Resolution, begin: Vector | None) -> list[Stretch | Bypass]:
-        """The pieces; those that follow the path are made cheaper."""
-        pieces = list(resolved.pieces)
+    def _improve(self, resolved: Resolution, begin: Vector | None) -> tuple[list[Stretch | Bypass], LawWay | None]:
+        """The pieces; those that follow the path are made cheaper. And the law's way, where they are one."""
+        pieces, law = list(resolved.pieces), None
         last = len(pieces) - 1
         for index, piece in enumerate(pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 1:
@@ -260,8 +261,11 @@ class _Along:
                 pieces[index] = cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
                 # of full poses the graph has all configurations, and making the law's way cheaper takes as long again
                 if last == 0 and resolved.obstruction is None and self._path.target(0.0).rotation is None:
-                    pieces[index] = self._cheaper_than_law(cheap, free_start=free_start)
-        return pieces
+                    low = float(cheap.stations[0])
+                    way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
+                    pieces[index] = self._cheaper_than_law(cheap, way, free_start=free_start)
+                    law = LawWay(self._path, way) if low == 0.0 and not self._world.problem.is_dynamic else None
+        return pieces, law
 
     def _cheapen(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
         world = self._world
@@ -275,19 +279,17 @@ class _Along:
             piece = smooth_stretch(world.problem, self._path, piece, brake=world.work.brake, **setting)
         return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
 
-    def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
+    def _cheaper_than_law(self, piece: Stretch, law: Stretch, *, free_start: bool) -> Stretch:
         """The cheaper of `piece`, the whole way, and the local law's way from the same joints, made cheaper too.
 
         A cost has more than one minimum, and the grid may miss the one near the law's way.
         """
-        low = float(piece.stations[0])
-        law = self._world.follow_law(self._path, low, piece.q[0], time=self._time)
         if law.obstruction is not None:
             return piece
         other = self._cheapen(law, free_start=free_start, free_end=True)
         ways = [way for way in (piece, other) if self._keeps_steps([way])] or [piece]
         cheap = min(ways, key=lambda way: self._cost.of_run(way.stations, way.q))
-        return self._with_inertia(cheap) if low == 0.0 else cheap
+        return self._with_inertia(cheap) if piece.stations[0] == 0.0 else cheap
 
     def _with_inertia(self, piece: Stretch) -> Stretch:
         """`piece`, or on a short path the law's way from the same joints where inertia makes it cheaper.

@@ -12,7 +12,16 @@ from reasons import nearest, obstruction, span
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import PathCost, Problem, build_problem, step_lengths
-from backhoe_planner.planning import PathLayers, PathResolver, Resolution, Stretch, redundancy_of, smooth_stretch
+from backhoe_planner.planning import (
+    PathLayers,
+    PathResolver,
+    Resolution,
+    Stretch,
+    compare_with_law,
+    redundancy_of,
+    smooth_stretch,
+)
+from backhoe_planner.planning.report import comparison
 from validation.habitats import load_machine
 from validation.independent_check import refutations
 from validation.sites import SiteKey, random_site
@@ -349,3 +358,18 @@ def test_routes_of_short_steps_are_tried_where_the_cheapest_cross_between_curves
     site = random_site(robot, SiteKey("panda", "terrain", "path", 0, 6400))
     plan = bp.plan(robot, site.scene, effort="quick")
     assert plan.verdict == "verified", plan.message
+
+
+def test_the_law_follows_a_path_once_for_the_plan_and_what_stands_beside_it(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plan's figures are those of a law that is followed anew from where the plan begins."""
+    site = random_site(backhoe, SiteKey("backhoe", "open", "path", 1, 77))
+    with monkeypatch.context() as patch:
+        patch.setattr(comparison, "resolve_along", None)  # not called
+        plan = bp.plan(backhoe, site.scene, effort="quick")
+    assert plan.verdict == "verified"
+    anew = compare_with_law(plan.problem, plan.trajectory, plan.certificate)
+    assert anew is not None
+    assert plan.metrics.objective == anew.figures
+    assert anew.figures.law is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Obstruction
 
 STRAIGHT_STEP = 0.03  # rad or m of a joint from sample to sample on the straight way between two nodes; chosen
@@ -31,3 +32,11 @@ class Stretch:
     def reached(self) -> float:
         """Its last arc length [m]."""
         return float(self.stations[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class LawWay:
+    """How the local law follows a whole path among obstacles that stand still."""
+
+    path: TipPath
+    stretch: Stretch

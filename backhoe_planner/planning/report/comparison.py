@@ -29,7 +29,7 @@ from backhoe_planner.motion import Problem, TipPath, Trajectory, trajectory_cost
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.paths.stretch import LawWay, Stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
@@ -116,8 +116,15 @@ class Comparison:
     law_motion: Trajectory | None
 
 
-def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Comparison | None:
-    """A motion along the scene's path beside the law's; None where the motion does not follow a path."""
+def compare_with_law(
+    problem: Problem, trajectory: Trajectory, certificate: Certificate, *, law: LawWay | None = None
+) -> Comparison | None:
+    """A motion along the scene's path beside the law's; None where the motion does not follow a path.
+
+    Parameters
+    ----------
+    law: how the law follows a path, where that is known; used where it is this path, from the same joints.
+    """
     path = problem.path
     if path is None or len(trajectory) < 3 or not certificate.tracking.done:
         return None
@@ -129,20 +136,23 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     stands = path.turns or np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING)
     # with detours the path itself is blocked; where the tip stands, no place says what to compare
     if not certificate.detours and not stands:
-        moved, breaks = _along_by_law(problem, path, motion, begun, kinematics=kinematics)
+        moved, breaks = _along_by_law(problem, path, motion, begun, law, kinematics=kinematics)
     name = problem.objective.name
     value, whole = (trajectory_costs(problem, way)[name] for way in (motion, trajectory))
-    law = None if moved is None else trajectory_costs(problem, moved)[name]
-    figures = LawComparison(name=name, value=value, whole=whole, law=law, law_breaks=breaks)
+    beside = None if moved is None else trajectory_costs(problem, moved)[name]
+    figures = LawComparison(name=name, value=value, whole=whole, law=beside, law_breaks=breaks)
     return Comparison(figures, begun, moved)
 
 
 def _along_by_law(
-    problem: Problem, path: TipPath, motion: Trajectory, begun: float, *, kinematics: Kinematics
+    problem: Problem, path: TipPath, motion: Trajectory, begun: float, known: LawWay | None, *, kinematics: Kinematics
 ) -> tuple[Trajectory | None, Obstruction | None]:
     """The law's motion beside `motion`, None where it does not get along the path; and what it breaks."""
     proximity, is_time = Proximity(problem.robot, problem.obstacles), problem.objective.is_time
-    law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
+    if known is not None and known.path is path and np.array_equal(known.stretch.q[0], motion.q[0]):
+        law = known.stretch
+    else:
+        law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
     breaks = law.obstruction
     if breaks is not None:
         # a motion beyond a limit cannot be timed within the limits

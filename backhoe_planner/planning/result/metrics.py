@@ -10,6 +10,7 @@ import numpy as np
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Detour, Problem, Trajectory, trajectory_costs
+from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.report.asked_speed import AskedSpeed, measure_speed
 from backhoe_planner.planning.report.comparison import LawComparison, compare_with_law
 from backhoe_planner.proof import Certificate
@@ -72,6 +73,7 @@ def measure_motion(
     planning_time: float = 0.0,
     detours: Sequence[Obstruction] = (),
     compare: bool = False,
+    law: LawWay | None = None,
 ) -> Metrics:
     """The figures of a motion.
 
@@ -81,11 +83,12 @@ def measure_motion(
     planning_time: of the planner [s].
     detours: what the planner left the path for, and where.
     compare: whether a motion along a path is compared with the local law's.
+    law: how the law follows the path, where that is known.
     """
     kinematics = Kinematics(problem.robot)
     tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
     found = tuple(_with_obstruction(detour, detours) for detour in certificate.detours)
-    compared = compare_with_law(problem, trajectory, certificate) if compare else None
+    compared = compare_with_law(problem, trajectory, certificate, law=law) if compare else None
     figures = None if compared is None else compared.figures
     if figures is not None and found:
         figures = figures.model_copy(update={"law_breaks": found[0].obstruction})

@@ -133,6 +133,7 @@ def plan_problem(
             planning_time=planning_time,
             detours=outcome.findings.detours,
             compare=method in ("auto", "optimal"),
+            law=outcome.law,
         ),
         findings=outcome.findings,
         failure=outcome.reason,
