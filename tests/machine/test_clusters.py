@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import (
     Cluster,
@@ -49,6 +49,10 @@ def distance(cluster: Cluster, piece: Piece, place: pin.SE3) -> float:
 
 def ball(radius: float) -> Piece:
     return shapes.sphere(radius, HERE)
+
+
+def speck(point: Vector) -> Piece:
+    return shapes.sphere(1e-9, pin.SE3(np.eye(3), point))
 
 
 def random_place(rng: np.random.Generator, size: float) -> pin.SE3:
@@ -204,6 +208,11 @@ def test_distance_is_that_of_all_cells(kind: str) -> None:
         if found > 0.0:
             assert found == pytest.approx(least, abs=1e-8)
             assert cluster.measure(link, place, found - 1e-6) is None
+            reading = cluster.measure(link, place)
+            assert reading is not None
+            np.testing.assert_allclose(reading.other_point, reading.point + found * reading.normal, atol=1e-8)
+            assert gap(link, place, speck(reading.point)) < 1e-7
+            assert min(gap(speck(reading.other_point), HERE, piece) for piece in pieces) < 1e-7
         far = cluster.grid(*BALL).lower((covering_balls(link)[0] @ place.rotation.T + place.translation).T)
         bound = float(far.min()) - covering_balls(link)[1]
         assert bound <= found + 1e-9 or bound <= 0.0

@@ -113,7 +113,7 @@ class Cluster:
 
     def _local(self, piece: Piece, T_world_body: pin.SE3, shift: Vector) -> Placed:
         R = self._R.T.dot(T_world_body.rotation)
-        return Placed.of(piece, R, (T_world_body.translation - self._t - shift).dot(self._R))
+        return Placed(piece, R, (T_world_body.translation - self._t - shift).dot(self._R))
 
     def measure(
         self, piece: Piece, T_world_body: pin.SE3, reach: float = np.inf, *, shift: Vector | None = None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,30 +15,31 @@ from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.shapes import Piece, transform
 
 
-class Placed(NamedTuple):
-    """A convex shape in the frame of a solid.
+class Placed:
+    """A piece of a body in the frame of a solid.
+
+    Parameters
+    ----------
+    R_body, t_body: (3, 3) and (3,) T_solid_body [m].
 
     Attributes
     ----------
     shape: coal's object.
     R, t: (3, 3) and (3,) T_solid_shape [m].
-    hull: (k, 3) points, and `radius` [m]: the shape lies within the radius of their convex hull.
+    radius: the shape lies within it of the convex hull of `hull` [m].
     """
 
-    shape: Any
-    R: Matrix
-    t: Vector
-    hull: Matrix
-    radius: float
+    def __init__(self, piece: Piece, R_body: Matrix, t_body: Vector) -> None:
+        R, t = piece.pose
+        self.shape: Any = piece.shape
+        self.R, self.t = R_body.dot(R), R_body.dot(t) + t_body
+        self.radius = piece.radius
+        self._own, self._R_body, self._t_body = piece.hull, R_body, t_body
 
-    @staticmethod
-    def of(piece: Piece, R_body: Matrix, t_body: Vector) -> Placed:
-        """A piece of a body that stands at `R_body` (3, 3), `t_body` (3,) [m] in the frame of the solid."""
-        own = piece.placement
-        return Placed(
-            piece.shape, R_body.dot(own.rotation), R_body.dot(own.translation) + t_body,
-            piece.hull.dot(R_body.T) + t_body, piece.radius,
-        )  # fmt: skip
+    @cached_property
+    def hull(self) -> Matrix:
+        """(k, 3) points [m]; who only asks a tree does without."""
+        return np.asarray(self._own.dot(self._R_body.T) + self._t_body)
 
     def shifted(self, by: Vector) -> Any:
         """Coal's transform, after a shift `by` (3,) [m]."""

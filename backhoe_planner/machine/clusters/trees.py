@@ -5,6 +5,8 @@ of microseconds. What coal answers of a tree is not all right as it comes, and p
 
 - The descent ends early only where `min_distance` of the result is set before.
 - Normal and witness points run from the tree to the shape, whatever the order of the arguments.
+- Around a shape it takes an upright box in the frame of the question, which is large around a long link that
+  stands askew. So trees of cubes are asked in the frame of the shape, where the box is as small as can be.
 - Where the shape touches a cell, `distance` gives the depth in the first cell it meets. All
   cells that are touched come from `collide`; the depth here is that of the deepest.
 """
@@ -42,10 +44,15 @@ class Reading(NamedTuple):
 
 
 class Tree:
-    """One tree of coal."""
+    """One tree of coal.
 
-    def __init__(self, tree: coal.CollisionGeometry) -> None:
-        self._tree = tree
+    Parameters
+    ----------
+    of_cubes: whether it holds cubes, which coal compares with an upright box around a shape.
+    """
+
+    def __init__(self, tree: coal.CollisionGeometry, *, of_cubes: bool = False) -> None:
+        self._tree, self._of_cubes = tree, of_cubes
 
     def measure(self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s, reach: float) -> Reading | None:
         """The distance from `shape` to the cells, where it is less than `reach` [m]; None where it is not.
@@ -57,17 +64,21 @@ class Tree:
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         prepare(request)
         result.min_distance = reach
-        coal.distance(self._tree, _HERE, shape, T_tree_shape, request, result)
+        if self._of_cubes:
+            coal.distance(self._tree, T_tree_shape.inverse(), shape, _HERE, request, result)
+        else:
+            coal.distance(self._tree, _HERE, shape, T_tree_shape, request, result)
         distance = result.min_distance
         if distance >= reach:
             return None
+        normal, point, other_point = (
+            np.array(found) for found in (-result.normal, result.getNearestPoint2(), result.getNearestPoint1())
+        )
+        if self._of_cubes:
+            R, t = T_tree_shape.getRotation(), T_tree_shape.getTranslation()
+            normal, point, other_point = R.dot(normal), R.dot(point) + t, R.dot(other_point) + t
         if distance > 0.0 and not in_doubt(distance):
-            return Reading(
-                distance,
-                -np.array(result.normal),
-                np.array(result.getNearestPoint2()),
-                np.array(result.getNearestPoint1()),
-            )
+            return Reading(distance, normal, point, other_point)
         touch, contacts = coal.CollisionRequest(), coal.CollisionResult()
         touch.num_max_contacts, touch.enable_contact = _MOST_CONTACTS, True
         coal.collide(self._tree, _HERE, shape, T_tree_shape, touch, contacts)
@@ -78,10 +89,9 @@ class Tree:
                 deepest = contact
         if deepest is None:  # they touch to within rounding
             distance = 0.0 if in_doubt(distance) else distance
-            normal = -np.array(result.normal)
             if not np.isfinite(normal).all() or abs(float(normal @ normal) - 1.0) > 1e-6:
                 normal = np.array([0.0, 0.0, -1.0])
-            middle = np.nan_to_num(np.array(result.getNearestPoint1()))
+            middle = np.nan_to_num(other_point)
             return Reading(distance, normal, middle, middle)
         return Reading(
             deepest.penetration_depth,
@@ -93,7 +103,7 @@ class Tree:
 
 def voxel_tree(centres: Matrix, edge: float) -> Tree:
     """Cubes with an `edge` [m] around `centres` (n, 3), which are half an edge off a multiple of it on each axis."""
-    return Tree(coal.makeOctree(centres, edge))
+    return Tree(coal.makeOctree(centres, edge), of_cubes=True)
 
 
 def surface_tree(vertices: Matrix, triangles: Indices) -> Tree:

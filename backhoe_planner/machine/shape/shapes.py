@@ -61,6 +61,11 @@ class Piece:
     make_inner: Callable[[], coal.CollisionGeometry | None] | None = None
 
     @cached_property
+    def pose(self) -> tuple[Matrix, Vector]:
+        """(3, 3) and (3,) the placement as arrays [m], which take Pinocchio long to make."""
+        return np.array(self.placement.rotation), np.array(self.placement.translation)
+
+    @cached_property
     def inner(self) -> coal.CollisionGeometry | None:
         """A shape at the same place that is nowhere larger than what the piece contains as it is written.
 
