@@ -353,7 +353,6 @@ def calls() -> dict[str, Call]:
         ),
         "Proximity.cover": call(prox.cover, q=rq),
         "Proximity.is_at": call(prox.is_at, q=q4, time=(0.5, NUMBER)),
-        "Proximity.stays_clear": call(prox.stays_clear, q=q4, time=(0.5, NUMBER)),
         "Proximity.distances": call(prox.distances, q=q4, time=(0.5, NUMBER)),
         "Proximity.tightest": call(lambda **keys: str(prox.tightest(**keys)), q=q4, time=(0.5, NUMBER)),
         "Proximity.lower_bounds": call(
@@ -362,10 +361,6 @@ def calls() -> dict[str, Call]:
         ),
         "Proximity.distance_of": call(prox.distance_of, pair=(1, index), q=q4, time=(0.5, NUMBER)),
         "Proximity.distances_of": call(prox.distances_of, pairs=(np.array([1, 2]), indices), q=q4, time=(0.5, NUMBER)),
-        "Proximity.all_at_least": call(
-            prox.all_at_least, pairs=(np.array([1, 2]), indices),
-            least=(np.zeros(2), only(*NO_NUMBER, [0.1], [NAN] * 2)), q=q4, time=(0.5, NUMBER),
-        ),
         "Proximity.obstacle_offset": call(prox.obstacle_offset, index=(0, index), time=(0.5, NUMBER)),
         "ZoneLog": call(bp.ZoneLog, lists=False, **site),
         "ZoneLog.note": call(lambda **keys: bp.ZoneLog(the, scene()).note(**keys), time=(0.5, NUMBER), q=q4),

@@ -360,14 +360,6 @@ class Proximity:
         """The same for callers in a loop, whose arguments are right as they are made."""
         return self._known.is_at(q, time)
 
-    def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
-        """Whether the last measurement proves that every clearance holds on the straight way from there to `q`.
-
-        False says nothing. The way ends at `time` [s].
-        """
-        q, time = self._checked(q, time)
-        return not len(self.unproven_unchecked(q, time=time))
-
     def unproven_unchecked(self, q: Vector, *, time: float, spare: float = 0.0, way: Vector | None = None) -> Indices:
         """The pairs of which the last measurement does not prove that they keep their clearance and `spare` [m].
 
@@ -400,7 +392,11 @@ class Proximity:
     def _lower_with(self, known: Vector | None, q: Vector, time: float) -> Vector:
         """(P,) lower bounds of all distances from the last measurement [m]; some may be `known` (P,) to be more."""
         lower = self._known.lower(self._known.every, q, time)
-        return lower if known is None else np.maximum(lower, as_array(known, len(lower), key="known", finite=False))
+        if known is None:
+            return lower
+        if not isinstance(known, np.ndarray) or known.shape != lower.shape:
+            known = as_array(known, len(lower), key="known", finite=False)
+        return np.asarray(np.fmax(lower, known, out=lower))  # what is nan is not known
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears.
@@ -507,19 +503,6 @@ class Proximity:
         if not len(self.clusters):
             return self._geometry.distances(pairs)
         return self._measure(pairs, floor, None)[0][:, 0]
-
-    def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
-        """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
-        q, time = self._checked(q, time)
-        pairs = self._checked_pairs(pairs)
-        least = as_array(least, len(pairs), key="least", finite=False)
-        self._place(q, time)
-        return all(
-            self._geometry.measure(pair).min_distance >= bound
-            if pair < self.plain
-            else self.clusters.is_at_least(pair - self.plain, self._data, self._time, bound)
-            for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
-        )
 
     # --- clusters -------------------------------------------------------------------------
 

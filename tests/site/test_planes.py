@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from crowds import crowd, lead_at
 
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine import Robot
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Proximity, build_obstacles, scene_from_dict
+from backhoe_planner.site.pairs.pair_geometry import PairGeometry
 
 SAMPLES = 15
 
@@ -66,3 +68,23 @@ def test_no_plane_is_known_after_anything_but_what_is_near_was_measured(planar4:
     assert proximity.stay_apart_unchecked(pairs, np.full(len(pairs), -1e3), q, time=0.0).all()
     proximity.lower_bounds(q + 0.1, time=0.0, floor=np.full(len(proximity.pairs), np.inf))
     assert not proximity.stay_apart_unchecked(pairs, np.full(len(pairs), -1e3), q, time=0.0).any()
+
+
+def test_without_a_unit_normal_no_plane_proves_anything(planar4: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box in the arm's way, and a motion that does not move: with a normal of 0 all gaps between corners are 0."""
+    entries: list[dict[str, Any]] = [{"name": "box", "shape": "box", "size": [0.2, 0.2, 0.2], "position": [2.5, 0, 0]}]
+    scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
+    proximity = Proximity(planar4, build_obstacles(scene_from_dict(scene), planar4), self_collision=False)
+    measured = PairGeometry.measure_each
+    for normal in (np.zeros(3), np.full(3, np.nan), 0.5 * np.ones(3), np.array([0.0, 0.0, 2.0])):
+
+        def with_normal(geometry: PairGeometry, pairs: Indices, normal: Vector = normal) -> Matrix:
+            found = measured(geometry, pairs)
+            found[:, 1:4] = normal
+            return found
+
+        monkeypatch.setattr(PairGeometry, "measure_each", with_normal)
+        near = proximity.at(np.zeros(4), within=0.5)
+        assert near.distance.min() < 0.0
+        for least in (0.0, -10.0):
+            assert not proximity.stay_apart_unchecked(near.pair, np.full(len(near), least), np.zeros(4), time=0.0).any()

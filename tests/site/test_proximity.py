@@ -431,28 +431,45 @@ def test_margin_counts_from_the_clearance_of_each_obstacle(planar4: Robot) -> No
     assert set(proximity.owner[proximity.at(STRETCHED, margin=0.6).pair]) == {0, 1}
 
 
+def is_proven(proximity: Proximity, q: Vector, time: float = 0.0) -> bool:
+    """Whether the last measurement proves the straight way from there to q."""
+    return not len(proximity.unproven_unchecked(q, time=time))
+
+
 def test_clear_without_measuring_is_said_only_while_it_is_certain(planar4: Robot) -> None:
     """Link4's far corner is nearest; joint 4 moves it at most hypot(1, 0.04) a radian."""
     proximity = around(planar4, ball(3.5, 1.0, clearance=0.1))
-    assert not proximity.stays_clear(STRETCHED), "nothing was measured yet"
+    assert not is_proven(proximity, STRETCHED), "nothing was measured yet"
     distance = proximity.at(STRETCHED).margin.min()
     before = proximity.measured
     assert distance == pytest.approx(0.56)
     turn = np.array([0.0, 0.0, 0.0, 0.56 / np.hypot(1.0, 0.04)])
-    assert proximity.stays_clear(0.999 * turn)
-    assert not proximity.stays_clear(1.001 * turn)
+    assert is_proven(proximity, 0.999 * turn)
+    assert not is_proven(proximity, 1.001 * turn)
     assert proximity.measured == before
     assert proximity.is_at(STRETCHED)
     assert not proximity.is_at(turn)
     assert not proximity.is_at(STRETCHED, time=0.1)
 
 
+def test_a_bound_that_is_no_number_says_nothing(planar4: Robot) -> None:
+    """The ball is 0.66 m from link3; nan in place of a bound must not keep it from being measured."""
+    proximity = around(planar4, ball(2.5, 1.0, clearance=0.1))
+    known = np.full(len(proximity.pairs), np.nan)
+    assert proximity.at(STRETCHED, within=0.7, known=known).distance.min() == pytest.approx(0.66)
+    lower, measured = around(planar4, ball(2.5, 1.0)).lower_bounds(
+        STRETCHED, time=0.0, floor=np.full(len(known), 0.7), known=known
+    )
+    assert lower.min() == pytest.approx(0.66)
+    assert measured[lower.argmin()]
+
+
 def test_clear_without_measuring_counts_the_obstacles_own_way(planar4: Robot) -> None:
     """2.66 m from link3, 0.05 m to be kept, 1 m/s."""
     proximity = around(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
     proximity.at(STRETCHED, time=0.0)
-    assert proximity.stays_clear(STRETCHED, time=2.60)
-    assert not proximity.stays_clear(STRETCHED, time=2.62)
+    assert is_proven(proximity, STRETCHED, time=2.60)
+    assert not is_proven(proximity, STRETCHED, time=2.62)
 
 
 def test_balls_and_blocks_that_just_touch_are_at_distance_0(planar4: Robot) -> None:
@@ -695,4 +712,4 @@ def test_what_is_known_of_a_slide_beyond_its_limit_is_never_too_much(tmp_path: P
     touching = proximity.at(np.array([angle, out]), within=0.3)
     np.testing.assert_allclose(touching.distance, [-0.2], atol=1e-9)
     proximity.at(np.array([0.0, out]))
-    assert not proximity.stays_clear(np.array([angle, out]))
+    assert not is_proven(proximity, np.array([angle, out]))

@@ -53,6 +53,10 @@ def by_link_piece(proximity: Proximity, distances: np.ndarray) -> dict[int, floa
     return found
 
 
+def below(proximity: Proximity, pair: int, floor: float, q: np.ndarray) -> float:
+    return float(proximity.distances_below_unchecked(np.array([pair]), np.array([floor]), q, time=0.0)[0])
+
+
 def test_distances_and_bounds_are_those_of_all_cells(planar4: Robot, scan: Obstacle, boxes: Obstacle) -> None:
     one = Proximity(planar4, [scan], self_collision=False)
     many = Proximity(planar4, [boxes], self_collision=False)
@@ -73,10 +77,10 @@ def test_distances_and_bounds_are_those_of_all_cells(planar4: Robot, scan: Obsta
             if least > 0.0:
                 assert exact == pytest.approx(least, abs=1e-8)
                 assert found[pair.piece] == pytest.approx(least, abs=1e-8) or EXACT_WITHIN <= found[pair.piece] <= least
-                assert one.all_at_least(np.array([index]), np.array([least - 1e-6]), row)
+                assert below(one, index, least - 1e-6, row) >= least - 1e-6
             else:
                 assert exact < 1e-9
-            assert not one.all_at_least(np.array([index]), np.array([least + 1e-6]), row)
+            assert below(one, index, least + 1e-6, row) < least + 1e-6
             assert lower[index] == pytest.approx(exact) if measured[index] else lower[index] <= exact + 1e-9
             assert measured[index] or lower[index] >= one.clearance[index] + 0.3
             assert (index in near.pair) == (exact - one.clearance[index] <= 0.3)

@@ -69,7 +69,7 @@ class ClusterPairs:
         self._bounds = self.cluster.grid(*self.ball)
 
     def find(
-        self, pose: Matrix, shift: Vector, reach: float, *, exact: float, is_new: bool, tight: bool = False
+        self, pose: Matrix, shift: Vector, reach: float, *, exact: float, slack: float, is_new: bool
     ) -> tuple[Part, ...]:
         """The boxes around the piece where its body is at `pose` (4, 4), in coordinates of where it was built.
 
@@ -79,7 +79,7 @@ class ClusterPairs:
         reach: distance within which its cells count [m].
         exact: distance up to which boxes are to be as exact as cells [m].
         is_new: whether nothing is known of it from the step before.
-        tight: whether boxes are to be little nearer than the cells in them, see `Cluster.around`.
+        slack: part of the distance by which boxes may be nearer than their cells, see `Cluster.around`.
         """
         T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
         centres, radius = self.balls
@@ -89,11 +89,11 @@ class ClusterPairs:
             self.covered = self.nearest = away
             return ()
         ground = self.cluster.ground_under(self.own, T, reach) if is_new or self.was_inside else None
-        parts = self._parts(T, reach, exact, ground, tight=tight)
+        parts = self._parts(T, reach, exact, ground, slack)
         if ground is None and self.nearest <= 0.0:
             ground = self.cluster.ground_under(self.own, T, reach)
             if ground is not None:
-                parts = self._parts(T, reach, exact, ground, tight=tight)
+                parts = self._parts(T, reach, exact, ground, slack)
         if ground is not None:
             self.was_inside = True
             # its face holds wherever the piece is, so that it lasts until it is nearly out
@@ -108,7 +108,7 @@ class ClusterPairs:
                 self.nearest = inside.reading.distance
         return parts
 
-    def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None, *, tight: bool) -> tuple[Part, ...]:
+    def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None, slack: float) -> tuple[Part, ...]:
         """The boxes of all cells, with `ground` before them where there is one."""
         first = () if ground is None else (ground,)
         found = self.cluster.around(
@@ -119,7 +119,7 @@ class ClusterPairs:
             most=SLOTS - _REST - len(first),
             exact=exact,
             ground=ground,
-            tight=tight,
+            slack=slack,
         )
         parts, self.covered = (*first, *found.parts), found.covered
         if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):

@@ -32,6 +32,8 @@ _AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path take some 10 M
 _PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured before it is carried; chosen
 _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
 _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
+_SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
+_TIGHT = 0.05  # the same, where boxes are to show what the cells show; chosen, with none there are many
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
@@ -229,7 +231,7 @@ class PairBounds:
         if bound.min() < kept - TOLERANCE:
             # at the path's end a box is nearer than all cells are: tighter ones, where they hold as much
             covered = one.covered
-            self._put_boxes(one, at, reach, step, tight=True)
+            self._put_boxes(one, at, reach, step, slack=_TIGHT)
             if one.covered < covered:
                 self._put_boxes(one, at, reach, step)
             bound = self._separation.proven_on(pairs, path, at, path.time)
@@ -239,12 +241,12 @@ class PairBounds:
         self.find_inside()
 
     def _put_boxes(
-        self, one: ClusterPairs, at: Placements, reach: float, step: int, *, is_new: bool = False, tight: bool = False
+        self, one: ClusterPairs, at: Placements, reach: float, step: int, *, is_new: bool = False, slack: float = _SLACK
     ) -> None:
         """Let the boxes of a cluster around a link be those that are found now, and note their distances."""
         found = self._separation.find_boxes(
             one, at, 0, reach=reach, exact=one.clearance + self._influence,
-            odometer=float(self._start_odometer[one.classes]), is_new=is_new, tight=tight,
+            odometer=float(self._start_odometer[one.classes]), is_new=is_new, slack=slack,
         )  # fmt: skip
         self.set_distance(one.pairs, found)
         self._renewed_at[one.pairs] = step

@@ -264,8 +264,8 @@ class Separation:
         reach: float,
         exact: float,
         odometer: float,
+        slack: float,
         is_new: bool,
-        tight: bool = False,
     ) -> Vector:
         """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
 
@@ -275,10 +275,11 @@ class Separation:
         exact: distance up to which boxes are to be as exact as cells [m].
         odometer: of its class now [m].
         is_new: whether nothing is known of it from the step before.
-        tight: see `ClusterPairs.find`.
+        slack: see `ClusterPairs.find`.
         """
         shift = self._shifts[one.number]
-        parts = one.find(at.T[sample, self._joint_of[one.piece]], shift, reach, exact=exact, is_new=is_new, tight=tight)
+        pose = at.T[sample, self._joint_of[one.piece]]
+        parts = one.find(pose, shift, reach, exact=exact, slack=slack, is_new=is_new)
         one.odometer = odometer
         self.measured += len(parts)
         distance = np.full(len(one.pairs), FAR)

@@ -29,8 +29,6 @@ _AROUND = 1.5  # m around the solid that its grid covers; chosen, beyond the box
 _FINE_WITHIN = 2.5  # coarse edges from a link, 0.25 m or more, within which cells are looked at one by one; chosen
 _HALF_DIAGONAL = 0.5 * 3.0**0.5  # of a cube's edge
 _COARSE = 0.1  # m, edge of the cells beyond it; chosen
-_SLACK = 0.15  # of the distance by which a plane may be moved towards the link, so that it has more cells behind it
-_TIGHT_SLACK = 0.05  # the same where boxes are to be tight; chosen, with none there are many boxes
 _FINE_AT_MOST = 0.6  # m from a link, within which cells are looked at one by one on demand; chosen
 _BEYOND = 1e-9  # m by which a cell may reach across a plane that it counts as behind
 
@@ -141,14 +139,14 @@ class Cluster:
 
     def around(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None, tight: bool = False,
+        shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None, slack: float = 0.15,
     ) -> Around:  # fmt: skip
         """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
 
         The nearest cell and the piece leave a gap between two planes. All cells that lie wholly behind the
         plane at the cell, or nearly so, go into one box, with a face on that plane. The nearest of those that
         are left takes the next, and so on. The boxes contain all the cells, so that distances from them are
-        not more than from the cells. Where the piece is now, they are not less than 0.85 of it within
+        not more than from the cells. Where the piece is now, they are not less than 1 - `slack` of it within
         `_FINE_WITHIN` edges of a coarse cell, and further away by no more than the edge of a coarse cell less.
 
         Parameters
@@ -157,7 +155,8 @@ class Cluster:
         exact: distance up to which, too, cells are looked at one by one: no cube further off comes nearer [m].
         ball: centre (3,) and radius [m] of where the machine can be, world.
         ground: from `ground_under` for the same reach. What is behind its face is in it, and in no other box.
-        tight: whether distances from the boxes are to be 0.95 of those from the cells at least; takes more boxes.
+        slack: part of the distance by which a plane may be nearer, so that it has more cells behind it; with less of
+            it there are more boxes.
         most: the greatest number of boxes. Where it takes more, what is left is further away than `covered` [m].
         """
         shift = _NO_SHIFT if shift is None else shift
@@ -168,7 +167,7 @@ class Cluster:
             face = float((ground.reading.other_point - self._t - shift) @ ground.reading.normal)
             above = (cells.least_along(n) < face - _BEYOND).nonzero()[0]
             cells, off = cells.only(above), off.take(above)
-        gauge, T_link, slack = Gauge(), transform(link.R, link.t), _TIGHT_SLACK if tight else _SLACK
+        gauge, T_link = Gauge(), transform(link.R, link.t)
         parts: list[Part] = []
         while len(off) and len(parts) < most:
             nearest = int(off.argmin())

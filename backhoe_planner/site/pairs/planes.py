@@ -19,6 +19,8 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine import LinkPiece
 from backhoe_planner.machine.shape import shapes
 
+_OFF_UNIT = 1e-9  # by which the square of a normal may be off 1: far above rounding, and 5 nm in 10 m
+
 
 class Plane(NamedTuple):
     """A plane behind which an obstacle is at the end of a motion.
@@ -72,6 +74,8 @@ class SeparatingPlanes:
     ) -> list[Plane]:
         """The planes of those of `pairs` (K,) whose link is `least` (K,) or more from its plane, where the joints are.
 
+        A pair whose normal is no unit vector has none: distances along it would be none.
+
         Parameters
         ----------
         near, normals: (N,) pairs, ascending, and (N, 3) the normals at their nearest points.
@@ -80,6 +84,8 @@ class SeparatingPlanes:
         found, rows = [], near.searchsorted(pairs).tolist()
         for index, (pair, row, needed) in enumerate(zip(pairs.tolist(), rows, least.tolist(), strict=True)):
             if row == len(near) or near[row] != pair or self._appears_at[pair] > begun or not self._is_around(pair):
+                continue
+            if not abs(normals[row].dot(normals[row]) - 1.0) <= _OFF_UNIT:
                 continue
             normal, face = self._face(self._bodies[self._second[pair]], normals[row])
             speed = since = 0.0
