@@ -11,7 +11,6 @@ more). The result is never above the true distance.
 from __future__ import annotations
 
 import heapq
-from typing import Any
 
 import numpy as np
 
@@ -131,9 +130,14 @@ def _nearest_clusters(proximity: Proximity, q: Matrix, time: Vector) -> Indices:
     return np.array(found, dtype=np.intp).reshape(-1, len(q)).T
 
 
-def _to_prove(least: Any) -> Any:
+def _to_prove(least: Vector) -> Vector:
     """The margins to be proven where `least` are the least margins that were measured [m]."""
-    return least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
+    return np.asarray(least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least))
+
+
+def _to_prove_of_one(least: float) -> float:
+    """The same of one, at a tenth of what an array takes."""
+    return least - max(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
 
 
 class _Search:
@@ -172,7 +176,7 @@ class _Search:
         bound that was reached. None for an obstacle that never comes near.
         """
         tie = len(self._open)
-        while self._open and self._open[0][0] < _to_prove(self.least):
+        while self._open and self._open[0][0] < _to_prove_of_one(self.least):
             if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
                 break
             _, _, segment, pair, way, a, b, known = heapq.heappop(self._open)
@@ -185,7 +189,7 @@ class _Search:
                 bound = 0.5 * (m_1 + m_2 - half)
                 end = start + 0.5 * (b - a)
                 heapq.heappush(self._open, (bound, tie, segment, pair, way, start, end, (m_1, m_2)))
-        proven = float(_to_prove(self.least))
+        proven = _to_prove_of_one(self.least)
         if self.least >= _NEVER and not (self._open and self._open[0][0] < proven):
             return None
         if self._open:

@@ -38,7 +38,6 @@ class ClusterDistances:
             for row in robot.pieces_of(obstacle.links)
         ]
         self.owner, self.piece = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-        self._reach = reach_ball(robot)
         pieces, self._column = np.unique(self.piece, return_inverse=True)
         own = [robot.pieces[row] for row in pieces.tolist()]
         self._balls = LinkBalls(own, most=_MOST_BALLS) if pairs else None
@@ -49,10 +48,14 @@ class ClusterDistances:
         self._expected: dict[tuple[bytes, float], tuple[Vector, Vector]] = {}
         # what was measured of a pair with its joint at a place, and how far it was looked for
         self._measured: dict[tuple[int, bytes, float], tuple[Reading | None, float]] = {}
-        self._kinematics = BatchKinematics(robot)
-        self._data = robot.model.createData()
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
         self._one_joint = OneJointBounds(robot, self.piece, stands, self._distance_in)
+        if pairs:  # most sites have none
+            self._reach, self._kinematics, self._data = (
+                reach_ball(robot),
+                BatchKinematics(robot),
+                robot.model.createData(),
+            )
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -60,7 +63,9 @@ class ClusterDistances:
     def with_own_memory(self) -> ClusterDistances:
         """The same with working memory of its own; what was built to bound distances is shared."""
         other = copy.copy(self)
-        other._data, other._expected, other._measured = self._robot.model.createData(), {}, {}
+        other._expected, other._measured = {}, {}
+        if len(self):
+            other._data = self._robot.model.createData()
         return other
 
     def lower(self, data: pin.Data, time: float, *, q: Vector | None = None, needed: float | Vector = np.inf) -> Vector:

@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import LinkPiece, Robot, self_pairs, self_pieces, tracking_room, travel_bounds
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import LinkPiece, Robot, reach_ball, self_pairs, self_pieces, tracking_room, travel_bounds
 from backhoe_planner.site.cluster_distances import ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Pair
@@ -58,6 +58,14 @@ def with_tracking_room(
         replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
         for pair, more in zip(pairs, room.tolist(), strict=True)
     )
+
+
+@lru_cache(maxsize=16)
+def ball_within(robot: Robot, run_out: tuple[float, ...]) -> tuple[Vector, float]:
+    """`reach_ball` while slides are run out no further than `run_out` (n): centre (3,) and radius [m], world."""
+    centre, radius = reach_ball(robot, np.array(run_out))
+    centre.setflags(write=False)
+    return centre, radius
 
 
 @lru_cache(maxsize=16)

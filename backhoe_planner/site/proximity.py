@@ -33,13 +33,12 @@ from backhoe_planner.machine import (
     ResultTable,
     Robot,
     bend_weights,
-    reach_ball,
     self_pieces,
 )
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction
-from backhoe_planner.site.pair_listing import list_pairs, travel_within, with_tracking_room
+from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_within, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
@@ -49,6 +48,7 @@ from backhoe_planner.site.pairs.planes import SeparatingPlanes
 from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
+_FURTHER = 0.02  # m beyond what is asked for that clusters are looked for; chosen, halves the questions of a swing post
 _FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
 
 
@@ -163,7 +163,7 @@ class Proximity:
 
     def _take_ball(self) -> None:
         """Find out which pairs the machine can bring near, by the ball that it never leaves."""
-        self._away = distances_from_ball(self._bodies, *reach_ball(self.robot, self._run_out))
+        self._away = distances_from_ball(self._bodies, *ball_within(self.robot, tuple(self._run_out.tolist())))
         for index in self._moving:
             first = self._first_body[index]
             self._away[first : first + len(self.obstacles[index].pieces)] = -np.inf
@@ -319,7 +319,7 @@ class Proximity:
     def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[Matrix, list[int]]:
         """(K, 10) distances, normals and nearest points of `pairs` (K,) at the present placements.
 
-        And which rows are of far clusters: they have their reach for the distance, and nothing else.
+        And which rows are of far clusters: of their distance they have a bound that is no less than their reach.
 
         Parameters
         ----------
@@ -338,12 +338,13 @@ class Proximity:
         found[plain] = self._geometry.measure_each(pairs[plain])
         unread = []
         for row in (~plain).nonzero()[0].tolist():
-            reading = self._nearest(int(pairs[row]), float(lower[row]), float(reach[row]))
-            if reading is None:
-                unread.append(row)
-                found[row, 0] = reach[row]
-            else:
+            enough = float(reach[row])
+            reading = self._nearest(int(pairs[row]), float(lower[row]), enough + _FURTHER)
+            if reading is not None and reading.distance < enough:
                 found[row] = np.concatenate(([reading.distance], *reading[1:]))
+            else:
+                unread.append(row)
+                found[row, 0] = enough + _FURTHER if reading is None else reading.distance
         return found, unread
 
     @property

@@ -103,7 +103,7 @@ def test_out_of_reach_is_not_reached(backhoe: bp.Robot) -> None:
     assert not reached.any()
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 2.6, 2.7, np.pi - 1e-3, np.pi - 1e-9])
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 2.6, 2.7, np.pi - 1e-3, np.pi - 1e-9, np.pi - 1e-13])
 def test_errors_of_orientation_are_the_turn_that_is_left(panda: bp.Robot, angle: float) -> None:
     """The asked orientation is the tip's, turned about a known axis by a known angle, up to half a turn."""
     rng = np.random.default_rng(int(1e6 * angle))

@@ -14,7 +14,7 @@ from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
 _NO_SINE = 1e-12  # of an angle so small that it equals its sine
-_NEAR_HALF_TURN = -0.9  # cosine from which on a rotation vector is found from a quaternion; chosen, 154 degrees
+_NEAR_HALF_TURN = -0.9  # cosine from which on a rotation vector is found from the symmetric part; chosen, 154 degrees
 _NO_TURN = 1e-12  # rad: less has no axis, and is within any tolerance
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
@@ -222,10 +222,24 @@ def rotation_vectors(rotation: Array) -> Array:
     found = (0.5 * ratio * twice).T
     half_turn = np.flatnonzero(cosine < _NEAR_HALF_TURN)
     if len(half_turn):  # there the sine says little
-        from scipy.spatial.transform import Rotation
-
-        found[half_turn] = Rotation.from_matrix(rotation[half_turn]).as_rotvec()
+        found[half_turn] = _near_half_turn(rotation[half_turn], twice[:, half_turn])
     return np.asarray(found)
+
+
+def _near_half_turn(rotation: Array, twice: Array) -> Array:
+    """(B, 3) the same near half a turn; `twice` (3, B) is twice the axis times the sine.
+
+    The symmetric part is cos I + (1 - cos) a a^T. Its column with the largest of the axis' components shows the axis a.
+    """
+    count = np.arange(len(rotation))
+    largest = np.argmax(rotation[:, [0, 1, 2], [0, 1, 2]], axis=1)
+    column = rotation[count, :, largest] + rotation[count, largest]
+    # on its diagonal stands 2 cos + 2 (1 - cos) a_k^2, of which the trace, 1 + 2 cos, takes off 2 cos
+    column[count, largest] += 1.0 - np.trace(rotation, axis1=1, axis2=2)
+    axis = column / np.sqrt(np.einsum("bi,bi->b", column, column))[:, None]
+    sine = 0.5 * np.einsum("bi,ib->b", axis, twice)
+    cosine = 0.5 * (np.trace(rotation, axis1=1, axis2=2) - 1.0)
+    return np.asarray(np.arctan2(sine, cosine)[:, None] * axis)
 
 
 def rotation_matrices(turns: Matrix) -> Array:
