@@ -373,3 +373,18 @@ def test_the_law_follows_a_path_once_for_the_plan_and_what_stands_beside_it(
     assert anew is not None
     assert plan.metrics.objective == anew.figures
     assert anew.figures.law is not None
+
+
+def test_configurations_are_followed_closely_where_steps_are_bounded(planar4: bp.Robot) -> None:
+    """All that lead on to the next point by less than half of the longest step have one as near to them there."""
+    longest = 0.12
+    targets = [TipTarget(np.array([2.5, y, 0.0])) for y in (0.0, 0.02, 0.04)]
+    layers = PathLayers(planar4, grid=0.1, longest=longest).at(np.array([0.0, 0.02, 0.04]), targets)
+    batch = TargetBatch.of([targets[1]] * len(layers[0]))
+    onward, reached = solve_batch(BatchKinematics(planar4), batch, layers[0])
+    short = reached & (np.max(np.abs(onward - layers[0]), axis=1) < 0.5 * longest)
+    apart = np.max(np.abs(layers[0][short][:, None] - layers[1][None]), axis=2).min(axis=1)
+    assert np.count_nonzero(short) > 100
+    assert np.max(apart) <= 0.5 * longest + 0.01
+    far = PathLayers(planar4, grid=0.1).at(np.array([0.0, 0.02, 0.04]), targets)
+    assert len(far[1]) < len(layers[1])

@@ -31,6 +31,7 @@ _SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen:
 _SAMPLES = 256  # configurations per layer where the redundancy has several dimensions; chosen
 _RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
 _FOLLOWED = 0.2  # rad or m: chosen, a node with another this near in the next layer is followed there
+_FOLLOWED_PART = 0.5  # of the longest step, where steps are bounded: the same at most; chosen
 _CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times that
 _MOST = 500  # nodes of a layer to which no more are carried; chosen: twice `_SAMPLES`, since steps grow by its square
 _SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning; chosen: near, further and far
@@ -50,13 +51,15 @@ class PathLayers:
     Parameters
     ----------
     grid: step of the free parameter, where there is one [rad; m for a slide].
+    longest: how far a joint may move from one waypoint to the next [rad or m]; by default freely.
     brake: checked between portions of the work; by default none.
     """
 
-    def __init__(self, robot: Robot, *, grid: float, brake: Brake | None = None) -> None:
+    def __init__(self, robot: Robot, *, grid: float, longest: float = np.inf, brake: Brake | None = None) -> None:
         self._robot = robot
         self._kinematics = BatchKinematics(robot)
         self._grid = grid
+        self._followed = min(_FOLLOWED, _FOLLOWED_PART * longest)
         self._brake = brake or Brake()
         lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
         upper = np.where(np.isfinite(robot.limits.upper), robot.limits.upper, np.pi)
@@ -116,7 +119,7 @@ class PathLayers:
             before, here = found[row + back], found[row]
             if not len(before) or len(here) >= _MOST:
                 continue
-            alone = self._away(before, here, _FOLLOWED)
+            alone = self._away(before, here, self._followed)
             if not alone.any():
                 continue
             targets = batch.take(np.full(int(alone.sum()), row))

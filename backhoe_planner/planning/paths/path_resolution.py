@@ -142,7 +142,8 @@ class PathResolver:
         task = problem.scene.task.path
         self._may_turn = (task is None or task.turn_on_the_spot) and joint_steps is None
         self._targets = [path.target(float(s)) for s in self._stations]
-        self._finder = PathLayers(problem.robot, grid=grid, brake=self._work.brake)
+        longest = np.inf if problem.joint_steps is None else float(np.min(problem.joint_steps))
+        self._finder = PathLayers(problem.robot, grid=grid, longest=longest, brake=self._work.brake)
         self._all = self._finder.at(self._stations, self._targets, begin=begin)
         self._screen = screen = ClearanceScreen(proximity, time=time, spare=-TOUCH)
         self._layers = []
