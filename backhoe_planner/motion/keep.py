@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector, as_array, as_vector
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
@@ -68,8 +68,12 @@ class Keep:
 
     def holds(self, q: Vector) -> bool:
         """Whether every condition holds at the joints `q` (n,)."""
-        at = self.robot.check_q(q)[None, :]
-        return all(float(one.margins(one.values(at))[0]) >= -KEPT_TO for one in self.conditions)
+        return bool(self.holds_each(self.robot.check_q(q)[None, :])[0])
+
+    def holds_each(self, q: Matrix) -> Flags:
+        """(N,) whether every condition holds at each of `q` (N, n)."""
+        q = as_array(q, None, self.robot.n, key="q")
+        return np.asarray(np.all([one.margins(one.values(q)) >= -KEPT_TO for one in self.conditions], axis=0))
 
     def broken(self, q: Vector) -> str:
         """What is not kept at the joints `q` (n,), in words; empty where all is."""

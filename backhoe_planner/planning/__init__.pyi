@@ -56,6 +56,9 @@ from .search.effort import EffortName as EffortName
 from .search.effort import OutOfTime as OutOfTime
 from .search.effort import Work as Work
 from .search.motion_check import MotionCheck as MotionCheck
+from .search.reach import Reach as Reach
+from .search.roadmap import Roadmap as Roadmap
+from .search.roadmap import joint_time as joint_time
 from .search.sampled_check import SampledCheck as SampledCheck
 from .search.sampling import JointPath as JointPath
 from .search.sampling import sample_path as sample_path

@@ -50,7 +50,8 @@ def find_goal_postures(
     near: (n,) where the joints stand [rad or m].
     time: the obstacles stand where they are at this time [s].
     more: times the usual starting points of the inverse kinematics. Called again, others are drawn.
-    travel: (n,) how far they are from `near` at most [rad or m]; None for anywhere.
+    travel: (n,) how far they are from `near` at most [rad or m]; None for anywhere. Where all that are found within
+        it collide, no further ones are looked for.
     """
     found: list[tuple[Vector, Goal]] = []
     failures: list[Outcome] = []
@@ -105,6 +106,6 @@ def _on_target(
     count = more * world.work.effort.starting_points
     hurried = world.work.effort.dull_searches == 0
     found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried, travel=travel)
-    if found.best.reached and not found.clear:
+    if found.best.reached and not found.clear and travel is None:
         found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
     return no_posture(world, found, target, "goal_in_collision", goal.name) or found.clear

@@ -1,40 +1,40 @@
 """The search for the least-cost motion to a goal: many first ways, each brought down by a descent.
 
-First ways are straight lines of the joints to the nearest postures on a goal, clear or not, then
-sampled ways, each from another seed and among the postures that can still be better than the
-best so far: some of them to postures far from where others have ended, and some among
-configurations through which a motion can be much shorter than the best. Every motion that counts is proven clear.
+First ways are straight lines of the joints to the nearest postures on a goal, clear or not, then a sampled way,
+then different ways through roadmaps, made of configurations through which a motion can be shorter than the best,
+or much shorter. Every motion that counts is proven clear.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.motion import Goal, Problem, Trajectory, motion_cost
 from backhoe_planner.planning.allowed_time import allowed_time, has_room
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
+from backhoe_planner.planning.descent.starts import Start, cheapest
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.outcome import Outcome
-from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime, Work
+from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
+from backhoe_planner.planning.search.goal_ends import GoalEnds
+from backhoe_planner.planning.search.reach import travel_within
 from backhoe_planner.planning.search.sampled_check import SampledCheck
-from backhoe_planner.planning.search.sampling import sample_path
-from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.planning.starts import Start, cheapest
+from backhoe_planner.planning.search.way_price import price_of
+from backhoe_planner.planning.ways import FoundMotion, Ways
 from backhoe_planner.planning.world import World
-from backhoe_planner.proof import LeastTimes, least_duration, motion_is_clear
+from backhoe_planner.proof import least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 
 _FINE_PIECES = 20  # of the best curve at the end
 _FINER_PIECES = (20, 28, 28)  # the same for another cost than the time, in turn, of different lengths; measured
-_SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
 _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
 _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
@@ -57,14 +57,16 @@ _FAR_OFF = 0.06  # m by which a clearance is then missed: hopeless where another
 _FURTHER_OFF = 0.1  # m: the same where none is; chosen
 _NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then goes on
 _DEARER = 1.3  # times the best cost: hopeless then
-_LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
 _TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
-# times the bound, from which on a sampled way may look at more motions, and times how many; chosen
-_FAR, _MORE_MOTIONS = 2.0, 2
-_MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
-_WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
+_WORTH = 1.4  # times the best cost, up to which a way is worth a descent; chosen
+_WORTH_MORE = 2.0  # times the part that the best is above the bound: the part that a way may then cost more; chosen
+_DEAREST = 1.6  # times the best cost: the price up to which there are ways through a roadmap; chosen
+# parts of what the logarithm of the best duration is above that of the bound, which a way's longest time is below
+# it, in turn; chosen
+_SHORTER = (0.25, 0.0, 0.5)
+_FEWEST_WAYS = 2  # that are sampled before none is found
 # times the bound, from which on there is more patience, and by which factor; chosen
-_PATIENCE = ((2.0, 10), (1.4, 4), (1.1, 2))
+_PATIENCE = ((2.0, 4), (1.4, 3), (1.1, 2))
 # the same for another cost than the time, in place of the bound with the cheapest start that stays in an obstacle
 _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
 # times the bound, from which on more postures are looked for, and times how many starting points; chosen
@@ -80,29 +82,9 @@ _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is g
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
-_LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
 _END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
 _STRAIGHT = "straight for the joints"
-_SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different ways
-
-
-@dataclass(frozen=True, eq=False)
-class FoundMotion:
-    """A motion to a goal.
-
-    Attributes
-    ----------
-    motion: from rest to rest, its time from 0.
-    cost: by the problem's objective.
-    goal: where it ends.
-    way: how it was found, in words.
-    """
-
-    motion: Trajectory
-    cost: float
-    goal: Goal
-    way: str
 
 
 class MotionSearch:
@@ -118,43 +100,38 @@ class MotionSearch:
     ----------
     best: the best so far.
     ended: where descents ended, among them motions that are not proven.
-    looked_at: how many motions sampling looked at in vain, of ways that were not found.
     """
 
     def __init__(self, world: World, start: Vector, found: GoalPostures, *, time: float) -> None:
         self._world, self._start, self._time = world, start, time
         self._problem = world.problem
-        self._drive = drive_of(world.problem)
         self._descent = Descent(
             world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
             hurried=not self._goes_on(),
         )  # fmt: skip
-        self._least_times = LeastTimes(world.problem, start, longest=_LONGEST)
-        self._postures: list[Vector] = []
-        self._goals: list[Goal] = []  # of each posture
-        self._least: list[float] = []  # s to each posture
-        self._order: list[int] = []  # of the postures, the soonest first
-        self._take(found)
-        self._known = KnownCurves(
+        self._ends = GoalEnds(world.problem, start)
+        self._ends.take(found.clear, found.goals)
+        self._ways = Ways(world, start, self._ends, time=time, hurried=not self._goes_on())
+        known = KnownCurves(
             world.problem.limits,
             lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
         )
+        self._known = known  # where descents ended
+        self._tried = known.anew()  # ways from which descents began
         self._bound = 0.0  # no motion is shorter [s]
         self._longest = np.inf  # s that a motion may then take
         # cost of the cheapest start of a descent after its first rounds: of those that stay in an obstacle, and others
         self._blocked = self._early = np.inf
-        work = world.work
-        more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
-        self._sampling = Work(replace(work.effort, **more), work.brake)
         self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
-        self._reached: list[Vector] = []  # where sampled ways ended
-        self._needed = 0  # motions that sampling looked at until it found the first way
-        self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
         self.best: FoundMotion | None = None
         self.ended: list[FoundMotion] = []
-        self.looked_at = 0
+
+    @property
+    def looked_at(self) -> int:
+        """How many motions sampling looked at in vain, of ways that were not found."""
+        return self._ways.looked_at
 
     def run(self) -> str:
         """Search until the effort is used up or nothing is gained; `best` is then what was found.
@@ -167,7 +144,7 @@ class MotionSearch:
             if not self._problem.objective.is_time:
                 self._go_fast()
             if not np.isfinite(self._longest):
-                self._go_straight(self._order if self._goes_on() else self._least_blocked())
+                self._go_straight(self._ends.order if self._goes_on() else self._least_blocked())
             if self._goes_on() and self._is_far():
                 self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
             if self.best is None or not self._goes_straight(self.best):
@@ -202,7 +179,7 @@ class MotionSearch:
             search = self._search_fastest(effort)
             if search is None:
                 return
-            self._take(GoalPostures(tuple(search._postures), tuple(search._goals)))
+            self._ends.take(search._ends.postures, search._ends.goals)
             ended += search.ended
             if search.best is not None:
                 ended.append(search.best)
@@ -242,23 +219,15 @@ class MotionSearch:
 
     def _straight_starts(self) -> list[Start]:
         """Straight lines to postures that can be reached in the longest time, the soonest of those near each other."""
-        pieces, rate = self._world.work.effort.pieces, self._problem.limits.velocity
-        ends: list[int] = []
-        for index in self._order:
-            if self._least[index] > self._longest:
-                break
-            q = self._postures[index]
-            apart = [float(np.max(np.abs(self._postures[other] - q) / rate)) for other in ends]
-            if min(apart, default=np.inf) > _END_APART * self._longest:
-                ends.append(index)
+        pieces, ends = self._world.work.effort.pieces, self._ends
         return [
             Start(
-                JointCurve.straight(self._start, self._postures[index], pieces),
-                self._least[index],
-                self._goals[index],
+                JointCurve.straight(self._start, ends.postures[index], pieces),
+                ends.least[index],
+                ends.goals[index],
                 _STRAIGHT,
             )
-            for index in ends
+            for index in ends.within(self._longest, _END_APART * self._longest)
         ]
 
     def _descend_cheapest(self, *groups: tuple[Sequence[Start], int]) -> None:
@@ -301,36 +270,21 @@ class MotionSearch:
         screen = ClearanceScreen(self._world.proximity, time=self._time)
         part = np.linspace(0.0, 1.0, _PLACES)[:, None]
         blocked: list[float] = []
-        for index in self._order[:_SOONEST]:
-            line = self._start + part * (self._postures[index] - self._start)
+        for index in self._ends.order[:_SOONEST]:
+            line = self._start + part * (self._ends.postures[index] - self._start)
             blocked.append(1.0 - float(np.mean(screen.keeps(line))))
             if not blocked[-1]:
                 break
         best = int(np.argmin(blocked))
-        return [self._order[best]] if blocked[best] <= _MOST_BLOCKED else []
-
-    def _take(self, found: GoalPostures) -> list[int]:
-        """Count further postures in; which they are, the soonest first."""
-        ends, before = np.array(found.clear), len(self._postures)
-        self._postures += found.clear
-        self._goals += found.goals
-        self._least += self._least_times.to_boxes(ends, ends).tolist()
-        self._order = sorted(range(len(self._postures)), key=lambda index: self._least[index])
-        return [index for index in self._order if index >= before]
+        return [self._ends.order[best]] if blocked[best] <= _MOST_BLOCKED else []
 
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, in so much time [s] or anywhere; which they are, the soonest first."""
         found = find_goal_postures(
             self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES,
-            travel=None if within is None else self._travel(within),
+            travel=None if within is None else travel_within(self._problem.limits, within),
         )  # fmt: skip
-        return [] if isinstance(found, Outcome) else self._take(found)
-
-    def _travel(self, T: float) -> Vector:
-        """(n,) how far each joint gets in T [s], from rest to rest [rad or m]."""
-        limits = self._problem.limits
-        peak = np.minimum(limits.velocity, 0.5 * limits.acceleration * T)
-        return np.asarray(peak * (T - peak / limits.acceleration))
+        return [] if isinstance(found, Outcome) else self._ends.take(found.clear, found.goals)
 
     def _go_straight(self, order: Sequence[int]) -> None:
         """Descents from straight lines to the first postures of `order`, until one of them does not get clear."""
@@ -341,34 +295,53 @@ class MotionSearch:
                 return
             if not self._is_open(index):
                 continue
-            line = JointCurve.straight(self._start, self._postures[index], work.effort.pieces)
-            if not self._descend(line, self._least[index], self._goals[index], _STRAIGHT):
+            line = JointCurve.straight(self._start, self._ends.postures[index], work.effort.pieces)
+            if not self._descend(line, self._ends.least[index], self._ends.goals[index], _STRAIGHT):
                 return
 
     def _go_round(self) -> None:
-        """Descents from sampled ways, the cheapest of several first, until several times nothing was gained."""
+        """Descents from a sampled way, then from ways through roadmaps, until several times nothing was gained."""
         work = self._world.work
-        number = dull = 0
+        turn = dull = 0
         self._reserved = _FINE_ROUNDS if work.effort.descent_rounds > 2 * _FINE_ROUNDS else 0
-        while (self.best is None or dull < self._patience()) and not self._is_optimal():
-            if self.best is not None and work.descent_rounds <= self._reserved:
+        while self.best is None and self._ways.may_sample and turn < max(work.effort.ways_at_once, _FEWEST_WAYS):
+            self._follow(self._sampled(turn))
+            turn += 1
+        keep = self._problem.keep
+        mapped = keep is None or not keep.has_cone
+        work.descent_rounds, work.way_rounds = work.descent_rounds + work.way_rounds, 0
+        while self.best is not None and dull < self._patience() and not self._is_optimal():
+            if work.descent_rounds <= self._reserved:
                 return
-            before = np.inf if self.best is None else self.best.cost
-            ways = self._sample_several(number)
-            number += work.effort.ways_at_once
-            if np.isfinite(self._longest):
-                self._descend_cheapest(([self._fitted(way) for way in ways], len(ways)))
-            for way in ways if not np.isfinite(self._longest) else ():
-                if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
-                    curve = JointCurve.fitted(way.motion, work.effort.pieces, self._problem.limits)
-                    self._descend(curve, way.motion.duration, way.goal, "sampled")
+            before = self.best.cost
+            found = self._follow(self._mapped(turn, dull) if mapped else self._sampled(turn))
+            turn += 1
+            gained = self.best.cost < (1.0 - _GAIN) * before
+            dull = 0 if gained else dull + (1 if found or mapped else _VAIN)
+
+    def _follow(self, ways: Iterable[FoundMotion]) -> bool:
+        """Descents from ways that are worth one; whether there are any."""
+        if np.isfinite(self._longest):
+            ways = list(ways)
+            for way in ways:
+                self._offer(way)
+            self._descend_cheapest(([self._fitted(way) for way in ways], len(ways)))
+            return bool(ways)
+        found = False
+        for way in ways:
+            found = True
+            if self.best is not None and (way.cost > self._dearest_worth() or self._is_optimal()):
+                continue
+            if self._goes_on():
+                self._offer(way)
+            curve = JointCurve.fitted(way.motion, self._world.work.effort.pieces, self._problem.limits)
+            if self._tried.least_alike(curve) < np.inf:
+                continue
+            self._tried.add(curve, way.cost)
+            self._descend(curve, way.motion.duration, way.goal, way.way)
             if not self._goes_on():  # where the descent got clear, the way itself need not be proven
-                for way in ways:
-                    self._offer(way)
-            if self.best is None and (self._sampling.motions <= 0 or number >= len(_SPARES)):
-                return
-            gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
-            dull = 0 if gained else dull + (1 if ways else _VAIN)
+                self._offer(way)
+        return found
 
     def _patience(self) -> int:
         """How often in a row a search may gain nothing."""
@@ -387,77 +360,56 @@ class MotionSearch:
     def _is_far(self) -> bool:
         return self.best is None or (not self._is_optimal() and self._is_above(_FEW_POSTURES))
 
-    def _sample_several(self, number: int) -> list[FoundMotion]:
-        """Motions along sampled ways, the cheapest first; `number` were sampled before."""
-        found: list[FoundMotion] = []
-        for turn in range(number, number + self._world.work.effort.ways_at_once):
-            ends = [index for index in self._order if self._is_open(index)]
-            if turn % 2:
-                ends = self._elsewhere(ends) or ends
-            way = self._sample(ends, turn) if ends else None
-            if way is not None:
-                if self._goes_on():
-                    self._offer(way)
-                found.append(way)
-        return sorted(found, key=lambda way: way.cost)
+    def _dearest_worth(self) -> float:
+        """What a way costs at most from which a descent is worth its time: little more where little can be gained."""
+        assert self.best is not None
+        above = self.best.cost / self._bound - 1.0 if self._bound else np.inf
+        return self.best.cost * min(_WORTH, 1.0 + _WORTH_MORE * above)
 
-    def _longest_worth(self, turn: int) -> float:
-        """How long a way sampled now may at most seem to take [s]: with some turns much less than the best motion."""
+    def _sampled(self, turn: int) -> Iterator[FoundMotion]:
+        """Motions along sampled ways to postures that can still be better."""
+        for number in range(turn, turn + (1 if self.best is None else self._world.work.effort.ways_at_once)):
+            which = [index for index in self._ends.order if self._is_open(index)]
+            if number % 2:
+                which = self._elsewhere(which) or which
+            way = self._ways.sample(which, number, again=0 if self.best is None else 1) if which else None
+            if way is not None:
+                yield way
+
+    def _mapped(self, turn: int, dull: int) -> Iterator[FoundMotion]:
+        """Motions along different ways through a roadmap, which pass elsewhere than those that are known."""
+        assert self.best is not None
+        longest, best = self._longest, self.best
+        if not np.isfinite(longest):
+            longest = self._longest_worth(dull)
+            self._look_for_postures(longest)
+        which = [index for index in self._ends.order if self._is_open(index) and self._ends.least[index] < longest]
+        if not which:
+            return
+        known = [one.motion.at(np.linspace(0.0, one.motion.duration, _PLACES)) for one in (*self.ended, best)]
+        price = price_of(self._problem, best.motion, longest)
+        found = self._ways.through_roadmap(
+            which, turn, longest=longest, price=price, known=known, dearest=_DEAREST * best.cost
+        )
+        yield from itertools.islice(found, 2 * self._world.work.effort.ways_at_once)
+
+    def _longest_worth(self, dull: int) -> float:
+        """How long a way may at most seem to take [s], after some turns in vain: mostly much less than the best."""
         assert self.best is not None
         best = self.best.motion.duration
         if not self._bound:
             return best
-        return float(best * (self._bound / best) ** (turn % 3 / 3.0))
+        return float(best * (self._bound / best) ** _SHORTER[dull % len(_SHORTER)])
 
     def _elsewhere(self, ends: Sequence[int]) -> list[int]:
         """Those of the postures `ends` that are far from where sampled ways and descents have ended."""
-        ended = np.array([*self._reached, *(one.motion.q[-1] for one in self.ended)])
+        ended = np.array([*self._ways.reached, *(one.motion.q[-1] for one in self.ended)])
         rate = self._problem.limits.velocity
         return [
             index
             for index in ends
-            if not len(ended) or np.min(np.max(np.abs(self._postures[index] - ended) / rate, axis=1)) > _ELSEWHERE
+            if not len(ended) or np.min(np.max(np.abs(self._ends.postures[index] - ended) / rate, axis=1)) > _ELSEWHERE
         ]
-
-    def _sample(self, ends: Sequence[int], turn: int) -> FoundMotion | None:
-        """The motion along a sampled and shortened way to one of the postures `ends`."""
-        work, start = self._world.work, self._start
-        goals = [self._postures[index] for index in ends]
-        check = SampledCheck(
-            self._problem, self._world.proximity, [start, *goals],
-            spare=_SPARES[turn % len(_SPARES)], time=self._time, brake=work.brake, hurried=not self._goes_on(),
-        )  # fmt: skip
-        seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
-        before = self._sampling.motions
-        most, longest = None, np.inf
-        if self.best is not None:
-            most = max(_MOTIONS, self._needed) * (_MORE_MOTIONS if self._is_above(_FAR) else 1)
-            most = min(most, work.effort.motions_per_search)
-            longest = self._longest_worth(turn) if self._problem.objective.is_time else np.inf
-        path = sample_path(
-            check,
-            start,
-            goals,
-            seed=seed,
-            work=self._sampling,
-            most_motions=most,
-            longest=longest,
-            straight=self._line is None,
-        )
-        if path is not None and most is None:
-            self._needed = before - self._sampling.motions
-        if path is None:
-            self.looked_at += before - self._sampling.motions
-            return None
-        if len(path.q) == 2:
-            if self._line is not None and np.array_equal(path.q[-1], self._line):
-                return None
-            self._line = path.q[-1]
-        path = shorten(check, path, seed=seed)
-        motion = time_way(blend(check, path), self._problem.limits, drive=self._drive)
-        end = min(range(len(goals)), key=lambda k: float(np.max(np.abs(goals[k] - path.q[-1]))))
-        self._reached.append(goals[end])
-        return FoundMotion(motion, motion_cost(self._problem, motion), self._goals[ends[end]], "sampled")
 
     def _is_optimal(self) -> bool:
         """Whether no motion can be better by more than `_LEAST_GAIN`."""
@@ -472,8 +424,8 @@ class MotionSearch:
         """Whether a motion to this posture can still be better than the best."""
         if self.best is None or not self._problem.objective.is_time:
             return True
-        worth = 1.0 - _END_GAIN if self._end_moves(self._goals[index]) else 1.0 + _LEAST_GAIN
-        return self.best.motion.duration > worth * self._least[index]
+        worth = 1.0 - _END_GAIN if self._end_moves(self._ends.goals[index]) else 1.0 + _LEAST_GAIN
+        return self.best.motion.duration > worth * self._ends.least[index]
 
     def _end_moves(self, goal: Goal) -> bool:
         return goal.q is None and self._problem.robot.n > 3 + (3 if goal.target.rotation is not None else 0)
@@ -510,8 +462,7 @@ class MotionSearch:
         """A duration [s] that is not worth a round to become less; 0 where the search goes on, or the end may move."""
         if self._goes_on() or not self._problem.objective.is_time or not _holds_end(self._problem, goal):
             return 0.0
-        end = curve.control[-1:]
-        return (1.0 + _LEAST_GAIN) * float(self._least_times.to_boxes(end, end)[0])
+        return (1.0 + _LEAST_GAIN) * self._ends.least_to(curve.control[-1])
 
     def _refine(self) -> None:
         """The best motion again on a curve of more pieces; for another cost than the time on three, if in no hurry."""

@@ -19,6 +19,7 @@ Data = dict[str, Any]
 NAMES = ("swing", "boom", "stick", "bucket")
 A, B = (0.0, 0.3, -1.5, -1.5), (1.0, 0.6, -1.2, -2.1)  # both at a pitch of -2.7
 BAND = [-2.75, -2.65]
+ROUND = ("sampled", "through a roadmap")  # how a way that is not straight is found
 
 
 def site(start: tuple[float, ...], goal: Any, keep: Data, *obstacles: Data, **keys: Any) -> bp.Scene:
@@ -45,7 +46,7 @@ def test_a_loaded_bucket_swings_round_a_post_within_six_degrees(backhoe: bp.Robo
     scene = site(A, B, {"pitch": BAND}, in_between())
     plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
-    assert plan.findings.way == "sampled"
+    assert plan.findings.way in ROUND
     assert np.all(np.abs(pitches(plan) + 2.7) <= 0.05 + 1e-6)
     (use,) = plan.certificate.keep
     assert -1e-6 <= use.margin <= 0.05
@@ -140,7 +141,7 @@ def test_a_goal_at_the_very_edge_of_the_band_is_reached_by_sampling(backhoe: bp.
     start, goal = (*A[:3], A[3] - 0.04), (*B[:3], B[3] + 0.05 + beyond)
     plan = bp.plan(backhoe, site(start, goal, {"pitch": BAND}, in_between()), effort="quick")
     assert plan.verified, plan.message
-    assert plan.findings.way == "sampled"
+    assert plan.findings.way in ROUND
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -18,6 +18,7 @@ from backhoe_planner.planning.search.motion_check import MotionCheck
 
 _PLACES = 12  # of two curves that are joined by straight motions; chosen
 _FINE = 64  # places between which the length of a curve is counted; chosen
+_SAME = 0.01  # part of the length by which two curves that are one may be apart; chosen
 _APART = 0.25  # part of the length that two curves alike may be apart anywhere; chosen, postures may differ by more
 
 
@@ -39,6 +40,10 @@ class KnownCurves:
     def _check(self) -> MotionCheck:
         return self._make_check()
 
+    def anew(self) -> KnownCurves:
+        """The same with no curves yet; both share the check."""
+        return KnownCurves(self._limits, lambda: self._check)
+
     def add(self, curve: JointCurve, cost: float) -> None:
         """A clear curve, and what it costs."""
         self._known.append((self._evenly(curve)[0], cost))
@@ -49,7 +54,10 @@ class KnownCurves:
             return np.inf
         q, length = self._evenly(curve)
         for known, cost in sorted(self._known, key=lambda one: one[1]):
-            if self._apart(q, known) <= _APART * length and all(
+            apart = self._apart(q, known)
+            if apart <= _SAME * length:
+                return cost
+            if apart <= _APART * length and all(
                 self._check.segment_is_clear(a, b) for a, b in zip(q, known, strict=True)
             ):
                 return cost

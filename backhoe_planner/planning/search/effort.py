@@ -40,9 +40,11 @@ class Effort:
     node_pairs: of the graph, from node to node, that these routes may look at, of one
         resolution (300 to 400 million a second): it bounds the routes through large layers.
     detours: off the path that are looked for in vain, of one resolution.
+    nodes: that are drawn for a roadmap of ways (6,000 a second).
     boxes: of configurations, from which the bound of all motions to a goal follows (30,000 a second). They are
         looked at beside the search, which does not wait for them.
     descent_rounds: of all descents of the plan (20 to 50 a second); half of the descents take less than 7.
+    way_rounds: more of them, once ways through roadmaps are brought down.
     pieces: of the curve that a descent bends; 20 instead of 12 gain 1 % and take twice as long.
     ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
         are brought down.
@@ -57,8 +59,10 @@ class Effort:
     routes: int
     node_pairs: int
     detours: int
+    nodes: int
     boxes: int
     descent_rounds: int
+    way_rounds: int
     pieces: int
     ways_at_once: int
     dull_searches: int
@@ -73,8 +77,10 @@ _NORMAL = Effort(
     routes=200,
     node_pairs=2_000_000_000,
     detours=24,
+    nodes=1_200,
     boxes=4_000,
     descent_rounds=70,
+    way_rounds=90,
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
@@ -151,7 +157,7 @@ class Work:
     ----------
     effort: what there was at the beginning.
     brake: checked by every search.
-    motions, law_steps, sweeps, descent_rounds: counts that are left; see `Effort`.
+    motions, law_steps, sweeps, descent_rounds, way_rounds: counts that are left; see `Effort`.
     """
 
     def __init__(self, effort: Effort = EFFORTS["normal"], brake: Brake | None = None) -> None:
@@ -161,3 +167,4 @@ class Work:
         self.law_steps = effort.law_steps
         self.sweeps = effort.sweeps
         self.descent_rounds = effort.descent_rounds
+        self.way_rounds = effort.way_rounds

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.search.motion_check import MotionCheck, places
@@ -37,6 +37,13 @@ class SampledCheck(MotionCheck):
     ) -> None:  # fmt: skip
         super().__init__(problem, proximity, ends, spare=spare, time=time, brake=brake)
         self._apart = _APART_HURRIED if hurried else _APART
+
+    def keeps(self, q: Matrix) -> Flags:
+        """(N,) which of `q` (N, n) keep what is to be kept and every clearance, with the least spare of any end."""
+        self._brake.check()
+        found = np.ones(len(q), dtype=bool) if self._keep is None else self._keep.holds_each(q)
+        found[found] = self._screen.keeps(q[found])
+        return found
 
     def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
         self._brake.check()

@@ -17,13 +17,14 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import KEPT_TO, Keep
+from backhoe_planner.motion import Keep
+from backhoe_planner.planning.search.chart import Chart
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.kept_trees import KeptTrees
 from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.reach import Reach
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
-_BESIDE_BAND = 2.0 * KEPT_TO  # rad: an end may miss the band by `KEPT_TO`, and OMPL waits for ever for one outside
 _MOST_OF_BOX = 0.4  # part of the box's diagonal that such a motion may be at most: chosen, so that trees branch
 
 
@@ -108,7 +109,7 @@ _OMPL = threading.Lock()
 
 
 class _Search:
-    """One run of RRTConnect, in the coordinates of a `_Chart`.
+    """One run of RRTConnect, in the coordinates of a `Chart`.
 
     No exception passes through OMPL: the first one makes it stop, and is raised again
     afterwards. Nothing that OMPL owns is kept here, or it would never be freed.
@@ -117,12 +118,11 @@ class _Search:
     def __init__(self, check: MotionCheck, work: Work, most_motions: int, longest: float) -> None:
         self._check = check
         self._longest = longest
-        self._ends = np.zeros((0, len(check.rate)))  # (G, n)
-        self._start = np.zeros(len(check.rate))
+        self._reach = Reach(check.problem.limits, check.problem.robot.middle, np.zeros((0, len(check.rate))))
         self._work = work
         self._until = max(work.motions - most_motions, 0)  # motions left at which the search ends
         self._rate = check.rate
-        self._chart = _Chart(check)
+        self._chart = Chart(check)
         self._raised: BaseException | None = None
 
     def run_kept(self, keep: Keep, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
@@ -130,13 +130,11 @@ class _Search:
 
         def allows(a: Vector, b: Vector) -> bool:
             self._work.motions -= 1
-            return self._can_lead_on(b) and self._check.segment_is_clear(a, b)
+            return bool(self._reach.holds(b[None])[0]) and self._check.segment_is_clear(a, b)
 
-        self._start, self._ends = start, np.array(goals)
         limits = self._check.problem.limits
-        low, high = np.min([start, *goals], axis=0), np.max([start, *goals], axis=0)
-        lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
-        upper = np.where(np.isfinite(limits.upper), limits.upper, high + 2.0 * np.pi)
+        self._reach = Reach(limits, start, np.array(goals), self._longest)
+        lower, upper = Reach(limits, start, np.array(goals)).box()
         trees = KeptTrees(keep, rate=self._rate, lower=lower, upper=upper, allows=allows, ended=self._ended)
         q = trees.connect(start, goals, lower, upper, np.random.default_rng(seed))
         return None if q is None else JointPath(q)
@@ -162,13 +160,14 @@ class _Search:
         util.RNG.setSeed(seed + 1)  # 0 would mean: whatever the clock says
         n = len(start)
         self._chart.begin_at(start)
-        self._start, self._ends = start, np.array(goals)
-        low, high = self._box([start, *goals])
+        limits = self._check.problem.limits
+        reach = Reach(limits, start, np.array(goals), self._longest)
+        low, high = self._chart.box(*reach.box())
         # OMPL waits for ever for an end outside of the box
-        goals = [goal for goal in goals if self._can_lead_on(goal) and self._is_within(low, high, goal)]
+        goals = [goal for goal in goals if reach.holds(goal[None])[0] and self._is_within(low, high, goal)]
         if not goals or not self._is_within(low, high, start):
             return None
-        self._ends = np.array(goals)
+        self._reach = Reach(limits, start, np.array(goals), self._longest)
         space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
         for joint in range(n):
@@ -200,18 +199,6 @@ class _Search:
         clear = not self._check.proves or all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
         return JointPath(q) if clear else None
 
-    def _box(self, ends: list[Vector]) -> tuple[Vector, Vector]:
-        """Limits in joint times; a continuous joint may turn by one revolution beyond the ends."""
-        limits = self._check.problem.limits
-        low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-        lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
-        upper = np.where(np.isfinite(limits.upper), limits.upper, high + 2.0 * np.pi)
-        if self._longest < np.inf:
-            travel = self._travel()
-            lower = np.maximum(lower, 0.5 * (self._start + low - travel))
-            upper = np.minimum(upper, 0.5 * (self._start + high + travel))
-        return self._chart.box(np.nextafter(lower / self._rate, -np.inf), np.nextafter(upper / self._rate, np.inf))
-
     def _is_within(self, low: Vector, high: Vector, q: Vector) -> bool:
         place = self._chart.place(q)
         return bool(((low <= place) & (place <= high)).all())
@@ -228,78 +215,14 @@ class _Search:
             return False
         try:
             q = self._chart.joints(np.array(b))
-            return self._can_lead_on(q) and self._check.segment_is_clear(self._chart.joints(np.array(a)), q)
+            return self._reach.holds(q[None])[0] and self._check.segment_is_clear(self._chart.joints(np.array(a)), q)
         except BaseException as raised:  # noqa: BLE001 - raised again after OMPL has stopped
             self._raised = raised
             return False
 
-    def _can_lead_on(self, q: Vector) -> bool:
-        """Whether a motion through `q` (n,) can be short enough; every joint needs its way at full rate."""
-        if self._longest == np.inf:
-            return True
-        before, after = np.abs(q - self._start), np.abs(self._ends - q)
-        at_full_rate = np.max(before / self._rate) + np.max(after / self._rate, axis=1)
-        return bool(((at_full_rate < self._longest) & (before + after <= self._travel()).all(axis=1)).any())
-
-    def _travel(self) -> Vector:
-        """(n,) how far each joint gets from rest to rest in the longest time, there and back counted [rad or m]."""
-        a = self._check.problem.limits.acceleration
-        peak = np.minimum(self._rate, 0.5 * a * self._longest)
-        return np.asarray(peak * (self._longest - peak / a))
-
     def _ended(self) -> bool:
         """Whether OMPL is to stop."""
         return self._raised is not None or self._work.motions <= self._until
-
-
-class _Chart:
-    """The coordinates in which OMPL samples: joint times, positions over velocity limits.
-
-    Where the pitch is to stay within a band, it stands in place of one of the joints that change
-    it. It is linear in the joints, so straight motions stay straight, and every sample lies in
-    the band, however narrow.
-    """
-
-    def __init__(self, check: MotionCheck) -> None:
-        limits = check.problem.limits
-        self._rate = check.rate
-        self._band = None if check.problem.keep is None else check.problem.keep.band
-        self._joint = 0
-        self._turns = 0.0
-        if self._band is not None:
-            # the joint with the widest range: fewest samples ask it to leave that
-            changes = np.abs(self._band.row) > 0.5
-            self._joint = int(np.argmax(np.where(changes, limits.upper - limits.lower, -1.0)))
-
-    def begin_at(self, start: Vector) -> None:
-        """Count whole turns of the pitch from `start` (n,)."""
-        if self._band is not None:
-            whole = float(self._band.unwrapped(start))
-            self._turns = whole - float(self._band.values(start[None, :])[0])
-
-    def place(self, q: Vector) -> Vector:
-        """(n,) of the joints `q` (n,)."""
-        found = q / self._rate
-        if self._band is not None:
-            found[self._joint] = (float(self._band.unwrapped(q)) - self._turns) / self._rate[self._joint]
-        return np.asarray(found)
-
-    def joints(self, places: Matrix) -> Matrix:
-        """(..., n) joints at `places` (..., n)."""
-        q = places * self._rate
-        if self._band is not None:
-            off = q[..., self._joint].copy()
-            q[..., self._joint] = 0.0
-            rest = off + self._turns - self._band.unwrapped(q)
-            q[..., self._joint] = rest / self._band.row[self._joint]
-        return np.asarray(q)
-
-    def box(self, low: Vector, high: Vector) -> tuple[Vector, Vector]:
-        """The box of samples, from that of the joint times."""
-        if self._band is not None:
-            half = (max(self._band.half, 0.0) + _BESIDE_BAND) / self._rate[self._joint]
-            low[self._joint], high[self._joint] = -half, half
-        return low, high
 
 
 def _validator(base: Any, space_information: Any, n: int, allows: Callable[[list[float], list[float]], bool]) -> Any:

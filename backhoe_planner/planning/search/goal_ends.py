@@ -1,0 +1,74 @@
+"""The postures at which a motion may end, and how soon each can be reached."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.motion import Goal, Problem
+from backhoe_planner.proof import LeastTimes
+
+_LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
+_SAME = 0.01  # rad or m: postures nearer than this count as one; chosen, less than a descent moves an end
+
+
+class GoalEnds:
+    """Postures on the goals of a problem, each with the least time to it from a start.
+
+    Parameters
+    ----------
+    start: (n,) where motions begin [rad or m].
+
+    Attributes
+    ----------
+    postures: (n,) each [rad or m], in the order in which they were found.
+    goals: of each, the goal that it is on.
+    least: s to each, that no motion falls short of.
+    order: of the postures, the soonest first.
+    """
+
+    def __init__(self, problem: Problem, start: Vector) -> None:
+        self._rate = problem.limits.velocity
+        self._least_times = LeastTimes(problem, start, longest=_LONGEST)
+        self.postures: list[Vector] = []
+        self.goals: list[Goal] = []
+        self.least: list[float] = []
+        self.order: list[int] = []
+
+    def take(self, postures: Sequence[Vector], goals: Sequence[Goal]) -> list[int]:
+        """Count further postures in, each with its goal, but for those that are known; which, the soonest first."""
+        before = len(self.postures)
+        for q, goal in zip(postures, goals, strict=True):
+            if not any(float(np.max(np.abs(q - other))) <= _SAME for other in self.postures):
+                self.postures.append(q)
+                self.goals.append(goal)
+        if len(self.postures) > before:
+            ends = np.array(self.postures[before:])
+            self.least += self._least_times.to_boxes(ends, ends).tolist()
+        self.order = sorted(range(len(self.postures)), key=lambda index: self.least[index])
+        return [index for index in self.order if index >= before]
+
+    def at(self, which: Sequence[int]) -> Matrix:
+        """(K, n) these of the postures."""
+        return np.array([self.postures[index] for index in which])
+
+    def nearest(self, which: Sequence[int], q: Vector) -> int:
+        """That of the postures `which` that is nearest to `q` (n,)."""
+        return min(which, key=lambda index: float(np.max(np.abs(self.postures[index] - q))))
+
+    def within(self, longest: float, apart: float) -> Iterator[int]:
+        """Those that can be reached in `longest` [s], the soonest of those nearer than `apart` [s of joint time]."""
+        taken: list[Vector] = []
+        for index in self.order:
+            if self.least[index] > longest:
+                return
+            q = self.postures[index]
+            if min((float(np.max(np.abs(other - q) / self._rate)) for other in taken), default=np.inf) > apart:
+                taken.append(q)
+                yield index
+
+    def least_to(self, q: Vector) -> float:
+        """What no motion from the start to `q` (n,) falls short of [s]."""
+        return float(self._least_times.to_boxes(q[None, :], q[None, :])[0])

@@ -1,0 +1,63 @@
+"""Through which configurations a motion from a start to one of several ends can be short enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.machine import JointLimits
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """What lies within a longest time from rest at the start to rest at an end.
+
+    Attributes
+    ----------
+    limits: of the joints.
+    start: (n,) where motions begin [rad or m].
+    ends: (G, n) where they may end.
+    longest: that they may take [s]; infinite for any time.
+    """
+
+    limits: JointLimits
+    start: Vector
+    ends: Matrix
+    longest: float = np.inf
+
+    def holds(self, q: Matrix) -> Flags:
+        """(N,) whether a motion through `q` (N, n) can be short enough; every joint needs its way at full rate."""
+        if self.longest == np.inf:
+            return np.ones(len(q), dtype=bool)
+        rate, travel = self.limits.velocity, self.travel()
+        found = np.zeros(len(q), dtype=bool)
+        before = np.abs(q - self.start)
+        left = self.longest - np.max(before / rate, axis=1)
+        for end in self.ends:
+            after = np.abs(end - q)
+            found |= (np.max(after / rate, axis=1) < left) & (before + after <= travel).all(axis=1)
+        return found
+
+    def box(self) -> tuple[Vector, Vector]:
+        """(n,) lower and upper bounds of all of them; a continuous joint may turn by one revolution beyond the ends."""
+        ends = np.vstack((self.start, self.ends))
+        low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+        lower = np.where(np.isfinite(self.limits.lower), self.limits.lower, low - 2.0 * np.pi)
+        upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, high + 2.0 * np.pi)
+        if self.longest < np.inf:
+            travel = self.travel()
+            lower = np.maximum(lower, 0.5 * (self.start + low - travel))
+            upper = np.minimum(upper, 0.5 * (self.start + high + travel))
+        return lower, upper
+
+    def travel(self) -> Vector:
+        """(n,) how far each joint gets from rest to rest in the longest time, there and back counted [rad or m]."""
+        return travel_within(self.limits, self.longest)
+
+
+def travel_within(limits: JointLimits, time: float) -> Vector:
+    """(n,) how far each joint gets in a time [s] from rest to rest [rad or m]."""
+    peak = np.minimum(limits.velocity, 0.5 * limits.acceleration * time)
+    return np.asarray(peak * (time - peak / limits.acceleration))

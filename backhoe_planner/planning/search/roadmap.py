@@ -1,0 +1,220 @@
+"""Different ways through a roadmap: the cheapest first, none of them near one that is known.
+
+Nodes are the start, the ends, and clear configurations through which a motion can be short enough: drawn at random,
+and in the middle between two that are not clear, which finds narrow passages (bridge test, Hsu et al. 2003). Each is
+joined to its nearest. A joint is looked at in its middle when the roadmap is made, and all along once a way leads
+over it (lazy roadmaps, Bohlin and Kavraki 2000). What every node costs from the start and to an end gives
+the cheapest way through each node (alternative routes through via nodes, Abraham et al. 2013).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.planning.search.chart import Chart
+from backhoe_planner.planning.search.reach import Reach
+from backhoe_planner.planning.search.sampled_check import SampledCheck
+from backhoe_planner.planning.search.sampling import JointPath
+
+# (E,) what straight motions cost, from the first (E, n) to the second (E, n)
+Price = Callable[[Matrix, Matrix], Vector]
+
+_NEIGHBOURS = 12  # to which a node is joined; chosen
+_DRAWN = 6  # times as many configurations as nodes are drawn at most, where few are short enough or clear; chosen
+_BRIDGES = 10  # tried from each that is not clear; chosen, one in thirty is one
+_BRIDGE = 0.4  # s of each joint, the deviation of a bridge's length; chosen among 0.3 to 0.8
+_MOST_BLOCKED = 60  # ways that turn out blocked, after which no further one is looked for; chosen
+_NEAR = 0.15  # part of a way's length: configurations that are nearer to it do not make another way; chosen
+_PLACES = 5  # of each straight motion of a way, from which that is measured
+_TOGETHER = 500  # nodes whose nearest are looked for at once, to bound the memory
+_LEAST = 1e-6  # of the mean price: what a step costs at least, well above the rounding of a way's price
+_EVEN = 0.05  # part of the Euclidean joint time that counts beside the slowest joint's; it decides between equals
+
+
+def joint_time(rate: Vector) -> Price:
+    """About how long straight motions take at full rates `rate` (n,) [s]."""
+
+    def price(a: Matrix, b: Matrix) -> Vector:
+        step = np.abs(b - a) / rate
+        return np.asarray(np.max(step, axis=1) + _EVEN * np.linalg.norm(step, axis=1))
+
+    return price
+
+
+class Roadmap:
+    """A roadmap from a start to several ends.
+
+    Parameters
+    ----------
+    check: says what is clear, made for the start and the ends.
+    reach: start, ends, and how long a motion may take.
+    nodes: how many are drawn.
+    rng: by which they are.
+    price: of straight motions.
+    known: (K, n) each: places along further ways, which become nodes too.
+    """
+
+    def __init__(
+        self, check: SampledCheck, reach: Reach, *,
+        nodes: int, rng: np.random.Generator, price: Price, known: Sequence[Matrix] = (),
+    ) -> None:  # fmt: skip
+        self._check, self._reach, self._price = check, reach, price
+        self._rate = reach.limits.velocity
+        self._ends = np.arange(1, 1 + len(reach.ends))
+        places = [way[reach.holds(way)] for way in known]
+        self._q = np.vstack((reach.start, reach.ends, *places, *self._draw(nodes, rng)))
+        self._near = np.zeros(len(self._q), dtype=bool)  # to ways that are known
+        for way in known:
+            self.avoid(way)
+        self._clear: set[tuple[int, int]] = set()  # joints that were looked at all along
+        self._join(*self._nearest())
+
+    def avoid(self, way: Matrix) -> None:
+        """Give no further way whose own part is near the one through places (K, n)."""
+        part = np.linspace(0.0, 1.0, _PLACES, endpoint=False)[:, None, None]
+        x, at = way / self._rate, self._q / self._rate
+        step = np.diff(x, axis=0)
+        within = _NEAR * float(np.sum(np.max(np.abs(step), axis=1)))
+        for place in (x[:-1] + part * step).reshape(-1, x.shape[1]):
+            self._near |= np.max(np.abs(at - place), axis=1) < within
+
+    def ways(self, *, dearest: float = np.inf) -> Iterator[JointPath]:
+        """Ways to an end, the cheapest first, each through a configuration that is not near those before.
+
+        Parameters
+        ----------
+        dearest: up to what price there are ways.
+
+        Raises
+        ------
+        OutOfTime: the brake of the check has ended it.
+        """
+        start = np.zeros(1, dtype=np.intp)
+        blocked, changed = 0, True
+        while blocked < _MOST_BLOCKED:
+            if changed:
+                out, before = self._prices(self._out, start)
+                back, after = self._prices(self._back, self._ends)
+            price = np.where(self._near, np.inf, out + back)
+            via = int(np.argmin(price))
+            if not price[via] <= dearest or price[via] == np.inf:
+                return
+            nodes = [via]
+            while nodes[-1] != 0:
+                nodes.append(int(before[nodes[-1]]))
+            nodes.reverse()
+            while not 1 <= nodes[-1] <= len(self._ends):
+                nodes.append(int(after[nodes[-1]]))
+            changed = self._drop_blocked(nodes)
+            if changed:
+                blocked += 1
+                continue
+            self.avoid(self._q[nodes])
+            self._near[via] = True
+            yield JointPath(self._q[nodes])
+
+    def _draw(self, count: int, rng: np.random.Generator) -> list[Matrix]:
+        """Clear configurations (K, n) within reach."""
+        reach, chart = self._reach, Chart(self._check)
+        chart.begin_at(reach.start)
+        travel, (lower, upper) = reach.travel(), reach.box()
+        found: list[Matrix] = []
+        have = 0
+        for _ in range(_DRAWN):
+            ends = reach.ends[rng.integers(len(reach.ends), size=count)]
+            low, high = np.minimum(reach.start, ends), np.maximum(reach.start, ends)
+            if reach.longest < np.inf:
+                beside = 0.5 * (travel - (high - low))
+                low, high = np.maximum(low - beside, lower), np.minimum(high + beside, upper)
+            else:
+                low, high = np.broadcast_to(lower, ends.shape), np.broadcast_to(upper, ends.shape)
+            q = chart.into_band(low + rng.random(ends.shape) * (high - low), rng)
+            q = self._within(q, lower, upper)[: count - have]
+            clear = self._check.keeps(q)
+            found += [q[clear], self._bridges(q[~clear], lower, upper, rng)]
+            have += int(np.count_nonzero(clear))
+            if have >= count:
+                break
+        return found
+
+    def _bridges(self, q: Matrix, lower: Vector, upper: Vector, rng: np.random.Generator) -> Matrix:
+        """(K, n) clear configurations in the middle between one of `q` (N, n), which are not clear, and another."""
+        one = np.repeat(q, _BRIDGES, axis=0)
+        other = one + rng.normal(0.0, _BRIDGE, one.shape) * self._rate
+        middle = 0.5 * (one + other)
+        inside = self._reach.holds(middle) & ((middle >= lower) & (middle <= upper)).all(axis=1)
+        other, middle = other[inside], middle[inside]
+        middle = middle[~self._check.keeps(other)]
+        return middle[self._check.keeps(middle)]
+
+    def _within(self, q: Matrix, lower: Vector, upper: Vector) -> Matrix:
+        return q[self._reach.holds(q) & ((q >= lower) & (q <= upper)).all(axis=1)]
+
+    def _nearest(self) -> tuple[Indices, Indices]:
+        """(E,) the nodes between which there are joints, each pair once."""
+        at = (self._q / self._rate).astype(np.float32)
+        count = len(at)
+        each = min(_NEIGHBOURS, count - 1)
+        near = np.zeros((count, each), dtype=np.intp)
+        for first in range(0, count, _TOGETHER):
+            rows = at[first : first + _TOGETHER]
+            apart = np.zeros((len(rows), count), dtype=np.float32)
+            for own, other in zip(rows.T, at.T, strict=True):
+                np.maximum(apart, np.abs(own[:, None] - other), out=apart)
+            apart[np.arange(len(rows)), first + np.arange(len(rows))] = np.inf
+            near[first : first + _TOGETHER] = np.argpartition(apart, each - 1, axis=1)[:, :each]
+        one, other = np.repeat(np.arange(count), each), near.ravel()
+        pairs = np.unique(np.minimum(one, other) * count + np.maximum(one, other))
+        return pairs // count, pairs % count
+
+    def _join(self, one: Indices, other: Indices) -> None:
+        """Joints between these nodes (E,), where they are clear in the middle."""
+        clear = self._check.keeps(0.5 * (self._q[one] + self._q[other]))
+        one, other = one[clear], other[clear]
+        there, back = self._price(self._q[one], self._q[other]), self._price(self._q[other], self._q[one])
+        # each step costs something, so that no way goes round in a circle
+        least = _LEAST * float(np.mean(there + back)) if len(one) else 0.0
+        there, back = np.maximum(there, least), np.maximum(back, least)
+        one, other = np.append(one, other), np.append(other, one)
+        there, back = np.append(there, back), np.append(back, there)
+        order, count = np.argsort(one, kind="stable"), np.bincount(one, minlength=len(self._q))
+        one, other = one[order], other[order]
+        slot = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count)
+        # (N, M) the nodes to which each is joined, and what it costs from them and to them
+        self._joined = np.zeros((len(self._q), max(int(count.max()), 1)), dtype=np.intp)
+        self._out = np.full(self._joined.shape, np.inf)
+        self._back = self._out.copy()
+        self._joined[one, slot] = other
+        self._out[one, slot], self._back[one, slot] = back[order], there[order]
+
+    def _prices(self, step: Matrix, roots: Indices) -> tuple[Vector, Indices]:
+        """(N,) what it costs to get between every node and the nearest of `roots`, and the next node on that way."""
+        cost = np.full(len(self._q), np.inf)
+        cost[roots] = 0.0
+        while True:  # Bellman and Ford, all nodes at once
+            less = np.minimum(cost, (cost[self._joined] + step).min(axis=1))
+            if (less >= cost).all():
+                break
+            cost = less
+        slot = np.argmin(cost[self._joined] + step, axis=1)
+        return cost, self._joined[np.arange(len(slot)), slot]
+
+    def _drop_blocked(self, nodes: Sequence[int]) -> bool:
+        """Look at the joints of a way all along, and take away those that are blocked; whether there are any."""
+        blocked = False
+        for pair in itertools.pairwise(nodes):
+            a, b = sorted(pair)
+            if (a, b) in self._clear:
+                continue
+            if self._check.segment_is_clear(self._q[a], self._q[b]):
+                self._clear.add((a, b))
+                continue
+            blocked = True
+            for one, other in ((a, b), (b, a)):
+                gone = self._joined[one] == other
+                self._out[one, gone] = self._back[one, gone] = np.inf
+        return blocked

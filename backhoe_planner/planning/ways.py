@@ -1,0 +1,152 @@
+"""Ways to postures on the goals, from which descents begin: sampled ones, and different ones through a roadmap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.search.goal_ends import GoalEnds
+from backhoe_planner.planning.search.reach import Reach
+from backhoe_planner.planning.search.roadmap import Price, Roadmap
+from backhoe_planner.planning.search.sampled_check import SampledCheck
+from backhoe_planner.planning.search.sampling import JointPath, sample_path
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.planning.world import World
+
+_SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
+_MAP_SPARE = 0.002  # m kept beyond every clearance in a roadmap; chosen, narrow passages are what it is for
+_LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
+_MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
+_PLACES = 12  # along a motion, by which a roadmap knows where it passes; chosen
+_SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different ways
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMotion:
+    """A motion to a goal.
+
+    Attributes
+    ----------
+    motion: from rest to rest, its time from 0.
+    cost: by the problem's objective.
+    goal: where it ends.
+    way: how it was found, in words.
+    """
+
+    motion: Trajectory
+    cost: float
+    goal: Goal
+    way: str
+
+
+class Ways:
+    """Ways from one start.
+
+    Parameters
+    ----------
+    start: (n,) where the machine stands [rad or m].
+    time: the obstacles stand where they are at this time [s].
+    hurried: whether motions are looked at less densely.
+
+    Attributes
+    ----------
+    looked_at: how many motions sampling looked at in vain, of ways that were not found.
+    reached: (n,) each: where sampled ways ended.
+    """
+
+    def __init__(self, world: World, start: Vector, ends: GoalEnds, *, time: float, hurried: bool) -> None:
+        self._world, self._start, self._ends, self._time, self._hurried = world, start, ends, time, hurried
+        self._problem, self._drive = world.problem, drive_of(world.problem)
+        work = world.work
+        more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
+        self._sampling = Work(replace(work.effort, **more), work.brake)
+        self._needed = 0  # motions that sampling looked at until it found the first way
+        self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
+        self.looked_at = 0
+        self.reached: list[Vector] = []
+
+    @property
+    def may_sample(self) -> bool:
+        """Whether any motions are left to look at."""
+        return self._sampling.motions > 0
+
+    def sample(self, which: Sequence[int], turn: int, *, again: int = 0, longest: float = np.inf) -> FoundMotion | None:
+        """The motion along a sampled and shortened way to one of the postures `which`.
+
+        Parameters
+        ----------
+        turn: how many ways were sampled before.
+        again: where another way is known: times the motions that are then looked at; 0 for as many as for the first.
+        longest: configurations are left out through which every motion takes longer [s].
+        """
+        work, goals = self._world.work, list(self._ends.at(which))
+        check = self._check(goals, _SPARES[turn % len(_SPARES)])
+        seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
+        before = self._sampling.motions
+        most = None
+        if again:
+            most = min(max(_MOTIONS, self._needed) * again, work.effort.motions_per_search)
+        path = sample_path(
+            check, self._start, goals, seed=seed, work=self._sampling, most_motions=most, longest=longest,
+            straight=self._line is None,
+        )  # fmt: skip
+        if path is not None and most is None:
+            self._needed = before - self._sampling.motions
+        if path is None:
+            self.looked_at += before - self._sampling.motions
+            return None
+        if len(path.q) == 2:
+            if self._line is not None and np.array_equal(path.q[-1], self._line):
+                return None
+            self._line = path.q[-1]
+        found = self._motion(check, path, which, seed=seed, way="sampled")
+        self.reached.append(self._ends.postures[self._ends.nearest(which, found.motion.q[-1])])
+        return found
+
+    def through_roadmap(
+        self, which: Sequence[int], turn: int, *, longest: float, price: Price, known: Sequence[Matrix],
+        dearest: float = np.inf,
+    ) -> Iterator[FoundMotion]:  # fmt: skip
+        """Motions along different ways through a roadmap to any of the postures `which`, shortened.
+
+        Parameters
+        ----------
+        turn: how many roadmaps were made before.
+        longest: configurations are left out through which every motion takes longer [s].
+        price: of straight motions, by which the cheapest ways come first.
+        known: (K, n) each: places along motions, through which ways may lead, and near all of which none does.
+        dearest: the price up to which there are ways.
+        """
+        goals = self._ends.at(which)
+        check = self._check(list(goals), _MAP_SPARE)
+        clear = np.array(check.ends_clear)
+        if not clear[0] or not clear[1:].any():
+            return
+        seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
+        reach = Reach(self._problem.limits, self._start, goals[clear[1:]], longest)
+        nodes, rng = self._world.work.effort.nodes, np.random.default_rng(seed)
+        roadmap = Roadmap(check, reach, nodes=nodes, rng=rng, price=price, known=known)
+        for path in roadmap.ways(dearest=dearest):
+            found = self._motion(check, path, which, seed=seed, way="through a roadmap")
+            roadmap.avoid(found.motion.at(np.linspace(0.0, found.motion.duration, _PLACES)))
+            yield found
+
+    def _check(self, goals: Sequence[Vector], spare: float) -> SampledCheck:
+        return SampledCheck(
+            self._problem, self._world.proximity, [self._start, *goals],
+            spare=spare, time=self._time, brake=self._world.work.brake, hurried=self._hurried,
+        )  # fmt: skip
+
+    def _motion(
+        self, check: SampledCheck, path: JointPath, which: Sequence[int], *, seed: int, way: str
+    ) -> FoundMotion:
+        path = shorten(check, path, seed=seed)
+        motion = time_way(blend(check, path), self._problem.limits, drive=self._drive)
+        goal = self._ends.goals[self._ends.nearest(which, path.q[-1])]
+        return FoundMotion(motion, motion_cost(self._problem, motion), goal, way)
