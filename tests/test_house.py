@@ -84,7 +84,7 @@ SUITES = {
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
     "site": ["schema", "pairs", ""],
     "motion": ["", "timing", "following"],
-    "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
+    "planning": ["search", "descent", "paths", "reactive", "report", "result", "world", "goals", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
     "studies": ["schema", "rows", "results", "work", ""],

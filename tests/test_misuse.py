@@ -259,6 +259,7 @@ def calls() -> dict[str, Call]:
         "Keep.margins": call(keep().margins, q=q4),
         "Keep.gradients": call(keep().gradients, q=q4),
         "Keep.holds": call(keep().holds, q=q4),
+        "Keep.holds_each": call(keep().holds_each, q=(stepped, Kind(SAMPLES.bad[:-2]))),
         "Keep.broken": call(keep().broken, q=q4),
         "Keep.segment_holds": call(keep().segment_holds, q_a=q4, q_b=q4),
         "Keep.motion_holds": call(keep().motion_holds, q=(stepped, Kind(SAMPLES.bad[:-2]))),

@@ -67,4 +67,4 @@ from .sequence.leg import Leg as Leg
 from .sequence.legs_planning import plan_legs as plan_legs
 from .sequence.plan_task import plan as plan
 from .sequence.plan_task import plan_problem as plan_problem
-from .world import World as World
+from .world.world import World as World

@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.motion import HeightBound, Keep, PitchBand, Problem, RotationCone, TipPath
-from backhoe_planner.planning.outcome import Outcome, rest_at_start
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome, rest_at_start
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint
 
 _SPARE = 1e-3  # rad kept beyond the band on either side; chosen, ten times what rounded corners were seen to take

@@ -19,13 +19,13 @@ import numpy as np
 
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retime
-from backhoe_planner.planning.goal_planning import ToGoal
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.path_planning import AlongPath
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import STEP_ROUNDING, motion_is_clear, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
 

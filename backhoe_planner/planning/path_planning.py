@@ -20,13 +20,6 @@ from backhoe_planner.motion import (
     trajectory_costs,
 )
 from backhoe_planner.planning.law_following import follow_with_law
-from backhoe_planner.planning.outcome import (
-    Outcome,
-    at_rest,
-    blocked_path,
-    by_arc_length,
-    no_posture,
-)
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.path_layers import redundancy_of
@@ -38,7 +31,14 @@ from backhoe_planner.planning.report.comparison import fastest_motion, law_motio
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import (
+    Outcome,
+    at_rest,
+    blocked_path,
+    by_arc_length,
+    no_posture,
+)
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import TOUCH, describe_step
 from backhoe_planner.site import ClearanceScreen
 

@@ -15,16 +15,16 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Problem, Trajectory, drive_of, retime, slow_tip
-from backhoe_planner.planning.goal_planning import ToGoal
+from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
-from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
 from backhoe_planner.planning.path_planning import AlongPath, plan_along_path
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, OutOfTime, Work
 from backhoe_planner.planning.waypoints import path_within_reach
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome, at_rest, bad_start, no_posture
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, certify_motion
 
 _SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan

@@ -14,7 +14,7 @@ from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.world import World
 
 _SPARES = (0.01, 0.002)  # m kept beyond every clearance; chosen: the second where the first leads nowhere
 _TUBES = (0.25, 0.6, 1.5)  # m that a detour may go off the path, beside half of what it leaves out; chosen

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning.allowed_time import allowed_time
+from backhoe_planner.planning.goals.allowed_time import allowed_time
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from backhoe_planner.planning.descent.curve import JointCurve, basis
 from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
 from backhoe_planner.planning.descent.looks import Looks
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.site import ClearanceScreen
 from validation.goal_runs import with_objective
 from validation.habitats import load_machine
@@ -96,7 +96,7 @@ def test_whatever_way_a_motion_to_a_goal_comes_a_limit_binds(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, way: str, goal: list[float]
 ) -> None:
     if way == "fallback on the law":
-        monkeypatch.setattr("backhoe_planner.planning.motion_search.MotionSearch.run", lambda _: "")
+        monkeypatch.setattr("backhoe_planner.planning.goals.motion_search.MotionSearch.run", lambda _: "")
     scene = digger({"position": goal}, WALL)
     plan = bp.plan(backhoe, scene, effort="quick", method="reactive" if way == "law" else "auto")
     assert plan.verified, plan.message
@@ -108,7 +108,7 @@ def test_a_plan_that_binds_no_limit_says_so(backhoe: bp.Robot, monkeypatch: pyte
     """Four times as slow, velocities are at most a quarter of their limits, and accelerations a sixteenth."""
     found = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}), effort="quick").trajectory
     slow = bp.Trajectory.from_steps(4.0 * found.time, found.q)
-    monkeypatch.setattr("backhoe_planner.planning.goal_planning.ToGoal.from_rest", lambda *_: Outcome(slow))
+    monkeypatch.setattr("backhoe_planner.planning.goals.goal_planning.ToGoal.from_rest", lambda *_: Outcome(slow))
     plan = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}), effort="quick")
     assert plan.verified, plan.message
     assert "of any limit: it could be faster" in plan.note

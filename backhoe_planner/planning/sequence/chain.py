@@ -23,7 +23,7 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.sequence.ends import LegEnds, WayPrices, find_ends
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.world import World
 
 _SAME = 1e-9  # rad or m: rounding; postures nearer than this are one end
 _GAIN = 1e-3  # part of the whole cost by which another chain must promise to be better; chosen

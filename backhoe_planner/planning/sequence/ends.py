@@ -11,10 +11,10 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Goal, cost_rate
-from backhoe_planner.planning.goal_postures import find_goal_postures
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.goals.goal_postures import find_goal_postures
 from backhoe_planner.planning.sequence.leg import Leg
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import LeastTimes
 from backhoe_planner.site import ClearanceScreen
 

@@ -11,7 +11,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Kinematics, TipTarget
 from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.proof import Certificate
 
 _SAME_PLACE = 1e-8  # rad or m: rounding; where two motions are further apart, one does not go on with the other

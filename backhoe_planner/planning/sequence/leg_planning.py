@@ -8,12 +8,12 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Problem, Trajectory
-from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.planner import plan_motion
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import Brake, Effort
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, join, posture_goal
+from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.proof import certify_motion
 
 _THERE = 1e-9  # rad or m: rounding; a ready motion that begins nearer than this needs no way to it

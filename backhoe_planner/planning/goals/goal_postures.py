@@ -10,9 +10,9 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Goal
-from backhoe_planner.planning.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
+from backhoe_planner.planning.world.world import World
 
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is said to be in collision; chosen
 # of several goals, what is said to be wrong is what is least wrong

@@ -15,21 +15,21 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Problem, Trajectory, motion_cost
-from backhoe_planner.planning.allowed_time import allowed_time, has_room
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.descent.starts import Start, cheapest
-from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.goals.allowed_time import allowed_time, has_room
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.ways import FoundMotion, Ways
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
 from backhoe_planner.planning.search.goal_ends import GoalEnds
 from backhoe_planner.planning.search.reach import travel_within
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.way_price import price_of
-from backhoe_planner.planning.ways import FoundMotion, Ways
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 

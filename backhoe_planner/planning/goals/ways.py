@@ -17,7 +17,7 @@ from backhoe_planner.planning.search.roadmap import Price, Roadmap
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.world import World
 
 _SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
 _MAP_SPARE = 0.002  # m kept beyond every clearance in a roadmap; chosen, narrow passages are what it is for

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
-from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.motion_search import MotionSearch
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.world import World
 
 _MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
 

@@ -14,7 +14,7 @@ from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import PostureResult
-from backhoe_planner.planning.world import World
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
