@@ -29,6 +29,7 @@ Flags: TypeAlias = NDArray[np.bool_]
 """Truth values, of any shape."""
 
 _FLOAT = np.dtype(np.float64)
+_SMALL = 10_000  # numbers: BLAS takes threads for more, which wait for each other on a busy machine
 
 
 def as_array(
@@ -49,7 +50,8 @@ def as_array(
     InputError: it has something else than numbers, another shape, or a number that is not finite.
     """
     try:  # what is right already costs a microsecond
-        if value.dtype is _FLOAT and math.isfinite(np.vdot(value, value)) and (not shape or _fits(value.shape, shape)):
+        is_right = value.dtype is _FLOAT and value.size <= _SMALL and math.isfinite(np.vdot(value, value))
+        if is_right and (not shape or _fits(value.shape, shape)):
             return np.asarray(value)
     except (AttributeError, TypeError):
         pass
