@@ -106,7 +106,7 @@ def test_a_motion_that_was_found_is_kept_where_time_runs_out_for_a_better_one(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = site(BEHIND, start=BENT, obstacles=[POST])
-    monkeypatch.setattr(f"{ROOM}.ways.blend", clock.runs_out_at(blend, number=2))
+    monkeypatch.setattr(f"{ROOM}.goals.ways.blend", clock.runs_out_at(blend, number=2))
     plan = bp.plan(planar4, scene)
     assert (plan.verdict, plan.reason) == ("verified", "")
     assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")

@@ -73,9 +73,8 @@ _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
 _FEW_POSTURES, _MORE_POSTURES = 1.4, 4
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
-_LINES_FOR_ONE = (
-    3  # straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
-)
+# straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
+_LINES_FOR_ONE = 3
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
