@@ -12,7 +12,7 @@ from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Problem
-from backhoe_planner.planning import JointPath, Reach, Roadmap, SampledCheck, joint_time
+from backhoe_planner.planning import EFFORTS, JointPath, Reach, Roadmap, SampledCheck, joint_time
 from backhoe_planner.site import Proximity
 from validation.goal_runs import with_objective
 from validation.habitats import load_machine
@@ -130,3 +130,9 @@ def test_another_way_round_the_obstacles_is_found() -> None:
     plan = bp.plan(robot, with_objective(scene, "time"), seed=1)
     assert plan.verified
     assert plan.metrics.duration < 1.03 * 2.77
+
+
+def test_where_no_roadmap_is_made_no_rounds_are_kept_for_its_ways() -> None:
+    """They would be made for nothing but a finer curve."""
+    for effort in EFFORTS.values():
+        assert (effort.way_rounds > 0) == (effort.dull_searches > 0)

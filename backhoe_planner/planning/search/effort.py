@@ -101,6 +101,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             motions=12_000,
             starting_points=_NORMAL.starting_points,
             descent_rounds=6,
+            way_rounds=0,
             pieces=8,
             ways_at_once=1,
             dull_searches=0,
