@@ -51,11 +51,9 @@ class ClusterDistances:
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
         self._one_joint = OneJointBounds(robot, self.piece, stands, self._distance_in)
         if pairs:  # most sites have none
-            self._reach, self._kinematics, self._data = (
-                reach_ball(robot),
-                BatchKinematics(robot),
-                robot.model.createData(),
-            )
+            self._reach = reach_ball(robot)
+            self._kinematics = BatchKinematics(robot)
+            self._data = robot.model.createData()
 
     def __len__(self) -> int:
         return len(self.owner)

@@ -26,6 +26,7 @@ from backhoe_planner.machine import (
 from backhoe_planner.machine.shape import shapes
 
 BALL = (np.zeros(3), 3.0)
+SLACK = 0.15  # of the distance by which boxes may be nearer, as the servo has it
 HERE = pin.SE3.Identity()
 
 
@@ -90,7 +91,11 @@ def test_corner_between_two_walls_is_two_boxes() -> None:
     x = np.arange(-1.0, 0.5, 0.02)
     floor = np.column_stack((np.repeat(x, 75), np.tile(x, 75), np.full(75 * 75, 0.01)))
     wall = np.column_stack((np.full(75 * 75, 0.51), np.repeat(x, 75), np.tile(x, 75) + 1.0))
-    parts = scan(np.vstack((floor, wall)), 0.05).around(ball(0.1), at(0.2, -0.3, 0.3), 0.24, ball=BALL, most=16).parts
+    parts = (
+        scan(np.vstack((floor, wall)), 0.05)
+        .around(ball(0.1), at(0.2, -0.3, 0.3), 0.24, ball=BALL, most=16, slack=SLACK)
+        .parts
+    )
     near = [part.reading for part in parts if part.reading.distance < 0.21]
     assert [round(reading.distance, 6) for reading in near] == [0.15, 0.2]
     np.testing.assert_allclose(near[0].normal, [0.0, 0.0, -1.0], atol=1e-6)
@@ -272,7 +277,7 @@ def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
         true = distance(cluster, link, place)
         if true <= 0.0:
             continue
-        found = cluster.around(link, place, 0.8, ball=BALL, most=16)
+        found = cluster.around(link, place, 0.8, ball=BALL, most=16, slack=SLACK)
         parts = found.parts if found.rest is None else (*found.parts, found.rest)
         for part in found.parts:
             assert gap(link, place, part.piece) == pytest.approx(part.reading.distance, abs=1e-6)
@@ -321,7 +326,7 @@ def test_boxes_of_coarse_cells_do_not_reach_a_link_above_them(cell: float) -> No
     flat = terrain(np.zeros((25, 25)), 24 * cell)
     for height in (0.05, 0.24, 0.26, 0.5):  # of a ball above the ground
         place = at(0.03, 0.05, height + 0.1)
-        parts = flat.around(ball(0.1), place, 0.65, ball=BALL, most=15).parts
+        parts = flat.around(ball(0.1), place, 0.65, ball=BALL, most=15, slack=SLACK).parts
         least = min(gap(ball(0.1), place, part.piece) for part in parts)
         coarse = height > 0.25 and cell < 0.1
         assert (0.0 if coarse else 0.85) * height <= least <= height + 1e-9
@@ -361,7 +366,7 @@ def test_no_box_is_near_where_no_cell_is_if_asked_to_be_exact(kind: str) -> None
     cluster = terrain(heights, 4.0) if kind == "terrain" else scan(points, 0.05)
     link, place = LINKS[0], at(0.03, 0.02, 0.55)
     for exact, least in ((0.0, 0.25), (0.4, 0.4)):
-        found = cluster.around(link, place, 0.65, ball=BALL, most=15, exact=exact)
+        found = cluster.around(link, place, 0.65, ball=BALL, most=15, slack=SLACK, exact=exact)
         boxes = min(gap(link, place, part.piece) for part in found.parts)
         assert found.covered == 0.65
         assert least <= boxes <= distance(cluster, link, place) + 1e-9
@@ -400,7 +405,7 @@ def test_ground_around_a_sunken_link_lies_in_boxes_with_a_face_above_it() -> Non
         assert ground.reading.distance < 0.0
         assert ground.reading.normal[2] < -0.7
         assert gap(link, place, ground.piece) == pytest.approx(ground.reading.distance, abs=1e-6)
-        found = cluster.around(link, place, 0.8, ball=BALL, most=15, ground=ground)
+        found = cluster.around(link, place, 0.8, ball=BALL, most=15, slack=SLACK, ground=ground)
         for up in (0.2, 0.4, 0.6):
             moved = pin.SE3(turn, place.translation + np.array((*rng.normal(0.0, 0.05, 2), up)))
             least = distance(cluster, link, moved)

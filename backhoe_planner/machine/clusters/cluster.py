@@ -139,7 +139,7 @@ class Cluster:
 
     def around(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None, slack: float = 0.15,
+        slack: float, shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
     ) -> Around:  # fmt: skip
         """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
 

@@ -26,7 +26,7 @@ def check_by_yourdfpy(root: etree._Element) -> None:
     ValueError: it is not valid to yourdfpy.
     """
     entry, key = None, b""
-    with contextlib.suppress(OSError, RuntimeError):  # the user has no home folder
+    with contextlib.suppress(OSError, RuntimeError, ImportError):  # `_ask` says what is missing; or no home
         maker = maker_digest(Path(__file__).parent, [Path(__file__).name], ["yourdfpy"])
         key = hashlib.sha256(maker + etree.tostring(root)).digest()
         entry = caches() / "read_by_yourdfpy" / f"{key.hex()}.urdf"

@@ -10,9 +10,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 
-_MOST = (
-    5_000_000  # distances that are kept, 40 MB; chosen, more than those of a thousand pairs at all places of a curve
-)
+# distances that are kept, 40 MB; chosen, more than those of a thousand pairs at all places of a curve
+_MOST = 5_000_000
 
 
 class SeenDistances:

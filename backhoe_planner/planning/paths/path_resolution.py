@@ -35,9 +35,8 @@ _EXTENSION = 0.005  # m to within which a detour is begun late and ended early; 
 _NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
 _TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
 _AS_FAR_PART = 4  # one in so many of routes and node pairs is for how far a path can be followed at all; chosen
-_CHEAP_PART = (
-    4  # one in so many of them is for the cheapest routes, if they fail; chosen: the others, of short steps, do not
-)
+# one in so many of them is for the cheapest routes, if they fail; chosen: the others, of short steps, do not
+_CHEAP_PART = 4
 _PATIENCE = 3  # routes that fail in one gap between layers before more of its steps are tested at once; chosen
 _STRIKES = 9  # such routes after which it is split; chosen
 _AT_ONCE = 48  # steps; chosen, they cost as much as two searches
