@@ -15,7 +15,7 @@ from backhoe_planner.machine import Robot, load_robot
 
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
 GRAPHICS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            "--disable-background-networking"]  # fmt: skip
+            "--disable-background-networking", "--disable-gpu-compositing"]  # fmt: skip
 
 settings.register_profile("seeded", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("seeded")
@@ -57,23 +57,41 @@ def any_robot(request: pytest.FixtureRequest) -> Robot:
     return robot
 
 
-# drawn ten times a second: without a graphics card a frame costs as much as all else that a page does in that time
+# ten frames a second: without a graphics card a frame costs as much as all else that a page does in that time
 FEWER_FRAMES = """
     window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
     window.cancelAnimationFrame = clearTimeout;
 """
+# all but the triangles themselves, which without a graphics card cost half of all that a page does
+NO_TRIANGLES = """
+    for (const context of [WebGLRenderingContext, WebGL2RenderingContext])
+        context.prototype.clear = context.prototype.drawElements = context.prototype.drawArrays = () => {};
+"""
 
 
 class Browser:
-    """Opens pages that draw few frames."""
+    """Opens pages that draw few frames, and nothing of the scene in them but where a test looks at it."""
 
     def __init__(self, opened: Any) -> None:
         self._opened = opened
 
-    def new_page(self, **settings: Any) -> Any:
+    def new_page(self, *, drawn: bool = False, **settings: Any) -> Any:
         page = self._opened.new_page(**settings)
-        page.add_init_script(FEWER_FRAMES)
+        page.add_init_script(FEWER_FRAMES if drawn else FEWER_FRAMES + NO_TRIANGLES)
         return page
+
+    @staticmethod
+    def complaints_of(page: Any) -> list[str]:
+        """What goes wrong on a page from now on, but for what a browser says because it has no graphics card."""
+        complaints: list[str] = []
+
+        def take(message: Any) -> None:
+            if "GPU stall due to ReadPixels" not in message.text:
+                complaints.append(message.text)
+
+        page.on("console", take)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        return complaints
 
 
 @pytest.fixture(scope="module")

@@ -78,9 +78,7 @@ def test_a_page_has_an_ending_of_its_own_and_replaces_nothing_of_the_job(plan: J
 def opened(browser: Any, file: Path) -> tuple[Any, list[str]]:
     """The page in a browser, and what it complains of or asks of the network."""
     page = browser.new_page(viewport={"width": 900, "height": 600}, reduced_motion="reduce")
-    trouble: list[str] = []
-    page.on("console", lambda message: trouble.append(message.text))
-    page.on("pageerror", lambda error: trouble.append(str(error)))
+    trouble = browser.complaints_of(page)
     page.on("request", lambda request: trouble.extend([request.url] * (not request.url.startswith("file:"))))
     page.goto(file.as_uri())
     page.wait_for_function("window.backhoe !== undefined && document.querySelector('#cycles tbody') !== null")

@@ -34,13 +34,11 @@ SWING = "backhoe.viewer.scene_tree.find(['machine', 'swing_post']).object.quater
 class Tab:
     """A page of the browser, and everything that it complained about or asked the network for."""
 
-    def __init__(self, browser: Any) -> None:
-        self.page = browser.new_page(viewport={"width": 560, "height": 400}, reduced_motion="reduce")
+    def __init__(self, browser: Any, *, drawn: bool = False) -> None:
+        self.page = browser.new_page(drawn=drawn, viewport={"width": 560, "height": 400}, reduced_motion="reduce")
         self.page.set_default_timeout(1e3 * PATIENCE)
-        self.complaints: list[str] = []
+        self.complaints = browser.complaints_of(self.page)
         self.requests: list[str] = []
-        self.page.on("console", lambda message: self.complaints.append(message.text))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
 
     def open(self, url: str) -> None:
@@ -62,6 +60,13 @@ class Tab:
 @pytest.fixture
 def tab(browser: Any) -> Iterator[Tab]:
     opened = Tab(browser)
+    yield opened
+    opened.page.close()
+
+
+@pytest.fixture
+def drawn_tab(browser: Any) -> Iterator[Tab]:
+    opened = Tab(browser, drawn=True)
     yield opened
     opened.page.close()
 
@@ -108,7 +113,8 @@ def the_plan(robot: Robot, *, verified: bool = True, name: str = HOSTILE) -> Pla
     return plan
 
 
-def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
+def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, drawn_tab: Tab, tmp_path: Path) -> None:
+    tab = drawn_tab
     file = tmp_path / "plan.html"
     assert write_page(the_plan(backhoe), file) == ()
     assert list(tmp_path.iterdir()) == [file]

@@ -76,8 +76,7 @@ def test_the_page_of_a_sequence_shows_legs_and_loads(browser: Any, done: Plan, t
     write_page(done, tmp_path / "plan.html")
     page = browser.new_page(viewport={"width": 390, "height": 600}, reduced_motion="reduce")
     page.set_default_timeout(1e3 * PATIENCE)
-    complaints: list[str] = []
-    page.on("pageerror", lambda error: complaints.append(str(error)))
+    complaints = browser.complaints_of(page)
     page.goto((tmp_path / "plan.html").as_uri())
     page.wait_for_function("window.backhoe !== undefined && document.querySelector('#joints td') !== null")
 

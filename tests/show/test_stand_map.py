@@ -103,9 +103,7 @@ def test_between_two_colours_a_dearer_place_is_nearer_to_the_dearer_one(plan: bp
 def test_a_place_of_the_page_is_seen_where_it_is(plan: bp.StandPlan, page: Path, browser: Any) -> None:
     """At 1280 pixels; the metre of the ruler says how large the map is drawn."""
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
-    complaints: list[str] = []
-    tab.on("console", lambda message: complaints.append(message.text))
-    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    complaints = browser.complaints_of(tab)
     tab.goto(page.as_uri())
     pixels = np.asarray(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
     x0, y0, metre = tab.evaluate(

@@ -24,9 +24,7 @@ HOSTILE = "<img src=x onerror='window.pwned=1'> \"q\" a/b &amp;"
 def open_page(browser: Any, url: str, *, password: str = "", height: int = 420) -> tuple[Any, list[str]]:
     page = browser.new_page(viewport={"width": 860, "height": height}, **COARSE)
     page.set_default_timeout(1e3 * PATIENCE)
-    complaints: list[str] = []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
+    complaints = browser.complaints_of(page)
     page.goto(url)
     if password:
         assert page.url == f"{url}login"
@@ -34,7 +32,6 @@ def open_page(browser: Any, url: str, *, password: str = "", height: int = 420) 
         page.keyboard.press("Enter")
         page.wait_for_url(url)  # the page that asks for the password lets nothing be evaluated
     page.wait_for_function("window.backhoe && backhoe.teleop && backhoe.teleop.state && backhoe.teleop.page !== null")
-    page.evaluate("document.querySelector('[data-node=shadows]').click()")  # they cost most without a graphics card
     return page, complaints
 
 
