@@ -23,7 +23,7 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
-from backhoe_planner.planning.descent.linear_model import LinearModel
+from backhoe_planner.planning.descent.linear_model import LinearModel, Margin
 from backhoe_planner.planning.descent.own_time import OwnTime
 
 PIECES, DURATION = 8, 3.0
@@ -150,6 +150,59 @@ def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
         JointCurve(JointCurve.straight(low, high, PIECES).control, UNEVEN),
     ):
         assert own.cost(curve, 1e4, width=1e-9) == pytest.approx(gained, rel=1e-3, abs=1e-3)
+
+
+def test_what_is_let_down_counts_in_full_where_nothing_is_regained(backhoe: bp.Robot) -> None:
+    """Infinitely slow, and the boom alone with its weight: no work, and the loss in potential energy."""
+    problem = problem_of(backhoe, "work")
+    low, high = backhoe.middle.copy(), backhoe.middle.copy()
+    high[1] += 0.5
+    lost = Dynamics(backhoe).potential_energy(high) - Dynamics(backhoe).potential_energy(low)
+    down = JointCurve.straight(high, low, 12)
+    assert lost > 1e3
+    own = OwnTime(problem, drive_of(problem))
+    assert own.cost(down, 1e4, width=1e-9) == pytest.approx(0.0, abs=1.0)
+    assert own.gross(down, 1e4) == pytest.approx(lost, rel=1e-3)
+
+
+def test_a_curve_that_a_step_may_take_is_not_late(planar4: bp.Robot) -> None:
+    """Its rates are within their limits at the places at which a step keeps them: the duration stays what it is."""
+    problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
+    s = np.linspace(0.0, 1.0, 3 * PIECES + 1)
+    T = float(np.max(np.abs(curve(s, 1)) / problem.limits.velocity))
+    over = np.max(np.abs(curve(np.linspace(0.0, 1.0, 100 * PIECES), 1)) / problem.limits.velocity) / T
+    limits = replace(problem.limits, acceleration=np.full(planar4.n, np.inf), effort=np.full(planar4.n, np.inf))
+    free = replace(problem, limits=limits)
+    assert over > 1.001  # between them it is faster
+    assert OwnTime(free, drive_of(free)).least_duration(curve, T) == pytest.approx(T)
+
+
+def test_a_late_motion_becomes_no_faster_than_it_has_to(planar4: bp.Robot) -> None:
+    """What is late is dear, so that all else would be given for being early."""
+    problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
+    model = LinearModel(problem, curve, DURATION, end_moves=False, box=np.full(planar4.n, 0.1))
+    late = Bend(np.append(np.zeros(28), 1e3), np.eye(29), np.zeros((29, 29)), Kinks.none(29))
+    step = model.best_step(1.0, bend=late, longest=2.9, most_iterations=100)
+    assert step is not None
+    assert step[28] == pytest.approx(-0.1)
+
+
+def test_clearances_after_a_step_ask_of_it_what_those_before_do(planar4: bp.Robot) -> None:
+    """Of a margin that is linear in the joints, it is the same half-space from wherever it is looked at."""
+    problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
+    gradient, step = np.array([[1.0, -0.5, 0.2, 0.0]]), 0.1 * np.random.default_rng(2).normal(size=28)
+    model = LinearModel(problem, curve, DURATION, end_moves=False, box=np.full(planar4.n, 0.2))
+    moved = curve.control.copy()
+    moved[1:-1] += step.reshape(-1, 4)
+    margins = [
+        [Margin(9, 0.05 + gradient @ (at.weights(25) @ at.control)[9], gradient)]
+        for at in (curve, curve.moved_to(moved))
+    ]
+    model.keep_clear(margins[0], 25)
+    model.keep_clear(margins[1], 25, after=step)
+    here, there = model.program(1.0).rows
+    np.testing.assert_allclose(there.G, here.G)
+    np.testing.assert_allclose(there.h, here.h)
 
 
 def test_no_limit_is_exceeded_in_the_least_duration(backhoe: bp.Robot) -> None:

@@ -55,19 +55,34 @@ def test_shares_sum_up_to_an_integral_over_s() -> None:
     assert curve.shares(22) @ s == pytest.approx(0.5)
 
 
-def test_finer_knots_are_where_accelerations_change() -> None:
-    """Of a curve that is even but for one kick a third of the way: most of them are near there."""
+def test_a_finer_curve_has_more_pieces_where_accelerations_change() -> None:
+    """Of a curve that is even but for one kick a third of the way: more of them are near there."""
     control = np.tile(np.linspace(0.0, 1.0, 25)[:, None], (1, 2))
     control[8] += 0.05
-    knots = np.array(JointCurve(control).finer_knots(28, np.ones(2)))
+    knots = np.array(JointCurve(control).finer(32, np.ones(2)).knots)
     steps = np.diff(knots)
+    assert len(knots) == 33
     assert knots[0] == 0.0
     assert knots[-1] == 1.0
     assert np.all(steps > 0.0)
     near = np.abs(knots[:-1] + 0.5 * steps - 1.0 / 3.0) < 0.08
-    assert np.mean(steps[near]) < 0.5 * np.mean(steps[~near])
-    still = JointCurve(np.zeros((13, 2))).finer_knots(28, np.ones(2))  # nothing moves: as many everywhere
-    np.testing.assert_allclose(still, np.linspace(0.0, 1.0, 29), atol=1e-12)
+    assert np.mean(steps[near]) < 0.7 * np.mean(steps[~near])
+    still = JointCurve(np.zeros((13, 2))).finer(24, np.ones(2)).knots  # nothing moves: as many everywhere
+    np.testing.assert_allclose(still, np.linspace(0.0, 1.0, 25), atol=1e-12)
+
+
+@pytest.mark.parametrize("knots", [(), UNEVEN])
+def test_a_finer_curve_is_the_same_curve(knots: tuple[float, ...]) -> None:
+    """Splines have more control points after knots are put in, between those they had, and stay what they are."""
+    rng = np.random.default_rng(3)
+    curve = JointCurve(rng.normal(size=(8, 3)), knots)
+    finer = curve.finer(20, np.ones(3))
+    s = np.linspace(0.0, 1.0, 301)
+    for derivative in range(3):
+        np.testing.assert_allclose(finer(s[:-1], derivative), curve(s[:-1], derivative), rtol=1e-9, atol=1e-8)
+    assert finer.pieces == 20
+    assert np.all(finer.control <= curve.control.max(axis=0) + 1e-9)
+    assert np.all(finer.control >= curve.control.min(axis=0) - 1e-9)
 
 
 def test_a_motion_along_a_curve_is_fitted_by_that_curve(planar4: bp.Robot) -> None:

@@ -76,8 +76,10 @@ class JointCurve:
         """The straight line from `start` to `end` (n,)."""
         return cls(np.tile(start, (pieces + 1, 1))).ending_at(end)
 
-    def finer_knots(self, pieces: int, unit: Vector) -> tuple[float, ...]:
-        """(pieces + 1,) knots of a curve near this one: more where the accelerations change more.
+    def finer(self, pieces: int, unit: Vector) -> JointCurve:
+        """The same curve of `pieces` pieces, or as many as it has: more where the accelerations change more.
+
+        Each piece is divided into equal ones, so that the curve stays what it is.
 
         Parameters
         ----------
@@ -90,7 +92,17 @@ class JointCurve:
         density = np.sqrt(jerk)
         density += _EVEN * (density.mean() or 1.0)
         counted = np.concatenate(([0.0], np.cumsum(density)))
-        return tuple(np.interp(np.linspace(0.0, 1.0, pieces + 1), counted / counted[-1], s).tolist())
+        knots = _place(np.linspace(0.0, 1.0, self.pieces + 1), self.knots)
+        each, parts = np.diff(np.interp(knots, s, counted)), np.ones(self.pieces, dtype=int)
+        while parts.sum() < pieces:
+            parts[np.argmax(each / parts)] += 1
+        divided = [
+            np.linspace(a, b, count, endpoint=False)
+            for a, b, count in zip(knots[:-1], knots[1:], parts.tolist(), strict=True)
+        ]
+        finer = tuple(np.append(np.concatenate(divided), 1.0).tolist())
+        q = self(_place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * (len(finer) - 1) + 1), finer))
+        return JointCurve(_control_near(q, len(finer) - 1, finer), finer)
 
     def ending_at(self, end: Vector) -> JointCurve:
         """The curve with its end moved to `end` (n,), and the rest along with it, ever less towards the start."""
@@ -104,12 +116,18 @@ class JointCurve:
         """The curve within joint limits that is nearest to a motion over its time, with its ends."""
         s = _place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1), knots)
         q = motion.at(motion.duration * s)
-        weights = basis(pieces, len(q), 0, knots)
-        control = np.zeros((pieces + 1, q.shape[1]))
-        control[0], control[-1] = q[0], q[-1]
-        control[1:-1] = np.linalg.lstsq(weights[:, 1:-1], q - weights @ control, rcond=None)[0]
+        control = _control_near(q, pieces, knots)
         control[1:-1] = np.clip(control[1:-1], limits.lower, limits.upper)
         return cls(control, knots)
+
+
+def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:
+    """(pieces + 1, n) control points of the curve nearest to q (K, n) at equally spaced u, with its ends."""
+    weights = basis(pieces, len(q), 0, knots)
+    control = np.zeros((pieces + 1, q.shape[1]))
+    control[0], control[-1] = q[0], q[-1]
+    control[1:-1] = np.linalg.lstsq(weights[:, 1:-1], q - weights @ control, rcond=None)[0]
+    return control
 
 
 @lru_cache(maxsize=64)

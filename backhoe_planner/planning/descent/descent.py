@@ -7,8 +7,9 @@ with the duration T of the curve's own time t = T s, in which it runs at an even
 T is the cost, and what a curve costs is what its fastest run takes. For another cost T may be as
 long as the descent is told, the program holds how the cost in that time changes, see `own_time`
 and `bend`, and a step that costs more is shortened. What a curve misses of its clearances is dear. A step
-that misses them is judged, for the time, after another that may take that back, and where none
-helps, the last clear curve goes on with smaller steps.
+that misses them is judged, for the time, after another that may take that back; for another cost it is
+taken once more, with what is linearised where it went. Where nothing helps, the last clear curve goes on
+with smaller steps.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ _SHORTEST = 0.1  # part of a step that one shortening leaves at least; chosen
 # part of the mean cost of a joint and second, by which the cost's kinks are rounded off; chosen
 _SOFT, _SOFTEST = 0.2, 1.5
 _LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has one
+# part of what a motion would cost if nothing were regained, below which its cost counts as nothing; chosen: below it
+# the programs become ill-conditioned
+_NOTHING = 1e-4
 _LATE = 10.0  # part of the cost that a motion costs more that takes longer than it may, for all of that time; chosen
 _SLOW = 2  # rounds in a row that gain too little, as which a descent for another cost than the time ends; chosen
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
@@ -66,6 +70,8 @@ _STUCK = 2  # steps in a row that fail, after which a curve that is not clear is
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
+_ITERATIONS_BENT = 600  # the same for another cost than the time; chosen, a step is not worth half a second
+_LEAST_PART = 0.25  # of a step that was in vain, to which the box shrinks at least; chosen, another may go elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +124,7 @@ class Descent:
         self.rate = rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
+        self._nothing = 0.0  # a cost that counts as nothing, in its unit
         self._width = _LEAST_WIDTH  # of kinks of the cost's rate that are rounded off, in its unit per second
         self._longest = np.inf  # s that the motion of this descent may take
         self.rounds = 0
@@ -169,6 +176,8 @@ class Descent:
                 here, box = clear, _SHRINK * min(box, box_then)
                 bend = None if bend_then is None else bend_then.stiffer(1.0 / _SHRINK)
                 continue
+            if bend is not None and here.cost <= self._nothing and here.missed <= looks.allowed:
+                break
             self._brake.check()
             if bend is not None and self._width > _SOFTEST * self._soft(here):
                 here = self._rounded_off(here)
@@ -178,10 +187,16 @@ class Descent:
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = here.cost + price * here.missed, looks.known
             tried = there = self._step(here, free, looks, box, bend, below=worst)
-            part = 1.0
+            part, noticed = 1.0, False
             if there is not None and bend is None and worst <= there.cost + price * there.missed:
                 there = self._mended(there, free, looks, box, below=worst)
             elif there is not None and bend is not None:
+                if looks.known != known:  # the curve before may go into what was noticed as well
+                    seen, noticed, known = self._seen_anew(here, looks), True, looks.known
+                    here, clear = seen, seen if clear is here else clear
+                    worst = here.cost + price * here.missed
+                if there.cost < worst <= there.cost + price * there.missed:
+                    there = self._cleared(here, there, free, looks, box, bend, price, below=worst)
                 tried, part = self._shortened(here, there, free, looks, bend.slope * unit, price)
                 there = tried
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
@@ -190,7 +205,10 @@ class Descent:
                 if failed >= _STUCK and here.missed > looks.allowed >= clear.missed:
                     here, box, bend = clear, min(box, box_then), bend_then
                 looks.widen([] if tried is None else tried.margins)
-                here = here if looks.known == known else self._seen_anew(here, looks)
+                if looks.known != known:
+                    here, noticed = self._seen_anew(here, looks), True
+                if bend is not None:
+                    part = 1.0 if noticed else max(part, _LEAST_PART)
                 box *= part * _SHRINK
                 bend = None if bend is None else bend.stiffer(1.0 / (part * _SHRINK))
                 if box < (_SMALLEST_BOX if bend is None else _SMALLEST_BENT):
@@ -223,10 +241,12 @@ class Descent:
         return self._own_cost(curve, self._own_time.least_duration(curve, duration))
 
     def _soft(self, here: Timed) -> float:
-        return max(_SOFT * here.cost / here.duration / len(self._unit), _LEAST_WIDTH)
+        return max(_SOFT * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
 
     def _rounded_off(self, here: Timed) -> Timed:
         """The same with the cost's kinks rounded off as suits it."""
+        assert self._own_time is not None
+        self._nothing = _NOTHING * self._own_time.gross(here.curve, here.duration)
         self._width = self._soft(here)
         return self._priced(here)
 
@@ -283,6 +303,16 @@ class Descent:
         self.rounds += 1
         return self._step(there, goal, looks, box, None, below=below)
 
+    def _cleared(
+        self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend, price: float,
+        *, below: float,
+    ) -> Timed:  # fmt: skip
+        """The curve `there`, or a better one after a step that also keeps what is linearised at `there`."""
+        self.rounds += 1
+        again = self._step(here, goal, looks, box, bend, below=below, beyond=there)
+        worth = there.cost + price * there.missed
+        return there if again is None or again.cost + price * again.missed >= worth else again
+
     def _seen_anew(self, here: Timed, looks: Looks) -> Timed:
         least, margins = looks.find_margins(here.curve)
         return replace(here, missed=max(-least, 0.0), margins=margins)
@@ -319,17 +349,24 @@ class Descent:
         return there
 
     def _step(
-        self, here: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend | None, *, below: float
-    ) -> Timed | None:
-        """The curve after the best small step, see `_timed`; None where there is none."""
+        self, here: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend | None, *, below: float,
+        beyond: Timed | None = None,
+    ) -> Timed | None:  # fmt: skip
+        """The curve after the best small step, see `_timed`; None where there is none.
+
+        The clearances are linearised at `here` and, where it is given, at the curve `beyond` as well.
+        """
         curve = here.curve
         model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
         model.keep_joint_limits()
         model.keep_drive_limits(self._drive)
         model.keep_clear(here.margins, looks.places)
+        if beyond is not None:
+            model.keep_clear(beyond.margins, looks.places, after=self._moved(here, beyond, goal)[:-1])
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
-        x = model.best_step(_MISSED_PRICE, bend=bend, longest=self._longest, most_iterations=_ITERATIONS)
+        most = _ITERATIONS if bend is None else _ITERATIONS_BENT
+        x = model.best_step(_MISSED_PRICE, bend=bend, longest=self._longest, most_iterations=most)
         if x is None:
             return None
         return self._on_goal(curve, *model.step(x), goal, looks, below=below)

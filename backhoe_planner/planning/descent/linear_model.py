@@ -27,7 +27,6 @@ PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations ar
 _NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step and is left out; chosen
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
-_OFTEN = 0.1  # of the way that a step may at most change what has a kink, as it mostly does not go all of it; chosen
 _SOLUTIONS = 3  # of a program at most; measured, the third adds a fiftieth of the kinks of the second
 _SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
 
@@ -146,15 +145,20 @@ class LinearModel:
         kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
         self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
 
-    def keep_clear(self, margins: list[Margin], places: int) -> None:
-        """Rows of margins at some of `places` equally spaced u; all may be missed by the slack."""
+    def keep_clear(self, margins: list[Margin], places: int, *, after: Vector | None = None) -> None:
+        """Rows of margins at some of `places` equally spaced u; all may be missed by the slack.
+
+        Parameters
+        ----------
+        after: a step (steps,) of the control points, after which the margins are these; None for those of the curve.
+        """
         weights = self._curve.weights(places)[:, self._moving]
         blocks, rest = [np.zeros((0, self._steps))], [np.zeros(0)]
         for found in margins:
             G = (found.gradient[:, None, :] * weights[found.place][None, :, None]).reshape(-1, self._steps)
             near = found.margin < _CURVED * (np.abs(G) @ self._box)
             blocks.append(-G[near])
-            rest.append(found.margin[near])
+            rest.append(found.margin[near] if after is None else found.margin[near] - G[near] @ after)
         self._add("clearance", np.vstack(blocks), np.concatenate(rest), slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
@@ -193,7 +197,9 @@ class LinearModel:
         H = np.diag(price)
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
-        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T, 0.0]))
+        # what is late is dear, but only as long as it is late
+        least = longest - T if bend is not None and longest < T else -0.5 * T
+        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [least, 0.0]))
         high = np.concatenate(
             (np.maximum(np.minimum(self._box, upper), 0.0), [min(2.0 * T, max(longest - T, 0.0)), 1.0])
         )
@@ -221,7 +227,7 @@ class LinearModel:
 
     def _near_kinks(self, bend: Bend) -> NearKinks:
         """The kinks of the cost that a step within the box may get to."""
-        return bend.kinks.near(np.append(_OFTEN * self._box, 0.0))
+        return bend.kinks.near(np.append(self._box, 0.0))
 
     def _bent(self, plain: QuadraticProgram, bend: Bend, kinks: NearKinks) -> QuadraticProgram:
         """The program for another cost than the duration; a variable more for each kink that is crossed."""

@@ -15,6 +15,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Drive, Problem, cost_rate
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
+from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 
 _PLACES_PER_PIECE = 4  # of the sum; chosen, with 3 what lies between them may cost three times as much as is seen
@@ -59,6 +60,11 @@ class OwnTime:
         rate = np.sum(rounded(parts, width) if kinked else parts, axis=1)
         return float(curve.shares(len(rate)) @ rate) * duration
 
+    def gross(self, curve: JointCurve, duration: float) -> float:
+        """What the motion would cost where what counts only as far as it is positive counted by its size."""
+        parts, _ = self.parts(*_moments(curve, duration))
+        return float(curve.shares(len(parts)) @ np.sum(np.abs(parts), axis=1)) * duration
+
     def slope(self, curve: JointCurve, duration: float, moving: slice, *, width: float) -> Slope:
         """How the cost changes with the control points `moving` and T."""
         moments = _moments(curve, duration)
@@ -93,11 +99,15 @@ class OwnTime:
         return cost_rate(self.problem, q, v, a)[:, None], False
 
     def least_duration(self, curve: JointCurve, duration: float) -> float:
-        """The least T, not below `duration` [s], that keeps all limits at the places, but for loads at rest."""
+        """The least T, not below `duration` [s], that keeps all limits but for loads at rest.
+
+        They are looked at where the steps of a descent keep them: elsewhere a step that is on a limit all along is
+        beyond it by some thousandths, and counts as late.
+        """
         limits, T = self.problem.limits, duration
         held = None
         for _ in range(_STRETCHES):
-            q, v, a = _moments(curve, T)
+            q, v, a = _moments(curve, T, PLACES_PER_PIECE)
             over = max(
                 float(np.max(np.abs(v) / limits.velocity)),
                 float(np.sqrt(np.max(np.abs(a) / limits.acceleration))),
@@ -152,7 +162,8 @@ def _convex(H: Matrix) -> Matrix:
     return np.asarray((along * np.maximum(bends, 0.0)) @ along.T)
 
 
-def _moments(curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
-    places = _PLACES_PER_PIECE * curve.pieces + 1
+def _moments(curve: JointCurve, duration: float, each: int = _PLACES_PER_PIECE) -> tuple[Matrix, Matrix, Matrix]:
+    """(K, n) q, v, a at so many places of each piece."""
+    places = each * curve.pieces + 1
     q, v, a = (curve.weights(places, k) @ curve.control / duration**k for k in range(3))
     return q, v, a

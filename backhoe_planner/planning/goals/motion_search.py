@@ -34,7 +34,7 @@ from backhoe_planner.proof import least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 
 _FINE_PIECES = 20  # of the best curve at the end
-_FINER_PIECES = (20, 28, 28)  # the same for another cost than the time, in turn, of different lengths; measured
+_FINER_PIECES = (20, 28, 36)  # the same for another cost than the time, in turn, of different lengths; chosen
 _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
 _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
@@ -433,7 +433,8 @@ class MotionSearch:
 
     def _descend(self, curve: JointCurve, duration: float, goal: Goal, way: str) -> bool:
         """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
-        rounds = _ROUNDS if self._problem.objective.is_time else _MORE_ROUNDS
+        is_time = self._problem.objective.is_time
+        rounds = _ROUNDS if is_time else _MORE_ROUNDS
         box, spare, density = _FIRST_BOX, _SPARE, 2
         least = self._least_to(curve, goal)
 
@@ -448,7 +449,7 @@ class MotionSearch:
                 return False
             if self._goes_where_another_ended(found):
                 return True
-            ended = FoundMotion(found.motion, found.cost, goal, way)
+            ended = FoundMotion(found.motion, found.cost, goal, way, None if is_time else found.curve)
             if found.missed <= KEPT_PART * spare and self._offer(ended):
                 self.ended.append(ended)
                 self._known.add(found.curve, found.cost)
@@ -473,15 +474,17 @@ class MotionSearch:
             best = self.best
             if best is None or self._rounds_left() < _FINE_ROUNDS:
                 return
-            curve = JointCurve.fitted(best.motion, _FINE_PIECES, limits)
+            curve, duration = best.curve, best.motion.duration
+            if curve is None:
+                curve = JointCurve.fitted(best.motion, _FINE_PIECES, limits)
             if not is_time:
-                curve = JointCurve.fitted(best.motion, pieces, limits, knots=curve.finer_knots(pieces, limits.velocity))
+                curve, duration = curve.finer(pieces, limits.velocity), min(duration, self._longest)
             found = self._bend(
-                curve, best.motion.duration, best.goal, _FINE_ROUNDS * (1 if is_time else _FINER),
+                curve, duration, best.goal, _FINE_ROUNDS * (1 if is_time else _FINER),
                 spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
             )  # fmt: skip
             if found is not None and found.missed <= KEPT_PART * _SPARE:
-                self._offer(replace(best, motion=found.motion, cost=found.cost))
+                self._offer(replace(best, motion=found.motion, cost=found.cost, curve=None if is_time else found.curve))
             if self.best is None or (turn > 0 and self.best.cost > (1.0 - _MUCH_GAIN) * best.cost):
                 return
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -37,12 +38,14 @@ class FoundMotion:
     cost: by the problem's objective.
     goal: where it ends.
     way: how it was found, in words.
+    curve: that runs over the motion's time at an even pace; None where there is none.
     """
 
     motion: Trajectory
     cost: float
     goal: Goal
     way: str
+    curve: JointCurve | None = None
 
 
 class Ways:
