@@ -10,8 +10,10 @@ import pinocchio as pin
 import pytest
 
 from backhoe_planner import Servo
+from backhoe_planner.live import Placements
 
-# opens the wall: what is built, and how often boxes are found, are counted within
+# opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
+from backhoe_planner.live.braking import pair_bounds
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
@@ -129,8 +131,65 @@ def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
         measured.append(0)
         servo.step([0.2, 0.6, -0.5])
         assert servo.last_error is None
-    assert sum(measured) > 20
+    assert sum(measured) > 5
     assert max(measured) <= 2
+
+
+def test_how_far_a_link_is_from_where_its_boxes_were_found(backhoe: Robot) -> None:
+    """Turned by an angle about an axis, a point at a distance r from it has moved by 2 r sin(angle / 2)."""
+    servo = Servo(backhoe, scene_from_dict(SCENE))
+    servo.add_points("scan", ground_and_wall(np.random.default_rng(5)), resolution=0.1)
+    separation, at, q = servo._separation, Placements(backhoe, 1), np.array(START)
+    at.place(0, q)
+    np.testing.assert_allclose(separation.moved_since_boxes(at), 0.0, atol=1e-12)
+    data = backhoe.model.createData()
+    pin.forwardKinematics(backhoe.model, data, q)
+    for angle in (0.02, -0.3, 1.0):
+        at.place(0, q + np.array([angle, 0.0, 0.0, 0.0]))
+        moved = separation.moved_since_boxes(at)
+        for one, far in zip(separation.counting_clusters, moved.tolist(), strict=True):
+            own = separation.own_pieces[one.piece]
+            corners = np.array([data.oMi[own.joint].act(corner) for corner in own.piece.hull])
+            from_axis = np.linalg.norm(corners[:, :2] - data.oMi[1].translation[:2], axis=1).max()
+            assert far == pytest.approx(2.0 * from_axis * np.sin(abs(angle) / 2.0))
+
+
+def test_looked_at_now_and_then_pairs_are_as_if_looked_at_in_every_step(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Further away than it warns, the servo asks what is near a few times less, and moves as if it had asked."""
+    rng = np.random.default_rng(6)
+    wishes = [rng.normal(0.0, 0.25, 3) for _ in range(6)]
+    found = []
+    for anew in (pair_bounds._SEEN_ANEW, -1.0):
+        monkeypatch.setattr(pair_bounds, "_SEEN_ANEW", anew)
+        asked, ask = [0], Separation.gaps
+
+        def count(self: Separation, *args: Any, ask: Any = ask, asked: list[int] = asked, **kwargs: Any) -> Any:
+            asked[0] += 1
+            return ask(self, *args, **kwargs)
+
+        monkeypatch.setattr(Separation, "gaps", count)
+        servo = Servo(backhoe, scene_from_dict(SCENE))
+        servo.add_points("scan", ground_and_wall(np.random.default_rng(6)), resolution=0.1)
+        gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+        configurations, margins = [], []
+        for step in range(600):
+            state = servo.step(wishes[step // 100])
+            assert servo.last_error is None
+            configurations.append(state.q)
+            margins.append(np.inf if state.nearest is None else state.nearest.margin)
+            if step % 30 == 0:
+                true = float(np.min(gauge.distances(state.q) - gauge.clearance))
+                assert margins[-1] == np.inf or margins[-1] <= true + 1e-6
+        found.append((asked[0], np.array(configurations), np.array(margins)))
+        monkeypatch.undo()
+    (few, q, margin), (many, q_anew, margin_anew) = found
+    assert 2 * few < many
+    assert np.abs(q - q_anew).max() < 0.01
+    both = np.isfinite(margin) & np.isfinite(margin_anew)
+    assert np.count_nonzero(both) > 200
+    assert np.abs(margin - margin_anew)[both].max() < 0.05
 
 
 @pytest.mark.parametrize("depth", [0.1, 0.3])

@@ -23,6 +23,10 @@ from backhoe_planner.machine import (
     voxel_boxes,
     voxel_keys,
 )
+
+# opens the wall: which cells are left out is seen within
+from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
+from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.shape import shapes
 
 BALL = (np.zeros(3), 3.0)
@@ -387,6 +391,30 @@ def test_cells_near_a_box_are_all_that_touch_it(kind: str) -> None:
         own = middle.T[np.abs(middle.T - 0.5 * (low + high)).max(axis=1) <= 0.5 * (high - low).min()]
         assert {tuple(row) for row in np.round(own, 9).tolist()} <= found
     assert (radius > 0.0).all()
+
+
+@pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
+def test_cells_within_reach_of_a_link_are_all_found_by_tiles(kind: str) -> None:
+    solid = solids(np.random.default_rng(16))[kind][0].solid
+    rng = np.random.default_rng(17)
+    middle, _ = solid.near(solid.bounds[0] - 1.0, solid.bounds[1] + 1.0).around()
+    near, left_out = 0, 0
+    for number in range(20):
+        link, place = LINKS[number % 3], random_place(rng, 0.8)
+        placed = Placed(link, np.array(place.rotation), np.array(place.translation))
+        box, reach = LinkBox.around(placed.hull, placed.R, placed.radius), float(rng.uniform(0.0, 0.4))
+        all_there = {tuple(row) for row in np.round(solid.near(*placed.box(reach)).around()[0].T, 9).tolist()}
+        few = solid.near(*placed.box(reach), LinkReach(box, reach)).around()[0].T
+        found = {tuple(row) for row in np.round(few, 9).tolist()}
+        own = placed.R.T @ middle  # along the axes of the box
+        corners = placed.R.T @ placed.hull.T
+        low, high = corners.min(axis=1)[:, None], corners.max(axis=1)[:, None]
+        off = np.linalg.norm(np.maximum(np.maximum(low - own, own - high), 0.0), axis=0) - placed.radius
+        within = {tuple(row) for row in np.round(middle.T[off <= reach], 9).tolist()}
+        assert within <= found <= all_there
+        near, left_out = near + len(within), left_out + len(all_there - found)
+    assert near > 100
+    assert kind == "terrain" or left_out > 20
 
 
 def test_ground_around_a_sunken_link_lies_in_boxes_with_a_face_above_it() -> None:

@@ -24,7 +24,7 @@ from backhoe_planner.machine import Cluster, Part, Piece
 SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
 _REST = 1  # of these, for what is left where it takes more
 _NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
-_CLOSE = 0.5  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
+_CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _ROOM = 0.05  # m beyond the clearance that boxes should cover at least; chosen
 _LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
 
@@ -44,7 +44,7 @@ class ClusterPairs:
     speed: of the obstacle [m/s].
     covered: distance beyond which cells are in no box [m], when they were found.
     nearest: the least distance from a box then [m].
-    odometer: of its class, when they were found [m].
+    found_at: (3, 4) pose of its body in the world, when they were found [m].
     was_inside: whether the piece was in the ground or in a closed mesh, and touched no cell.
     balls: that cover the piece, centres (k, 3) and radius [m].
     pairs: their indices.
@@ -61,7 +61,7 @@ class ClusterPairs:
     speed: float = 0.0
     covered: float = 0.0
     nearest: float = 0.0
-    odometer: float = 0.0
+    found_at: Matrix = field(default_factory=lambda: np.zeros((3, 4)))
     was_inside: bool = False
     pairs: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
@@ -127,16 +127,15 @@ class ClusterPairs:
         self.nearest = min((part.reading.distance for part in parts), default=found.covered)
         return parts
 
-    def urgency(self, odometer: float, needed: float, time: float) -> float:
+    def urgency(self, moved: float, needed: float, time: float) -> float:
         """How much the boxes have to be found anew: from 1 on they should be, infinite where they must.
 
         Parameters
         ----------
-        odometer: of its class now [m].
+        moved: how far any point of the piece is from where it was when they were found, at most [m].
         needed: how far the link may move until this is asked again, and braking after it [m].
         time: how long that takes [s].
         """
-        moved = odometer - self.odometer
         left = self.covered - moved - self.clearance - needed - self.speed * time
         if left <= 0.0:
             return math.inf

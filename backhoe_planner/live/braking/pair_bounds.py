@@ -31,6 +31,7 @@ _FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, where nothing is
 _AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path take some 10 MB
 _PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured before it is carried; chosen
 _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
+_SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` are looked at anew; chosen, 5 % of that
 _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
 _SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
 _TIGHT = 0.05  # the same, where boxes are to show what the cells show; chosen, with none there are many
@@ -38,10 +39,14 @@ _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about 
 
 
 class Near(NamedTuple):
-    """The pairs that are near at the beginning of a step.
+    """The pairs that are near at the beginning of a step, as they were when they were last looked at.
+
+    That is in the same step where anything is close, moves or slows the machine down. Elsewhere the machine has
+    moved by no more than `_SEEN_ANEW` since.
 
     Attributes
     ----------
+    q: (n,) where the joints were then [rad or m].
     pairs: (K,) their indices.
     gaps: from every corner of the link to the pair's plane, at one sample; working memory.
     distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
@@ -49,6 +54,7 @@ class Near(NamedTuple):
     next_margin: of that pair [m].
     """
 
+    q: Vector
     pairs: Indices
     gaps: Gaps
     distance: Vector
@@ -117,6 +123,8 @@ class PairBounds:
         # the pairs that may be near, and whose braking path may be, until the odometers have moved that far [m]
         self._around, self._around_path = _Watch(), _Watch()
         self._memory = Memory()
+        # what was near when it was last looked at, for as long as the machine has not moved by that much more [m]
+        self._seen: tuple[Near | None, float] = None, 0.0
         self._accepted: tuple[Indices, Vector, Indices] | None = None
 
     # --- which pairs there are -----------------------------------------------------------
@@ -155,6 +163,7 @@ class PairBounds:
     def _look_at_all(self) -> None:
         """Choose anew which pairs are looked at."""
         self._around.until = self._around_path.until = -math.inf
+        self._seen = None, 0.0
 
     def drift(self) -> None:
         """Let the obstacles move on for a step."""
@@ -246,21 +255,25 @@ class PairBounds:
         """Let the boxes of a cluster around a link be those that are found now, and note their distances."""
         found = self._separation.find_boxes(
             one, at, 0, reach=reach, exact=one.clearance + self._influence,
-            odometer=float(self._start_odometer[one.classes]), is_new=is_new, slack=slack,
+            is_new=is_new, slack=slack,
         )  # fmt: skip
         self.set_distance(one.pairs, found)
         self._renewed_at[one.pairs] = step
 
-    def most_urgent(self, needed: Vector, time: float) -> tuple[ClusterPairs | None, float]:
+    def most_urgent(self, at: Placements, needed: Vector, time: float) -> tuple[ClusterPairs | None, float]:
         """The link whose boxes should be found anew before all others, and how urgent that is; see `ClusterPairs`.
 
+        Parameters
+        ----------
+        at: the machine is placed in row 0.
         needed: (C,) how far points of each class may move until this is asked again, and braking after it [m].
         time: how long that takes [s].
         """
         most, urgency = None, 1.0
-        odometers, needs = self._start_odometer.tolist(), needed.tolist()
-        for one in self._separation.counting_clusters:
-            found = one.urgency(odometers[one.classes], needs[one.classes], time)
+        clusters, needs = self._separation.counting_clusters, needed.tolist()
+        moved = self._separation.moved_since_boxes(at).tolist() if clusters else []
+        for one, way in zip(clusters, moved, strict=True):
+            found = one.urgency(way, needs[one.classes], time)
             if found >= urgency:
                 most, urgency = one, found
         return most, urgency
@@ -274,6 +287,7 @@ class PairBounds:
         """Note the distances (K,) at the beginning of this step [m]."""
         self._distance[pairs] = distance + self._start_odometer[self._separation.classes[pairs]]
         self._around.until = -math.inf
+        self._seen = None, 0.0
 
     def require(self, pairs: Indices, distance: Vector) -> None:
         """From now on pairs (K,) must keep these distances (K,) [m]."""
@@ -294,11 +308,21 @@ class PairBounds:
 
     # --- during a step -------------------------------------------------------------------
 
-    def near(self, at: Placements) -> Near:
-        """Pairs that may be within the influence distance, by the placements' row 0; of many the tightest.
+    def near(self, q: Vector, at: Placements) -> Near:
+        """Pairs that may be within the influence distance at q (n,), the placements' row 0; of many the tightest.
 
         What is known of a pair that is left out becomes less with every step, so that its turn comes.
         """
+        seen, left = self._seen
+        if seen is not None and left >= 0.0:
+            return seen
+        found = self._near(q, at)
+        if len(found.pairs) > 0 and found.next < 0 and not (self.anything_moves or self._slows):
+            self._seen = found, _SEEN_ANEW if float(found.margin.min()) > CLOSE + _SEEN_ANEW else 0.0
+        return found
+
+    def _near(self, q: Vector, at: Placements) -> Near:
+        """The same, looked at now."""
         separation = self._separation
         watch = self._around
         if watch.until < 0.0:
@@ -309,7 +333,7 @@ class PairBounds:
         lower -= odometer
         rows = (lower < self._within.take(watch.pairs)).nonzero()[0]
         if len(rows) == 0:
-            return Near(rows, NO_GAPS, np.zeros(0), np.zeros(0))
+            return Near(q, rows, NO_GAPS, np.zeros(0), np.zeros(0))
         pairs, lower = watch.pairs.take(rows), lower.take(rows)
         left_out = -1, math.inf
         if len(pairs) > MOST_NEAR:
@@ -318,7 +342,7 @@ class PairBounds:
         gaps = separation.gaps(pairs, at, 1, memory=self._memory)
         distance = np.maximum(lower, gaps.least[:, 0], out=lower)
         self._distance[pairs] = distance + odometer.take(rows)
-        return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs), *left_out)
+        return Near(q, pairs, gaps, distance, distance - separation.clearance.take(pairs), *left_out)
 
     def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
         """Which of `pairs` (K,) are the tightest or slow the machine down; of the others the tightest, and its margin.
@@ -386,7 +410,9 @@ class PairBounds:
                 self._proven[awake] = bound + self._path_odometer.take(classes)
         self._moved_by = moved_by = travel.dot(np.abs(moved))
         self._start_odometer += moved_by
-        self._around.until -= float(moved_by[moved_by.argmax()])
+        most = float(moved_by[moved_by.argmax()])
+        self._around.until -= most
+        self._seen = self._seen[0], self._seen[1] - most
 
     def renew(self, near: Near, at: Placements, step: int) -> None:
         """Measure one plane anew every few steps, by the placements' row 0."""
@@ -406,6 +432,7 @@ class PairBounds:
             self._separation.renew(pair, at, 0) + self._start_odometer[self._separation.classes[pair]]
         )
         self._renewed_at[pair] = step
+        self._seen = None, 0.0
 
     def renew_soon(self, pairs: Indices) -> None:
         """Let these pairs be measured soon: their planes are from elsewhere than where the machine is."""
@@ -430,6 +457,11 @@ class PairBounds:
         if margin < 0.0 and self.stands[pair]:  # what is required was proven, of this step or of braking before it
             margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
         return pair, margin
+
+    def tightest_cluster(self, near: Near) -> ClusterPairs | None:
+        """The link and the cluster that the near pair with the least margin is of; None where it is of no cluster."""
+        pair, _ = self.tightest(near)
+        return next((one for one in self._separation.counting_clusters if pair in one.pairs), None)
 
     def lower(self) -> Vector:
         """(P,) lower bounds of all distances where the machine is [m]."""

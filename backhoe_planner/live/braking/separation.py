@@ -232,6 +232,7 @@ class Separation:
         self.counting_clusters = [
             one for one in self.clusters if self._load_of_piece[one.piece] in (NO_LOAD, self._carried)
         ]
+        self._counting = np.array([one.piece for one in self.counting_clusters], dtype=np.intp)
 
     def _rows_on(self, links: Collection[str] | None) -> list[int]:
         return rows_on(self.robot, self._laden, self._own, links)
@@ -263,7 +264,6 @@ class Separation:
         *,
         reach: float,
         exact: float,
-        odometer: float,
         slack: float,
         is_new: bool,
     ) -> Vector:
@@ -273,14 +273,13 @@ class Separation:
         ----------
         reach: distance within which its cells count [m].
         exact: distance up to which boxes are to be as exact as cells [m].
-        odometer: of its class now [m].
         is_new: whether nothing is known of it from the step before.
         slack: see `ClusterPairs.find`.
         """
         shift = self._shifts[one.number]
         pose = at.T[sample, self._joint_of[one.piece]]
         parts = one.find(pose, shift, reach, exact=exact, slack=slack, is_new=is_new)
-        one.odometer = odometer
+        one.found_at = pose[:3].copy()
         self.measured += len(parts)
         distance = np.full(len(one.pairs), FAR)
         self.planes[one.pairs], self.drift[one.pairs] = _FAR_AWAY, 0.0
@@ -299,6 +298,21 @@ class Separation:
             self._keep_plane(pair, n, float((part.piece.hull @ n).min() + n @ shift))
         distance[: len(parts)] = [part.reading.distance for part in parts]
         return distance
+
+    def moved_since_boxes(self, at: Placements) -> Vector:
+        """(C,) how far any point of the link is at most from where it was when its boxes were found [m].
+
+        Of each of `counting_clusters`, by the placements' row 0. A point of a piece moves as its place in the frame
+        of the link, so that none in the hull of its corners moves further than a corner.
+        """
+        change = at.T[0, self._joint_of[self._counting], :3]
+        change -= np.array([one.found_at for one in self.counting_clusters])
+        off = np.matmul(change, self._columns4[self._counting])
+        off *= off
+        change = change[..., :3]
+        change *= change
+        turned = self._fat[self._counting] * np.sqrt(np.add.reduce(change, axis=(1, 2)))
+        return np.asarray(np.sqrt(np.add.reduce(off, axis=1).max(axis=1)) + turned)
 
     def _refresh(self) -> None:
         for one in self.clusters:

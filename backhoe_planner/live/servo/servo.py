@@ -127,6 +127,7 @@ class Servo:
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
         self._steps = self._boxes_due = 0
+        self._blocking: ClusterPairs | None = None  # whose boxes may have forbidden the last step
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
         self._refusal = Refusal(dt, self._joints.changes)
@@ -274,7 +275,7 @@ class Servo:
         plain, of_scans = self._separation.pairs_of_load(load)
         self._measure(np.concatenate((self._bounds.carry(plain, path), of_scans)))
         self._check.forget()
-        self._boxes_due = 0
+        self._boxes_due, self._blocking = 0, None
         self._recovery.changed()
 
     def prepare_to_carry(self, leg: str | None) -> None:
@@ -322,8 +323,9 @@ class Servo:
         self._measure(pairs)
 
     def _update_moving(self) -> None:
-        """Update which pairs move, and how far in a step."""
+        """Update which pairs there are and which of them move, and how far in a step."""
         self._check.forget()
+        self._blocking = None
         per_step = self.dt * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later
         self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
@@ -375,7 +377,7 @@ class Servo:
         self._drift()
         if self._separation.clusters and not self._renew_boxes():
             return self._brake(command, moved=False)
-        near = self._bounds.near(self._at)
+        near = self._bounds.near(self._state.q, self._at)
         self._check.begin_step(len(near.pairs))
         q, v, _ = self._state
         wish = self._tip.wish(q, self._commands, near, circulate=self.circulate)
@@ -391,6 +393,7 @@ class Servo:
         )
         chosen = self._filter.choose(self._state, request, near)
         self._bounds.renew(near, self._at, self._steps)
+        self._blocking = self._bounds.tightest_cluster(near) if chosen.end is None else None
         self._advance(chosen.v, chosen.end)
         return self._report(command, near, wish, request, chosen, pace)
 
@@ -415,7 +418,7 @@ class Servo:
     def _most_urgent(self, steps: int) -> tuple[ClusterPairs | None, float]:
         """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
         time = self._joints.braking_time(self._state.v) + (steps + 1) * self.dt
-        return self._bounds.most_urgent(self._next_path(steps), time)
+        return self._bounds.most_urgent(self._at, self._next_path(steps), time)
 
     def _find_boxes(self, one: ClusterPairs) -> None:
         """Find the boxes of a link and a cluster anew."""
@@ -428,6 +431,10 @@ class Servo:
 
         False where boxes cannot hold all that the machine could come to: it has to slow down.
         """
+        if self._blocking is not None:
+            # boxes that were found further away may forbid what the cells allow
+            self._find_boxes(self._blocking)
+            self._blocking = None
         if self._steps < self._boxes_due:
             return True
         one, urgency = self._most_urgent(_BOXES_EVERY)

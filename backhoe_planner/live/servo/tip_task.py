@@ -68,6 +68,7 @@ class TipTask:
         self._rows = _movable_tip_rows(robot)
         self._all_rows = bool(self._rows.all())
         self.blocking = np.zeros(3)
+        self._critical: tuple[Near | None, CriticalRows] = None, _NOBODY  # what was near, and its rows
         self._sense = np.zeros(3)
 
     def place(self, q: Vector) -> None:
@@ -100,7 +101,7 @@ class TipTask:
             turn = self.jacobian[3:]
             J = np.vstack((J, self._robot.pitch_sense * turn[:, -1] @ turn))
             xdot = np.append(xdot, command.pitch)
-        nearby, damped = self._critical_points(near), False
+        nearby, damped = self._critical_points(q, near), False
         quick = self.law.wish_on_null_line_unchecked(q, J, xdot, nearby)
         if quick is None:
             at = Configuration(self._robot, q, None, self.jacobian, self._at.J[0], _NOTHING)
@@ -118,14 +119,23 @@ class TipTask:
             over = self._bounds.over_rates(q, v)
         return JointWish(v / over, command.tip, J, null / over, damped)
 
-    def _critical_points(self, near: Near) -> CriticalRows:
-        """The rows that the law takes: one for each near pair, at its nearest point."""
+    def _critical_points(self, q: Vector, near: Near) -> CriticalRows:
+        """The rows that the law takes at q (n,): one for each near pair, at its nearest point.
+
+        Where the pairs were not looked at in this step, their margins follow from how fast they fall.
+        """
         margin = near.margin
         if len(margin) == 0 or margin[margin.argmin()] >= self.law.influence:
             return _NOBODY
-        gradient = self._separation.nearest_rows(near.pairs, near.gaps, self._at)
-        np.negative(gradient, out=gradient)
-        return CriticalRows(margin, gradient, self._separation.drift.take(near.pairs))
+        seen, rows = self._critical
+        if seen is not near:
+            gradient = self._separation.nearest_rows(near.pairs, near.gaps, self._at)
+            np.negative(gradient, out=gradient)
+            rows = CriticalRows(margin, gradient, self._separation.drift.take(near.pairs))
+            self._critical = near, rows
+        if near.q is q:
+            return rows
+        return CriticalRows(margin + rows.gradient.dot(q - near.q), rows.gradient, rows.drift)
 
     def _around(self, tip: Vector) -> Vector:
         """The wish for the tip (3,), turned along the surface that blocks it."""

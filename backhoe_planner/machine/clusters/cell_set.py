@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.shape.shapes import Gauge, cube, thin_triangle, transform
 
@@ -89,8 +90,9 @@ class CellSet:
         """(3,), (3,) how far all of them reach along the columns of `axes` (3, 3) [m]."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         if len(self.half):
-            at, more = axes.T @ self.middle, np.add.reduce(np.abs(axes), axis=0)[:, None] * self.half
-            low, high = np.minimum.reduce(at - more, axis=1), np.maximum.reduce(at + more, axis=1)
+            at, more = axes.T @ self.middle, np.multiply.outer(np.add.reduce(np.abs(axes), axis=0), self.half)
+            high = np.maximum.reduce(np.add(at, more), axis=1)
+            low = np.minimum.reduce(np.subtract(at, more, out=at), axis=1)
         if self.corners.shape[2]:
             at = np.matmul(axes.T, self.corners)
             low = np.minimum(low, np.minimum.reduce(at, axis=(0, 2)))
@@ -112,36 +114,6 @@ _AXES = np.eye(3)
 _HERE = transform(_AXES, np.zeros(3))
 
 
-@dataclass(frozen=True)
-class LinkBox:
-    """The box around a link along axes R (3, 3) of its own: middle (3,), half edges (3,) and radius [m]."""
-
-    R: Matrix
-    middle: Vector
-    half: Vector
-    radius: float
-
-    @staticmethod
-    def around(hull: Matrix, R: Matrix, radius: float) -> LinkBox:
-        """Around all that is within `radius` [m] of the hull of points (k, 3)."""
-        own = hull @ R
-        low, high = np.minimum.reduce(own, axis=0), np.maximum.reduce(own, axis=0)
-        return LinkBox(R, R @ (0.5 * (low + high)), 0.5 * (high - low), radius)
-
-    def off(self, points: Matrix) -> Vector:
-        """(k,) signed distance of points (3, k) from it [m]; less than the true one where the link is round."""
-        off = self.R.T @ points
-        off -= (self.middle @ self.R)[:, None]
-        np.abs(off, out=off)
-        off -= self.half[:, None]
-        found = np.minimum(np.maximum.reduce(off, axis=0), 0.0)
-        np.maximum(off, 0.0, out=off)
-        off *= off
-        found += np.sqrt(np.add.reduce(off, axis=0))
-        found -= self.radius
-        return np.asarray(found)
-
-
 class CoarseCells:
     """Cubes that contain the surface of a solid in a region.
 
@@ -153,15 +125,18 @@ class CoarseCells:
     """
 
     def __init__(self, low: Matrix, step: float, region: tuple[Vector, Vector]) -> None:
-        self._middle = np.ascontiguousarray(low.T) + 0.5 * step
         self.step, self._region = step, region
         self._tiles = Tiles(low, low + step, 4.0 * step) if len(low) else None
+        ordered = low if self._tiles is None else low[self._tiles.order]
+        self._middle = np.ascontiguousarray(ordered.T) + 0.5 * step
 
     def hold(self, low: Vector, high: Vector, bounds: Matrix) -> bool:
         """Whether they hold all of a solid with these `bounds` (2, 3) that is in the box from `low` to `high` (3,)."""
         low, high = np.maximum(low, bounds[0]), np.minimum(high, bounds[1])
         return bool((high < low).any() or ((low >= self._region[0]) & (high <= self._region[1])).all())
 
-    def near(self, low: Vector, high: Vector) -> Matrix:
-        """(3, k) middles of the cubes that may touch a box, and of some others [m]."""
-        return self._middle[:, :0] if self._tiles is None else self._middle.take(self._tiles.near(low, high), axis=1)
+    def near(self, low: Vector, high: Vector, link: LinkReach) -> Matrix:
+        """(3, k) middles of the cubes that may touch a box within reach of a link, and of some others [m]."""
+        if self._tiles is None:
+            return self._middle
+        return self._middle.take(self._tiles.near(low, high, link), axis=1)

@@ -17,9 +17,10 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells, LinkBox
+from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame, off_box
 from backhoe_planner.machine.clusters.height_bounds import HeightBounds
+from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
 from backhoe_planner.machine.clusters.solid import Placed, Solid
 from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.convex import voxel_boxes
@@ -214,15 +215,15 @@ class Cluster:
         fine_within = max(_FINE_WITHIN * coarse.step, min(exact + 2.0 * _HALF_DIAGONAL * coarse.step, _FINE_AT_MOST))
         box = link.box(reach)
         if reach <= fine_within or not coarse.hold(*box, self.solid.bounds):
-            return _within(self.solid.near(*box), around, reach)
-        cubes = coarse.near(*box)
+            return _within(self.solid.near(*box, LinkReach(around, reach)), around, reach)
+        cubes = coarse.near(*box, LinkReach(around, reach + coarse.step))
         away = around.off(cubes)
         outer = ((away > fine_within) & (away <= reach + coarse.step)).nonzero()[0]
         # what is in none of these cubes is in one whose middle is nearer
         fine = fine_within + _HALF_DIAGONAL * coarse.step
         if not (away <= fine_within).any():
             return CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step), away.take(outer)
-        cells, off = _within(self.solid.near(*link.box(fine)), around, fine)
+        cells, off = _within(self.solid.near(*link.box(fine), LinkReach(around, fine)), around, fine)
         if not len(outer):
             return cells, off
         both = cells.together(CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step))

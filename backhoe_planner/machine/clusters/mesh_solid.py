@@ -12,6 +12,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.closed_bodies import ClosedBodies
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed, clustered
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, surface_tree
@@ -65,8 +66,10 @@ class MeshSolid:
         return surface_tree(self._vertices, self._faces)
 
     @cached_property
-    def _tiles(self) -> Tiles:
-        return Tiles(self._corners.min(axis=1), self._corners.max(axis=1), _TILE * self.finest)
+    def _tiles(self) -> tuple[Tiles, Array]:
+        """Its triangles by tiles, and (3, 3, m) their corners in the tiles' order."""
+        tiles = Tiles(self._corners.min(axis=1), self._corners.max(axis=1), _TILE * self.finest)
+        return tiles, np.ascontiguousarray(self._corners[tiles.order].transpose(1, 2, 0))
 
     def prepare(self) -> None:
         """Build its tree."""
@@ -156,10 +159,10 @@ class MeshSolid:
             found = self._tree.measure(link.shape, T, reach)
         return Reading(-found.distance, -found.normal, found.point, found.other_point)
 
-    def near(self, low: Vector, high: Vector) -> CellSet:
-        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others."""
-        corners = self._corners.take(self._tiles.near(low, high), axis=0)
-        return CellSet.of_triangles(np.ascontiguousarray(corners.transpose(1, 2, 0)))
+    def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
+        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
+        tiles, ordered = self._tiles
+        return CellSet.of_triangles(ordered.take(tiles.near(low, high, link), axis=2))
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3), fewer where there are more than `most`."""

@@ -11,6 +11,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.height_bounds import HeightBounds
+from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.shapes import Piece, transform
 
@@ -85,8 +86,11 @@ class Solid(Protocol):
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape, where it is less than `reach` [m]; None where it is not."""
 
-    def near(self, low: Vector, high: Vector) -> CellSet:
-        """The cells of its surface that may touch the box from `low` to `high` (3,) [m], and some others."""
+    def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
+        """The cells of its surface that may touch the box from `low` to `high` (3,) [m], and some others.
+
+        link: cells out of its reach are not needed either.
+        """
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3) of its surface, about `most` at most."""

@@ -20,6 +20,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.height_bounds import REACH, HeightBounds
+from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
 
@@ -347,8 +348,8 @@ class TerrainSolid:
             top = min(a + u * (b - a) + v * (c_ - a), d + (1.0 - u) * (c_ - d) + (1.0 - v) * (b - d))
         return bool(z <= top)
 
-    def near(self, low: Vector, high: Vector) -> CellSet:
-        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others."""
+    def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
+        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
         found = []
         if (high[:2] >= self._low).all() and (low[:2] <= -self._low).all():
             last = np.array([len(self._x) - 1, len(self._y) - 1])

@@ -1,10 +1,11 @@
-"""Which of many cells are near a box: cells sorted by the tile in which their middle lies."""
+"""Which of many cells are near a box, or a link: cells sorted by the tile in which their middle lies."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine.clusters.link_box import LinkReach
 
 _MOST_ALONG = 2_000  # tiles along an axis; chosen: the numbers of all tiles fit into one integer
 
@@ -16,6 +17,10 @@ class Tiles:
     ----------
     low, high: (n, 3) box around each cell [m].
     edge: of a tile [m]; tiles are wider where there would be too many.
+
+    Attributes
+    ----------
+    order: (n,) the cells, tile after tile. Who keeps them in this order reads those of a tile one after the other.
     """
 
     def __init__(self, low: Matrix, high: Matrix, edge: float) -> None:
@@ -26,11 +31,20 @@ class Tiles:
         tile = np.floor((middle - self._low) / self._edge).astype(np.int64)
         self._counts = tile.max(axis=0) + 1
         number = (tile[:, 0] * self._counts[1] + tile[:, 1]) * self._counts[2] + tile[:, 2]
-        self._order = np.argsort(number, kind="stable")
-        self._number = number[self._order]
+        self.order: Indices = np.argsort(number, kind="stable")
+        # of each of the M tiles that hold any: its number, its first place in the order, and the box around its cells
+        self._number, first = np.unique(number[self.order], return_index=True)
+        self._start = np.append(first, len(number))
+        lowest = np.minimum.reduceat(low[self.order], first, axis=0)
+        highest = np.maximum.reduceat(high[self.order], first, axis=0)
+        self._middle = np.ascontiguousarray(0.5 * (lowest + highest).T)
+        self._radius = 0.5 * np.linalg.norm(highest - lowest, axis=1)
 
-    def near(self, low: Vector, high: Vector) -> Indices:
-        """(k,) the cells that may touch the box from `low` to `high` (3,) [m], and some others."""
+    def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> Indices:
+        """(k,) places in `order` of the cells that may touch the box from `low` to `high` (3,) [m], and some others.
+
+        link: cells out of its reach are not needed either.
+        """
         first = np.floor((low - self._spread - self._low) / self._edge).astype(np.int64)
         last = np.floor((high + self._spread - self._low) / self._edge).astype(np.int64)
         first, last = np.maximum(first, 0), np.minimum(last, self._counts - 1)
@@ -39,9 +53,18 @@ class Tiles:
         x, y = np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1)
         column = ((x[:, None] * self._counts[1] + y) * self._counts[2]).reshape(-1)
         starts = self._number.searchsorted(column + first[2])
-        counts = self._number.searchsorted(column + (last[2] + 1)) - starts
-        ends = counts.cumsum()
-        # the numbers from each start on, one span after the other
-        places = np.arange(ends[-1])
-        places += (starts - ends + counts).repeat(counts)
-        return np.asarray(self._order.take(places), dtype=np.intp)
+        tiles = _spans(starts, self._number.searchsorted(column + (last[2] + 1)))
+        if link is not None:
+            away = link.box.off(self._middle.take(tiles, axis=1))
+            away -= self._radius.take(tiles)
+            tiles = tiles.take((away <= link.reach).nonzero()[0])
+        return _spans(self._start.take(tiles), self._start.take(tiles + 1))
+
+
+def _spans(starts: Indices, ends: Indices) -> Indices:
+    """The numbers from each start on to before its end, one span after the other."""
+    counts = ends - starts
+    until = counts.cumsum()
+    found = np.arange(until[-1] if len(until) else 0)
+    found += (starts - until + counts).repeat(counts)
+    return np.asarray(found, dtype=np.intp)

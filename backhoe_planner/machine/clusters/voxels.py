@@ -11,6 +11,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, voxel_tree
@@ -19,7 +20,7 @@ Keys = NDArray[np.int64]
 """(n, 3) which multiples of its edge the lowest corner of each voxel is."""
 
 _WIDEST = 65_000  # voxels along an axis: coal numbers them with 16 bits
-_TILE = 8  # voxels along the edge of a tile; chosen
+_TILE = 4  # voxels along the edge of a tile; chosen, larger ones hold more that is out of reach
 
 
 def voxel_keys(points: Matrix, resolution: float) -> Keys:
@@ -81,9 +82,11 @@ class VoxelSolid:
         return voxel_tree(self._edge * (self._keys - self._base + 0.5), self._edge)
 
     @cached_property
-    def _tiles(self) -> Tiles:
+    def _tiles(self) -> tuple[Tiles, NDArray[np.int32]]:
+        """Its voxels by tiles, and (3, n) their keys from its middle in the tiles' order."""
         low = self._low()
-        return Tiles(low, low + self._edge, _TILE * self._edge)
+        tiles = Tiles(low, low + self._edge, _TILE * self._edge)
+        return tiles, np.ascontiguousarray((self._keys[tiles.order] - self._base).T, dtype=np.int32)
 
     def prepare(self) -> None:
         """Build its tree."""
@@ -109,10 +112,11 @@ class VoxelSolid:
             return None
         return Reading(found.distance, found.normal, found.point + base, found.other_point + base)
 
-    def near(self, low: Vector, high: Vector) -> CellSet:
-        """The voxels that may touch the box from `low` to `high` (3,) [m], and some others."""
-        middle = np.ascontiguousarray(self._keys.take(self._tiles.near(low, high), axis=0).T, dtype=float)
-        middle += 0.5
+    def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
+        """The voxels that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
+        tiles, ordered = self._tiles
+        middle = ordered.take(tiles.near(low, high, link), axis=1).astype(float)
+        middle += (self._base + 0.5)[:, None]
         middle *= self._edge
         return CellSet.of_cubes(middle, 0.5 * self._edge)
 

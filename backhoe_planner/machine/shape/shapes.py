@@ -92,9 +92,8 @@ def _piece(
 
 def box(size: Vector, placement: pin.SE3) -> Piece:
     """A box with the edge lengths `size` (3,) [m] along its own axes, centred at `placement` T_body_box."""
-    half = 0.5 * np.asarray(size, dtype=float)
-    corners = _box_corners(-half, half)[[0, 4, 6, 2, 1, 5, 7, 3]]
-    return _piece(coal.Box(*(float(edge) for edge in size)), placement, corners, prism=True)
+    edges = np.asarray(size, dtype=float)
+    return _piece(coal.Box(*edges.tolist()), placement, 0.5 * edges * _CORNERS_OF_PRISM, prism=True)
 
 
 def sphere(radius: float, placement: pin.SE3) -> Piece:
@@ -268,6 +267,10 @@ def _outline(points: Matrix) -> Matrix | None:
 
 def _box_corners(low: Vector, high: Vector) -> Matrix:
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+
+
+# of a cube with half edges of 1, as `Piece.prism` has them
+_CORNERS_OF_PRISM = _box_corners(-np.ones(3), np.ones(3))[[0, 4, 6, 2, 1, 5, 7, 3]]
 
 
 def hull(points: Matrix) -> ConvexHull:
