@@ -21,6 +21,7 @@ from waiting import PATIENCE
 
 import backhoe_planner as bp
 from backhoe_planner.cli import main
+from backhoe_planner.native import native_version
 from backhoe_planner.planning import describe_quantity
 
 Data = dict[str, Any]
@@ -415,7 +416,9 @@ def test_without_a_command_the_help_is_shown_and_no_error(run: Run) -> None:
 
 def test_the_version_is_told_and_every_command_in_a_whole_sentence(run: Run) -> None:
     status, out, error = run("--version")
-    assert (status, out.strip(), error) == (0, f"backhoe-planner {bp.__version__}", "")
+    native = native_version()
+    told = f"backhoe-planner {bp.__version__}" + ("" if native is None else f", native {native}")
+    assert (status, out.strip(), error) == (0, told, "")
     status, out, _ = run("--help")
     assert status == 0
     assert "..." not in out.partition("Commands:")[2]

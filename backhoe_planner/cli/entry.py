@@ -24,6 +24,7 @@ from backhoe_planner.cli import (
     teleop_command,
 )
 from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, print_error
+from backhoe_planner.native import native_version
 
 app = typer.Typer(
     help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
@@ -36,7 +37,8 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        OUT.print(f"backhoe-planner {bp.__version__}")
+        native = native_version()
+        OUT.print(f"backhoe-planner {bp.__version__}" + ("" if native is None else f", native {native}"))
         raise typer.Exit
 
 

@@ -8,6 +8,8 @@ import os
 import platform
 from pathlib import Path
 
+from backhoe_planner.native import native_version
+
 _PACKAGES = ("backhoe_planner", "pin", "coal", "numpy")  # on which the numbers of a plan depend
 
 
@@ -22,9 +24,12 @@ def relative_path(path: Path, folder: Path | None) -> str:
 
 
 def installed_versions() -> dict[str, str]:
-    """Of Python and of the packages that make a plan, as far as they are installed."""
+    """Of Python and of the packages that make a plan, as far as they are installed and used."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
+    native = native_version()
+    if native is not None:  # else no number depends on it
+        found["backhoe_planner_native"] = native
     return found

@@ -35,8 +35,9 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import check_flag, check_kind
 from backhoe_planner.law.directionality import link_chain, link_jacobian, link_velocities
-from backhoe_planner.law.null_space import TaskInverse, resolve, resolve_on_null_line
+from backhoe_planner.law.null_space import UNDAMPED, TaskInverse, resolve, resolve_on_null_line
 from backhoe_planner.machine import Configuration, Robot
+from backhoe_planner.native import compiled
 from backhoe_planner.site import Gains, Nearby
 
 _EPSILON = 2e-2  # (m/rad)^2; chosen: rows weaker than its root, 0.14 m/rad, fade out
@@ -132,10 +133,11 @@ class CompletedLaw:
         self._turns = directionality and any(s_k)
         span = robot.limits.upper - robot.limits.lower
         zone = np.where(np.isfinite(span), _NEAR_LIMIT * span, 1.0)
-        columns = (robot.limits.lower, robot.limits.upper, zone)
-        self._ranges = list(zip(*(column.tolist() for column in columns), strict=True))
+        self._ranges = np.column_stack((robot.limits.lower, robot.limits.upper, zone))
         self._epsilon = _EPSILON * np.eye(robot.n)
-        self._per_margin = math.pi / (self.influence - self.unity)
+        self._settings = LawSettings(
+            self._s_e, self._s_o, self.influence, self.unity, self.nominal, float(self.directionality)
+        )
 
     def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
         """The joint velocity that serves the tip first, and everything else in the null space.
@@ -179,12 +181,11 @@ class CompletedLaw:
         self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector]:
         """(n,), (n,) the `primary` and `null` of `wish`, the quickest way, for callers in a loop."""
-        found = self._on_null_line(at.q, J_e, xdot_e, nearby)
+        found = self.undamped_terms_unchecked(at.q, J_e, xdot_e, nearby)
         if found is None:
             wish = self.wish_unchecked(at, J_e, xdot_e, nearby)
             return wish.primary, wish.null
-        primary, null = found
-        return np.array(primary), np.array(null)
+        return found
 
     def wish_on_null_line(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
@@ -206,72 +207,25 @@ class CompletedLaw:
         """
         q = as_vector(q, self.robot.n, key="q", names=self.robot.joint_names)
         J_e, xdot_e = self._checked_task(J_e, xdot_e)
-        return self.wish_on_null_line_unchecked(q, J_e, xdot_e, self._checked_rows(nearby))
+        nearby = self._checked_rows(nearby)
+        if J_e.shape != (3, 4):
+            return None
+        found = self.undamped_terms_unchecked(q, J_e, xdot_e, nearby)
+        return None if found is None else (found[0] + found[1], found[1])
 
-    def wish_on_null_line_unchecked(
+    def undamped_terms_unchecked(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector] | None:
-        """The same for callers in a loop, whose arguments are right as they are made."""
-        found = self._on_null_line(q, J_e, xdot_e, nearby)
-        if found is None:
-            return None
-        primary, null = found
-        return np.array([rate + part for rate, part in zip(primary, null, strict=True)]), np.array(null)
+        """(n,), (n,) the `primary` and `null` of `wish`, quicker than by `wish` or not at all.
 
-    def _on_null_line(
-        self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
-    ) -> tuple[list[float], list[float]] | None:
-        """Four numbers each, J_e^+ xdot_e times s_e and H of `wish_on_null_line`, or None."""
-        if J_e.shape != (3, 4) or self._turns:
+        None where J_e comes near a singularity, links are to be turned, or there is no quicker way: the plain one is
+        for a null space that is one line, see `wish_on_null_line`.
+        """
+        if self._turns:
             return None
-        found = resolve_on_null_line(J_e, xdot_e)
-        if found is None:
-            return None
-        primary, z = found
-        if self._s_e != 1.0:
-            primary = [self._s_e * rate for rate in primary]
-        above, below = 0.0, _EPSILON
-        if self._s_o > 0.0 and len(nearby.margin):
-            above, below = self._sums_of_rows(nearby, nearby.gradient.dot(np.array((z, primary)).T))
-        if self.directionality:
-            for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, self._ranges, strict=True):
-                if abs(rate) < _STANDING:
-                    continue
-                hold = 1.0 - (high - position if rate > 0.0 else position - low) / zone
-                if hold > 0.0:
-                    hold = min(hold, 1.0) ** 2
-                    above -= hold * part * rate
-                    below += hold * part * part
-        size = above / below
-        return primary, [size * part for part in z]
-
-    def _sums_of_rows(self, nearby: Nearby | CriticalRows, rates: Matrix) -> tuple[float, float]:
-        """Numerator and denominator of H in `wish_on_null_line`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
-        margins, drifts = nearby.margin, nearby.drift
-        influence, unity, nominal, per_margin = self.influence, self.unity, self.nominal, self._per_margin
-        above = below = 0.0
-        if len(rates) <= _FEW:
-            for margin, drift, (along, speed) in zip(margins.tolist(), drifts.tolist(), rates.tolist(), strict=True):
-                if margin >= influence:
-                    continue
-                weighted, missing = along, -drift - speed
-                if margin > unity:
-                    weighted *= 0.5 + 0.5 * math.cos(per_margin * (margin - unity))
-                elif margin < unity:
-                    missing += nominal * ((unity / max(margin, unity / _NEAREST_PUSH)) ** 2 - 1.0)
-                below += weighted * along
-                if missing > 0.0:
-                    above += weighted * missing
-            return self._s_o * above, _EPSILON + self._s_o * below
-        by_z, rate = rates.T
-        weighted = activation(margins, unity, influence)
-        weighted *= by_z
-        missing = drifts + rate
-        np.negative(missing, out=missing)
-        if margins[margins.argmin()] < unity:
-            missing += nominal * push_factor(margins, unity)
-        np.maximum(missing, 0.0, out=missing)
-        return self._s_o * float(weighted.dot(missing)), _EPSILON + self._s_o * float(weighted.dot(by_z))
+        return undamped_terms(
+            q, J_e, xdot_e, nearby.margin, nearby.gradient, nearby.drift, self._ranges, self._settings
+        )
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
@@ -279,7 +233,7 @@ class CompletedLaw:
 
     def _near_limit(self, q: Vector, v: Vector) -> Vector:
         near = []
-        for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges, strict=True):
+        for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges.tolist(), strict=True):
             if abs(rate) < _STANDING:
                 near.append(0.0)
                 continue
@@ -357,3 +311,89 @@ class CompletedLaw:
         weighted = row.T * self._s_k
         A += weighted @ row
         b += weighted @ (turns - J @ primary)
+
+
+class LawSettings(NamedTuple):
+    """The numbers of a `CompletedLaw`, see there, and those of this module; `holds` is 1.0 with directionality."""
+
+    s_e: float
+    s_o: float
+    influence: float
+    unity: float
+    nominal: float
+    holds: float
+    epsilon: float = _EPSILON
+    nearest_push: float = _NEAREST_PUSH
+    standing: float = _STANDING
+    undamped: float = UNDAMPED
+
+
+@compiled
+def undamped_terms(
+    q: Vector, J_e: Matrix, xdot_e: Vector, margin: Vector, gradient: Matrix, drift: Vector, ranges: Matrix,
+    settings: LawSettings, /,
+) -> tuple[Vector, Vector] | None:  # fmt: skip
+    """(n,), (n,) J_e^+ xdot_e times s_e, and H; None where J^+ may be damped, or there is no quicker way than `wish`.
+
+    Parameters
+    ----------
+    q: (n,) joint positions [rad or m].
+    J_e, xdot_e: (m, n), (m,) the task.
+    margin, gradient, drift: (K,), (K, n), (K,) of the critical points, see `CriticalRows`.
+    ranges: (n, 3) of each joint its limits, and within which of one it counts as near it [rad or m].
+    """
+    if J_e.shape != (3, 4):
+        return None
+    found = resolve_on_null_line(J_e, xdot_e)
+    if found is None:
+        return None
+    primary, z = found
+    if settings.s_e != 1.0:
+        primary = [settings.s_e * rate for rate in primary]
+    above, below = 0.0, settings.epsilon
+    if settings.s_o > 0.0 and len(margin):
+        above, below = _sums_of_rows(margin, drift, gradient.dot(np.array((z, primary)).T), settings)
+    if settings.holds:
+        for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, ranges.tolist(), strict=True):
+            if abs(rate) < settings.standing:
+                continue
+            hold = 1.0 - (high - position if rate > 0.0 else position - low) / zone
+            if hold > 0.0:
+                hold = min(hold, 1.0) ** 2
+                above -= hold * part * rate
+                below += hold * part * part
+    size = above / below
+    return np.array(primary), np.array([size * part for part in z])
+
+
+def _sums_of_rows(margins: Vector, drifts: Vector, rates: Matrix, settings: LawSettings) -> tuple[float, float]:
+    """Numerator and denominator of H in `wish_on_null_line`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
+    influence, unity, nominal = settings.influence, settings.unity, settings.nominal
+    nearest = unity / settings.nearest_push
+    above = below = 0.0
+    if len(rates) <= _FEW:
+        per_margin = math.pi / (influence - unity)
+        for margin, drift, (along, speed) in zip(margins.tolist(), drifts.tolist(), rates.tolist(), strict=True):
+            if margin >= influence:
+                continue
+            weighted, missing = along, -drift - speed
+            if margin > unity:
+                weighted *= 0.5 + 0.5 * math.cos(per_margin * (margin - unity))
+            elif margin < unity:
+                missing += nominal * ((unity / max(margin, nearest)) ** 2 - 1.0)
+            below += weighted * along
+            if missing > 0.0:
+                above += weighted * missing
+        return settings.s_o * above, settings.epsilon + settings.s_o * below
+    by_z, rate = rates.T
+    weighted = activation(margins, unity, influence)
+    weighted *= by_z
+    missing = drifts + rate
+    np.negative(missing, out=missing)
+    if margins[margins.argmin()] < unity:
+        missing += nominal * push_factor(margins, unity)
+    np.maximum(missing, 0.0, out=missing)
+    return (
+        settings.s_o * float(weighted.dot(missing)),
+        settings.epsilon + settings.s_o * float(weighted.dot(by_z)),
+    )

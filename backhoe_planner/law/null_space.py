@@ -17,8 +17,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-_UNDAMPED = 0.08  # m/rad or rad/rad; chosen: damping sets in where the smallest singular value is below this
-_LARGEST_DAMPING = _UNDAMPED  # lambda where the smallest singular value is 0; chosen: J^+ stays within 1 / 0.08
+UNDAMPED = 0.08  # m/rad or rad/rad; chosen: damping sets in where the smallest singular value is below this
+_LARGEST_DAMPING = UNDAMPED  # lambda where the smallest singular value is 0; chosen: J^+ stays within 1 / 0.08
 _RANK_TOLERANCE = 1e-4  # part of the largest singular value; chosen: smaller ones count as 0 in the projector
 _ROUNDING = 1e-10  # part of the scale of a matrix: singular values below are rounding
 
@@ -81,9 +81,9 @@ def resolve(J: Matrix) -> TaskInverse:
         scaled = U[:, kept] / s[kept]
     V = J.T.dot(scaled)  # right singular vectors, so that J^+ = V scaled^T
     projector = _eye(J.shape[1]) - V.dot(V.T)
-    if smallest >= _UNDAMPED:
+    if smallest >= UNDAMPED:
         return TaskInverse(J, V.dot(scaled.T), projector, 0.0)
-    damping = _LARGEST_DAMPING * math.sqrt(1.0 - (smallest / _UNDAMPED) ** 2)
+    damping = _LARGEST_DAMPING * math.sqrt(1.0 - (smallest / UNDAMPED) ** 2)
     inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
     return TaskInverse(J, inverse, projector, damping)
 
@@ -96,7 +96,7 @@ def _invert_if_undamped(square: list[list[float]]) -> Matrix | None:
     (a, b, c), (_, d, e), (_, _, f) = square
     ad_a, ad_b, ad_c = d * f - e * e, c * e - b * f, b * e - c * d  # of the adjugate
     det = a * ad_a + b * ad_b + c * ad_c
-    if not det > (_UNDAMPED * 0.5 * (a + d + f)) ** 2:
+    if not det > (UNDAMPED * 0.5 * (a + d + f)) ** 2:
         return None
     ad_d, ad_e, ad_f = a * f - c * c, b * c - a * e, a * d - b * b
     return np.array(((ad_a, ad_b, ad_c), (ad_b, ad_d, ad_e), (ad_c, ad_e, ad_f))) / det
@@ -136,7 +136,7 @@ def resolve_on_null_line(J: Matrix, xdot: Vector) -> tuple[list[float], list[flo
         c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3,
     )
     half = 0.5 * (aa + bb + cc)
-    if not det > (_UNDAMPED * half) ** 2:
+    if not det > (UNDAMPED * half) ** 2:
         return None
     ab = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3
     ac = a0 * c0 + a1 * c1 + a2 * c2 + a3 * c3

@@ -29,13 +29,14 @@ from backhoe_planner.arrays import Indices, Matrix, Vector, as_array, as_number,
 from backhoe_planner.errors import check_kind
 from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
+from backhoe_planner.native import compiled
 from backhoe_planner.site import Nearby
 
-_ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W; chosen
-_DIRECTIONS = np.array([_ACROSS, _ACROSS, _ACROSS, 0.0])
+_WEIGHTS = 10.0, 1.0, 0.05  # in W, across the wish, along it, and of what does not move the tip; chosen
 _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, this stops within 80 % of each margin
 _RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
+_RATES = _STOPPING_PART, _RECOVERY, _FASTEST_RECOVERY
 _NO_PAIRS: Indices = np.zeros(0, dtype=np.intp)
 _FEW = 16  # rows; measured: to find out which can bind takes longer than to solve with all of them
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
@@ -79,12 +80,10 @@ class Shield:
 
     def __init__(self, limits: JointLimits) -> None:
         self.limits = check_kind(limits, JointLimits, key="limits")
-        self._n = n = len(limits.velocity)
-        self._eye = _FREE * np.eye(n)
-        self._no_clearance = Rows.none("clearance", n), _NO_PAIRS
+        self._n = len(limits.velocity)
         self._per_acceleration: list[float] = (1.0 / limits.acceleration).tolist()
         self._dt = math.nan
-        self._joints: list[tuple[float, ...]] = []  # what a step of that length knows of each joint
+        self._joints: Matrix
 
     def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
         """(n,), (n,) the joint velocities that keep every joint limit, with room to brake.
@@ -102,54 +101,24 @@ class Shield:
         return self._bounds(q, v_before, as_number(dt, key="dt", above=0.0))
 
     def _bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
-        lows, highs, _, _ = self._range(q, v_before, v_before, dt)
-        return np.array(lows), np.array(highs)
+        low, high, _, _ = _range(v_before, q, v_before, dt, self._joints_at(dt))
+        return np.array(low), np.array(high)
 
-    def _range(
-        self, q: Vector, v_before: Vector, wish: Vector, dt: float
-    ) -> tuple[list[float], list[float], float, bool]:
-        """The velocity bounds as n numbers each, the longer time of braking [s], and whether the wish is within them.
+    def _joints_at(self, dt: float) -> Matrix:
+        """(n, 8) what a step of dt [s] knows of each joint.
 
-        The time is that in which all joints come to rest from `v_before` (n,) or from the `wish` (n,).
+        Its range, the part of it in which there is room to brake from full speed, and its limits.
         """
         if dt != self._dt:
             self._dt, self._joints = dt, self._joints_of(dt)
-        lead, within, time = 1.5 * dt, True, 0.0
-        lows, highs = [], []
-        # for a handful of joints plain numbers cost a fraction of what arrays would
-        joints = zip(q.tolist(), v_before.tolist(), wish.tolist(), self._joints, strict=True)
-        for position, rate, wished, (least, most, first, last, velocity, a, change, per) in joints:
-            low, high = rate - change, rate + change
-            if first < position < last:  # mostly there is room to brake from full speed
-                upper, lower = velocity, -velocity
-            else:
-                upper = min(velocity, _stoppable(most - position, a, lead))
-                lower = -min(velocity, _stoppable(position - least, a, lead))
-            slowest, fastest = low, high
-            if lower > low:
-                low = lower if lower < fastest else fastest
-            if upper < high:
-                high = upper if upper > slowest else slowest
-            if high < low:
-                high = low
-            lows.append(low)
-            highs.append(high)
-            if not low <= wished <= high:
-                within = False
-            before, after = abs(rate) * per, abs(wished) * per
-            if before > time:
-                time = before
-            if after > time:
-                time = after
-        return lows, highs, time, within
+        return self._joints
 
-    def _joints_of(self, dt: float) -> list[tuple[float, ...]]:
-        """Of each joint its range, the part of it in which there is room to brake from full speed, and its limits."""
+    def _joints_of(self, dt: float) -> Matrix:
         limits = self.limits
         velocity, a = limits.velocity, limits.acceleration
         room = 0.5 * velocity * velocity / a + 1.5 * dt * velocity
         columns = limits.lower, limits.upper, limits.lower + room, limits.upper - room, velocity, a, a * dt
-        return list(zip(*(column.tolist() for column in columns), self._per_acceleration, strict=True))
+        return np.column_stack((*columns, self._per_acceleration))
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
@@ -226,28 +195,29 @@ class Shield:
         ----------
         kept: what is to be kept beside the clearances.
         """
-        lows, highs, time, within = self._range(q, v_before, wish, dt)
-        gradient = nearby.gradient
-        count = len(gradient)
-        bound = _approach_rates(nearby.margin - extra_margin, time, dt)
-        bound += nearby.drift
+        is_kept, low, high, time, bound = step_conditions(
+            wish,
+            q,
+            v_before,
+            dt,
+            self._joints_at(dt),
+            nearby.margin,
+            extra_margin,
+            nearby.gradient,
+            nearby.drift,
+            _RATES,
+        )
         keep = () if kept is None else (self._keep_rows(kept, time, dt),)
-        if within:
-            left = gradient.dot(wish)
-            left += bound
-            if (not count or left[left.argmin()] >= 0.0) and all(block.are_kept_by(wish) for block in keep):
-                return Shielded(wish, 0.0, _NO_PAIRS)
-        low, high = np.array(lows), np.array(highs)
-        clearance, pairs = self._clearance_rows(gradient, bound, low, high) if count else self._no_clearance
-        rows = (clearance, *keep)
-        H = self._weight(wish, J_tip)
-        solution = solve_program(QuadraticProgram(H, -H.dot(wish), low, high, rows))
+        if is_kept and all(block.are_kept_by(wish) for block in keep):
+            return Shielded(wish, 0.0, _NO_PAIRS)
+        H, f, G, h, pairs = nearest_safe_program(wish, J_tip, nearby.gradient, bound, low, high, _WEIGHTS, _FEW)
+        solution = solve_program(QuadraticProgram(H, f, low, high, (Rows("clearance", G, h), *keep)))
         x = self._braked(v_before, dt) if solution is None else solution.x
         v = np.minimum(np.maximum(x, low), high)
         if len(pairs) == 0:
             return Shielded(v, 0.0, pairs)
-        over = clearance.G.dot(v)
-        over -= clearance.h
+        over = G.dot(v)
+        over -= h
         slack = float(over[over.argmax()])
         return Shielded(v, slack if slack > _MET else 0.0, pairs[over > -_MET])
 
@@ -255,37 +225,112 @@ class Shield:
         time = self._braking_time(v)
         return v * max(1.0 - dt / time, 0.0) if time > 0.0 else v
 
-    def _weight(self, wish: Vector, J_tip: Matrix) -> Matrix:
-        """(n, n) W."""
-        n = self._n
-        tip = J_tip.dot(wish)
-        speed2 = float(tip.dot(tip))
-        # the tip's three directions, and the one of the wish, each with its weight
-        rows, weights = np.empty((4, n)), _DIRECTIONS.copy()
-        rows[:3] = J_tip
-        tip.dot(J_tip, out=rows[3])
-        if speed2 > 1e-12:
-            weights[3] = (_ALONG - _ACROSS) / speed2
-        H = (rows.T * weights).dot(rows)
-        H += self._eye
-        return np.asarray(H)
-
     def _keep_rows(self, kept: Kept, braking_time: float, dt: float) -> Rows:
         """The rows -k v <= gamma left."""
         return Rows("keep", -kept.gradient, _approach_rates(kept.margin, braking_time, dt))
 
-    def _clearance_rows(self, gradient: Matrix, bound: Vector, low: Vector, high: Vector) -> tuple[Rows, Indices]:
-        """The rows -g v <= bound (K,) that can bind from `low` to `high`, and which of the K they are; of few all."""
-        G = -gradient
-        if len(bound) <= _FEW:
-            return Rows("clearance", G, bound), _numbers(len(bound))
-        middle = 0.5 * (low + high)
-        fastest = np.abs(G).dot(high - middle)
-        fastest += G.dot(middle)
-        pairs = (bound <= fastest).nonzero()[0]
-        if len(pairs) == 0:
-            return self._no_clearance
-        return Rows("clearance", G.take(pairs, axis=0), bound.take(pairs)), pairs
+
+@compiled
+def step_conditions(
+    wish: Vector, q: Vector, v_before: Vector, dt: float, joints: Matrix, margin: Vector, extra: Vector | float,
+    gradient: Matrix, drift: Vector, rates: tuple[float, float, float], /,
+) -> tuple[bool, Vector, Vector, float, Vector]:  # fmt: skip
+    """What the velocity of a step must keep, and whether `wish` (n,) keeps it.
+
+    Parameters
+    ----------
+    q, v_before, dt: as in `Shield.filter`.
+    joints: (n, 8) of each joint its lower and upper limit, between which positions there is room to brake from full
+        speed, largest velocity and acceleration, by how much the velocity can change in a step, 1 / acceleration.
+    margin, gradient, drift: (K,), (K, n), (K,) as in `Nearby`.
+    extra: (K,) or one number, by how much less the margins are [m].
+    rates: gamma T, and those of the way back [1/s], at most [m/s or rad/s].
+
+    Returns
+    -------
+    Whether the wish keeps all; (n,), (n,) bounds of the velocity [rad/s or m/s]; the longer time in which all joints
+    come to rest, from `v_before` or from the wish [s]; (K,) how fast each margin may shrink [m/s].
+    """
+    lows, highs, time, within = _range(wish, q, v_before, dt, joints)
+    bound = _approach_rates(margin - extra, time, dt)
+    bound += drift
+    if within and len(margin):
+        left = gradient.dot(wish)
+        left += bound
+        within = bool(left[left.argmin()] >= 0.0)
+    return within, np.array(lows), np.array(highs), time, bound
+
+
+def _range(
+    wish: Vector, q: Vector, v_before: Vector, dt: float, joints: Matrix
+) -> tuple[list[float], list[float], float, bool]:
+    """The bounds of the velocity, n numbers each, the time [s], and whether the wish is within; `step_conditions`."""
+    lead, within, time = 1.5 * dt, True, 0.0
+    lows, highs = [], []
+    # for a handful of joints plain numbers cost a fraction of what arrays would
+    each = zip(q.tolist(), v_before.tolist(), wish.tolist(), joints.tolist(), strict=True)
+    for position, rate, wished, (least, most, first, last, velocity, a, change, per) in each:
+        low, high = rate - change, rate + change
+        if first < position < last:  # mostly there is room to brake from full speed
+            upper, lower = velocity, -velocity
+        else:
+            upper = min(velocity, _stoppable(most - position, a, lead))
+            lower = -min(velocity, _stoppable(position - least, a, lead))
+        slowest, fastest = low, high
+        if lower > low:
+            low = lower if lower < fastest else fastest
+        if upper < high:
+            high = upper if upper > slowest else slowest
+        if high < low:
+            high = low
+        lows.append(low)
+        highs.append(high)
+        if not low <= wished <= high:
+            within = False
+        before, after = abs(rate) * per, abs(wished) * per
+        if before > time:
+            time = before
+        if after > time:
+            time = after
+    return lows, highs, time, within
+
+
+@compiled
+def nearest_safe_program(
+    wish: Vector, J_tip: Matrix, gradient: Matrix, bound: Vector, low: Vector, high: Vector,
+    weights: tuple[float, float, float], few: int, /,
+) -> tuple[Matrix, Vector, Matrix, Vector, Indices]:  # fmt: skip
+    """The program of the velocity nearest to `wish` (n,): W and its linear cost, and the rows -g v <= bound.
+
+    Of the K rows `gradient` (K, n), `bound` (K,) those are taken that can bind from `low` to `high` (n,); of few all.
+
+    Parameters
+    ----------
+    J_tip: (3, n) position Jacobian of the tip.
+    weights: in W, across the wish, along it, and of what does not move the tip.
+
+    Returns
+    -------
+    (n, n) W, (n,) -W wish, (R, n) and (R,) the rows, (R,) which of the K they are.
+    """
+    n, (across, along, free) = len(wish), weights
+    tip = J_tip.dot(wish)
+    speed2 = float(tip.dot(tip))
+    # the tip's three directions, and the one of the wish, each with its weight
+    rows = np.empty((4, n))
+    rows[:3] = J_tip
+    tip.dot(J_tip, out=rows[3])
+    by = np.array((across, across, across, (along - across) / speed2 if speed2 > 1e-12 else 0.0))
+    H = np.asarray((rows.T * by).dot(rows))
+    H.reshape(-1)[:: n + 1] += free
+    G = -gradient
+    if len(bound) <= few:
+        return H, -H.dot(wish), G, bound, _numbers(len(bound))
+    middle = 0.5 * (low + high)
+    fastest = np.abs(G).dot(high - middle)
+    fastest += G.dot(middle)
+    pairs = (bound <= fastest).nonzero()[0]
+    return H, -H.dot(wish), G.take(pairs, axis=0), bound.take(pairs), pairs
 
 
 @lru_cache(maxsize=_FEW)

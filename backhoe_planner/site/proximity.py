@@ -39,16 +39,17 @@ from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistance
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_within, with_tracking_room
-from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
+from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
-from backhoe_planner.site.pairs.nearby import Nearby, distance_gradients
+from backhoe_planner.site.pairs.nearby import Lead, Nearby, near_rows, pairs_within, reach_of_lead
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
 from backhoe_planner.site.pairs.planes import SeparatingPlanes
 from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
 _FURTHER = 0.02  # m beyond what is asked for that clusters are looked for; chosen, halves the questions of a swing post
+_NO_LEAD = None, None, 0.0
 _FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
 
 
@@ -263,12 +264,8 @@ class Proximity:
         if further <= margin:
             return self._rows(*self._measure_within(some, some.reach, lower, q, time), margin)
         lead = Lead(v, fastest - np.abs(v), longest)
-        reach = some.travel.dot(fastest)
-        reach += some.speed
-        reach *= stop
-        reach += some.clearance
-        np.maximum(reach, some.reach, out=reach)
-        if np.count_nonzero(lower <= reach) > _FEW:
+        reach, count = reach_of_lead(lower, some.travel, some.speed, some.clearance, some.reach, fastest, stop)
+        if count > _FEW:
             doubtful = ((lower <= reach) & (lower > some.reach)).nonzero()[0]
             doubtful = doubtful[: doubtful.searchsorted(len(lower) - len(self.clusters))]  # clusters have no ball
             pairs, left = some.pairs[doubtful], lower[doubtful] - some.clearance[doubtful]
@@ -289,32 +286,25 @@ class Proximity:
 
     def _measure_within(
         self, some: PairSelection, reach: Vector, lower: Vector, q: Vector, time: float
-    ) -> tuple[Indices, Matrix]:
+    ) -> tuple[Indices, Matrix, Vector]:
         """Measure those of M pairs whose lower bounds (M,) are within `reach` (M,), at the present placements.
 
-        Those that are within it, K, and (K, 10) their distances, normals and nearest points. What is known of all
-        distances is kept.
+        These pairs (K,), their distances, normals and nearest points (K, 10), and within which each is near (K,) [m].
+        What is known of all distances is kept.
         """
         some_clusters = len(self.clusters) > 0
         if some_clusters:
             self._raise_by_grids(lower, reach)
-        rows = (lower <= reach).nonzero()[0]
+        rows, near, reach = pairs_within(some.pairs, lower, reach)
         self.measured += len(rows)
-        near, reach = some.pairs.take(rows), reach.take(rows)
         found, unread = self._measure(near, reach, lower[rows] if some_clusters else None)
-        measured = found[:, 0]
-        lower[rows] = measured
+        lower[rows] = found[:, 0]
         self._known.keep(some, lower, q, time)
-        is_near = measured <= reach
         if unread:
-            is_near[unread] = False
+            reach[unread] = -np.inf
         if self._some_appear:
-            is_near &= self.appears_at[near] <= time
-        rows = is_near.nonzero()[0]
-        if len(rows) < len(near):
-            near, found = near.take(rows), found.take(rows, axis=0)
-        self._near = near, found
-        return near, found
+            reach[self.appears_at[near] > time] = -np.inf
+        return near, found, reach
 
     def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[Matrix, list[int]]:
         """(K, 10) distances, normals and nearest points of `pairs` (K,) at the present placements.
@@ -561,24 +551,22 @@ class Proximity:
         self._q = q
         self._geometry.place()
 
-    def _rows(self, pair: Indices, found: Matrix, margin: float | None = None, lead: Lead | None = None) -> Nearby:
-        """The rows of what was `found` (K, 10) of pairs; with a lead only those within `margin` [m], and its own.
+    def _rows(
+        self, measured: Indices, found: Matrix, reach: Vector, margin: float = np.inf, lead: Lead | None = None
+    ) -> Nearby:
+        """The rows of those of the `measured` pairs (K,) that are within `reach` (K,), see `_measure_within`.
 
-        With a margin all other pairs are known to be further away than that.
+        With a margin all other pairs are known to be further away than that [m]; with a lead of those beyond it only
+        the ones that it says.
         """
-        gradient = distance_gradients(found, self._J)
-        gradient *= self._sense.take(pair, axis=0)
-        left = found[:, 0] - self.clearance.take(pair)
-        drift = np.vecdot(found[:, 1:4], self._velocity[pair]) if self._moving else np.zeros(len(pair))
-        if margin is not None:
-            if lead is not None and len(left) and left[left.argmax()] > margin:
-                counts = left <= margin
-                counts |= lead.can_bind(left, gradient, drift)
-                rows = counts.nonzero()[0]
-                pair, left, drift = pair.take(rows), left.take(rows), drift.take(rows)
-                found, gradient = found.take(rows, axis=0), gradient.take(rows, axis=0)
-            if not self._some_appear:
-                self._known.note_near(pair, left, margin)
+        v, change, longest = _NO_LEAD if lead is None else lead
+        velocity = self._velocity if self._moving else None
+        near, near_found, pair, found, left, gradient, drift = near_rows(
+            measured, found, reach, self.clearance, self._sense, velocity, self._J, margin, v, change, longest
+        )
+        self._near = near, near_found
+        if margin < np.inf and not self._some_appear:
+            self._known.note_near(pair, left, margin)
         return Nearby(
             pair, found[:, 0], left, normal=found[:, 1:4], point_link=found[:, 4:7], point_obstacle=found[:, 7:],
             gradient=gradient, drift=drift,

@@ -18,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.live.braking.gaps import Gaps
 from backhoe_planner.machine import Robot, bend_weights, joint_poses
+from backhoe_planner.native import compiled
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
 FINEST_PARTS = 2 * MOST_PARTS  # of one that is looked at in halves of its parts
@@ -100,12 +101,18 @@ class Placements:
         """Fill row `sample` with the placements at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
         T, J = self._rows[sample]
-        T[...], J[...] = self._poses, self._jacobian
+        keep_placements(self._poses, self._jacobian, T, J)
 
     def spread(self, count: int) -> None:
         """Let rows 1 to `count` become 2, 4, ... to twice that."""
         for sample in range(count, 0, -1):
             self.T[2 * sample], self.J[2 * sample] = self.T[sample], self.J[sample]
+
+
+@compiled
+def keep_placements(poses: Array, J: Matrix, own_poses: Array, own_J: Matrix, /) -> None:
+    """Copy poses (joints, 3, 4) and Jacobians (6, n) to `own_poses` and `own_J`."""
+    own_poses[...], own_J[...] = poses, J
 
 
 class BrakingPath:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Indices, Matrix
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.native import compiled
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
 
 
 class Memory:
@@ -14,7 +19,6 @@ class Memory:
 
     def __init__(self) -> None:
         self._columns, self._gaps = np.zeros(0), np.zeros(0)
-        self._shape, self._firsts = (0, 0, 0), np.zeros((0, 0), dtype=np.intp)
         self._pieces = b""  # of the columns that are there, as bytes: two of these are compared at once
 
     def columns(self, corners: Array, pieces: Indices) -> Array:
@@ -40,14 +44,6 @@ class Memory:
             self._gaps = np.zeros(2 * size)
         return self._gaps[:size].reshape(pairs, samples, corners)
 
-    def firsts(self, pairs: int, samples: int, corners: int) -> Indices:
-        """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, to be read only."""
-        shape = pairs, samples, corners
-        if shape != self._shape:
-            self._shape = shape
-            self._firsts = np.arange(0, pairs * samples * corners, corners).reshape(pairs, samples)
-        return self._firsts
-
 
 class Gaps(NamedTuple):
     """The gaps between the corners of K pairs' links and their planes, at S samples.
@@ -71,3 +67,100 @@ class Gaps(NamedTuple):
 
 
 NO_GAPS = Gaps(np.zeros((0, 1, 1)), np.zeros((0, 1), dtype=np.intp), np.zeros((0, 1)), np.zeros((0, 4, 1)))
+
+
+@compiled
+def corner_gaps(
+    pairs: Indices, planes: Matrix, joint: Indices, other: Indices | None, T: Array, columns: Array,
+    drift: Vector | None, step: float, gaps: Array, /,
+) -> tuple[Indices, Matrix]:  # fmt: skip
+    """Which corner of each of `pairs` (K,) has the least gap at each sample (K, S), and that gap (K, S) [m].
+
+    Parameters
+    ----------
+    planes, joint, other: (P, 4), (P,), (P,) of all pairs, see `Separation`; without `other` all stand in the world.
+    T: (S, joints, 4, 4) see `Placements`.
+    columns: (K, 4, V) see `Gaps`.
+    drift: (P,) rates at which the planes move on along their normals [m/s]; only what comes nearer counts.
+    step: the time from sample to sample [s].
+    gaps: (K, S, V) all of them, written here [m].
+    """
+    count = len(T)
+    seen = planes.take(pairs, axis=0)
+    if other is not None and _some(bodies := other.take(pairs)):
+        frames = T.take(bodies, axis=1)
+        inside, seen = seen, np.empty((count, len(pairs), 4))
+        normals = seen[..., :3] = np.matmul(frames[..., :3, :3], inside[:, :3, None])[..., 0]
+        seen[..., 3] = inside[:, 3] - np.vecdot(normals, frames[..., :3, 3])
+    if drift is not None:
+        nearer = np.minimum(drift.take(pairs), 0.0)
+        if np.count_nonzero(nearer):
+            seen = np.repeat(seen[None], count, axis=0) if seen.ndim == 2 else seen
+            seen[..., 3] += (step * np.arange(count))[:, None] * nearer
+    # as seen from the links; the 1 below each corner takes the last number
+    local = np.matmul(seen[..., None, :], T.take(joint.take(pairs), axis=1))[:, :, 0]
+    np.matmul(local.transpose(1, 0, 2), columns, out=gaps)
+    nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
+    place = _firsts(*gaps.shape) + nearest
+    return nearest, gaps.reshape(-1).take(place)
+
+
+@lru_cache(maxsize=64)
+def _firsts(pairs: int, samples: int, corners: int) -> Indices:
+    """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, to be read only."""
+    return np.arange(0, pairs * samples * corners, corners).reshape(pairs, samples)
+
+
+@compiled
+def blended_points(gaps: Array, least: Matrix, columns: Array, width: float, /) -> Matrix:
+    """(K, 4) the nearest point of each pair at the first sample, in its link's frame, with a 1 behind [m].
+
+    Corners that are less than `width` [m] further away than the nearest have a part in it.
+
+    Parameters
+    ----------
+    gaps, least, columns: (K, S, V), (K, S), (K, 4, V), see `Gaps`.
+    """
+    part = (least[:, :1] + width) - gaps[:, 0]
+    np.maximum(part, 0.0, out=part)
+    part *= part
+    points = np.matmul(columns, part[:, :, None])[..., 0]
+    points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
+    return np.asarray(points)
+
+
+@compiled
+def plane_rows(
+    pairs: Indices, samples: Indices | int, points: Matrix, planes: Matrix, joint: Indices, other: Indices | None,
+    mask: Matrix, T: Array, J: Array, /,
+) -> Matrix:  # fmt: skip
+    """(R, n) how fast the gaps of `points` (R, 4) of the links of `pairs` (R,) fall with the joints [m/rad].
+
+    Parameters
+    ----------
+    samples: (R,) rows of T, or one for all.
+    points: in the links' frames, with a 1 behind each [m].
+    planes, joint, other, mask: (P, 4), (P,), (P,), (P, n) of all pairs; without `other` all stand in the world.
+    T, J: (S, joints, 4, 4), (S, 6, n) see `Placements`.
+    """
+    n = planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of what does not lie in a row
+    joints = joint.take(pairs)
+    at_once = isinstance(samples, int)
+    if other is not None and _some(bodies := other.take(pairs)):
+        frames = T[samples].take(bodies, axis=0) if at_once else T[samples, bodies]
+        n = np.matmul(frames[:, :3, :3], n[:, :, None])[..., 0]
+    frames = T[samples].take(joints, axis=0) if at_once else T[samples, joints]
+    x = np.matmul(frames, points[:, :, None])[..., 0]
+    products = x.take(_NEXT_LAST, axis=1)
+    products *= n.take(_LAST_NEXT, axis=1)
+    both = np.empty((len(pairs), 6))  # minus n, and minus n cross x, as the planes have minus the normals
+    np.negative(n, out=both[:, :3])
+    np.subtract(products[:, 3:], products[:, :3], out=both[:, 3:])
+    rows: Matrix = mask.take(pairs, axis=0)
+    rows *= both.dot(J[samples]) if at_once else np.matmul(both[:, None, :], J[samples])[:, 0]
+    return rows
+
+
+def _some(numbers: Indices) -> bool:
+    """Whether any of numbers (K,), K > 0, is not 0; none is less."""
+    return bool(numbers[numbers.argmax()])

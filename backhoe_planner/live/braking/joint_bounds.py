@@ -8,14 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
+from backhoe_planner.native import compiled
 
 BRAKING = 0.8  # part of the acceleration that braking is planned with; chosen, the rest is left for corrections
 RECOVERY = 1.0  # 1/s: speed of the way back per what is missing; chosen
 SLOWEST_RECOVERY = 0.02  # m/s or rad/s: chosen, so that the way back ends in finite time
 FASTEST_RECOVERY = 0.25  # m/s or rad/s: chosen, so that the way back begins gently
 TOLERANCE = 1e-9  # rad, m, rad/s or m/s: far above rounding, and too little to matter
+
+_RATES = RECOVERY, SLOWEST_RECOVERY, FASTEST_RECOVERY, TOLERANCE, BRAKING
 
 Load = Callable[[Vector, Vector], float]
 
@@ -61,7 +64,9 @@ class JointBounds:
         self.braking: list[float] = self.acceleration.tolist()
         self.change = limits.acceleration * dt * (1.0 - 1e-9)
         self.changes: list[float] = self.change.tolist()
-        self._per_acceleration: list[float] = (1.0 / self.acceleration).tolist()
+        self._joints = np.column_stack(
+            (limits.lower, limits.upper, limits.velocity, self.change, self.acceleration, 1.0 / self.acceleration)
+        )
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
 
     def brake(self, v: Vector) -> Vector:
@@ -80,58 +85,18 @@ class JointBounds:
 
     def towards(self, wish: Vector, v: Vector) -> Vector:
         """(n,) the next velocity straight from v (n,) to the wish (n,), as far as acceleration allows."""
-        rates = v.tolist()
-        change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
-        part = 1.0
-        for amount, largest in zip(change, self.changes, strict=True):
-            if abs(amount) * part > largest:
-                part = largest / abs(amount)
-        return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
+        return straight_towards(wish, v, self.change)
 
     def velocity_range(self, q: Vector, v: Vector, wish: Vector) -> VelocityRange:
         """The velocities that the step from q, v (n,) may take. Beyond a limit a joint must come back."""
-        dt = self.dt
-        rates = v.tolist()
-        time = max([abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True)])
-        look = dt + 0.5 * (time + dt / BRAKING)
-        lows, highs, reached_low, reached_high = [], [], [], []
-        tight = cut = False
-        for position, rate, wished, change, (lower, upper, fastest) in zip(
-            q.tolist(), rates, wish.tolist(), self.changes, self._ranges, strict=True
-        ):
-            above, below, room = upper - position, position - lower, fastest * look
-            high = fastest if above > room else above / look
-            low = -fastest if below > room else -below / look
-            down, up = rate - change, rate + change
-            if above < -TOLERANCE:
-                high = -min(max(-RECOVERY * above, SLOWEST_RECOVERY), FASTEST_RECOVERY)
-                low = min(low, high)
-            elif below < -TOLERANCE:
-                low = min(max(-RECOVERY * below, SLOWEST_RECOVERY), FASTEST_RECOVERY)
-                high = max(low, high)
-            elif high < down or low > up:
-                tight = True
-            if wished > high + TOLERANCE or wished < low - TOLERANCE:
-                cut = True
-            highs.append(high)
-            lows.append(low)
-            reached_low.append(down if low < down else up if low > up else low)
-            reached_high.append(down if high < down else up if high > up else high)
-        if tight:
-            # a joint needs all that is left of its range to brake: the others must not make that way longer
-            caps = (self.acceleration * max(time - dt, 0.0)).tolist()
-            highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
-            lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
-            reached_low = np.clip(lows, v - self.change, v + self.change).tolist()
-            reached_high = np.clip(highs, v - self.change, v + self.change).tolist()
-        return VelocityRange(
-            low=np.array(reached_low),
-            high=np.array(reached_high),
-            least=np.array(lows),
-            most=np.array(highs),
-            look=look,
-            cuts_wish=cut,
-        )
+        return VelocityRange(*reachable_velocities(q, v, wish, self.dt, self._joints, _RATES))
+
+    def changes_of_end(self, q: Vector, v: Vector, end: Vector, look: float) -> Vector:
+        """(n,) by how much the end of the braking path can change in a step from q, v (n,) [rad or m].
+
+        end: (n,) of the present one [rad or m]; look: see `VelocityRange` [s].
+        """
+        return changes_of_end(q, v, end, self.change, look, self.dt / BRAKING)
 
     def over_rates(self, q: Vector, v: Vector) -> float:
         """By which factor joint velocities v (n,) at q (n,) exceed the joints' rates or the load; at least 1."""
@@ -147,3 +112,73 @@ class JointBounds:
             if abs(add) * part > 1e-12:
                 part = min(part, max(fastest - math.copysign(1.0, add) * rate, 0.0) / abs(add))
         return part
+
+
+@compiled
+def straight_towards(wish: Vector, v: Vector, changes: Vector, /) -> Vector:
+    """(n,) how far a velocity comes straight from v (n,) to the wish (n,), of which each may change by `changes`."""
+    rates = v.tolist()
+    change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
+    part = 1.0
+    for amount, largest in zip(change, changes.tolist(), strict=True):
+        if abs(amount) * part > largest:
+            part = largest / abs(amount)
+    return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
+
+
+@compiled
+def changes_of_end(q: Vector, v: Vector, end: Vector, changes: Vector, look: float, later: float, /) -> Vector:
+    """(n,) by how much the end of the braking path can change; see `JointBounds.changes_of_end`, `later` in [s]."""
+    joints = zip(q.tolist(), v.tolist(), end.tolist(), changes.tolist(), strict=True)
+    # the end moves with the step taken, and with the change of velocity
+    by = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
+    return np.array(by)
+
+
+@compiled
+def reachable_velocities(
+    q: Vector, v: Vector, wish: Vector, dt: float, joints: Matrix, rates: tuple[float, ...], /
+) -> tuple[Vector, Vector, Vector, Vector, float, bool]:
+    """The fields of `VelocityRange` for a step of dt [s] from q, v (n,).
+
+    Parameters
+    ----------
+    joints: (n, 6) of each joint its limits, its largest velocity, by how much that can change in a step, the
+        acceleration that braking is planned with, and 1 / that.
+    rates: RECOVERY, SLOWEST_RECOVERY, FASTEST_RECOVERY, TOLERANCE and BRAKING.
+    """
+    recovery, slowest, quickest, tolerance, braking = rates
+    before, table = v.tolist(), joints.tolist()
+    time = max([abs(rate) * joint[5] for rate, joint in zip(before, table, strict=True)])
+    look = dt + 0.5 * (time + dt / braking)
+    lows, highs, reached_low, reached_high = [], [], [], []
+    tight = cut = False
+    each = zip(q.tolist(), before, wish.tolist(), table, strict=True)
+    for position, rate, wished, (lower, upper, fastest, change, _, _) in each:
+        above, below, room = upper - position, position - lower, fastest * look
+        high = fastest if above > room else above / look
+        low = -fastest if below > room else -below / look
+        down, up = rate - change, rate + change
+        if above < -tolerance:
+            high = -min(max(-recovery * above, slowest), quickest)
+            low = min(low, high)
+        elif below < -tolerance:
+            low = min(max(-recovery * below, slowest), quickest)
+            high = max(low, high)
+        elif high < down or low > up:
+            tight = True
+        if wished > high + tolerance or wished < low - tolerance:
+            cut = True
+        highs.append(high)
+        lows.append(low)
+        reached_low.append(down if low < down else up if low > up else low)
+        reached_high.append(down if high < down else up if high > up else high)
+    if tight:
+        # a joint needs all that is left of its range to brake: the others must not make that way longer
+        caps = (joints[:, 4] * max(time - dt, 0.0)).tolist()
+        highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
+        lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
+        change = joints[:, 3]
+        reached_low = np.clip(lows, v - change, v + change).tolist()
+        reached_high = np.clip(highs, v - change, v + change).tolist()
+    return np.array(reached_low), np.array(reached_high), np.array(lows), np.array(highs), look, cut

@@ -23,6 +23,7 @@ from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.live.braking.step_work import MOST_NEAR
+from backhoe_planner.native import compiled
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
@@ -328,20 +329,17 @@ class PairBounds:
         if watch.until < 0.0:
             left = self.lower() - self._within
             watch.choose((left < _SKIN).nonzero()[0], separation.classes)
-        odometer = self._start_odometer.take(watch.classes)
-        lower = self._distance.take(watch.pairs)
-        lower -= odometer
-        rows = (lower < self._within.take(watch.pairs)).nonzero()[0]
-        if len(rows) == 0:
-            return Near(q, rows, NO_GAPS, np.zeros(0), np.zeros(0))
-        pairs, lower = watch.pairs.take(rows), lower.take(rows)
+        pairs, lower, counted = near_now(self._distance, self._within, watch.pairs, watch.classes, self._start_odometer)
+        if len(pairs) == 0:
+            return Near(q, pairs, NO_GAPS, lower, lower)
         left_out = -1, math.inf
         if len(pairs) > MOST_NEAR:
             kept, left_out = self._tightest_of(pairs, lower - separation.clearance.take(pairs))
-            rows, pairs, lower = rows[kept], pairs[kept], lower[kept]
+            pairs, lower, counted = pairs[kept], lower[kept], counted[kept]
         gaps = separation.gaps(pairs, at, 1, memory=self._memory)
         distance = np.maximum(lower, gaps.least[:, 0], out=lower)
-        self._distance[pairs] = distance + odometer.take(rows)
+        counted += distance
+        self._distance[pairs] = counted
         return Near(q, pairs, gaps, distance, distance - separation.clearance.take(pairs), *left_out)
 
     def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
@@ -375,14 +373,10 @@ class PairBounds:
             most = _SKIN + float(budget.max())
             watch.choose((left < most + BUFFER).nonzero()[0], separation.classes, until=most)
         # pairs within the buffer are always looked at: else a wish would be held back every other step
-        left = self._proven.take(watch.pairs)
-        left -= self.required.take(watch.pairs)
-        needed = self._path_odometer + budget
-        needed += BUFFER
-        awake = left < needed.take(watch.classes)
+        pairs = not_proven(self._proven, self.required, watch.pairs, watch.classes, self._path_odometer, budget, BUFFER)
         if len(self.inside):  # the way out of these is found separately
-            awake[np.isin(watch.pairs, self.inside)] = False
-        return Awake(watch.pairs.take(awake.nonzero()[0]), budget)
+            pairs = pairs[~np.isin(pairs, self.inside)]
+        return Awake(pairs, budget)
 
     def accept(self, awake: Indices, clearance: PathClearance) -> None:
         """A braking path is about to be taken; `clearance` is what was proven of it for the pairs `awake` (K,)."""
@@ -481,3 +475,41 @@ class PairBounds:
             return -1, math.inf
         pair = int(margins.argmin())
         return pair, float(margins[pair])
+
+
+@compiled
+def near_now(
+    distance: Vector, within: Vector, pairs: Indices, classes: Indices, odometer: Vector, /
+) -> tuple[Indices, Vector, Vector]:
+    """Those (K,) of `pairs` (M,) that may be near, their lower bounds (K,) and what their odometers say (K,) [m].
+
+    Parameters
+    ----------
+    distance: (P,) lower bounds of all pairs, and what the odometer had counted [m]; within: (P,) what is near [m].
+    classes: (M,) rows of the odometer (C,) for the `pairs`.
+    """
+    counted = odometer.take(classes)
+    lower = distance.take(pairs)
+    lower -= counted
+    rows = (lower < within.take(pairs)).nonzero()[0]
+    return pairs.take(rows), lower.take(rows), counted.take(rows)
+
+
+@compiled
+def not_proven(
+    proven: Vector, required: Vector, pairs: Indices, classes: Indices, odometer: Vector, budget: Vector,
+    buffer: float, /,
+) -> Indices:  # fmt: skip
+    """Those of `pairs` (M,) of which too little is proven of the braking path, if it may move by `budget` (C,) [m].
+
+    Parameters
+    ----------
+    proven: (P,) of all pairs, and what the odometer had counted [m]; required: (P,) what must be kept [m].
+    classes: (M,) rows of the odometer (C,) for the `pairs`.
+    buffer: to be kept beyond that [m].
+    """
+    left = proven.take(pairs)
+    left -= required.take(pairs)
+    needed = odometer + budget
+    needed += buffer
+    return pairs.take((left < needed.take(classes)).nonzero()[0])

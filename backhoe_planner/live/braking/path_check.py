@@ -23,7 +23,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
-from backhoe_planner.live.braking.joint_bounds import BRAKING, TOLERANCE, JointBounds
+from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
@@ -96,12 +96,7 @@ class PathCheck:
 
     def awake(self, state: JointState, look: float) -> Awake:
         """The pairs that could come too close in a step; for `look` [s] see `VelocityRange`."""
-        q, v, end = state
-        later = self.joints.dt / BRAKING
-        joints = zip(q.tolist(), v.tolist(), end.tolist(), self.joints.changes, strict=True)
-        # the end moves with the step taken, and with the change of velocity
-        change = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
-        return self.bounds.awake(np.array(change))
+        return self.bounds.awake(self.joints.changes_of_end(*state, look))
 
     def clearance(
         self,

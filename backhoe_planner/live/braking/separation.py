@@ -22,7 +22,7 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, ClusterPairs
-from backhoe_planner.live.braking.gaps import Gaps, Memory
+from backhoe_planner.live.braking.gaps import Gaps, Memory, blended_points, corner_gaps, plane_rows
 from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
 from backhoe_planner.live.braking.plane_sets import PlaneSets
 from backhoe_planner.machine import (
@@ -45,7 +45,6 @@ _PLANES = 4  # measured along a path that is looked at closely; chosen, each cos
 _BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
 _FAR_AWAY = np.array([0.0, 0.0, 0.0, FAR])  # a plane that never counts
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-_NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
 
 
 class _Stand:
@@ -407,26 +406,13 @@ class Separation:
         """
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         count = len(T)
-        planes = self.planes.take(pairs, axis=0)
-        if self.some_relative and _some(other := self.other.take(pairs)):
-            frames = T.take(other, axis=1)
-            inside, planes = planes, np.empty((count, len(pairs), 4))
-            normals = planes[..., :3] = np.matmul(frames[..., :3, :3], inside[:, :3, None])[..., 0]
-            planes[..., 3] = inside[:, 3] - np.vecdot(normals, frames[..., :3, 3])
-        if drift_time > 0.0:
-            drift = np.minimum(self.drift.take(pairs), 0.0)
-            if np.count_nonzero(drift):
-                planes = np.repeat(planes[None], count, axis=0) if planes.ndim == 2 else planes
-                planes[..., 3] += (drift_time / (count - 1) * np.arange(count))[:, None] * drift
-        # as seen from the links; the 1 below each corner takes the last number
-        local = np.matmul(planes[..., None, :], T.take(self.joint.take(pairs), axis=1))[:, :, 0]
         memory = Memory() if memory is None else memory
         columns = memory.columns(self._columns4, self.piece.take(pairs))
         gaps = memory.gaps(len(pairs), count, columns.shape[2])
-        np.matmul(local.transpose(1, 0, 2), columns, out=gaps)
-        nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
-        place = memory.firsts(len(pairs), count, columns.shape[2]) + nearest
-        return Gaps(gaps, nearest, gaps.reshape(-1).take(place), columns)
+        other, drift = self.other if self.some_relative else None, self.drift if drift_time > 0.0 else None
+        step = drift_time / max(count - 1, 1)
+        nearest, least = corner_gaps(pairs, self.planes, self.joint, other, T, columns, drift, step, gaps)
+        return Gaps(gaps, nearest, least, columns)
 
     def least_on(
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float, *, memory: Memory | None = None
@@ -535,41 +521,18 @@ class Separation:
         The point is blended from the corners by their `gaps` there: corners that are almost as near have
         a part in it, so that it does not jump from edge to edge where a flat end passes a wall.
         """
-        part = (gaps.least[:, :1] + _BLENDED) - gaps.all[:, 0]
-        np.maximum(part, 0.0, out=part)
-        part *= part
-        points = np.matmul(gaps.columns, part[:, :, None])[..., 0]
-        points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
-        return self._rows_of(pairs, 0, points, at)
+        return self._rows_of(pairs, 0, blended_points(gaps.all, gaps.least, gaps.columns, _BLENDED), at)
 
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
-        n = self.planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of what does not lie in a row
-        joints = self.joint.take(pairs)
-        at_once = isinstance(samples, int)
-        if self.some_relative and _some(other := self.other.take(pairs)):
-            n = np.matmul(at.R[samples].take(other, axis=0) if at_once else at.R[samples, other], n[:, :, None])[..., 0]
-        frames = at.T[samples].take(joints, axis=0) if at_once else at.T[samples, joints]
-        x = np.matmul(frames, corner[:, :, None])[..., 0]
-        products = x.take(_NEXT_LAST, axis=1)
-        products *= n.take(_LAST_NEXT, axis=1)
-        both = np.empty((len(pairs), 6))  # minus n, and minus n cross x, as the planes have minus the normals
-        np.negative(n, out=both[:, :3])
-        np.subtract(products[:, 3:], products[:, :3], out=both[:, 3:])
-        rows: Matrix = self.mask.take(pairs, axis=0)
-        rows *= both.dot(at.J[samples]) if at_once else np.matmul(both[:, None, :], at.J[samples])[:, 0]
-        return rows
+        other = self.other if self.some_relative else None
+        return plane_rows(pairs, samples, corner, self.planes, self.joint, other, self.mask, at.T, at.J)
 
     def world_normal(self, pair: int, at: Placements) -> Vector:
         """(3,) the normal of a pair's plane at the first sample, in the world."""
         other = int(self.other[pair])
         normal = -self.planes[pair, :3]
         return np.asarray(at.R[0, other] @ normal if other else normal)
-
-
-def _some(numbers: Indices) -> bool:
-    """Whether any of numbers (K,), K > 0, is not 0; none is less."""
-    return bool(numbers[numbers.argmax()])
 
 
 def _no_planes(count: int) -> Matrix:

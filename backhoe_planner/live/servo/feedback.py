@@ -19,11 +19,13 @@ can give, dt (F . w + |F| dw), is no more than the ledger holds.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
+from backhoe_planner.native import compiled
 
 _SEED = 1e-7  # J that a force against the hand may use before the hand has given any; chosen, too little to feel
 _LEAK = 1e-13  # J per sample, so that an empty ledger can fill again; about a millionth of that
@@ -32,6 +34,8 @@ _SLOW_HAND = 0.02  # m/s: chosen, the direction of a slower hand is mostly noise
 _MOST_STORED = 0.2  # J that the ledger holds at most: chosen, so that a long push is not given back as one blow
 _REMEMBERED = 0.02  # s for which being held back counts, so that a status does not flicker; chosen
 
+HandState: TypeAlias = tuple[float, float, float, float, float, float, float, float]
+
 
 class Refusal:
     """Compares the machine with one that has nothing in its way.
@@ -39,12 +43,12 @@ class Refusal:
     Parameters
     ----------
     dt: length of a step [s].
-    changes: n numbers, by how much a joint's velocity can change in a step [rad/s or m/s].
+    changes: (n,) by how much a joint's velocity can change in a step [rad/s or m/s].
     """
 
-    def __init__(self, dt: float, changes: list[float]) -> None:
+    def __init__(self, dt: float, changes: Vector) -> None:
         self._changes = changes
-        self._free = [0.0] * len(changes)  # velocities with nothing in the way
+        self._free = np.zeros(len(changes))  # velocities with nothing in the way
         self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
         self._steps = max(math.ceil(_REMEMBERED / dt), 1)
         self._counts_for = 0
@@ -56,15 +60,32 @@ class Refusal:
 
     def next(self, v: Vector, *, wish: Vector, target: Vector) -> Vector:
         """(n,) the velocity that is refused in a step at v (n,); see `VelocityWish` for `wish` and `target` (n,)."""
-        rates, wishes = v.tolist(), wish.tolist()
-        joints = zip(self._free, wishes, rates, target.tolist(), self._changes, strict=True)
-        # a joint that goes at its target has caught up with what it would have done
-        self._free = [
-            free
-            + (min(max(aim - free, -most), most) if abs(rate - goal) > TOLERANCE else self._forgets * (rate - free))
-            for free, aim, rate, goal, most in joints
-        ]
-        return np.array([free - rate - aim for free, rate, aim in zip(self._free, rates, wishes, strict=True)])
+        self._free, refused = refused_velocity(self._free, wish, v, target, self._changes, self._forgets, TOLERANCE)
+        return refused
+
+
+@compiled
+def refused_velocity(
+    free: Vector, wish: Vector, v: Vector, target: Vector, changes: Vector, forgets: float, tolerance: float, /
+) -> tuple[Vector, Vector]:
+    """(n,) velocities with nothing in the way after a step, and (n,) what is refused of them; see `Refusal.next`.
+
+    Parameters
+    ----------
+    free: (n,) those before it [rad/s or m/s].
+    changes: (n,) by how much a velocity can change in a step [rad/s or m/s].
+    forgets: the part of the difference that is forgotten in a step.
+    tolerance: within which a joint goes at its target [rad/s or m/s].
+    """
+    rates, wishes = v.tolist(), wish.tolist()
+    joints = zip(free.tolist(), wishes, rates, target.tolist(), changes.tolist(), strict=True)
+    # a joint that goes at its target has caught up with what it would have done
+    after = [
+        before + (min(max(aim - before, -most), most) if abs(rate - goal) > tolerance else forgets * (rate - before))
+        for before, aim, rate, goal, most in joints
+    ]
+    refused = [before - rate - aim for before, rate, aim in zip(after, rates, wishes, strict=True)]
+    return np.array(after), np.array(refused)
 
 
 class Feedback:
@@ -81,15 +102,9 @@ class Feedback:
     def __init__(self, dt: float, *, damping: float = 60.0, largest: float = 30.0, sharpest: float = 200.0) -> None:
         dt, damping = as_number(dt, key="dt", above=0.0), as_number(damping, key="damping", least=0.0)
         largest, sharpest = as_number(largest, key="largest", above=0.0), as_number(sharpest, key="sharpest", least=0.0)
-        self._dt = dt
-        self._damping = damping
-        self._largest = largest
-        self._change = sharpest * dt
-        self._stored = 0.0  # J that the hand has given and that may still come back
-        self._force: tuple[float, ...] = (0.0, 0.0, 0.0)
-        self._smooth = [0.0, 0.0, 0.0]
-        self._scale = 1.0
-        self._part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
+        part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
+        self._settings = HandSettings(dt, damping, largest, sharpest, part)
+        self._state: HandState = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def next(self, hand: Vector, refused: Vector, normal: Vector, nearness: float) -> Vector:
         """(3,) force on the hand, to be held until the next sample [N], world.
@@ -101,47 +116,75 @@ class Feedback:
         normal: (3,) unit vector into the nearest obstacle, world; zeros where none is near.
         nearness: rho, 0 where obstacles are far, 1 where no more approach is possible.
         """
-        # three numbers each: plain numbers cost a fraction of what arrays would
         try:
-            (hx, hy, hz), (rx, ry, rz), (nx, ny, nz) = hand.tolist(), refused.tolist(), normal.tolist()
+            # a sum of numbers is finite only where all of them are, or else they are checked one by one
             right = (
                 isinstance(nearness, float)
                 and 0.0 <= nearness <= 1.0
-                and math.isfinite(hx + hy + hz + rx + ry + rz + nx + ny + nz)
+                and len(hand) == len(refused) == len(normal) == 3
+                and math.isfinite(sum(hand.tolist()) + sum(refused.tolist()) + sum(normal.tolist()))
             )
         except (AttributeError, TypeError, ValueError):
             right = False
         if not right:
-            hx, hy, hz = as_vector(hand, 3, key="hand").tolist()
-            rx, ry, rz = as_vector(refused, 3, key="refused").tolist()
-            nx, ny, nz = as_vector(normal, 3, key="normal").tolist()
+            hand, refused = as_vector(hand, 3, key="hand"), as_vector(refused, 3, key="refused")
+            normal = as_vector(normal, 3, key="normal")
             nearness = as_number(nearness, key="nearness", least=0.0, most=1.0)
-        fx, fy, fz = self._force
-        self._stored = min(self._stored - self._dt * (fx * hx + fy * hy + fz * hz), _MOST_STORED)
-        into = hx * nx + hy * ny + hz * nz
-        there = nearness * into
-        tx, ty, tz = hx - there * nx, hy - there * ny, hz - there * nz
-        size = math.sqrt(tx * tx + ty * ty + tz * tz) + _SLOW_HAND
-        along = max(rx * tx + ry * ty + rz * tz, 0.0) / (size * size)
-        inward = nearness * (max(rx * nx + ry * ny + rz * nz, 0.0) + max(into, 0.0))
-        part, damping = self._part, self._damping
-        self._smooth = [
-            before - part * (damping * (inward * normal_part + along * tangent) + before)
-            for before, normal_part, tangent in zip(self._smooth, (nx, ny, nz), (tx, ty, tz), strict=True)
-        ]
-        fx, fy, fz = self._smooth
-        size = math.sqrt(fx * fx + fy * fy + fz * fz)
-        if size > 0.0:
-            bounded = self._largest * math.tanh(size / self._largest)
-            along = (fx * hx + fy * hy + fz * hz) * bounded / size
-            most = self._dt * (along + bounded * self._change)
-            held = max(self._stored + (_SEED if along <= 0.0 else 0.0), _LEAK)
-            # what is stored is neither spent at once nor released at once, so that the scale is smooth too
-            scale = min(self._scale + part, 1.0)
-            if most > 0.0:
-                scale = min(scale, max(part * held, _LEAK) / most)
-            self._scale = scale
-            by = bounded / size * scale
-            fx, fy, fz = fx * by, fy * by, fz * by
-        self._force = (fx, fy, fz)
-        return np.array(self._force)
+        force, self._state = force_on_hand(hand, refused, normal, nearness, self._state, self._settings)
+        return force
+
+
+class HandSettings(NamedTuple):
+    """The numbers of a `Feedback`, see there, and those of this module; `part` is smoothed away in a step."""
+
+    dt: float
+    damping: float
+    largest: float
+    sharpest: float
+    part: float
+    most_stored: float = _MOST_STORED
+    slow_hand: float = _SLOW_HAND
+    seed: float = _SEED
+    leak: float = _LEAK
+
+
+@compiled
+def force_on_hand(
+    hand: Vector, refused: Vector, normal: Vector, nearness: float, state: HandState, settings: HandSettings, /
+) -> tuple[Vector, HandState]:
+    """(3,) the force of `Feedback.next`, and the state after it.
+
+    Parameters
+    ----------
+    state: the force before (3), the same smoothed only (3) [N], what the hand has given and may come back [J], and
+        the part of the force that was given.
+    """
+    # three numbers each: plain numbers cost a fraction of what arrays would
+    (hx, hy, hz), (rx, ry, rz), (nx, ny, nz) = hand.tolist(), refused.tolist(), normal.tolist()
+    fx, fy, fz, *smooth, stored, scale = state
+    dt, damping, largest, sharpest, part, most_stored, slow_hand, seed, leak = settings
+    stored = min(stored - dt * (fx * hx + fy * hy + fz * hz), most_stored)
+    into = hx * nx + hy * ny + hz * nz
+    there = nearness * into
+    tx, ty, tz = hx - there * nx, hy - there * ny, hz - there * nz
+    size = math.sqrt(tx * tx + ty * ty + tz * tz) + slow_hand
+    along = max(rx * tx + ry * ty + rz * tz, 0.0) / (size * size)
+    inward = nearness * (max(rx * nx + ry * ny + rz * nz, 0.0) + max(into, 0.0))
+    sx, sy, sz = (
+        before - part * (damping * (inward * normal_part + along * tangent) + before)
+        for before, normal_part, tangent in zip(smooth, (nx, ny, nz), (tx, ty, tz), strict=True)
+    )
+    fx, fy, fz = sx, sy, sz
+    size = math.sqrt(fx * fx + fy * fy + fz * fz)
+    if size > 0.0:
+        bounded = largest * math.tanh(size / largest)
+        along = (fx * hx + fy * hy + fz * hz) * bounded / size
+        most = dt * (along + bounded * sharpest * dt)
+        held = max(stored + (seed if along <= 0.0 else 0.0), leak)
+        # what is stored is neither spent at once nor released at once, so that the scale is smooth too
+        scale = min(scale + part, 1.0)
+        if most > 0.0:
+            scale = min(scale, max(part * held, leak) / most)
+        by = bounded / size * scale
+        fx, fy, fz = fx * by, fy * by, fz * by
+    return np.array((fx, fy, fz)), (fx, fy, fz, sx, sy, sz, stored, scale)

@@ -13,12 +13,13 @@ from backhoe_planner.live.braking.pair_bounds import Near
 from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
+from backhoe_planner.native import compiled
 
 _SIDEWAYS = 0.2  # part of the speed into an obstacle above which the wish itself says which way round; chosen
 _STEEP = 0.9  # size of a normal's z from which on its surface is level, with no "up" along it; chosen, 26 degrees
 _UP = np.array([0.0, 0.0, 1.0])
+_AT_ORIGIN = np.eye(6)  # what takes a twist at the world's origin to there
 _NOTHING = np.zeros((0, 3))
-_NOBODY = CriticalRows(np.zeros(0), _NOTHING, np.zeros(0))
 
 
 class JointWish(NamedTuple):
@@ -62,24 +63,20 @@ class TipTask:
         frame = robot.model.frames[robot.tip_frame]
         self._joint = int(frame.parentJoint)
         self._t = np.append(frame.placement.translation, 1.0)
-        self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
         self.jacobian = np.zeros((6, robot.n))
         self.position = np.zeros(3)
         self._rows = _movable_tip_rows(robot)
         self._all_rows = bool(self._rows.all())
+        self._nobody = CriticalRows(np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
         self.blocking = np.zeros(3)
-        self._critical: tuple[Near | None, CriticalRows] = None, _NOBODY  # what was near, and its rows
+        self._critical: tuple[Near | None, CriticalRows] = None, self._nobody  # what was near, and its rows
         self._sense = np.zeros(3)
 
     def place(self, q: Vector) -> None:
         """Forward kinematics at q (n,), and the tip's Jacobian."""
         at = self._at
         at.place(0, q)
-        self.position = at.T[0, self._joint].dot(self._t)[:3]
-        x, y, z = self.position.tolist()
-        to = self._to_tip  # its upper right part is omega -> omega x tip
-        to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
-        np.dot(to, at.J[0], out=self.jacobian)
+        self.position = place_tip(at.T[0, self._joint], self._t, at.J[0], self.jacobian)
 
     def wish(self, q: Vector, command: Commands, near: Near, *, circulate: bool) -> JointWish:
         """The velocity of the joints for a command at q (n,), where the machine must have been placed.
@@ -102,13 +99,14 @@ class TipTask:
             J = np.vstack((J, self._robot.pitch_sense * turn[:, -1] @ turn))
             xdot = np.append(xdot, command.pitch)
         nearby, damped = self._critical_points(q, near), False
-        quick = self.law.wish_on_null_line_unchecked(q, J, xdot, nearby)
+        quick = self.law.undamped_terms_unchecked(q, J, xdot, nearby)
         if quick is None:
             at = Configuration(self._robot, q, None, self.jacobian, self._at.J[0], _NOTHING)
             wish = self.law.wish_unchecked(at, J, xdot, nearby)
             v, null, damped = wish.v, wish.null, wish.task.damping > 0.0
         else:
-            v, null = quick
+            null = quick[1]
+            v = quick[0] + null
         over = self._bounds.over_rates(q, v)
         if over > 1.0 and np.count_nonzero(null):
             # the tip comes first: the null space gets the rates that are left
@@ -126,7 +124,7 @@ class TipTask:
         """
         margin = near.margin
         if len(margin) == 0 or margin[margin.argmin()] >= self.law.influence:
-            return _NOBODY
+            return self._nobody
         seen, rows = self._critical
         if seen is not near:
             gradient = self._separation.nearest_rows(near.pairs, near.gaps, self._at)
@@ -156,6 +154,17 @@ class TipTask:
                     sense = np.array([-normal[1], normal[0], 0.0])
             self._sense = sense / max(math.sqrt(float(sense @ sense)), 1e-9)
         return np.asarray(tip + into * self._sense)
+
+
+@compiled
+def place_tip(pose: Matrix, tip: Vector, J: Matrix, jacobian: Matrix, /) -> Vector:
+    """(3,) where the `tip` (4,) of a body placed at `pose` (4, 4) is [m], and its `jacobian` (6, n) from J (6, n)."""
+    position: Vector = pose.dot(tip)[:3]
+    x, y, z = position.tolist()
+    to = _AT_ORIGIN.copy()  # its upper right part is omega -> omega x tip
+    to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
+    np.dot(to, J, out=jacobian)
+    return position
 
 
 def _movable_tip_rows(robot: Robot) -> Flags:

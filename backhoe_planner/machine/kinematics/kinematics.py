@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import as_strided
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.native import compiled
 
 _Angle = TypeVar("_Angle", float, Array)
 _WORLD_AXES = pin.LOCAL_WORLD_ALIGNED
@@ -135,15 +136,22 @@ class Kinematics:
 
     def at_unchecked(self, q: Vector) -> Configuration:
         """The same for callers in a loop, whose arguments are right as they are made."""
-        (model, data, tip), n = self._pin, self._n
+        model, data, tip = self._pin
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacement(model, data, tip)
-        jacobian = pin.getFrameJacobian(model, data, tip, _WORLD_AXES)
         own_q = q.copy()
         own_q.setflags(write=False)
-        points = np.empty((n + 1, 3))
-        points[:n], points[n] = self._origins, self._tip_position
-        return Configuration(self.robot, own_q, self._tip.copy(), jacobian.reshape(6, n), self._J.copy(), points)
+        jacobian = pin.getFrameJacobian(model, data, tip, _WORLD_AXES)
+        J, points = placed_arrays(self._J, self._origins, self._tip_position)
+        return Configuration(self.robot, own_q, self._tip.copy(), jacobian.reshape(6, self._n), J, points)
+
+
+@compiled
+def placed_arrays(J: Matrix, origins: Matrix, tip: Vector, /) -> tuple[Matrix, Matrix]:
+    """Copies of J (6, n), and of `origins` (n, 3) with the `tip` (3,) behind them."""
+    points = np.empty((len(origins) + 1, 3))
+    points[:-1], points[-1] = origins, tip
+    return J.copy(), points
 
 
 @dataclass(frozen=True, eq=False)

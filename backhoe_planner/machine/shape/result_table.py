@@ -18,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.machine.shape.shapes import measure_pair_again, rows_in_doubt, sphere
+from backhoe_planner.machine.shape.shapes import CONTACT, measure_pair_again, rows_in_doubt, sphere
+from backhoe_planner.native import compiled
 
 _NUMBERS = 10  # of a result: distance, normal, nearest points
 _BYTES = 8  # of a number
@@ -53,12 +54,12 @@ class ResultTable:
         model, data, compute = self._model, self._data, pin.computeDistance
         for pair in pairs.tolist():
             compute(model, data, pair)
-        found = self._read(pairs)
-        doubtful = rows_in_doubt(found[:, _DISTANCE])
-        if doubtful:
+        found, is_doubtful = self._read(pairs)
+        if is_doubtful:
+            doubtful = rows_in_doubt(found[:, _DISTANCE])
             for pair in pairs[doubtful].tolist():
                 measure_pair_again(model, data, pair)
-            found[doubtful] = self._read(pairs[doubtful])
+            found[doubtful] = self._read(pairs[doubtful])[0]
         return found
 
     def measure_all(self) -> Vector:
@@ -72,10 +73,18 @@ class ResultTable:
             distances[pair] = measure_pair_again(self._model, self._data, pair).min_distance
         return distances
 
-    def _read(self, pairs: Indices) -> Matrix:
+    def _read(self, pairs: Indices) -> tuple[Matrix, bool]:
+        """(K, 10) the results of `pairs` (K,), and whether any may be in doubt."""
         if self._numbers is None:
-            return _read_each(self._data, pairs)
-        return np.asarray(self._numbers[pairs])  # a copy; `take` would copy all of them first
+            return _read_each(self._data, pairs), True
+        return read_results(self._numbers, pairs, CONTACT)
+
+
+@compiled
+def read_results(numbers: Matrix, pairs: Indices, contact: float, /) -> tuple[Matrix, bool]:
+    """(K, 10) a copy of the rows `pairs` (K,) of `numbers` (P, 10), and whether one begins with `contact` or less."""
+    found = np.asarray(numbers[pairs])  # `take` would copy all of them first
+    return found, len(found) > 0 and not found[found[:, _DISTANCE].argmin(), _DISTANCE] > contact
 
 
 def _read_each(data: pin.GeometryData, pairs: Indices) -> Matrix:

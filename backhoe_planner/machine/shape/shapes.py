@@ -28,7 +28,7 @@ _THICKNESS = 1e-3  # m given to flat points; chosen, small beside any clearance
 _THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more: ten times `_FLAT`
 _FAR = 1e3  # largest extents from the origin: beyond, too few digits are left for the shape
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
-_CONTACT = 1e-9  # m: distances below this are measured again, see `measure_again`
+CONTACT = 1e-9  # m: distances below this are measured again, see `measure_again`
 _TOLERANCE = 1e-12  # m, of coal's iterations: tests compare gradients with differences over 1e-6 rad
 _LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn where the first answer is in doubt
 _ITERATIONS = 256  # at most: twice coal's default, for that tolerance
@@ -327,12 +327,12 @@ def within(first: Piece, T_first: pin.SE3, second: Piece, T_second: pin.SE3, mar
 
 def in_doubt(distance: Any) -> Any:
     """Whether to measure again what coal gave as a `distance` [m], a number or an array: 0, absurdly deep, or nan."""
-    return (abs(distance) <= _CONTACT) | (distance <= _NONSENSE) | (distance != distance)
+    return (abs(distance) <= CONTACT) | (distance <= _NONSENSE) | (distance != distance)
 
 
 def rows_in_doubt(distances: Vector) -> list[int]:
     """Which of many distances (K,) to measure again; see `in_doubt`."""
-    if len(distances) == 0 or distances[distances.argmin()] > _CONTACT:  # the common case first; nan counts as least
+    if len(distances) == 0 or distances[distances.argmin()] > CONTACT:  # the common case first; nan counts as least
         return []
     found: list[int] = in_doubt(distances).nonzero()[0].tolist()
     return found
@@ -342,7 +342,7 @@ def measure(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) ->
     """Coal's result for one pair of a geometry model, at the present placements."""
     result = pin.computeDistance(model, geometry, index)
     distance = result.min_distance
-    if distance > _CONTACT or not in_doubt(distance):  # the common case first: this is called millions of times
+    if distance > CONTACT or not in_doubt(distance):  # the common case first: this is called millions of times
         return result
     return measure_pair_again(model, geometry, index)
 
@@ -352,7 +352,7 @@ def measure_distances(model: pin.GeometryModel, geometry: pin.GeometryData, pair
     distances, compute = [], pin.computeDistance
     for index in pairs:
         distance = compute(model, geometry, index).min_distance
-        if not distance > _CONTACT and in_doubt(distance):
+        if not distance > CONTACT and in_doubt(distance):
             distance = measure_pair_again(model, geometry, index).min_distance
         distances.append(distance)
     return distances
@@ -415,7 +415,7 @@ class Gauge:
 
         result = measure()
         distance = result.min_distance
-        if not distance > _CONTACT and in_doubt(distance):
+        if not distance > CONTACT and in_doubt(distance):
             result = measure_again(self._request, measure)
             distance = result.min_distance
         # copies: coal's own memory is overwritten by the next measurement

@@ -14,39 +14,17 @@ over that cone is known. A link that passes by an obstacle, or leaves it, does n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import LinkPiece, joint_poses
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.native import compiled
 
 _NO_LENGTH = 1e-9  # m: where centres coincide there is no direction
 _NEXT, _LAST, _ONES = np.array([1, 2, 0]), np.array([2, 0, 1]), np.ones(3)
-
-
-class Lead(NamedTuple):
-    """Which margins count because the machine moves: those that it could use up in time.
-
-    Attributes
-    ----------
-    v, change: (n,) the joint velocities, and how far from each on either side is possible next [rad/s or m/s].
-    longest: the time [s].
-    """
-
-    v: Vector
-    change: Vector
-    longest: float
-
-    def can_bind(self, margin: Vector, gradient: Matrix, drift: Vector) -> Flags:
-        """(K,) whether margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count."""
-        rate = np.abs(gradient).dot(self.change)
-        rate -= gradient.dot(self.v)
-        rate -= drift
-        rate *= self.longest
-        return np.asarray(margin < rate)
 
 
 class ApproachBounds:
@@ -68,10 +46,8 @@ class ApproachBounds:
         # vectors stand in columns here: numpy is several times quicker along rows that lie in memory as such
         self._centre = np.ascontiguousarray(np.reshape([centre for centre, _ in balls], (-1, 3)).T)
         self._joint = np.array([*(link.joint for link in links), *(0 for _ in bodies)], dtype=np.intp)
-        self._own_joint = self._joint[: len(own)]
-        self._own = np.array([(*centre, 1.0) for centre, _ in own]).reshape(-1, 4, 1)
+        self._own = np.array([(*centre, 1.0) for centre, _ in own]).reshape(-1, 4)
         self._poses: Array | None = None
-        self._inward: Matrix  # its columns are 1 for the joints that move a body
 
     def at(
         self, data: pin.Data, J: Matrix, v: Vector, *, piece: Indices, body: Indices, shift: Matrix, velocity: Matrix
@@ -87,31 +63,51 @@ class ApproachBounds:
         shift: (K, 3) how far the bodies have moved [m], world; velocity: (K, 3) of the bodies [m/s].
         """
         if self._poses is None:
-            self._poses, self._inward = joint_poses(data), np.triu(np.ones((len(v), len(v))))
-        placed = np.matmul(self._poses.take(self._own_joint, axis=0), self._own)
-        self._centre[:, : len(placed)] = placed[..., 0].T
-        motion = np.zeros((6, len(v) + 1))  # of each joint's body: velocity at the world's origin, angular velocity
-        motion[:, 1:] = (J * v).dot(self._inward)
-        here, size = self._centre.take(piece, axis=1), self._size.take(piece)
-        seen = motion.take(self._joint.take(piece), axis=1)
-        seen -= motion.take(self._joint.take(body), axis=1)
-        turn = seen[3:]
-        passing = seen[:3] + turn.take(_NEXT, axis=0) * here.take(_LAST, axis=0)
-        passing -= turn.take(_LAST, axis=0) * here.take(_NEXT, axis=0)
-        passing -= velocity.T
-        away = self._centre.take(body, axis=1)
-        away -= here
-        away += shift.T
-        length = np.maximum(np.sqrt(_ONES.dot(away * away)), _NO_LENGTH)
-        speed2 = _ONES.dot(passing * passing)
-        speed = np.sqrt(speed2)
-        sine = np.minimum((self._size.take(body) + size) / length, 1.0)
-        cosine = np.sqrt(1.0 - sine * sine)
-        along = _ONES.dot(away * passing) / length
-        across = np.sqrt(np.maximum(speed2 - along * along, 0.0))
-        aside = (along < speed * cosine) & (sine < 1.0)
-        towards = np.where(aside, along * cosine + across * sine, speed)
-        return np.asarray(towards + np.sqrt(_ONES.dot(turn * turn)) * size)
+            self._poses = joint_poses(data)
+        return approach_rates(
+            self._poses, self._own, self._centre, self._size, self._joint, J, v, piece, body, shift, velocity
+        )
+
+
+@compiled
+def approach_rates(
+    poses: Array, own: Matrix, centre: Matrix, size: Vector, joint: Indices, J: Matrix, v: Vector,
+    piece: Indices, body: Indices, shift: Matrix, velocity: Matrix, /,
+) -> Vector:  # fmt: skip
+    """(K,) the bounds of `ApproachBounds.at` for K pairs [m/s].
+
+    Parameters
+    ----------
+    poses: (n + 1, 3, 4) of the joints; the first is the world's.
+    own: (L, 4) centres of the balls around the machine's pieces, in their bodies' frames, with a 1 behind each [m].
+    centre: (3, B) of all balls, the machine's first, whose columns are written anew here [m], world.
+    size, joint: (B,) radii of the balls [m], and the joints that they move with.
+    J, v, piece, body, shift, velocity: see `ApproachBounds.at`.
+    """
+    placed = np.matmul(poses.take(joint[: len(own)], axis=0), own[:, :, None])
+    centre[:, : len(own)] = placed[..., 0].T
+    motion = np.zeros((6, len(v) + 1))  # of each joint's body: velocity at the world's origin, angular velocity
+    np.cumsum(J * v, axis=1, out=motion[:, 1:])
+    here, radius = centre.take(piece, axis=1), size.take(piece)
+    seen = motion.take(joint.take(piece), axis=1)
+    seen -= motion.take(joint.take(body), axis=1)
+    turn = seen[3:]
+    passing = seen[:3] + turn.take(_NEXT, axis=0) * here.take(_LAST, axis=0)
+    passing -= turn.take(_LAST, axis=0) * here.take(_NEXT, axis=0)
+    passing -= velocity.T
+    away = centre.take(body, axis=1)
+    away -= here
+    away += shift.T
+    length = np.maximum(np.sqrt(_ONES.dot(away * away)), _NO_LENGTH)
+    speed2 = _ONES.dot(passing * passing)
+    speed = np.sqrt(speed2)
+    sine = np.minimum((size.take(body) + radius) / length, 1.0)
+    cosine = np.sqrt(1.0 - sine * sine)
+    along = _ONES.dot(away * passing) / length
+    across = np.sqrt(np.maximum(speed2 - along * along, 0.0))
+    aside = (along < speed * cosine) & (sine < 1.0)
+    towards = np.where(aside, along * cosine + across * sine, speed)
+    return np.asarray(towards + np.sqrt(_ONES.dot(turn * turn)) * radius)
 
 
 def _ball(piece: shapes.Piece) -> tuple[Vector, float]:

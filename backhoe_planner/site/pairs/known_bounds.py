@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.native import compiled
 
 _SKIN = 0.4  # m of travel after which pairs are chosen anew; chosen, some ten steps of a quick motion
 _NONE: Indices = np.zeros(0, dtype=np.intp)
@@ -120,7 +121,7 @@ class KnownBounds:
 
     def is_at(self, q: Vector, time: float) -> bool:
         """Whether what is known was measured at q (n,) and `time`."""
-        return self._time == time and not np.count_nonzero(self._q != q)
+        return self._time == time and self._q.tolist() == q.tolist()
 
     def within(self, margin: float) -> PairSelection:
         """The pairs that some posture brings within `margin` [m] beyond their clearance."""
@@ -197,18 +198,14 @@ class KnownBounds:
         some = self._known
         if way is not None and some is self.every:
             return (self._lower - way < self._clearance + spare).nonzero()[0]
-        dq, near = np.abs(q - self._q), self._near
-        if near is not None:
-            pairs, left, beyond = near
-            furthest = self._way(dq, time - self._time) + spare
-            if beyond >= furthest:
-                if not len(left) or left[left.argmin()] >= furthest:
-                    return _NONE
-                needed = self._travel.take(pairs, axis=0).dot(dq)
-                if self._fastest:
-                    needed += self._speed[pairs] * abs(time - self._time)
-                unproven: Indices = pairs.take((left < (needed + spare if spare else needed)).nonzero()[0])
+        if self._near is not None:
+            unproven = unproven_of_near(
+                *self._near, self._travel, self._speed, self.furthest, self._fastest,
+                self._q, q, time - self._time, spare,
+            )  # fmt: skip
+            if unproven is not None:
                 return unproven
+        dq = np.abs(q - self._q)
         if some.margin < spare or (self._others < np.inf and self._others - self._way(dq, time - self._time) < spare):
             some = self.every
         lower = self.lower(some, q, time)
@@ -233,7 +230,7 @@ class KnownBounds:
 
     def _after(self, some: PairSelection, lower: Vector, q_0: Vector, time_0: float, q: Vector, time: float) -> Vector:
         """(M,) what is left of lower bounds (M,) after the way from q_0 (n,) to q (n,)."""
-        lower = lower - some.travel.dot(np.abs(q - q_0))
+        lower = bounds_after(lower, some.travel, q_0, q)
         if self._fastest:
             lower -= some.speed * np.abs(age(time, some.appears_at) - age(time_0, some.appears_at))
         return lower
@@ -247,3 +244,38 @@ class KnownBounds:
 def age(time: float, appears_at: Vector) -> Vector:
     """(P,) how long obstacles have been there at `time` [s]."""
     return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)
+
+
+@compiled
+def bounds_after(lower: Vector, travel: Matrix, q_0: Vector, q: Vector, /) -> Vector:
+    """(M,) what is left of lower bounds (M,) [m] of pairs with `travel` (M, n) after a way from q_0 (n,) to q (n,)."""
+    return np.asarray(lower - travel.dot(np.abs(q - q_0)))
+
+
+@compiled
+def unproven_of_near(
+    pairs: Indices, left: Vector, beyond: float, travel: Matrix, speed: Vector, furthest: Vector, fastest: float,
+    q_0: Vector, q: Vector, dt: float, spare: float, /,
+) -> Indices | None:  # fmt: skip
+    """Which of all pairs may use up all but `spare` [m] of their margins on the way from q_0 (n,) to q (n,), in dt [s].
+
+    None where more must be known than of those that were near.
+
+    Parameters
+    ----------
+    pairs: (K,) those that were near; left: (K,) their margins [m].
+    beyond: all other pairs have at least that [m].
+    travel, speed: (P, n), (P,) of all pairs, as in `Proximity`.
+    furthest, fastest: (n,) and the most of these that any pair has.
+    """
+    dq = np.abs(q - q_0)
+    way = float(furthest.dot(dq)) + fastest * abs(dt) + spare
+    if not beyond >= way:
+        return None
+    if not len(left) or left[left.argmin()] >= way:
+        return _NONE
+    needed = travel.take(pairs, axis=0).dot(dq)
+    if fastest:
+        needed += speed[pairs] * abs(dt)
+    unproven: Indices = pairs.take((left < (needed + spare if spare else needed)).nonzero()[0])
+    return unproven

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import reprlib
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.native import compiled
 
 # columns of what is found of a pair: a distance, a normal n, and the point p of the link; (n, p x n) is made of
 # products of the first with the second ones, the last three of which are taken off
@@ -35,6 +37,97 @@ def distance_gradients(found: Matrix, J: Matrix) -> Matrix:
     parts[:, 3:] = products
     gradients: Matrix = parts.dot(_SUMS.dot(J))
     return gradients
+
+
+class Lead(NamedTuple):
+    """Which margins count because the machine moves: those that it could use up in time.
+
+    Attributes
+    ----------
+    v, change: (n,) the joint velocities, and how far from each on either side is possible next [rad/s or m/s].
+    longest: the time [s].
+    """
+
+    v: Vector
+    change: Vector
+    longest: float
+
+    def can_bind(self, margin: Vector, gradient: Matrix, drift: Vector) -> Flags:
+        """(K,) whether margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count."""
+        rate = np.abs(gradient).dot(self.change)
+        rate -= gradient.dot(self.v)
+        rate -= drift
+        rate *= self.longest
+        return np.asarray(margin < rate)
+
+
+@compiled
+def reach_of_lead(
+    lower: Vector, travel: Matrix, speed: Vector, clearance: Vector, least: Vector, fastest: Vector, stop: float, /
+) -> tuple[Vector, int]:
+    """(M,) within which pairs count because the machine moves [m], and how many of them may be that near.
+
+    Parameters
+    ----------
+    lower: (M,) lower bounds of their distances [m].
+    travel, speed, clearance: (M, n), (M,), (M,) as in `Proximity`.
+    least: (M,) within which each counts in any case [m].
+    fastest: (n,) the highest speeds that are possible next [rad/s or m/s].
+    stop: in which the machine stops from these [s].
+    """
+    reach = travel.dot(fastest)
+    reach += speed
+    reach *= stop
+    reach += clearance
+    np.maximum(reach, least, out=reach)
+    return reach, int(np.count_nonzero(lower <= reach))
+
+
+@compiled
+def pairs_within(pairs: Indices, lower: Vector, reach: Vector, /) -> tuple[Indices, Indices, Vector]:
+    """Rows (K,) of those of `pairs` (M,) whose bounds `lower` (M,) are within `reach` (M,), the pairs, their reach."""
+    rows = (lower <= reach).nonzero()[0]
+    return rows, pairs.take(rows), reach.take(rows)
+
+
+@compiled
+def near_rows(
+    measured: Indices, found: Matrix, reach: Vector, clearance: Vector, sense: Matrix, velocity: Matrix | None,
+    J: Matrix, margin: float, v: Vector | None, change: Vector | None, longest: float, /,
+) -> tuple[Indices, Matrix, Indices, Matrix, Vector, Matrix, Vector]:  # fmt: skip
+    """Those of the `measured` pairs (K,) that are near, and the rows of those that count.
+
+    Parameters
+    ----------
+    found: (K, 10) distance, normal and nearest points of each, see `distance_gradients`.
+    reach: (K,) within which each is near [m].
+    clearance: (P,) of all pairs [m].
+    sense: (P, n) +1 for joints that move the other body alone, -1 for those that move the link alone, 0 else.
+    velocity: (P, 3) of the obstacles [m/s]; None where none moves.
+    J: (6, n) Pinocchio's joint Jacobians there.
+    margin, v, change, longest: beyond that margin [m] only those count that `Lead` says; all with v None.
+
+    Returns
+    -------
+    The near pairs, and what was found of them; of those that count the pairs, what was found of them, and the margin,
+    gradient and drift of `Nearby`.
+    """
+    rows = (found[:, 0] <= reach).nonzero()[0]
+    if len(rows) < len(measured):
+        measured, found = measured.take(rows), found.take(rows, axis=0)
+    gradient = distance_gradients(found, J)
+    gradient *= sense.take(measured, axis=0)
+    left = found[:, 0] - clearance.take(measured)
+    drift = np.zeros(len(measured)) if velocity is None else np.vecdot(found[:, 1:4], velocity[measured])
+    if v is None or change is None or not len(left) or left[left.argmax()] <= margin:
+        return measured, found, measured, found, left, gradient, drift
+    counts = left <= margin
+    counts |= Lead(v, change, longest).can_bind(left, gradient, drift)
+    rows = counts.nonzero()[0]
+    return (
+        measured, found, measured.take(rows), found.take(rows, axis=0),
+        left.take(rows), gradient.take(rows, axis=0), drift.take(rows),
+    )  # fmt: skip
 
 
 @dataclass(eq=False, slots=True)

@@ -1,0 +1,19 @@
+"""Builds the extension; what else there is to say stands in pyproject.toml."""
+
+import numpy as np
+from setuptools import Extension, setup
+
+SOURCES = ("arrays", "kinematics", "pairs", "law", "shield", "servo", "module")
+
+setup(
+    ext_modules=[
+        Extension(
+            "backhoe_planner_native",
+            [f"src/{name}.c" for name in SOURCES],
+            depends=["src/arrays.h"],
+            include_dirs=[np.get_include()],
+            # no product and sum are made one: the same numbers on every processor
+            extra_compile_args=["-O2", "-std=gnu11", "-ffp-contract=off"],
+        )
+    ]
+)

@@ -1,0 +1,182 @@
+#include "arrays.h"
+
+#include <math.h>
+
+static int is_array(PyObject *object, const char *name, int kind, int axes)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (!PyArray_Check(object) || PyArray_TYPE(array) != kind || PyArray_NDIM(array) != axes ||
+        !PyArray_ISALIGNED(array) || !PyArray_ISNOTSWAPPED(array)) {
+        PyErr_Format(PyExc_TypeError, "%s: an array of %s with %d axes is wanted", name,
+                     kind == NPY_DOUBLE ? "float64" : "intp", axes);
+        return -1;
+    }
+    return 0;
+}
+
+static int has_length(npy_intp found, npy_intp wanted, const char *name)
+{
+    if (wanted >= 0 && found != wanted) {
+        PyErr_Format(PyExc_ValueError, "%s: has length %zd, not %zd", name, (Py_ssize_t)found, (Py_ssize_t)wanted);
+        return -1;
+    }
+    return 0;
+}
+
+int as_vec(PyObject *object, const char *name, npy_intp length, Vec *out)
+{
+    if (is_array(object, name, NPY_DOUBLE, 1) < 0)
+        return -1;
+    PyArrayObject *array = (PyArrayObject *)object;
+    out->data = PyArray_BYTES(array);
+    out->n = PyArray_DIM(array, 0);
+    out->step = PyArray_STRIDE(array, 0);
+    return has_length(out->n, length, name);
+}
+
+int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out)
+{
+    if (is_array(object, name, NPY_DOUBLE, 2) < 0)
+        return -1;
+    PyArrayObject *array = (PyArrayObject *)object;
+    out->data = PyArray_BYTES(array);
+    out->rows = PyArray_DIM(array, 0);
+    out->columns = PyArray_DIM(array, 1);
+    out->down = PyArray_STRIDE(array, 0);
+    out->right = PyArray_STRIDE(array, 1);
+    if (has_length(out->rows, rows, name) < 0)
+        return -1;
+    return has_length(out->columns, columns, name);
+}
+
+int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out)
+{
+    if (is_array(object, name, NPY_INTP, 1) < 0)
+        return -1;
+    PyArrayObject *array = (PyArrayObject *)object;
+    out->data = PyArray_BYTES(array);
+    out->n = PyArray_DIM(array, 0);
+    out->step = PyArray_STRIDE(array, 0);
+    for (npy_intp i = 0; i < out->n; i++)
+        if (INDEX(*out, i) < 0 || INDEX(*out, i) >= below) {
+            PyErr_Format(PyExc_IndexError, "%s: %zd is not below %zd", name, (Py_ssize_t)INDEX(*out, i),
+                         (Py_ssize_t)below);
+            return -1;
+        }
+    return 0;
+}
+
+int as_double(PyObject *object, const char *name, double *out)
+{
+    *out = PyFloat_AsDouble(object);
+    if (*out == -1.0 && PyErr_Occurred()) {
+        PyErr_Format(PyExc_TypeError, "%s: a number is wanted", name);
+        return -1;
+    }
+    return 0;
+}
+
+int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out)
+{
+    if (!PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != count) {
+        PyErr_Format(PyExc_TypeError, "%s: a tuple of %zd numbers is wanted", name, count);
+        return -1;
+    }
+    for (Py_ssize_t i = 0; i < count; i++)
+        if (as_double(PyTuple_GET_ITEM(tuple, i), name, out + i) < 0)
+            return -1;
+    return 0;
+}
+
+int count_is(Py_ssize_t given, Py_ssize_t wanted, const char *function)
+{
+    if (given == wanted)
+        return 0;
+    PyErr_Format(PyExc_TypeError, "%s takes %zd arguments, not %zd", function, wanted, given);
+    return -1;
+}
+
+PyObject *new_vec(npy_intp n, double **data)
+{
+    PyObject *array = PyArray_EMPTY(1, &n, NPY_DOUBLE, 0);
+    if (array)
+        *data = (double *)PyArray_DATA((PyArrayObject *)array);
+    return array;
+}
+
+PyObject *new_mat(npy_intp rows, npy_intp columns, double **data)
+{
+    npy_intp shape[2] = {rows, columns};
+    PyObject *array = PyArray_EMPTY(2, shape, NPY_DOUBLE, 0);
+    if (array)
+        *data = (double *)PyArray_DATA((PyArrayObject *)array);
+    return array;
+}
+
+PyObject *new_ind(npy_intp n, npy_intp **data)
+{
+    PyObject *array = PyArray_EMPTY(1, &n, NPY_INTP, 0);
+    if (array)
+        *data = (npy_intp *)PyArray_DATA((PyArrayObject *)array);
+    return array;
+}
+
+PyObject *ind_of(const npy_intp *values, npy_intp n)
+{
+    npy_intp *data;
+    PyObject *array = new_ind(n, &data);
+    if (array)
+        memcpy(data, values, n * sizeof(npy_intp));
+    return array;
+}
+
+void *room_for(Room *room, size_t bytes)
+{
+    room->many = NULL;
+    if (bytes <= sizeof(room->few))
+        return room->few;
+    room->many = PyMem_Malloc(bytes);
+    if (!room->many)
+        PyErr_NoMemory();
+    return room->many;
+}
+
+void release(Room *room)
+{
+    if (room->many)
+        PyMem_Free(room->many);
+}
+
+int cholesky(double *A, int n)
+{
+    for (int j = 0; j < n; j++) {
+        double d = A[n * j + j];
+        for (int k = 0; k < j; k++)
+            d -= A[n * j + k] * A[n * j + k];
+        if (!(d > 0.0))
+            return -1;
+        d = sqrt(d);
+        A[n * j + j] = d;
+        for (int i = j + 1; i < n; i++) {
+            double s = A[n * i + j];
+            for (int k = 0; k < j; k++)
+                s -= A[n * i + k] * A[n * j + k];
+            A[n * i + j] = s / d;
+        }
+    }
+    return 0;
+}
+
+void solve_cholesky(const double *L, int n, double *b)
+{
+    for (int i = 0; i < n; i++) {
+        for (int k = 0; k < i; k++)
+            b[i] -= L[n * i + k] * b[k];
+        b[i] /= L[n * i + i];
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        for (int k = i + 1; k < n; k++)
+            b[i] -= L[n * k + i] * b[k];
+        b[i] /= L[n * i + i];
+    }
+}

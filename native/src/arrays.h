@@ -1,0 +1,79 @@
+/* Arrays as the functions of this extension take and return them: doubles and indices, with any strides.
+ *
+ * What a function computes is explained where its plain version stands, in backhoe_planner. Shapes and indices are
+ * checked here, so that no argument reaches beyond an array. */
+#ifndef BACKHOE_ARRAYS_H
+#define BACKHOE_ARRAYS_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
+#define PY_ARRAY_UNIQUE_SYMBOL backhoe_planner_native_arrays
+#ifndef BACKHOE_MODULE
+#define NO_IMPORT_ARRAY
+#endif
+#include <numpy/arrayobject.h>
+
+#define MOST_JOINTS 32 /* with more of them the caller's plain version answers */
+#define MOST_TASKS 6
+
+/* (n,) doubles; step in bytes */
+typedef struct {
+    char *data;
+    npy_intp n, step;
+} Vec;
+
+/* (rows, columns) doubles */
+typedef struct {
+    char *data;
+    npy_intp rows, columns, down, right;
+} Mat;
+
+/* (n,) indices */
+typedef struct {
+    char *data;
+    npy_intp n, step;
+} Ind;
+
+#define AT(v, i) (*(double *)((v).data + (i) * (v).step))
+#define AT2(m, i, j) (*(double *)((m).data + (i) * (m).down + (j) * (m).right))
+#define INDEX(v, i) (*(npy_intp *)((v).data + (i) * (v).step))
+
+/* Each returns 0, or -1 with an exception where the object is not such an array. A length of -1 is any. */
+int as_vec(PyObject *object, const char *name, npy_intp length, Vec *out);
+int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out);
+int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out);
+int as_double(PyObject *object, const char *name, double *out);
+int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out);
+int count_is(Py_ssize_t given, Py_ssize_t wanted, const char *function);
+
+PyObject *new_vec(npy_intp n, double **data);
+PyObject *new_mat(npy_intp rows, npy_intp columns, double **data);
+PyObject *new_ind(npy_intp n, npy_intp **data);
+PyObject *ind_of(const npy_intp *values, npy_intp n);
+
+/* n things of a size, on the caller's stack where they fit: free with `release` */
+typedef struct {
+    double few[512];
+    void *many;
+} Room;
+void *room_for(Room *room, size_t bytes);
+void release(Room *room);
+
+/* positive definite A (n, n), row by row: 0 and its Cholesky factor below the diagonal, or -1 */
+int cholesky(double *A, int n);
+void solve_cholesky(const double *L, int n, double *b);
+
+/* All functions that Python sees, by the files that they stand in: kinematics, pairs, law, shield, servo. */
+#define FUNCTIONS(F) \
+    F(placed_arrays) F(keep_placements) F(place_tip) \
+    F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
+    F(unproven_of_near) \
+    F(undamped_terms) \
+    F(step_conditions) F(nearest_safe_program) \
+    F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(corner_gaps) \
+    F(blended_points) F(plane_rows) F(refused_velocity) F(force_on_hand)
+#define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
+FUNCTIONS(DECLARED)
+
+#endif

@@ -1,0 +1,442 @@
+/* The servo: what one step can do to the joints, the pairs that are near or could come too close, the hand's force. */
+#include "arrays.h"
+
+#include <math.h>
+
+static int same_length(npy_intp found, npy_intp wanted, const char *name)
+{
+    if (found == wanted)
+        return 0;
+    PyErr_Format(PyExc_ValueError, "%s: has length %zd, not %zd", name, (Py_ssize_t)found, (Py_ssize_t)wanted);
+    return -1;
+}
+
+/* --- joints ----------------------------------------------------------------------------- */
+
+enum { LOWER, UPPER, FASTEST, CHANGE, ACCELERATION, PER, COLUMNS };
+enum { PER_MISSING, SLOWEST, QUICKEST, TOLERANCE, BRAKING, RATES };
+
+static double way_back(double missing, const double *set)
+{
+    const double back = set[PER_MISSING] * missing, least = back > set[SLOWEST] ? back : set[SLOWEST];
+    return least < set[QUICKEST] ? least : set[QUICKEST];
+}
+
+static double clipped(double value, double low, double high)
+{
+    return value < low ? low : value > high ? high : value;
+}
+
+PyObject *reachable_velocities(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec q, v, wish;
+    Mat joints;
+    double dt, set[RATES], time = 0.0;
+    if (count_is(count, 6, "reachable_velocities") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
+        as_vec(args[1], "v", q.n, &v) < 0 || as_vec(args[2], "wish", q.n, &wish) < 0 ||
+        as_double(args[3], "dt", &dt) < 0 || as_mat(args[4], "joints", q.n, COLUMNS, &joints) < 0 ||
+        as_doubles(args[5], "rates", RATES, set) < 0)
+        return NULL;
+    double *low, *high, *least, *most;
+    PyObject *lows = new_vec(q.n, &low), *highs = new_vec(q.n, &high), *leasts = new_vec(q.n, &least),
+             *mosts = new_vec(q.n, &most);
+    if (!lows || !highs || !leasts || !mosts) {
+        Py_XDECREF(lows), Py_XDECREF(highs), Py_XDECREF(leasts), Py_XDECREF(mosts);
+        return NULL;
+    }
+    for (npy_intp j = 0; j < q.n; j++) {
+        const double stop = fabs(AT(v, j)) * AT2(joints, j, PER);
+        if (stop > time)
+            time = stop;
+    }
+    const double look = dt + 0.5 * (time + dt / set[BRAKING]);
+    int tight = 0, cut = 0;
+    for (npy_intp j = 0; j < q.n; j++) {
+        const double fastest = AT2(joints, j, FASTEST), room = fastest * look, rate = AT(v, j), wished = AT(wish, j);
+        const double above = AT2(joints, j, UPPER) - AT(q, j), below = AT(q, j) - AT2(joints, j, LOWER);
+        const double down = rate - AT2(joints, j, CHANGE), up = rate + AT2(joints, j, CHANGE);
+        double to = above > room ? fastest : above / look, from = below > room ? -fastest : -below / look;
+        if (above < -set[TOLERANCE]) {
+            to = -way_back(-above, set);
+            from = from < to ? from : to;
+        } else if (below < -set[TOLERANCE]) {
+            from = way_back(-below, set);
+            to = to > from ? to : from;
+        } else if (to < down || from > up)
+            tight = 1;
+        if (wished > to + set[TOLERANCE] || wished < from - set[TOLERANCE])
+            cut = 1;
+        least[j] = from, most[j] = to;
+        low[j] = clipped(from, down, up), high[j] = clipped(to, down, up);
+    }
+    for (npy_intp j = 0; tight && j < q.n; j++) {
+        /* a joint needs all that is left of its range to brake: the others must not make that way longer */
+        const double cap = AT2(joints, j, ACCELERATION) * (time > dt ? time - dt : 0.0), rate = AT(v, j);
+        const double change = AT2(joints, j, CHANGE);
+        if (most[j] > cap)
+            most[j] = cap;
+        if (least[j] < -cap)
+            least[j] = -cap;
+        low[j] = clipped(least[j], rate - change, rate + change);
+        high[j] = clipped(most[j], rate - change, rate + change);
+    }
+    return Py_BuildValue("NNNNdN", lows, highs, leasts, mosts, look, PyBool_FromLong(cut));
+}
+
+PyObject *straight_towards(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec wish, v, change;
+    double *next, part = 1.0;
+    if (count_is(count, 3, "straight_towards") < 0 || as_vec(args[0], "wish", -1, &wish) < 0 ||
+        as_vec(args[1], "v", wish.n, &v) < 0 || as_vec(args[2], "change", wish.n, &change) < 0)
+        return NULL;
+    PyObject *found = new_vec(wish.n, &next);
+    if (!found)
+        return NULL;
+    for (npy_intp j = 0; j < wish.n; j++) {
+        const double amount = fabs(AT(wish, j) - AT(v, j));
+        if (amount * part > AT(change, j))
+            part = AT(change, j) / amount;
+    }
+    for (npy_intp j = 0; j < wish.n; j++)
+        next[j] = AT(v, j) + part * (AT(wish, j) - AT(v, j));
+    return found;
+}
+
+PyObject *changes_of_end(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec q, v, end, change;
+    double look, later, *by;
+    if (count_is(count, 6, "changes_of_end") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
+        as_vec(args[1], "v", q.n, &v) < 0 || as_vec(args[2], "end", q.n, &end) < 0 ||
+        as_vec(args[3], "change", q.n, &change) < 0 || as_double(args[4], "look", &look) < 0 ||
+        as_double(args[5], "later", &later) < 0)
+        return NULL;
+    PyObject *found = new_vec(q.n, &by);
+    if (!found)
+        return NULL;
+    for (npy_intp j = 0; j < q.n; j++)
+        by[j] = fabs(AT(q, j) + AT(v, j) * look - AT(end, j)) + look * AT(change, j) + fabs(AT(v, j)) * later;
+    return found;
+}
+
+/* --- pairs ------------------------------------------------------------------------------ */
+
+PyObject *near_now(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec distance, within, odometer;
+    Ind pairs, classes;
+    if (count_is(count, 5, "near_now") < 0 || as_vec(args[0], "distance", -1, &distance) < 0 ||
+        as_vec(args[1], "within", distance.n, &within) < 0 || as_ind(args[2], "pairs", distance.n, &pairs) < 0 ||
+        as_vec(args[4], "odometer", -1, &odometer) < 0 || as_ind(args[3], "classes", odometer.n, &classes) < 0 ||
+        same_length(classes.n, pairs.n, "classes") < 0)
+        return NULL;
+    npy_intp some = 0, *near;
+    double *lower, *moved;
+#define LEFT(k) (AT(distance, INDEX(pairs, k)) - AT(odometer, INDEX(classes, k)))
+    for (npy_intp k = 0; k < pairs.n; k++)
+        some += LEFT(k) < AT(within, INDEX(pairs, k));
+    PyObject *nears = new_ind(some, &near), *lowers = new_vec(some, &lower), *moves = new_vec(some, &moved);
+    if (!nears || !lowers || !moves) {
+        Py_XDECREF(nears), Py_XDECREF(lowers), Py_XDECREF(moves);
+        return NULL;
+    }
+    for (npy_intp k = 0; k < pairs.n; k++)
+        if (LEFT(k) < AT(within, INDEX(pairs, k)))
+            *near++ = INDEX(pairs, k), *lower++ = LEFT(k), *moved++ = AT(odometer, INDEX(classes, k));
+#undef LEFT
+    return Py_BuildValue("NNN", nears, lowers, moves);
+}
+
+PyObject *not_proven(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec proven, required, odometer, budget;
+    Ind pairs, classes;
+    double buffer;
+    if (count_is(count, 7, "not_proven") < 0 || as_vec(args[0], "proven", -1, &proven) < 0 ||
+        as_vec(args[1], "required", proven.n, &required) < 0 || as_ind(args[2], "pairs", proven.n, &pairs) < 0 ||
+        as_vec(args[4], "odometer", -1, &odometer) < 0 || as_vec(args[5], "budget", odometer.n, &budget) < 0 ||
+        as_ind(args[3], "classes", odometer.n, &classes) < 0 || same_length(classes.n, pairs.n, "classes") < 0 ||
+        as_double(args[6], "buffer", &buffer) < 0)
+        return NULL;
+    Room room;
+    npy_intp *chosen = room_for(&room, pairs.n * sizeof(npy_intp)), some = 0;
+    if (!chosen)
+        return NULL;
+    for (npy_intp k = 0; k < pairs.n; k++) {
+        const npy_intp pair = INDEX(pairs, k), row = INDEX(classes, k);
+        if (AT(proven, pair) - AT(required, pair) < AT(odometer, row) + AT(budget, row) + buffer)
+            chosen[some++] = pair;
+    }
+    PyObject *found = ind_of(chosen, some);
+    release(&room);
+    return found;
+}
+
+/* --- planes ----------------------------------------------------------------------------- */
+
+/* An array of doubles in one piece: its numbers, and in `shape` the length of each axis. */
+static const double *block(PyObject *object, const char *name, int axes, npy_intp *shape)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (!PyArray_Check(object) || PyArray_TYPE(array) != NPY_DOUBLE || PyArray_NDIM(array) != axes ||
+        !PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISALIGNED(array)) {
+        PyErr_Format(PyExc_TypeError, "%s: a contiguous array of float64 with %d axes is wanted", name, axes);
+        return NULL;
+    }
+    for (int axis = 0; axis < axes; axis++)
+        shape[axis] = PyArray_DIM(array, axis);
+    return (const double *)PyArray_DATA(array);
+}
+
+/* The normal of a plane (4,), as it stands in a body placed at T (4, 4), in the world. */
+static void turned(const double *T, const double *n, double *out)
+{
+    for (int c = 0; c < 3; c++)
+        out[c] = T[4 * c] * n[0] + T[4 * c + 1] * n[1] + T[4 * c + 2] * n[2];
+}
+
+PyObject *corner_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind pairs, joint, other = {0};
+    Mat planes;
+    Vec drift = {0};
+    npy_intp t[4], c[3], g[3];
+    double step;
+    if (count_is(count, 9, "corner_gaps") < 0 || as_mat(args[1], "planes", -1, 4, &planes) < 0 ||
+        as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || as_double(args[7], "step", &step) < 0)
+        return NULL;
+    const double *T = block(args[4], "T", 4, t), *columns = T ? block(args[5], "columns", 3, c) : NULL;
+    double *gaps = columns ? (double *)block(args[8], "gaps", 3, g) : NULL;
+    if (!gaps || as_ind(args[2], "joint", t[1], &joint) < 0 || same_length(joint.n, planes.rows, "joint") < 0 ||
+        (args[3] != Py_None &&
+         (as_ind(args[3], "other", t[1], &other) < 0 || same_length(other.n, planes.rows, "other") < 0)) ||
+        (args[6] != Py_None && as_vec(args[6], "drift", planes.rows, &drift) < 0))
+        return NULL;
+    const npy_intp K = pairs.n, S = t[0], V = c[2];
+    if (t[2] != 4 || t[3] != 4 || c[0] != K || c[1] != 4 || g[0] != K || g[1] != S || g[2] != V || V < 1) {
+        PyErr_SetString(PyExc_ValueError, "T, columns and gaps do not fit together");
+        return NULL;
+    }
+    npy_intp shape[2] = {K, S}, *nearest;
+    double *least;
+    PyObject *corners = PyArray_EMPTY(2, shape, NPY_INTP, 0), *leasts = new_mat(K, S, &least);
+    if (!corners || !leasts) {
+        Py_XDECREF(corners), Py_XDECREF(leasts);
+        return NULL;
+    }
+    nearest = (npy_intp *)PyArray_DATA((PyArrayObject *)corners);
+    for (npy_intp k = 0; k < K; k++) {
+        const npy_intp pair = INDEX(pairs, k), on = INDEX(joint, pair), body = other.data ? INDEX(other, pair) : 0;
+        const double n[3] = {AT2(planes, pair, 0), AT2(planes, pair, 1), AT2(planes, pair, 2)};
+        const double away = AT2(planes, pair, 3), *corner = columns + 4 * V * k;
+        const double comes = drift.data && AT(drift, pair) < 0.0 ? step * AT(drift, pair) : 0.0;
+        for (npy_intp s = 0; s < S; s++, gaps += V) {
+            double world[4] = {n[0], n[1], n[2], away}, local[4];
+            if (body) {
+                const double *placed = T + 16 * (t[1] * s + body);
+                turned(placed, n, world);
+                world[3] = away - (world[0] * placed[3] + world[1] * placed[7] + world[2] * placed[11]);
+            }
+            world[3] += s * comes;
+            const double *link = T + 16 * (t[1] * s + on); /* its last row is 0, 0, 0, 1 */
+            for (int d = 0; d < 4; d++)
+                local[d] = world[0] * link[d] + world[1] * link[4 + d] + world[2] * link[8 + d];
+            local[3] += world[3];
+            npy_intp at = 0;
+            for (npy_intp v = 0; v < V; v++) {
+                gaps[v] = local[0] * corner[v] + local[1] * corner[V + v] + local[2] * corner[2 * V + v] +
+                          local[3] * corner[3 * V + v];
+                if (gaps[v] < gaps[at])
+                    at = v;
+            }
+            nearest[S * k + s] = at;
+            least[S * k + s] = gaps[at];
+        }
+    }
+    return Py_BuildValue("NN", corners, leasts);
+}
+
+PyObject *blended_points(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    npy_intp g[3], c[3];
+    Mat least;
+    double width, *point;
+    if (count_is(count, 4, "blended_points") < 0)
+        return NULL;
+    const double *gaps = block(args[0], "gaps", 3, g), *columns = gaps ? block(args[2], "columns", 3, c) : NULL;
+    if (!columns || as_mat(args[1], "least", g[0], g[1], &least) < 0 || as_double(args[3], "width", &width) < 0)
+        return NULL;
+    const npy_intp K = g[0], V = g[2];
+    if (g[1] < 1 || c[0] != K || c[1] != 4 || c[2] != V) {
+        PyErr_SetString(PyExc_ValueError, "gaps and columns do not fit together");
+        return NULL;
+    }
+    PyObject *found = new_mat(K, 4, &point);
+    if (!found)
+        return NULL;
+    for (npy_intp k = 0; k < K; k++, point += 4) {
+        const double within = AT2(least, k, 0) + width, *gap = gaps + g[1] * V * k, *corner = columns + 4 * V * k;
+        double sum[4] = {0.0};
+        for (npy_intp v = 0; v < V; v++) {
+            double part = within - gap[v];
+            if (!(part > 0.0))
+                continue;
+            part *= part;
+            for (int d = 0; d < 4; d++)
+                sum[d] += part * corner[V * d + v];
+        }
+        for (int d = 0; d < 4; d++)
+            point[d] = sum[d] / sum[3];
+    }
+    return found;
+}
+
+PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind pairs, joint, other = {0}, samples = {0};
+    Mat planes, points, mask;
+    npy_intp t[4], j[3], same = 0;
+    double *row;
+    if (count_is(count, 9, "plane_rows") < 0 || as_mat(args[3], "planes", -1, 4, &planes) < 0 ||
+        as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || as_mat(args[2], "points", pairs.n, 4, &points) < 0)
+        return NULL;
+    const double *T = block(args[7], "T", 4, t), *J = T ? block(args[8], "J", 3, j) : NULL;
+    if (!J || as_ind(args[4], "joint", t[1], &joint) < 0 || same_length(joint.n, planes.rows, "joint") < 0 ||
+        (args[5] != Py_None &&
+         (as_ind(args[5], "other", t[1], &other) < 0 || same_length(other.n, planes.rows, "other") < 0)) ||
+        as_mat(args[6], "mask", planes.rows, j[2], &mask) < 0)
+        return NULL;
+    if (PyLong_Check(args[1])) {
+        same = PyLong_AsSsize_t(args[1]);
+        if (same < 0 || same >= t[0]) {
+            PyErr_SetString(PyExc_IndexError, "samples: is not one of those of T");
+            return NULL;
+        }
+    } else if (as_ind(args[1], "samples", t[0], &samples) < 0 || same_length(samples.n, pairs.n, "samples") < 0)
+        return NULL;
+    if (t[2] != 4 || t[3] != 4 || j[0] != t[0] || j[1] != 6) {
+        PyErr_SetString(PyExc_ValueError, "T and J do not fit together");
+        return NULL;
+    }
+    const npy_intp n = j[2];
+    PyObject *found = new_mat(pairs.n, n, &row);
+    if (!found)
+        return NULL;
+    for (npy_intp k = 0; k < pairs.n; k++, row += n) {
+        const npy_intp pair = INDEX(pairs, k), s = samples.data ? INDEX(samples, k) : same;
+        const npy_intp body = other.data ? INDEX(other, pair) : 0;
+        double normal[3] = {AT2(planes, pair, 0), AT2(planes, pair, 1), AT2(planes, pair, 2)}, x[3];
+        if (body) {
+            double world[3];
+            turned(T + 16 * (t[1] * s + body), normal, world);
+            memcpy(normal, world, sizeof(normal));
+        }
+        const double *link = T + 16 * (t[1] * s + INDEX(joint, pair));
+        for (int c = 0; c < 3; c++)
+            x[c] = link[4 * c] * AT2(points, k, 0) + link[4 * c + 1] * AT2(points, k, 1) +
+                   link[4 * c + 2] * AT2(points, k, 2) + link[4 * c + 3] * AT2(points, k, 3);
+        const double m[6] = {-normal[0],
+                             -normal[1],
+                             -normal[2],
+                             x[2] * normal[1] - x[1] * normal[2],
+                             x[0] * normal[2] - x[2] * normal[0],
+                             x[1] * normal[0] - x[0] * normal[1]};
+        const double *columns = J + 6 * n * s;
+        for (npy_intp i = 0; i < n; i++) {
+            double sum = 0.0;
+            for (int c = 0; c < 6; c++)
+                sum += m[c] * columns[n * c + i];
+            row[i] = sum * AT2(mask, pair, i);
+        }
+    }
+    return found;
+}
+
+/* --- the hand --------------------------------------------------------------------------- */
+
+PyObject *refused_velocity(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec free, wish, v, target, change;
+    double forgets, tolerance, *next, *refused;
+    if (count_is(count, 7, "refused_velocity") < 0 || as_vec(args[0], "free", -1, &free) < 0 ||
+        as_vec(args[1], "wish", free.n, &wish) < 0 || as_vec(args[2], "v", free.n, &v) < 0 ||
+        as_vec(args[3], "target", free.n, &target) < 0 || as_vec(args[4], "change", free.n, &change) < 0 ||
+        as_double(args[5], "forgets", &forgets) < 0 || as_double(args[6], "tolerance", &tolerance) < 0)
+        return NULL;
+    PyObject *frees = new_vec(free.n, &next), *found = new_vec(free.n, &refused);
+    if (!frees || !found) {
+        Py_XDECREF(frees), Py_XDECREF(found);
+        return NULL;
+    }
+    for (npy_intp j = 0; j < free.n; j++) {
+        const double before = AT(free, j), rate = AT(v, j), most = AT(change, j);
+        next[j] = before + (fabs(rate - AT(target, j)) > tolerance ? clipped(AT(wish, j) - before, -most, most)
+                                                                   : forgets * (rate - before));
+        refused[j] = next[j] - rate - AT(wish, j);
+    }
+    return Py_BuildValue("NN", frees, found);
+}
+
+enum { DT, DAMPING, LARGEST, SHARPEST, PART, MOST_STORED, SLOW_HAND, SEED, LEAK, SETTINGS };
+enum { FORCE, SMOOTH = 3, STORED = 6, SCALE, STATE };
+
+PyObject *force_on_hand(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec hand, refused, normal;
+    double nearness, state[STATE], set[SETTINGS], *out;
+    if (count_is(count, 6, "force_on_hand") < 0 || as_vec(args[0], "hand", 3, &hand) < 0 ||
+        as_vec(args[1], "refused", 3, &refused) < 0 || as_vec(args[2], "normal", 3, &normal) < 0 ||
+        as_double(args[3], "nearness", &nearness) < 0 || as_doubles(args[4], "state", STATE, state) < 0 ||
+        as_doubles(args[5], "settings", SETTINGS, set) < 0)
+        return NULL;
+    double *force = state + FORCE, *smooth = state + SMOOTH, into = 0.0, given = 0.0, t[3], along = 0.0, size = 0.0;
+    double inward = 0.0;
+    for (int c = 0; c < 3; c++) {
+        given += force[c] * AT(hand, c);
+        into += AT(hand, c) * AT(normal, c);
+        inward += AT(refused, c) * AT(normal, c);
+    }
+    const double stored = state[STORED] - set[DT] * given;
+    state[STORED] = stored < set[MOST_STORED] ? stored : set[MOST_STORED];
+    for (int c = 0; c < 3; c++) {
+        t[c] = AT(hand, c) - nearness * into * AT(normal, c);
+        along += AT(refused, c) * t[c];
+        size += t[c] * t[c];
+    }
+    size = sqrt(size) + set[SLOW_HAND];
+    along = (along > 0.0 ? along : 0.0) / (size * size);
+    inward = nearness * ((inward > 0.0 ? inward : 0.0) + (into > 0.0 ? into : 0.0));
+    size = given = 0.0;
+    for (int c = 0; c < 3; c++) {
+        smooth[c] -= set[PART] * (set[DAMPING] * (inward * AT(normal, c) + along * t[c]) + smooth[c]);
+        size += smooth[c] * smooth[c];
+        given += smooth[c] * AT(hand, c);
+    }
+    size = sqrt(size);
+    double by = 1.0;
+    if (size > 0.0) {
+        const double bounded = set[LARGEST] * tanh(size / set[LARGEST]);
+        along = given * bounded / size;
+        const double most = set[DT] * (along + bounded * set[SHARPEST] * set[DT]);
+        double held = state[STORED] + (along <= 0.0 ? set[SEED] : 0.0), scale = state[SCALE] + set[PART];
+        if (held < set[LEAK])
+            held = set[LEAK];
+        if (scale > 1.0)
+            scale = 1.0;
+        if (most > 0.0) {
+            const double may = (set[PART] * held > set[LEAK] ? set[PART] * held : set[LEAK]) / most;
+            if (may < scale)
+                scale = may;
+        }
+        state[SCALE] = scale;
+        by = bounded / size * scale;
+    }
+    PyObject *found = new_vec(3, &out);
+    if (!found)
+        return NULL;
+    for (int c = 0; c < 3; c++)
+        out[c] = force[c] = smooth[c] * by;
+    return Py_BuildValue("N(dddddddd)", found, state[0], state[1], state[2], state[3], state[4], state[5], state[6],
+                         state[7]);
+}

@@ -1,0 +1,393 @@
+"""The compiled functions give what their plain versions give, and the plain versions what is known of them.
+
+Each function has a source of random arguments here, as it is called in a step. Where the package
+`backhoe_planner_native` is not installed, nothing is compared, and the plain versions are looked at alone.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+
+from backhoe_planner import Robot
+from backhoe_planner.law import CompletedLaw, CriticalRows
+from backhoe_planner.law.completed import LawSettings
+from backhoe_planner.live import Feedback, Servo  # noqa: F401  loads all functions that are marked
+from backhoe_planner.live.servo.feedback import HandSettings
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.native import find_compiled, native_version, plain_versions
+from backhoe_planner.planning import Stepper  # noqa: F401  the same
+
+Rng: TypeAlias = np.random.Generator
+Arguments: TypeAlias = tuple[Any, ...]
+
+needs_native = pytest.mark.skipif(find_compiled() is None, reason="backhoe_planner_native is not installed")
+
+
+def some(rng: Rng, most: int = 40) -> int:
+    return int(rng.integers(0, most))
+
+
+def joints(rng: Rng) -> int:
+    return int(rng.integers(1, 9))
+
+
+def chosen(rng: Rng, of: int) -> np.ndarray[Any, np.dtype[np.intp]]:
+    """Some of so many, ascending."""
+    return np.sort(rng.choice(of, size=int(rng.integers(0, of + 1)), replace=False)).astype(np.intp)
+
+
+def rotation(rng: Rng) -> Any:
+    return np.linalg.qr(rng.normal(size=(3, 3)))[0]
+
+
+def placements(rng: Rng, samples: int, bodies: int) -> Any:
+    T = np.zeros((samples, bodies, 4, 4))
+    for sample in range(samples):
+        for body in range(bodies):
+            T[sample, body] = np.eye(4)
+            if body:
+                T[sample, body, :3, :3], T[sample, body, :3, 3] = rotation(rng), rng.normal(size=3)
+    return T
+
+
+def bounds_after(rng: Rng) -> Arguments:
+    count, n = some(rng), joints(rng)
+    travel = np.abs(rng.normal(size=(count, n)))
+    return rng.normal(size=count), np.asfortranarray(travel), rng.normal(size=n), rng.normal(size=n)
+
+
+def reach_of_lead(rng: Rng) -> Arguments:
+    count, n = some(rng), joints(rng)
+    return (
+        rng.uniform(0.0, 3.0, count), np.asfortranarray(rng.uniform(0.0, 5.0, (count, n))),
+        rng.uniform(0.0, 1.0, count), rng.uniform(0.0, 0.2, count), rng.uniform(0.0, 1.0, count),
+        rng.uniform(0.0, 0.5, n), rng.uniform(0.0, 0.4),
+    )  # fmt: skip
+
+
+def approach_rates(rng: Rng) -> Arguments:
+    n, own, others, count = joints(rng), 1 + some(rng, 6), 1 + some(rng, 6), some(rng)
+    poses = placements(rng, 1, n + 1)[0, :, :3]
+    centre = 3.0 * rng.normal(size=(3, own + others))
+    size = np.append(rng.uniform(0.0, 0.5, own), rng.choice([0.2, 1.0, 5.0, np.inf], others))
+    joint = np.append(rng.integers(0, n + 1, own), np.zeros(others, dtype=int)).astype(np.intp)
+    piece, body = rng.integers(0, own, count), rng.integers(0, own + others, count)
+    ends = np.column_stack((rng.normal(size=(own, 3)), np.ones(own)))
+    return (
+        poses, ends, centre, size, joint, rng.normal(size=(6, n)), rng.normal(size=n), piece, body,
+        0.1 * rng.normal(size=(count, 3)), rng.normal(size=(count, 3)) * rng.integers(0, 2),
+    )  # fmt: skip
+
+
+def pairs_within(rng: Rng) -> Arguments:
+    count = some(rng)
+    return rng.permutation(count), rng.normal(size=count), rng.normal(size=count)
+
+
+def near_rows(rng: Rng) -> Arguments:
+    every, n = 1 + some(rng), joints(rng)
+    measured = chosen(rng, every)
+    found = rng.normal(size=(len(measured), 10))
+    lead: Arguments = (rng.normal(size=n), rng.uniform(0.0, 0.3, n), rng.uniform(0.0, 1.0))
+    return (
+        measured, found, rng.uniform(0.0, 2.0, len(measured)), rng.uniform(0.0, 0.2, every),
+        rng.integers(-1, 2, (every, n)).astype(float), rng.normal(size=(every, 3)) if rng.integers(2) else None,
+        rng.normal(size=(6, n)), 0.3, *(lead if rng.integers(3) else (None, None, 0.0)),
+    )  # fmt: skip
+
+
+def unproven_of_near(rng: Rng) -> Arguments:
+    every, n = 1 + some(rng), joints(rng)
+    travel, speed = rng.uniform(0.0, 4.0, (every, n)), rng.uniform(0.0, 1.0, every) * rng.integers(0, 2)
+    pairs, q = chosen(rng, every), rng.normal(size=n)
+    return (
+        pairs, rng.uniform(0.0, 0.5, len(pairs)), rng.uniform(0.0, 2.0), travel, speed, travel.max(axis=0),
+        float(speed.max()), q, q + 0.05 * rng.normal(size=n), 0.02, rng.choice([0.0, -1e-5, 0.01]),
+    )  # fmt: skip
+
+
+def read_results(rng: Rng) -> Arguments:
+    numbers = rng.uniform(0.0, 1.0, (1 + some(rng), 14))[:, 2:12]
+    return numbers, chosen(rng, len(numbers)), rng.choice([1e-9, 0.5])
+
+
+def placed_arrays(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return rng.normal(size=(6, n)), rng.normal(size=(n, 3)), rng.normal(size=3)
+
+
+def keep_placements(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return rng.normal(size=(n + 1, 3, 4)), rng.normal(size=(6, n)), np.zeros((n + 1, 4, 4))[:, :3], np.zeros((6, n))
+
+
+def place_tip(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return placements(rng, 1, 2)[0, 1], np.append(rng.normal(size=3), 1.0), rng.normal(size=(6, n)), np.zeros((6, n))
+
+
+def undamped_terms(rng: Rng) -> Arguments:
+    """With a task of three and four joints, for which the plain version answers, too."""
+    count = some(rng, 60)
+    s_e, s_o = rng.choice([1.0, 0.5], 2).tolist()
+    settings = LawSettings(s_e, s_o, 0.6, 0.2, 0.1, float(rng.integers(2)))
+    ranges = np.column_stack((np.full(4, -2.0), np.full(4, 2.0), np.full(4, 0.6)))
+    return (
+        rng.uniform(-2.1, 2.1, 4), 2.0 * rng.normal(size=(3, 4)), rng.normal(size=3), rng.uniform(-0.05, 0.8, count),
+        rng.normal(size=(count, 4)), 0.1 * rng.normal(size=count), ranges, settings,
+    )  # fmt: skip
+
+
+def step_conditions(rng: Rng) -> Arguments:
+    count, n = some(rng), joints(rng)
+    velocity, a, dt = rng.uniform(0.2, 1.0, n), rng.uniform(0.5, 2.0, n), 0.02
+    room = 0.5 * velocity**2 / a
+    table = np.column_stack((np.full(n, -2.0), np.full(n, 2.0), room - 2.0, 2.0 - room, velocity, a, a * dt, 1.0 / a))
+    v = rng.uniform(-0.4, 0.4, n)
+    return (
+        v + 0.02 * rng.normal(size=n), rng.uniform(-2.2, 2.2, n), v, dt, table, rng.uniform(-0.05, 0.5, count),
+        rng.uniform(0.0, 0.01, count) if rng.integers(2) else 0.002, rng.normal(size=(count, n)),
+        0.1 * rng.normal(size=count), (1.6, 1.0, 0.25),
+    )  # fmt: skip
+
+
+def nearest_safe_program(rng: Rng) -> Arguments:
+    count, n = some(rng), joints(rng)
+    low = rng.uniform(-0.5, 0.0, n)
+    wish = rng.normal(size=n) * rng.integers(0, 2)
+    return (
+        wish, rng.normal(size=(3, n)), rng.normal(size=(count, n)), rng.uniform(-0.1, 1.0, count), low,
+        low + rng.uniform(0.0, 0.5, n), (10.0, 1.0, 0.05), 16,
+    )  # fmt: skip
+
+
+def reachable_velocities(rng: Rng) -> Arguments:
+    n = joints(rng)
+    change, braking = rng.uniform(0.001, 0.1, n), rng.uniform(0.5, 2.0, n)
+    table = np.column_stack((np.full(n, -2.0), np.full(n, 2.0), np.full(n, 0.8), change, braking, 1.0 / braking))
+    return (
+        rng.uniform(-2.1, 2.1, n), rng.uniform(-0.9, 0.9, n), rng.normal(size=n), 0.004, table,
+        (1.0, 0.02, 0.25, 1e-9, 0.8),
+    )  # fmt: skip
+
+
+def straight_towards(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return rng.normal(size=n), rng.normal(size=n), rng.uniform(0.1, 3.0, n)
+
+
+def changes_of_end(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return (*rng.normal(size=(3, n)), rng.uniform(0.0, 0.1, n), 0.3, 0.005)
+
+
+def near_now(rng: Rng) -> Arguments:
+    every, classes = 1 + some(rng), 1 + some(rng, 6)
+    pairs = chosen(rng, every)
+    return (
+        rng.normal(size=every), rng.uniform(0.0, 1.0, every), pairs, rng.integers(0, classes, len(pairs)),
+        rng.uniform(0.0, 1.0, classes),
+    )  # fmt: skip
+
+
+def not_proven(rng: Rng) -> Arguments:
+    every, classes = 1 + some(rng), 1 + some(rng, 6)
+    pairs = chosen(rng, every)
+    return (
+        rng.normal(size=every), rng.uniform(0.0, 0.5, every), pairs, rng.integers(0, classes, len(pairs)),
+        rng.uniform(0.0, 1.0, classes), rng.uniform(0.0, 0.1, classes), 0.002,
+    )  # fmt: skip
+
+
+def corner_gaps(rng: Rng) -> Arguments:
+    every, bodies, samples, corners = 1 + some(rng), 1 + joints(rng), 1 + some(rng, 5), 1 + some(rng, 9)
+    pairs = chosen(rng, every)[: 20 if rng.integers(4) else 0]
+    if not len(pairs):
+        pairs = np.zeros(1, dtype=np.intp)
+    columns = rng.normal(size=(len(pairs), 4, corners))
+    columns[:, 3] = 1.0
+    return (
+        pairs, rng.normal(size=(every, 4)), rng.integers(1, bodies, every) if bodies > 1 else np.zeros(every, np.intp),
+        rng.integers(0, bodies, every) if rng.integers(2) else None, placements(rng, samples, bodies), columns,
+        rng.normal(size=every) if rng.integers(2) else None, 0.05, np.zeros((len(pairs), samples, corners)),
+    )  # fmt: skip
+
+
+def blended_points(rng: Rng) -> Arguments:
+    count, samples, corners = some(rng), 1 + some(rng, 3), 1 + some(rng, 9)
+    gaps = 0.1 * rng.normal(size=(count, samples, corners))
+    columns = rng.normal(size=(count, 4, corners))
+    columns[:, 3] = 1.0
+    return gaps, gaps.min(axis=2), columns, 0.1
+
+
+def plane_rows(rng: Rng) -> Arguments:
+    every, n, samples = 1 + some(rng), joints(rng), 1 + some(rng, 5)
+    pairs = rng.integers(0, every, 1 + some(rng))
+    points = np.column_stack((rng.normal(size=(len(pairs), 3)), np.ones(len(pairs))))
+    return (
+        pairs, rng.integers(0, samples, len(pairs)) if rng.integers(2) else samples - 1, points,
+        rng.normal(size=(every, 4)), rng.integers(0, n + 1, every),
+        rng.integers(0, n + 1, every) if rng.integers(2) else None, rng.integers(-1, 2, (every, n)).astype(float),
+        placements(rng, samples, n + 1), rng.normal(size=(samples, 6, n)),
+    )  # fmt: skip
+
+
+def refused_velocity(rng: Rng) -> Arguments:
+    n = joints(rng)
+    v = rng.normal(size=n)
+    target = np.where(rng.integers(0, 2, n) > 0, v, rng.normal(size=n))
+    return rng.normal(size=n), rng.normal(size=n), v, target, rng.uniform(0.0, 0.5, n), 0.05, 1e-9
+
+
+def force_on_hand(rng: Rng) -> Arguments:
+    normal = rng.normal(size=3) * rng.integers(0, 2)
+    state = (*rng.normal(size=6).tolist(), rng.uniform(0.0, 0.2), rng.uniform(0.0, 1.0))
+    return rng.normal(size=3), rng.normal(size=3), normal, rng.uniform(), state, HandSettings(0.001, 60, 30, 200, 0.1)
+
+
+SOURCES: list[Callable[[Rng], Arguments]] = [
+    approach_rates, blended_points, bounds_after, changes_of_end, corner_gaps, force_on_hand, keep_placements,
+    near_now, near_rows, nearest_safe_program, not_proven, pairs_within, place_tip, placed_arrays, plane_rows,
+    reach_of_lead, reachable_velocities, read_results, refused_velocity, step_conditions, straight_towards,
+    undamped_terms, unproven_of_near,
+]  # fmt: skip
+
+
+def copied(arguments: Arguments) -> Arguments:
+    return tuple(one.copy(order="K") if isinstance(one, np.ndarray) else one for one in arguments)
+
+
+def same(found: Any, plain: Any) -> bool:
+    """Whether two results are equal to rounding, in kind, shape and type too."""
+    if isinstance(plain, tuple):
+        return isinstance(found, tuple) and len(found) == len(plain) and all(map(same, found, plain))
+    if isinstance(plain, np.ndarray):
+        alike = isinstance(found, np.ndarray) and found.shape == plain.shape and found.dtype == plain.dtype
+        return alike and np.allclose(found, plain, rtol=1e-9, atol=1e-11)
+    if plain is None or isinstance(plain, bool | int):
+        return bool(found == plain)
+    return math.isclose(found, plain, rel_tol=1e-9, abs_tol=1e-11)
+
+
+def test_every_marked_function_has_random_arguments() -> None:
+    assert sorted(plain_versions()) == [source.__name__ for source in SOURCES]
+
+
+@needs_native
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.__name__))
+def test_compiled_and_plain_versions_agree(source: Callable[[Rng], Arguments]) -> None:
+    rng = np.random.default_rng(7)
+    plain, compiled = plain_versions()[source.__name__], getattr(find_compiled(), source.__name__)
+    answered = 0
+    for _ in range(40):
+        arguments = source(rng)
+        for_plain, for_compiled = copied(arguments), copied(arguments)
+        expected, found = plain(*for_plain), compiled(*for_compiled)
+        if source is undamped_terms and (expected is None or found is None):
+            continue  # either may leave what is near a singularity to the general law
+        answered += 1
+        assert same(found, expected)
+        if source in (corner_gaps, keep_placements, place_tip):  # which write to what they are given
+            assert same(for_compiled[-2:], for_plain[-2:])
+    assert answered > 25
+
+
+@needs_native
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.__name__))
+def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Arguments]) -> None:
+    """An array that is a number short, of another type, or an index out of range, is refused and not read beyond."""
+    rng = np.random.default_rng(11)
+    compiled = getattr(find_compiled(), source.__name__)
+    with pytest.raises(TypeError, match="takes"):
+        compiled()
+    refused = 0
+    for _ in range(6):
+        arguments = source(rng)
+        for place, one in enumerate(arguments):
+            if isinstance(one, np.ndarray):
+                wrong: list[Any] = [one.astype(np.float32), one[None]]
+                if one.dtype.kind == "i" and len(one):
+                    wrong += [one - 10**6, one + 10**6] if source is not pairs_within else []
+                for other in wrong:
+                    refused += 1
+                    with pytest.raises((TypeError, ValueError, IndexError)):
+                        compiled(*arguments[:place], other, *arguments[place + 1 :])
+    assert refused > 5
+
+
+@needs_native
+@pytest.mark.parametrize("rows", [3, 6])
+def test_the_compiled_law_is_the_general_one_on_any_arm(panda: Robot, rows: int) -> None:
+    """Seven joints and a task of three or six: the plain quick way is for one null line, the compiled for all."""
+    rng, law = np.random.default_rng(3), CompletedLaw(panda, influence=0.5)
+    kinematics, answered = Kinematics(panda), 0
+    for _ in range(40):
+        at = kinematics.at(panda.random_q(rng))
+        J, xdot = at.jacobian[:rows], rng.normal(size=rows)
+        nearby = CriticalRows(rng.uniform(-0.05, 0.7, 9), rng.normal(size=(9, 7)), 0.1 * rng.normal(size=9))
+        found = law.undamped_terms_unchecked(at.q, J, xdot, nearby)
+        if found is None:
+            continue
+        answered += 1
+        wish = law.wish(at, J, xdot, nearby)
+        assert found[0] == pytest.approx(wish.primary, rel=1e-8, abs=1e-9)
+        assert found[1] == pytest.approx(wish.null, rel=1e-8, abs=1e-9)
+    assert answered > 10
+
+
+# --- what is known of the plain versions ------------------------------------------------------
+
+
+def test_bounds_fall_by_the_way_of_each_joint() -> None:
+    """3 - (2 * 0.5 + 1 * 0.25) and 1 - (0 * 0.5 + 4 * 0.25)."""
+    bounds = plain_versions()["bounds_after"]
+    travel = np.array([[2.0, 1.0], [0.0, 4.0]])
+    assert bounds(np.array([3.0, 1.0]), travel, np.array([1.0, 1.0]), np.array([0.5, 1.25])).tolist() == [1.75, 0.0]
+
+
+def test_a_pair_is_proven_where_it_has_as_much_left_as_it_may_use() -> None:
+    """Two radians at 0.5 m/rad and 0.1 s at 1 m/s use 1.1 m: of two pairs the one with 1.0 m is not proven."""
+    unproven = plain_versions()["unproven_of_near"]
+    pairs, travel, speed = np.array([4, 7]), np.full((8, 1), 0.5), np.ones(8)
+
+    def asked(beyond: float) -> Any:
+        left, q = np.array([1.2, 1.0]), np.zeros(1)
+        return unproven(pairs, left, beyond, travel, speed, np.array([0.5]), 1.0, q, q + 2.0, 0.1, 0.0)
+
+    assert asked(1.3).tolist() == [7]
+    assert asked(1.0) is None  # the others may have less than they may use
+
+
+def test_a_gap_is_what_a_plane_leaves_to_the_nearest_corner() -> None:
+    """Corners at x = 1 and 2 on a link that is shifted by 0.5 along x, and a wall at x = 4: 2.5 and 1.5 m."""
+    gaps, T = np.zeros((1, 1, 2)), np.tile(np.eye(4), (1, 2, 1, 1))
+    T[0, 1, 0, 3] = 0.5
+    columns = np.array([[[1.0, 2.0], [0.0, 0.0], [0.0, 0.0], [1.0, 1.0]]])
+    first, link = np.zeros(1, dtype=np.intp), np.ones(1, dtype=np.intp)
+    planes = np.array([[-1.0, 0.0, 0.0, 4.0]])
+    nearest, least = plain_versions()["corner_gaps"](first, planes, link, None, T, columns, None, 0.0, gaps)
+    assert gaps.tolist() == [[[2.5, 1.5]]]
+    assert (nearest.tolist(), least.tolist()) == ([[1]], [[1.5]])
+
+
+def test_compiled_functions_of_another_version_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("BACKHOE_PLANNER_PLAIN", raising=False)
+    monkeypatch.setitem(sys.modules, "backhoe_planner_native", SimpleNamespace(INTERFACE=-1))
+    assert find_compiled.__wrapped__() is None
+
+
+def test_compiled_functions_are_left_alone_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BACKHOE_PLANNER_PLAIN", "1")
+    assert find_compiled.__wrapped__() is None
+
+
+def test_the_version_says_whether_compiled_functions_are_used() -> None:
+    assert (native_version() is None) == (find_compiled() is None)
