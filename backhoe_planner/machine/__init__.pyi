@@ -4,6 +4,7 @@ from .capability.data_sheet import digging_forces as digging_forces
 from .capability.data_sheet import reachable_points as reachable_points
 from .capability.data_sheet import working_envelope as working_envelope
 from .capability.denavit_hartenberg import dh_table as dh_table
+from .clusters.cluster import Around as Around
 from .clusters.cluster import Cluster as Cluster
 from .clusters.cluster import Distances as Distances
 from .clusters.cluster import Part as Part

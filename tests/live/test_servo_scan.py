@@ -192,6 +192,40 @@ def test_looked_at_now_and_then_pairs_are_as_if_looked_at_in_every_step(
     assert np.abs(margin - margin_anew)[both].max() < 0.05
 
 
+def test_boxes_found_bit_by_bit_are_those_found_at_once_and_bound_what_the_machine_comes_to(backhoe: Robot) -> None:
+    """The machine moves on meanwhile: they are where they were asked for, and so is what they cover."""
+    servo = Servo(backhoe, scene_from_dict(SCENE), self_collision=False)
+    servo.add_points("scan", ground_and_wall(np.random.default_rng(7)), resolution=0.1)
+    separation, bounds, at = servo._separation, servo._bounds, Placements(backhoe, 18)
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    rng, compared, several = np.random.default_rng(8), 0, 0
+    for _ in range(6):
+        q = np.array(START) + rng.normal(0.0, 0.15, 4)
+        for one in separation.counting_clusters:
+            at.place(0, q)
+            once = separation.find_boxes(one, at, 0, reach=0.6, exact=0.4, slack=0.15, is_new=True)
+            covered, nearest = one.covered, one.nearest
+            if one.was_inside or not bounds.search_boxes(one, at, reach=0.6):
+                continue
+            bounds.required[one.pairs] = -1.0  # where it has jumped to, nothing was proven before
+            later, bits = q + rng.normal(0.0, 0.02, 4), 0
+            at.place(0, later)
+            bounds.advance(later - q, None)
+            while bounds.searches:
+                bounds.search_on(at, servo._check.path(later, np.zeros(4), step=False), 1)
+                bits += 1
+            assert (one.covered, one.nearest) == (covered, nearest)
+            assert (bounds.lower()[one.pairs] <= once).all()
+            moved = separation.moved_since_boxes(at)[separation.counting_clusters.index(one)]
+            assert 0.0 < moved < 0.5
+            pair = next(number for number, own in enumerate(gauge.pairs) if own.piece == one.piece)
+            true = gauge.distance_of(pair, later)
+            assert min(float(bounds.lower()[one.pairs].min()), covered - moved) <= true + 1e-6
+            compared, several = compared + 1, several + (bits > 2)
+    assert compared > 10
+    assert several > 5
+
+
 @pytest.mark.parametrize("depth", [0.1, 0.3])
 def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: float) -> None:
     q = np.array([0.1, 0.1, -1.3, -0.8])

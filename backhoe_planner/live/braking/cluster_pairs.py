@@ -13,13 +13,15 @@ in none of them is at least that far away, less what the link has moved since.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.machine import Cluster, Part, Piece
+from backhoe_planner.machine import Around, Cluster, Part, Piece
 
 SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
 _REST = 1  # of these, for what is left where it takes more
@@ -27,6 +29,23 @@ _NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
 _CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _ROOM = 0.05  # m beyond the clearance that boxes should cover at least; chosen
 _LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
+
+
+class BoxSearch(NamedTuple):
+    """The boxes of one link around one cluster are being found.
+
+    Attributes
+    ----------
+    one: the link and the cluster.
+    found_at: (3, 4) pose of the link's body in the world when it began [m].
+    reach: distance within which cells count [m].
+    bits: of work; the last one has what was found.
+    """
+
+    one: ClusterPairs
+    found_at: Matrix
+    reach: float
+    bits: Iterator[Around | None]
 
 
 @dataclass
@@ -82,9 +101,7 @@ class ClusterPairs:
         slack: part of the distance by which boxes may be nearer than their cells, see `Cluster.around`.
         """
         T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
-        centres, radius = self.balls
-        at = T.rotation @ centres.T + T.translation[:, None]
-        away = float(self._bounds.lower(at).min()) - radius
+        away = self._at_least(T)
         if away > reach:
             self.covered = self.nearest = away
             return ()
@@ -108,6 +125,12 @@ class ClusterPairs:
                 self.nearest = inside.reading.distance
         return parts
 
+    def _at_least(self, T: pin.SE3) -> float:
+        """Lower bound of the distance from the piece where its body is at T [m]."""
+        centres, radius = self.balls
+        at = T.rotation @ centres.T + T.translation[:, None]
+        return float(self._bounds.lower(at).min()) - radius
+
     def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None, slack: float) -> tuple[Part, ...]:
         """The boxes of all cells, with `ground` before them where there is one."""
         first = () if ground is None else (ground,)
@@ -121,11 +144,33 @@ class ClusterPairs:
             ground=ground,
             slack=slack,
         )
+        return self._take(found, reach, first)
+
+    def _take(self, found: Around, reach: float, first: tuple[Part, ...] = ()) -> tuple[Part, ...]:
+        """The boxes of what was found, those that are `first` before them; what they cover is noted."""
         parts, self.covered = (*first, *found.parts), found.covered
         if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):
             parts, self.covered = (*parts, found.rest), reach
         self.nearest = min((part.reading.distance for part in parts), default=found.covered)
         return parts
+
+    def search(self, pose: Matrix, shift: Vector, reach: float, *, exact: float, slack: float) -> BoxSearch | None:
+        """The same bit by bit, with parameters as for `find`; None where it has to be found at once.
+
+        That is where it takes little, where the piece is in something, or where what it must not touch moves.
+        """
+        T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
+        if self.speed > 0.0 or self.was_inside or self.nearest <= 0.0 or self._at_least(T) > reach:
+            return None
+        bits = self.cluster.around_bit_by_bit(
+            self.own, T, reach, ball=self.ball, most=SLOTS - _REST, exact=exact, slack=slack
+        )
+        return BoxSearch(self, pose[:3].copy(), reach, bits)
+
+    def take(self, found: Around, reach: float, found_at: Matrix) -> tuple[Part, ...]:
+        """The boxes that a search has found; `found_at` (3, 4) is where the body was when it began."""
+        self.found_at = found_at
+        return self._take(found, reach)
 
     def urgency(self, moved: float, needed: float, time: float) -> float:
         """How much the boxes have to be found anew: from 1 on they should be, infinite where they must.

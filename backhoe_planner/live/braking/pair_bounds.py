@@ -18,7 +18,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
-from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
+from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.separation import FAR, Separation
@@ -36,6 +36,7 @@ _SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` ar
 _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
 _SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
 _TIGHT = 0.05  # the same, where boxes are to show what the cells show; chosen, with none there are many
+_ROOM = 0.1  # m that boxes have to keep more than they must before their planes are not looked at; chosen
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
@@ -126,6 +127,8 @@ class PairBounds:
         self._memory = Memory()
         # what was near when it was last looked at, for as long as the machine has not moved by that much more [m]
         self._seen: tuple[Near | None, float] = None, 0.0
+        # the boxes that are being found, and what the odometer of their link had counted when that began
+        self._search: tuple[BoxSearch, float] | None = None
         self._accepted: tuple[Indices, Vector, Indices] | None = None
 
     # --- which pairs there are -----------------------------------------------------------
@@ -162,7 +165,8 @@ class PairBounds:
         self._look_at_all()
 
     def _look_at_all(self) -> None:
-        """Choose anew which pairs are looked at."""
+        """Choose anew which pairs are looked at; there are others, or they move otherwise."""
+        self._search = None
         self._around.until = self._around_path.until = -math.inf
         self._seen = None, 0.0
 
@@ -176,6 +180,7 @@ class PairBounds:
     def measure(self, pairs: Indices, path: BrakingPath, at: Placements, step: int) -> None:
         """Measure pairs that are new or were moved, and note their distances over the braking path."""
         separation = self._separation
+        self._search = None
         self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
         self._renewed_at[pairs] = step
         parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
@@ -229,25 +234,72 @@ class PairBounds:
         Parameters
         ----------
         reach: distance within which its cells count [m].
-        path: the present braking path, which the placements hold, and of which distances that must be kept were
-            proven with the boxes before. None where none were.
+        path: the present braking path, of which distances that must be kept were proven with the boxes before. None
+            where none were.
         """
-        pairs = one.pairs
-        kept = float(self.required[pairs].min())
+        if self._search is not None and self._search[0].one is one:
+            self._search = None  # of before
+        kept = float(self.required[one.pairs].min())
         self._put_boxes(one, at, reach, step, is_new=path is None)
-        if path is None:
+        if path is not None:
+            self._prove_boxes(one, kept, at, reach=reach, path=path, step=step)
+
+    def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
+        """Begin to find the same boxes bit by bit in the steps to come; False where that has to be done at once."""
+        search = self._separation.search_boxes(
+            one, at, 0, reach=reach, exact=one.clearance + self._influence, slack=_SLACK
+        )
+        self._search = None if search is None else (search, float(self._start_odometer[one.classes]))
+        return search is not None
+
+    @property
+    def searches(self) -> bool:
+        """Whether boxes are being found bit by bit."""
+        return self._search is not None
+
+    def search_on(self, at: Placements, path: BrakingPath, step: int) -> None:
+        """Do the next bit, with parameters as for `find_boxes`; the last one puts the boxes there."""
+        assert self._search is not None
+        search, odometer = self._search
+        found = next(search.bits)
+        if found is None:
             return
-        bound = self._separation.proven_on(pairs, path, at, path.time)
-        if bound.min() < kept - TOLERANCE:
-            # at the path's end a box is nearer than all cells are: tighter ones, where they hold as much
-            covered = one.covered
-            self._put_boxes(one, at, reach, step, slack=_TIGHT)
-            if one.covered < covered:
-                self._put_boxes(one, at, reach, step)
-            bound = self._separation.proven_on(pairs, path, at, path.time)
+        self._search = None
+        one, kept = search.one, float(self.required[search.one.pairs].min())
+        boxes = one.take(found, search.reach, search.found_at)
+        if one.nearest <= 0.0:  # what is in something takes more than that
+            self.find_boxes(one, at, reach=search.reach, path=path, step=step)
+            return
+        came = float(self._start_odometer[one.classes]) - odometer
+        self.set_distance(one.pairs, self._separation.put_boxes(one, boxes) - came)
+        self._renewed_at[one.pairs] = step
+        self._prove_boxes(one, kept, at, reach=search.reach, path=path, step=step)
+
+    def _prove_boxes(
+        self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath, step: int
+    ) -> None:
+        """Note what is proven of new boxes over the present braking path.
+
+        Parameters
+        ----------
+        kept: what the boxes before have to keep at least [m].
+        at, reach, path, step: as for `find_boxes`.
+        """
+        separation, pairs = self._separation, one.pairs
+        bound = self._distance_of(pairs) - float(separation.travel[one.classes].dot(np.abs(path.delta)))
+        if bound.min() < one.clearance + _ROOM:
+            path.place(at)
+            bound = separation.proven_on(pairs, path, at, path.time)
+            if bound.min() < kept - TOLERANCE:
+                # at the path's end a box is nearer than all cells are: tighter ones, where they hold as much
+                covered = one.covered
+                self._put_boxes(one, at, reach, step, slack=_TIGHT)
+                if one.covered < covered:
+                    self._put_boxes(one, at, reach, step)
+                bound = separation.proven_on(pairs, path, at, path.time)
         self.set_proven(pairs, bound)
         # boxes may hold more than the cells do: what was proven of the cells stays proven
-        self.required[pairs] = np.minimum(self._separation.clearance[pairs], np.maximum(bound, kept))
+        self.required[pairs] = np.minimum(separation.clearance[pairs], np.maximum(bound, kept))
         self.find_inside()
 
     def _put_boxes(

@@ -21,12 +21,13 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.live.braking.cluster_pairs import SLOTS, ClusterPairs
+from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import Gaps, Memory, blended_points, corner_gaps, plane_rows
 from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
 from backhoe_planner.live.braking.plane_sets import PlaneSets
 from backhoe_planner.machine import (
     Cluster,
+    Part,
     Robot,
     bend_weights,
     covering_balls,
@@ -279,6 +280,18 @@ class Separation:
         pose = at.T[sample, self._joint_of[one.piece]]
         parts = one.find(pose, shift, reach, exact=exact, slack=slack, is_new=is_new)
         one.found_at = pose[:3].copy()
+        return self.put_boxes(one, parts)
+
+    def search_boxes(
+        self, one: ClusterPairs, at: Placements, sample: int, *, reach: float, exact: float, slack: float
+    ) -> BoxSearch | None:
+        """Begin to find the same boxes bit by bit; None where they have to be found at once."""
+        pose = at.T[sample, self._joint_of[one.piece]]
+        return one.search(pose, self._shifts[one.number], reach, exact=exact, slack=slack)
+
+    def put_boxes(self, one: ClusterPairs, parts: Sequence[Part]) -> Vector:
+        """Let these boxes stand for a cluster around a link; the distance from each of its pairs as they say [m]."""
+        shift = self._shifts[one.number]
         self.measured += len(parts)
         distance = np.full(len(one.pairs), FAR)
         self.planes[one.pairs], self.drift[one.pairs] = _FAR_AWAY, 0.0

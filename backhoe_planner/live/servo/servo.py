@@ -423,11 +423,12 @@ class Servo:
     def _find_boxes(self, one: ClusterPairs) -> None:
         """Find the boxes of a link and a cluster anew."""
         path = self._check.path(self._state.q, self._state.v, step=False)
-        path.place(self._at)
         self._bounds.find_boxes(one, self._at, reach=self._reach_of(one), path=path, step=self._steps)
 
     def _renew_boxes(self) -> bool:
         """Find the boxes of one link and one cluster anew, where that is due; of more where the next step needs them.
+
+        What can wait is found bit by bit in the steps to come, so that none of them takes long.
 
         False where boxes cannot hold all that the machine could come to: it has to slow down.
         """
@@ -435,16 +436,21 @@ class Servo:
             # boxes that were found further away may forbid what the cells allow
             self._find_boxes(self._blocking)
             self._blocking = None
+        elif self._bounds.searches:
+            path = self._check.path(self._state.q, self._state.v, step=False)
+            self._bounds.search_on(self._at, path, self._steps)
         if self._steps < self._boxes_due:
             return True
         one, urgency = self._most_urgent(_BOXES_EVERY)
         if one is None:
             self._boxes_due = self._steps + _BOXES_EVERY
             return True
-        self._find_boxes(one)
         if urgency < math.inf:
             self._boxes_due = self._steps + _BOXES_EVERY
+            if not (self._bounds.searches or self._bounds.search_boxes(one, self._at, reach=self._reach_of(one))):
+                self._find_boxes(one)
             return True
+        self._find_boxes(one)
         self._boxes_due = self._steps + 1  # the next step looks whether there are more that cannot wait long
         for _ in self._separation.clusters:
             # of the others only those that this step or the next one needs cannot wait

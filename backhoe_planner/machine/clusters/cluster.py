@@ -11,6 +11,7 @@ Three questions are answered, each by what answers it fastest:
 from __future__ import annotations
 
 import math
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,9 +161,22 @@ class Cluster:
             it there are more boxes.
         most: the greatest number of boxes. Where it takes more, what is left is further away than `covered` [m].
         """
+        *_, found = self.around_bit_by_bit(
+            piece, T_world_body, reach,
+            ball=ball, most=most, slack=slack, shift=shift, exact=exact, ground=ground,
+        )  # fmt: skip
+        assert found is not None
+        return found
+
+    def around_bit_by_bit(
+        self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
+        slack: float, shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
+    ) -> Iterator[Around | None]:  # fmt: skip
+        """The same in bits of work of some 50 to 100 us, None after each of them, and what was found at last."""
         shift = _NO_SHIFT if shift is None else shift
         link = self._local(piece, T_world_body, shift)
-        cells, off = self._cells_around(link, reach, ball, exact)
+        cells, off = yield from self._cells_around(link, reach, ball, exact)
+        yield None
         if ground is not None:
             n = ground.reading.normal @ self._R
             face = float((ground.reading.other_point - self._t - shift) @ ground.reading.normal)
@@ -182,16 +196,19 @@ class Cluster:
             box_of = self._box(part, _frame_along(n, link.R), shift)
             parts.append(Part(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift)))
             if part is cells:
-                return Around(tuple(parts), reach)
+                off = off[:0]
+                break
             left = (~behind).nonzero()[0]
             cells, off = cells.only(left), off.take(left)
+            yield None
         if not len(off):
-            return Around(tuple(parts), reach)
+            yield Around(tuple(parts), reach)
+            return
         around = self._box(cells, link.R, shift)
         T_box = transform(around.placement.rotation, around.placement.translation)
         T_here = transform(self._R @ link.R, self._R @ link.t + self._t + shift)
         rest = Part(around, Reading(*gauge.measure(link.shape, T_here, around.shape, T_box)))
-        return Around(tuple(parts), min(reach, float((off - cells.around()[1]).min())), rest)
+        yield Around(tuple(parts), min(reach, float((off - cells.around()[1]).min())), rest)
 
     def _box(self, cells: CellSet, axes: Matrix, shift: Vector) -> Piece:
         """The box along `axes` (3, 3) of the solid's frame around cells, in the world."""
@@ -209,13 +226,18 @@ class Cluster:
 
     def _cells_around(
         self, link: Placed, reach: float, ball: tuple[Vector, float], exact: float
-    ) -> tuple[CellSet, Vector]:
-        """The cells within a reach of a link, and how far their middles are off; further off, cubes with them."""
+    ) -> Generator[None, None, tuple[CellSet, Vector]]:
+        """The cells within a reach of a link, and how far their middles are off; further off, cubes with them.
+
+        None is yielded between bits of the work.
+        """
         coarse, around = self._coarse(ball), LinkBox.around(link.hull, link.R, link.radius)
         fine_within = max(_FINE_WITHIN * coarse.step, min(exact + 2.0 * _HALF_DIAGONAL * coarse.step, _FINE_AT_MOST))
         box = link.box(reach)
         if reach <= fine_within or not coarse.hold(*box, self.solid.bounds):
-            return _within(self.solid.near(*box, LinkReach(around, reach)), around, reach)
+            near = self.solid.near(*box, LinkReach(around, reach))
+            yield None
+            return _within(near, around, reach)
         cubes = coarse.near(*box, LinkReach(around, reach + coarse.step))
         away = around.off(cubes)
         outer = ((away > fine_within) & (away <= reach + coarse.step)).nonzero()[0]
@@ -223,7 +245,10 @@ class Cluster:
         fine = fine_within + _HALF_DIAGONAL * coarse.step
         if not (away <= fine_within).any():
             return CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step), away.take(outer)
-        cells, off = _within(self.solid.near(*link.box(fine), LinkReach(around, fine)), around, fine)
+        yield None
+        near = self.solid.near(*link.box(fine), LinkReach(around, fine))
+        yield None
+        cells, off = _within(near, around, fine)
         if not len(outer):
             return cells, off
         both = cells.together(CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step))
