@@ -56,6 +56,8 @@ from .search.effort import EffortName as EffortName
 from .search.effort import OutOfTime as OutOfTime
 from .search.effort import Work as Work
 from .search.motion_check import MotionCheck as MotionCheck
+from .search.motion_check import places as places
+from .search.postures import find_distinct as find_distinct
 from .search.reach import Reach as Reach
 from .search.roadmap import Roadmap as Roadmap
 from .search.roadmap import joint_time as joint_time

@@ -9,7 +9,7 @@ import pytest
 from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
 
 import backhoe_planner as bp
-from backhoe_planner.planning import EFFORTS, MotionCheck, SampledCheck, Work, sample_path
+from backhoe_planner.planning import EFFORTS, MotionCheck, SampledCheck, Work, find_distinct, places, sample_path
 from backhoe_planner.site import Proximity
 
 APART = {False: 0.04, True: 0.08}  # m between two looks, in a hurry or not: midway no distance is less by half of it
@@ -68,3 +68,19 @@ def test_a_start_tighter_than_the_spare_can_be_left(planar4: bp.Robot, margin: f
         assert np.min(margins) >= (0.02 if np.linalg.norm(q) > 0.5 else 0.0) - 1e-6
     into_the_ball = np.array([0.0, 0.0, -0.1, 0.0])
     assert not check.segment_is_clear(STRETCHED, into_the_ball)
+
+
+def test_a_motion_is_asked_about_at_its_ends_and_then_by_halves() -> None:
+    """The order of van der Corput; fifths, whose places fall between, in the order of the eighths of their number."""
+    assert places(1) == (1.0, 0.0)
+    assert places(4) == (1.0, 0.0, 0.5, 0.25, 0.75)
+    assert places(5) == (1.0, 0.0, 0.8, 0.4, 0.2, 0.6)
+
+
+def test_of_postures_near_each_other_the_first_is_taken() -> None:
+    """A chain in steps of 0.9: of two neighbours one, unless a known one is near it. All joints have to be near."""
+    chain = np.array([[0.9 * k, 0.0] for k in range(5)])
+    assert find_distinct(chain, 1.0) == [0, 2, 4]
+    assert find_distinct(chain, 1.0, np.array([[-0.5, 0.0]])) == [1, 3]
+    assert find_distinct(np.array([[0.0, 0.0], [0.0, 1.1], [0.0, 0.2]]), 1.0) == [0, 1]
+    assert find_distinct(np.zeros((0, 2)), 1.0, chain) == []

@@ -8,6 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Goal, Problem
+from backhoe_planner.planning.search.postures import find_distinct
 from backhoe_planner.proof import LeastTimes
 
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -40,10 +41,10 @@ class GoalEnds:
     def take(self, postures: Sequence[Vector], goals: Sequence[Goal]) -> list[int]:
         """Count further postures in, each with its goal, but for those that are known; which, the soonest first."""
         before = len(self.postures)
-        for q, goal in zip(postures, goals, strict=True):
-            if not any(float(np.max(np.abs(q - other))) <= _SAME for other in self.postures):
-                self.postures.append(q)
-                self.goals.append(goal)
+        known = np.array(self.postures).reshape(-1, len(self._rate))
+        for index in find_distinct(np.array(postures).reshape(-1, len(self._rate)), _SAME, known):
+            self.postures.append(postures[index])
+            self.goals.append(goals[index])
         if len(self.postures) > before:
             ends = np.array(self.postures[before:])
             self.least += self._least_times.to_boxes(ends, ends).tolist()

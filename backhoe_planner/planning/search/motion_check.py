@@ -318,15 +318,7 @@ class MotionCheck:
 @lru_cache(maxsize=1024)
 def places(steps: int) -> tuple[float, ...]:
     """0 to 1 in equal steps; the ends and the middle first, where most motions fail."""
-    inner = sorted(range(1, steps), key=_reversed_bits)
-    return (1.0, 0.0, *(k / steps for k in inner))
-
-
-def _reversed_bits(index: int) -> float:
-    """The binary digits of `index` in reverse, read behind the point (van der Corput)."""
-    value, weight = 0.0, 0.5
-    while index:
-        value += weight * (index & 1)
-        index >>= 1
-        weight *= 0.5
-    return value
+    order = [0]  # numbers with their binary digits reversed (van der Corput)
+    for _ in range((steps - 1).bit_length()):
+        order = [2 * k for k in order] + [2 * k + 1 for k in order]
+    return (1.0, 0.0, *(k / steps for k in order if 0 < k < steps))

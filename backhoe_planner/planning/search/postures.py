@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import (
     BatchKinematics,
     InverseKinematics,
@@ -92,14 +92,27 @@ class Postures:
         else:
             best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
             ends = best.q[None, :] if best.reached else ends
-        apart: list[Vector] = []
-        for q in ends:
-            if all(float(np.max(np.abs(q - other))) > _SAME for other in apart):
-                apart.append(q)
-        keeps = ClearanceScreen(self._proximity, time=time, spare=_SPARE).keeps(np.array(apart).reshape(-1, robot.n))
+        apart = ends[find_distinct(ends, _SAME)]
+        keeps = ClearanceScreen(self._proximity, time=time, spare=_SPARE).keeps(apart)
         clear = [q for q, kept in zip(apart, keeps, strict=True) if kept]
         contacts = () if clear else (self._proximity.tightest(q, time=time) for q in apart)
         mildest = max((found for found in contacts if found), key=lambda found: found.margin, default=None)
         rate = self._problem.limits.velocity
         clear.sort(key=lambda q: float(np.max(np.abs(q - near) / rate)))
         return PostureResult(tuple(clear), best, mildest)
+
+
+def find_distinct(q: Matrix, within: float, known: Matrix | None = None) -> list[int]:
+    """The rows of `q` (N, n), but for those of which another one stands before them within `within` [rad or m].
+
+    That other one is taken itself, or is one of `known` (K, n).
+    """
+    others = q if known is None else np.vstack((known, q))
+    near = np.ones((len(q), len(others)), dtype=bool)
+    for own, other in zip(q.T, others.T, strict=True):
+        near &= np.abs(own[:, None] - other) <= within
+    first = len(others) - len(q)
+    taken = np.arange(len(others)) < first
+    for row in range(len(q)):
+        taken[first + row] = not (near[row] & taken).any()
+    return np.flatnonzero(taken[first:]).tolist()

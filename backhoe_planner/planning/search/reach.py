@@ -31,13 +31,13 @@ class Reach:
         """(N,) whether a motion through `q` (N, n) can be short enough; every joint needs its way at full rate."""
         if self.longest == np.inf:
             return np.ones(len(q), dtype=bool)
-        rate, travel = self.limits.velocity, self.travel()
+        rate, joints = self.limits.velocity[:, None], np.ascontiguousarray(q.T)
+        before = np.abs(joints - self.start[:, None])
+        left = self.longest - (before / rate).max(axis=0, initial=0.0)
+        most = np.minimum(self.travel()[:, None] - before, left * rate)  # (n, N) that each joint may move from there
         found = np.zeros(len(q), dtype=bool)
-        before = np.abs(q - self.start)
-        left = self.longest - np.max(before / rate, axis=1)
         for end in self.ends:
-            after = np.abs(end - q)
-            found |= (np.max(after / rate, axis=1) < left) & (before + after <= travel).all(axis=1)
+            found |= (np.abs(end[:, None] - joints) <= most).all(axis=0)
         return found
 
     def box(self) -> tuple[Vector, Vector]:
