@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,26 @@ def test_starting_points_within_a_travel_find_more_postures_there(planar4: bp.Ro
         found = world.postures.at(target, near=np.zeros(4), count=96, travel=travel)
         within.append(sum(np.max(np.abs(q)) <= 0.9 for q in found.clear))
     assert within[0] > within[1]
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_what_nothing_stands_beside_is_not_gone_round(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, near: bool
+) -> None:
+    """Of a motion that no obstacle bends there is no other side: only beside one are ways through a roadmap made."""
+    mapped: list[int] = []
+
+    def through_roadmap(self: Any, which: list[int], turn: int, **asked: Any) -> Iterator[Any]:
+        mapped.append(turn)
+        yield from ()
+
+    monkeypatch.setattr("backhoe_planner.planning.goals.ways.Ways.through_roadmap", through_roadmap)
+    # straight on all links move along one arc; the ball stands on that of the second joint, or beyond all of them
+    place = 2.0 if near else 6.0
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.88 * place, 0.48 * place, 0.0]}
+    plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], ball))
+    assert plan.verified
+    assert bool(mapped) == near
 
 
 def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> None:

@@ -69,8 +69,8 @@ _FEWEST_WAYS = 2  # that are sampled before none is found
 _PATIENCE = ((2.0, 4), (1.4, 3), (1.1, 2))
 # the same for another cost than the time, in place of the bound with the cheapest start that stays in an obstacle
 _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
-# times the bound, from which on more postures are looked for, and times how many starting points; chosen
-_FEW_POSTURES, _MORE_POSTURES = 1.4, 4
+_NEAR = 1.1  # times the least time to any posture, up to which a motion is near the best there is; chosen
+_MORE_POSTURES = 4  # times the usual starting points, where more of them are looked for; chosen
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 # straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
@@ -81,7 +81,6 @@ _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is g
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
-_END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
 _STRAIGHT = "straight for the joints"
 
@@ -117,7 +116,8 @@ class MotionSearch:
         )
         self._known = known  # where descents ended
         self._tried = known.anew()  # ways from which descents began
-        self._bound = 0.0  # no motion is shorter [s]
+        self._bound = 0.0  # no motion is shorter [s]; worked out where the best is not near the least time
+        self._looked_within = np.inf  # s, in which further postures can be reached that were looked for last
         self._longest = np.inf  # s that a motion may then take
         # cost of the cheapest start of a descent after its first rounds: of those that stay in an obstacle, and others
         self._blocked = self._early = np.inf
@@ -144,8 +144,8 @@ class MotionSearch:
                 self._go_fast()
             if not np.isfinite(self._longest):
                 self._go_straight(self._ends.order if self._goes_on() else self._least_blocked())
-            if self._goes_on() and self._is_far():
-                self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
+                if self._goes_on():
+                    self._go_straight(self._sooner())
             if self.best is None or not self._goes_straight(self.best):
                 self._go_round()
             self._refine()
@@ -158,15 +158,10 @@ class MotionSearch:
         """How long a motion may take [s]; None where its time is the cost, or no motion is known."""
         return self._longest if np.isfinite(self._longest) else None
 
-    def bound(self) -> float:
-        """What no motion is shorter than [s], as near as for the plan; 0 where there is no motion, or in a hurry."""
-        return 0.0 if self.best is None or not self._goes_on() else self._bound_above(self.best.motion, fewer=1)
-
     def _bound_above(self, known: Trajectory, *, fewer: int) -> float:
-        """What no motion is shorter than [s], from so many times fewer boxes than the plan's bound."""
+        """What no motion is shorter than [s], from so many times fewer boxes than the plan's bound; `known` is one."""
         boxes = self._world.work.effort.boxes // fewer
-        found = least_duration(self._problem, self._start, known=known.duration, end=known.q[-1], boxes=boxes)
-        return found.duration
+        return least_duration(self._problem, self._start, known=known.duration, end=known.q[-1], boxes=boxes).duration
 
     # --- first ways -------------------------------------------------------------------
 
@@ -279,19 +274,24 @@ class MotionSearch:
 
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, in so much time [s] or anywhere; which they are, the soonest first."""
+        self._looked_within = np.inf if within is None else within
         found = find_goal_postures(
             self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES,
             travel=None if within is None else travel_within(self._problem.limits, within),
         )  # fmt: skip
         return [] if isinstance(found, Outcome) else self._ends.take(found.clear, found.goals)
 
+    def _sooner(self) -> list[int]:
+        """Further postures that can be reached sooner than all before, of which some are looked for."""
+        before = self._least_time()
+        found = self._look_for_postures(None if self.best is None else self.best.motion.duration)
+        return [index for index in found if (1.0 + _LEAST_GAIN) * self._ends.least[index] < before]
+
     def _go_straight(self, order: Sequence[int]) -> None:
         """Descents from straight lines to the first postures of `order`, until one of them does not get clear."""
         work = self._world.work
         self._reserved = work.descent_rounds // 2
         for index in order[: work.effort.ways_at_once]:
-            if self._is_optimal():
-                return
             if not self._is_open(index):
                 continue
             line = JointCurve.straight(self._start, self._ends.postures[index], work.effort.pieces)
@@ -350,19 +350,30 @@ class MotionSearch:
         if not self._problem.objective.is_time:
             best = np.inf if self.best is None else self.best.cost
             return usual * next((factor for part, factor in _PATIENCE_ROUND if best > part * self._blocked), 1)
-        return usual * next((factor for part, factor in _PATIENCE if self._is_above(part)), 1)
+        assert self.best is not None
+        if self._is_near():
+            return usual - self.best.free
+        return usual * next((factor for part, factor in _PATIENCE if self.best.cost > part * self._bound), 1)
 
-    def _is_above(self, part: float) -> bool:
-        """Whether the best motion takes longer than a part of the bound; false where there is none."""
-        return self.best is not None and self.best.motion.duration > part * self._bound > 0.0
+    def _is_near(self) -> bool:
+        """Whether the best is near what no motion to any known posture is shorter than."""
+        assert self.best is not None
+        if self.best.motion.duration < _NEAR * self._least_time():
+            return True
+        if not self._bound:
+            self._bound = self._bound_above(self.best.motion, fewer=_FEWER_BOXES)
+        return False
 
-    def _is_far(self) -> bool:
-        return self.best is None or (not self._is_optimal() and self._is_above(_FEW_POSTURES))
+    def _least_time(self) -> float:
+        """What no motion to any of the postures that are known is shorter than [s]."""
+        own = np.inf if self.best is None else self._ends.least_to(self.best.motion.q[-1])
+        return min(own, *self._ends.least)
 
     def _dearest_worth(self) -> float:
         """What a way costs at most from which a descent is worth its time: little more where little can be gained."""
         assert self.best is not None
-        above = self.best.cost / self._bound - 1.0 if self._bound else np.inf
+        least = self._bound or self._least_time()
+        above = self.best.cost / least - 1.0 if least else np.inf
         return self.best.cost * min(_WORTH, 1.0 + _WORTH_MORE * above)
 
     def _sampled(self, turn: int) -> Iterator[FoundMotion]:
@@ -381,7 +392,8 @@ class MotionSearch:
         longest, best = self._longest, self.best
         if not np.isfinite(longest):
             longest = self._longest_worth(dull)
-            self._look_for_postures(longest)
+            if longest != self._looked_within:
+                self._look_for_postures(longest)
         which = [index for index in self._ends.order if self._is_open(index) and self._ends.least[index] < longest]
         if not which:
             return
@@ -396,7 +408,7 @@ class MotionSearch:
         """How long a way may at most seem to take [s], after some turns in vain: mostly much less than the best."""
         assert self.best is not None
         best = self.best.motion.duration
-        if not self._bound:
+        if self._is_near() or not self._bound:
             return best
         return float(best * (self._bound / best) ** _SHORTER[dull % len(_SHORTER)])
 
@@ -412,22 +424,15 @@ class MotionSearch:
 
     def _is_optimal(self) -> bool:
         """Whether no motion can be better by more than `_LEAST_GAIN`."""
-        best = self.best
-        if best is None or not self._problem.objective.is_time or not self._goes_on():
+        if self.best is None or not self._problem.objective.is_time or not self._goes_on():
             return False
-        if not self._bound:
-            self._bound = self._bound_above(best.motion, fewer=_FEWER_BOXES)
-        return best.motion.duration <= (1.0 + _LEAST_GAIN) * self._bound
+        return self.best.motion.duration <= (1.0 + _LEAST_GAIN) * self._least_time()
 
     def _is_open(self, index: int) -> bool:
         """Whether a motion to this posture can still be better than the best."""
         if self.best is None or not self._problem.objective.is_time:
             return True
-        worth = 1.0 - _END_GAIN if self._end_moves(self._ends.goals[index]) else 1.0 + _LEAST_GAIN
-        return self.best.motion.duration > worth * self._ends.least[index]
-
-    def _end_moves(self, goal: Goal) -> bool:
-        return goal.q is None and self._problem.robot.n > 3 + (3 if goal.target.rotation is not None else 0)
+        return self.best.motion.duration > (1.0 + _LEAST_GAIN) * self._ends.least[index]
 
     # --- descents -----------------------------------------------------------------------
 
@@ -449,7 +454,8 @@ class MotionSearch:
                 return False
             if self._goes_where_another_ended(found):
                 return True
-            ended = FoundMotion(found.motion, found.cost, goal, way, None if is_time else found.curve)
+            free = all(float(near.margin.min()) > _SPARE for near in found.margins)
+            ended = FoundMotion(found.motion, found.cost, goal, way, None if is_time else found.curve, free)
             if found.missed <= KEPT_PART * spare and self._offer(ended):
                 self.ended.append(ended)
                 self._known.add(found.curve, found.cost)

@@ -39,6 +39,7 @@ class FoundMotion:
     goal: where it ends.
     way: how it was found, in words.
     curve: that runs over the motion's time at an even pace; None where there is none.
+    free: whether it is known that nothing comes near it, so that it leads round nothing.
     """
 
     motion: Trajectory
@@ -46,6 +47,7 @@ class FoundMotion:
     goal: Goal
     way: str
     curve: JointCurve | None = None
+    free: bool = False
 
 
 class Ways:
