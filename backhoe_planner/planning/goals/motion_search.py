@@ -43,7 +43,7 @@ _MORE_ROUNDS = 80  # the same for another cost than the time, which falls for lo
 _ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no curve is timed in them; measured
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
-_MUCH_GAIN = 0.05  # part of the cost, that the second of these must gain for a third; chosen
+_MUCH_GAIN = (0.01, 0.05)  # part of the cost, that the first and the second of these must gain for the next; chosen
 _FINER = 4  # times more of these for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
@@ -491,7 +491,9 @@ class MotionSearch:
             )  # fmt: skip
             if found is not None and found.missed <= KEPT_PART * _SPARE:
                 self._offer(replace(best, motion=found.motion, cost=found.cost, curve=None if is_time else found.curve))
-            if self.best is None or (turn > 0 and self.best.cost > (1.0 - _MUCH_GAIN) * best.cost):
+            if self.best is None or turn == len(_MUCH_GAIN):
+                return
+            if self.best.cost > (1.0 - _MUCH_GAIN[turn]) * best.cost:
                 return
 
     def _bend(
