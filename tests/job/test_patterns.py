@@ -15,7 +15,7 @@ from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, allowed_heights, lanes_of
 
 
-@pytest.mark.parametrize(("cell", "off"), [(0.025, 0.009), (0.05, 0.031)])
+@pytest.mark.parametrize(("cell", "off"), [pytest.param(0.025, 0.009, marks=pytest.mark.long), (0.05, 0.031)])
 def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: float, off: float) -> None:
     """A trench of 1.8 m, 0.8 m deep: near its end boom and stick only clear the ground with the bucket drawn in."""
     low = np.array([0.5, -1.5]) + off
@@ -57,7 +57,10 @@ def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
     return site, lanes_of(site)
 
 
-@pytest.mark.parametrize(("x", "depth"), [(0.3, 0.55), (0.3, 0.4), (0.0, 0.2)])
+@pytest.mark.parametrize(
+    ("x", "depth"),
+    [(0.3, 0.4), pytest.param(0.3, 0.55, marks=pytest.mark.long), pytest.param(0.0, 0.2, marks=pytest.mark.long)],
+)
 def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
     """Nothing is left beside the steep ground that stays above the pipe, and the bucket comes down to every cut."""
     site, lanes = across_a_pipe(x)

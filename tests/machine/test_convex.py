@@ -80,6 +80,7 @@ def test_cover_holds_the_whole_surface_and_leaves_the_cavity_open(
     assert not np.any(inside_any(np.array(open_at), cover))
 
 
+@pytest.mark.long
 def test_cover_holds_every_point_of_the_surface_of_a_crumpled_ball() -> None:
     rng = np.random.default_rng(0)
     mesh = trimesh.creation.icosphere(1)

@@ -78,7 +78,7 @@ def test_a_planned_lift_costs_m_g_h(tmp_path: Path) -> None:
     """And the payload's share of it, through the whole planner."""
     robot = machine(tmp_path, LIFT, "cage")
     scene = along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0), payload=100.0)
-    plan = bp.plan(robot, scene, method="optimal")
+    plan = bp.plan(robot, scene, method="optimal", effort="quick")
     assert plan.verified, plan.message
     lift = (MASS + 100.0) * GRAVITY * 1.5
     assert plan.metrics.energy["work"] == pytest.approx(lift, rel=1e-3)
@@ -243,7 +243,7 @@ def test_soil_costs_work_only_below_the_ground(backhoe: bp.Robot) -> None:
 
 
 def test_power_adds_up_to_the_work_that_is_told(digging: Problem) -> None:
-    plan = bp.plan(digging.robot, digging.scene)
+    plan = bp.plan(digging.robot, digging.scene, effort="quick")
     energy = trajectory_energy(digging, plan.trajectory)
     assert float(np.trapezoid(energy.power, energy.time)) == pytest.approx(plan.metrics.energy["work"], rel=1e-12)
     assert set(plan.metrics.energy) == set(OBJECTIVES)
@@ -328,6 +328,8 @@ def test_an_arm_without_mass_is_planned_all_the_same(tmp_path: Path) -> None:
     text = LIFT.replace(f'<mass value="{MASS}"/>', '<mass value="0"/>').replace(
         '"1" iyy="1" izz="1"', '"0" iyy="0" izz="0"'
     )
-    plan = bp.plan(machine(tmp_path, text, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)), method="optimal")
+    plan = bp.plan(
+        machine(tmp_path, text, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)), method="optimal", effort="quick"
+    )
     assert plan.verified, plan.message
     assert plan.metrics.energy["work"] == 0.0

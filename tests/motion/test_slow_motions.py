@@ -30,7 +30,7 @@ def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot)
 def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [4.2, 0.0, -0.45]}]
     scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 1e-4}}})
-    found = bp.plan(backhoe, scene)
+    found = bp.plan(backhoe, scene, effort="quick")
     assert found.verified, found.message
     assert found.trajectory.duration == pytest.approx(np.hypot(0.4, 0.15) / 1e-4, rel=0.01)
     assert len(found.trajectory) < 5000
@@ -58,7 +58,7 @@ def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: st
 
     def planned(*waypoints: dict[str, list[float]]) -> bp.Plan:
         task = {"path": {"waypoints": list(waypoints), "speed": 0.5}}
-        return bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": task}), method=method)
+        return bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": task}), method=method, effort="quick")
 
     once, twice = planned(A, B), planned(A, A, B, B)
     assert once.verified

@@ -25,6 +25,7 @@ def test_it_is_a_multiple_of_the_bound(bound: float, fastest: float, allowed: fl
     assert allowed_time(bound, fastest) == pytest.approx(allowed)
 
 
+@pytest.mark.long
 def test_a_plan_says_what_it_was_allowed_and_two_seeds_are_allowed_the_same(planar4: bp.Robot) -> None:
     joints = [f"joint{k}" for k in (1, 2, 3, 4)]
     tip = bp.Kinematics(planar4).at(np.array([0.8, 0.3, 0.2, 0.1])).tip_position

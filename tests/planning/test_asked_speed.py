@@ -32,7 +32,7 @@ def lift(folder: Path, *, speed: float | None) -> Problem:
 def test_a_planned_lift_is_slow_where_it_gathers_way_and_brakes(tmp_path: Path) -> None:
     """Below 90 % of 0.4 m/s for (0.36 m/s)^2 / (2 * 2 m/s^2) = 0.0324 m at either end."""
     problem = lift(tmp_path, speed=0.4)
-    plan = bp.plan(problem.robot, problem.scene)
+    plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.verified, plan.message
     told = plan.metrics.asked_speed
     assert told is not None
@@ -60,6 +60,6 @@ def test_a_lift_that_dawdles_in_the_middle(tmp_path: Path) -> None:
 
 def test_nothing_is_told_where_no_speed_is_asked(tmp_path: Path) -> None:
     problem = lift(tmp_path, speed=None)
-    plan = bp.plan(problem.robot, problem.scene)
+    plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.verified, plan.message
     assert plan.metrics.asked_speed is None

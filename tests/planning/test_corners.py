@@ -137,6 +137,7 @@ def test_joints_that_stand_get_no_sample_between_them(planar4: bp.Robot) -> None
     assert len(corners.with_halfways(problem, problem.path, still).q) == 4
 
 
+@pytest.mark.long
 def test_where_a_turn_on_the_spot_ends_the_curve_keeps_its_clearance() -> None:
     """The samples keep 0.9 mm there; a cubic curve through them swung out by 2.3 mm, and nothing was verified."""
     backhoe = load_machine("backhoe")

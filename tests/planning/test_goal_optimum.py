@@ -48,7 +48,7 @@ def digger(goal: Any, *obstacles: Data, **keys: Any) -> bp.Scene:
     ],
 )
 def test_without_obstacles_the_slowest_joint_alone_decides(planar4: bp.Robot, q: list[float], least: float) -> None:
-    plan = bp.plan(planar4, planar(q))
+    plan = bp.plan(planar4, planar(q), effort="quick")
     assert plan.verified, plan.message
     assert least * (1.0 - 1e-9) <= plan.trajectory.duration <= 1.01 * least
 
@@ -59,7 +59,7 @@ def test_where_a_pose_is_asked_for_the_posture_moves_along(planar4: bp.Robot) ->
     start = {"joints": dict.fromkeys(NAMES, 0.1)}
     goal = {"position": [0.95 * float(value) for value in there]}
     scene = bp.scene_from_dict({"version": 1, "start": start, "task": {"goal": goal}})
-    plan = bp.plan(planar4, scene)
+    plan = bp.plan(planar4, scene, effort="quick")
     assert plan.verified, plan.message
     first = min(np.max(np.abs(q - 0.1)) for q in postures(planar4, scene))
     assert plan.trajectory.duration < first + 0.5  # the time to the nearest posture that is found without moving on it
@@ -348,6 +348,7 @@ def test_the_work_of_a_plan_hardly_depends_on_its_seed(backhoe: bp.Robot) -> Non
     assert max(costs) < 1.1 * min(costs)
 
 
+@pytest.mark.long
 def test_a_way_round_is_looked_for_where_a_cheaper_straight_line_is_blocked() -> None:
     """Seed 0 goes round and needs 3,050 J; to another posture a straight line is clear and needs 5,720 J."""
     robot = load_machine("backhoe")

@@ -21,14 +21,14 @@ def problem_of(kind: str, folder: Path) -> Problem:
 def test_the_first_waypoint_out_of_reach_is_named(tmp_path: Path) -> None:
     """One of 500, which begins a stretch 1.6 m too far out; half of the path is in reach again behind it."""
     problem = problem_of("beyond", tmp_path)
-    plan = bp.plan(problem.robot, problem.scene)
+    plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.reason == "unreachable"
     assert f"waypoint {problem.impossible} of the path" in plan.message
 
 
 def test_a_waypoint_in_a_block_is_named_where_detours_are_not_allowed(tmp_path: Path) -> None:
     problem = problem_of("inside", tmp_path)
-    plan = bp.plan(problem.robot, problem.scene)
+    plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.reason == "blocked"
     assert "none of" in plan.message
     obstruction = plan.findings.obstruction
@@ -56,7 +56,7 @@ def test_without_the_block_the_waypoint_is_clear(tmp_path: Path) -> None:
 def test_a_corner_three_millimetres_out_of_reach_is_named(machine: str, tmp_path: Path) -> None:
     """Each of 500 waypoints is tried: the ones beside it can be reached."""
     problem = draw("corner", load_arm(machine, tmp_path), machine, 1)
-    plan = bp.plan(problem.robot, problem.scene)
+    plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.reason == "unreachable"
     first = "beginning" if problem.impossible == 1 else f"waypoint {problem.impossible}"
     assert f"{first} of the path" in plan.message

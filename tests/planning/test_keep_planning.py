@@ -84,21 +84,23 @@ def test_the_law_alone_is_certified_as_it_is(backhoe: bp.Robot) -> None:
 
 @pytest.mark.parametrize("method", ["auto", "reactive"])
 def test_a_start_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot, method: str) -> None:
-    plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), B, {"pitch": BAND}), method=method)
+    plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), B, {"pitch": BAND}), method=method, effort="quick")
     assert plan.reason == "start_breaks_keep"
     assert plan.message == "at the start the pitch of the bucket is -120.3 deg, allowed -157.6 to -151.8 deg"
     assert len(plan.trajectory) == 1
 
 
 def test_a_goal_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot) -> None:
-    plan = bp.plan(backhoe, site(A, (1.0, 0.6, -1.2, -1.5), {"pitch": BAND}))
+    plan = bp.plan(backhoe, site(A, (1.0, 0.6, -1.2, -1.5), {"pitch": BAND}), effort="quick")
     assert plan.reason == "goal_breaks_keep"
     assert plan.message == "at the goal the pitch of the bucket is -120.3 deg, allowed -157.6 to -151.8 deg"
-    asked = bp.plan(backhoe, site(A, {"position": [4.0, 1.0, 0.5], "pitch": [-1.5, -1.0]}, {"pitch": BAND}))
+    asked = bp.plan(
+        backhoe, site(A, {"position": [4.0, 1.0, 0.5], "pitch": [-1.5, -1.0]}, {"pitch": BAND}), effort="quick"
+    )
     assert asked.reason == "goal_breaks_keep"
     raised = (0.0, 0.8, -1.5, -1.5)
     low = float(bp.Kinematics(backhoe).at(np.array(A)).tip_position[2]) + 0.1
-    high = bp.plan(backhoe, site(A, raised, {"below": low}))
+    high = bp.plan(backhoe, site(A, raised, {"below": low}), effort="quick")
     assert high.reason == "goal_breaks_keep"
     assert f"m high, allowed at most {low:.4g} m" in high.message
 
@@ -108,7 +110,7 @@ def test_of_several_goals_one_at_which_it_can_be_kept_is_taken(backhoe: bp.Robot
     level = {"joints": dict(zip(NAMES, B, strict=True))}
     content = site(A, tips_out, {"pitch": BAND}).to_dict()
     content["task"]["goal"] = [tips_out, level]
-    plan = bp.plan(backhoe, bp.scene_from_dict(content))
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
     assert plan.verified, plan.message
     assert plan.certificate.goal == 2
 
@@ -119,7 +121,7 @@ def test_a_height_is_kept_over_a_wall_that_only_the_machine_sees(backhoe: bp.Rob
     z = float(kinematics.at(np.array(start)).tip_position[2])
     tip = kinematics.at(np.array([0.0, *start[1:]])).tip_position
     scene = site(start, goal, {"below": z + 0.2}, post(float(tip[0]), 0.0))
-    plan = bp.plan(backhoe, scene)
+    plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
     assert max(float(point[2]) for point in plan.tip_path()) <= z + 0.2 + 1e-6
 
@@ -225,12 +227,12 @@ def test_the_way_to_a_path_keeps_it_too(backhoe: bp.Robot) -> None:
 
 
 def test_a_waypoint_that_cannot_keep_it_is_named(backhoe: bp.Robot) -> None:
-    low = bp.plan(backhoe, along({"above": 0.6}, [2.9, 0.0, 0.7], [2.9, 0.5, 0.5]))
+    low = bp.plan(backhoe, along({"above": 0.6}, [2.9, 0.0, 0.7], [2.9, 0.5, 0.5]), effort="quick")
     assert low.reason == "goal_breaks_keep"
     assert low.message == "at waypoint 2 of the path the tip is 0.500 m high, allowed at least 0.6 m"
     content = along({"pitch": [-3.1, -2.9]}, [2.9, 0.0, 0.5], [2.8, 0.3, 0.8]).to_dict()
     content["task"]["path"]["waypoints"][0]["pitch"] = [-2.0, -1.5]
-    tipped = bp.plan(backhoe, bp.scene_from_dict(content))
+    tipped = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
     assert tipped.reason == "goal_breaks_keep"
     assert tipped.message.startswith("at waypoint 1 of the path the pitch of the bucket is -114.6 deg")
 

@@ -75,6 +75,7 @@ def test_a_goal_is_reached_behind_somebody_who_walks(backhoe: bp.Robot) -> None:
     assert plan(backhoe, GOAL, walker).verified
 
 
+@pytest.mark.long
 def test_somebody_appears_and_walks(backhoe: bp.Robot) -> None:
     walker = WORKER | {
         "from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0], "appears_at": 1.0,

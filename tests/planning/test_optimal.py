@@ -215,8 +215,8 @@ def test_no_plan_is_worse_than_the_law_and_a_free_start_is_no_worse(backhoe: bp.
     begin = np.array(bp.Kinematics(backhoe).at(q).tip_position)
     end = begin + rng.uniform(-1.0, 1.0, 3) * [1.0, 1.0, 0.8]
     points = [begin.tolist(), end.tolist()]
-    same = bp.plan(backhoe, along(points, start=posed(backhoe, q)), method="optimal")
-    free = bp.plan(backhoe, along(points), method="optimal")
+    same = bp.plan(backhoe, along(points, start=posed(backhoe, q)), method="optimal", effort="quick")
+    free = bp.plan(backhoe, along(points), method="optimal", effort="quick")
     assert same.verified, same.message
     assert free.verified, free.message
     told = comparison(same)
@@ -278,7 +278,9 @@ def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: st
     """It is all speeding up and slowing down, which the search does not see."""
     for start in (None, {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}):
         keys = {} if start is None else {"start": start}
-        plan = bp.plan(backhoe, along([[4.0, 0.0, 0.3], [4.0 - length, 0.0, 0.3]], objective=name, **keys))
+        plan = bp.plan(
+            backhoe, along([[4.0, 0.0, 0.3], [4.0 - length, 0.0, 0.3]], objective=name, **keys), effort="quick"
+        )
         assert plan.verified, plan.message
         told = comparison(plan)
         assert told.value <= law_cost(told) * (1.0 + 1e-4)
@@ -286,7 +288,7 @@ def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: st
 
 def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot, cut: bp.Plan) -> None:
     start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
-    plan = bp.plan(backhoe, along(CUT, start=start))
+    plan = bp.plan(backhoe, along(CUT, start=start), effort="quick")
     assert plan.verified, plan.message
     told = comparison(plan)
     assert told.whole == pytest.approx(plan.metrics.energy["work"], rel=1e-12)

@@ -113,7 +113,7 @@ def beside_a_wall(gap: float) -> bp.Scene:
 
 
 def test_along_a_wall_at_exactly_the_clearance(elbow: bp.Robot) -> None:
-    found = bp.plan(elbow, beside_a_wall(CLEARANCE))
+    found = bp.plan(elbow, beside_a_wall(CLEARANCE), effort="quick")
     assert found.verified
     assert found.certificate.detours == ()
     tightest = found.certificate.min_clearance
@@ -123,7 +123,7 @@ def test_along_a_wall_at_exactly_the_clearance(elbow: bp.Robot) -> None:
 
 
 def test_a_millimetre_nearer_the_wall_is_a_collision(elbow: bp.Robot) -> None:
-    found = bp.plan(elbow, beside_a_wall(CLEARANCE - 0.001))
+    found = bp.plan(elbow, beside_a_wall(CLEARANCE - 0.001), effort="quick")
     assert found.reason == "goal_in_collision"
     assert obstruction(found).obstacle == "wall"
     assert obstruction(found).distance == pytest.approx(CLEARANCE - 0.001, abs=1e-6)
@@ -132,7 +132,9 @@ def test_a_millimetre_nearer_the_wall_is_a_collision(elbow: bp.Robot) -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_gap_that_only_one_elbow_position_passes(elbow: bp.Robot, side: float) -> None:
     """With the tip at (1.25, 0) the elbows are at (0.625, +-0.781); a ball stands at one of them."""
-    found = bp.plan(elbow, site([[0.8, 0.0, 0.0], [1.7, 0.0, 0.0]], [ball(0.625, side * 0.781, 0.1)], detour=False))
+    found = bp.plan(
+        elbow, site([[0.8, 0.0, 0.0], [1.7, 0.0, 0.0]], [ball(0.625, side * 0.781, 0.1)], detour=False), effort="quick"
+    )
     assert found.verified
     assert np.all(side * found.trajectory.q[:, 1] > 0.1)
 
@@ -163,7 +165,7 @@ def test_past_the_swing_limit(backhoe: bp.Robot) -> None:
     """Swing ends at 90 degrees: a point to the left of and behind that is out of reach by a known distance."""
     limit = backhoe.limits.upper[0]
     points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.0] for a in (limit - 0.4, limit - 0.1, limit + 0.25)]
-    found = bp.plan(backhoe, site(points))
+    found = bp.plan(backhoe, site(points), effort="quick")
     assert found.reason == "unreachable"
     assert "waypoint 3" in found.message
     assert found.findings.joints == ("swing",)
@@ -190,7 +192,7 @@ def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
             "task": {"path": {"waypoints": [{"position": [4.0, 0.0, 0.2]}, {"position": [4.0, 1.5, 0.2]}]}},
         }
     )
-    found = bp.plan(backhoe, scene)
+    found = bp.plan(backhoe, scene, effort="quick")
     assert found.verified
     np.testing.assert_allclose(found.trajectory.q[0], [-1.0, 0.6, -1.8, -0.5])
 
@@ -210,7 +212,7 @@ def test_seven_joints_follow_full_poses_among_boxes(index: int) -> None:
     """At most 1 mm and 0.1 degrees off between the waypoints too, without a jump."""
     robot = load_machine("panda")
     place = random_site(robot, SiteKey("panda", "cluttered", "path", index))
-    found = bp.plan(robot, place.scene)
+    found = bp.plan(robot, place.scene, effort="quick")
     assert found.verified
     assert found.certificate.detours == ()
     path = build_problem(robot, place.scene).path
@@ -352,6 +354,7 @@ def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.
     assert again.findings == around_a_ball.findings
 
 
+@pytest.mark.long
 def test_routes_of_short_steps_are_tried_where_the_cheapest_cross_between_curves_of_self_motion() -> None:
     """The site comes from a motion that follows the path. The 40 cheapest routes all cross where none can."""
     robot = load_machine("panda")

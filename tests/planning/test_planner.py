@@ -116,7 +116,11 @@ def test_a_path_with_nothing_in_the_way_is_followed_exactly(planar4: bp.Robot) -
 
 def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
     points = [{"position": [4.2, 0.3, -0.2], "pitch": -1.5}, {"position": [3.2, 0.3, -0.5], "pitch": -1.9}]
-    plan = bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 0.4}}}))
+    plan = bp.plan(
+        backhoe,
+        bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 0.4}}}),
+        effort="quick",
+    )
     assert plan.verified, plan.message
     kinematics = bp.Kinematics(backhoe)
     for q in plan.trajectory.q:
@@ -147,7 +151,7 @@ def test_an_obstacle_in_the_way_is_not_mistaken_for_a_joint_limit(planar4: bp.Ro
 
 
 def test_the_start_may_be_given_by_the_tip(planar4: bp.Robot) -> None:
-    plan = bp.plan(planar4, site(goal(2.0, -1.0), start={"tip": {"position": [2.0, 1.0, 0.0]}}))
+    plan = bp.plan(planar4, site(goal(2.0, -1.0), start={"tip": {"position": [2.0, 1.0, 0.0]}}), effort="quick")
     assert plan.verified, plan.message
     np.testing.assert_allclose(tips(plan)[0], [2.0, 1.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(tips(plan)[-1], [2.0, -1.0, 0.0], atol=1e-3)
@@ -158,7 +162,7 @@ def test_the_start_may_be_given_by_the_tip(planar4: bp.Robot) -> None:
 
 def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
     """4 m of arm, a goal at 5 m in the direction (3, 4): the nearest is 4 m along it."""
-    plan = bp.plan(planar4, site(goal(3.0, 4.0)))
+    plan = bp.plan(planar4, site(goal(3.0, 4.0)), effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "unreachable")
     assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-5)
     np.testing.assert_allclose(nearest(plan).position, [2.4, 3.2, 0.0], atol=1e-4)
@@ -167,14 +171,14 @@ def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
 
 
 def test_a_path_that_begins_out_of_reach(planar4: bp.Robot) -> None:
-    plan = bp.plan(planar4, site(path([[5.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), start=None))
+    plan = bp.plan(planar4, site(path([[5.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), start=None), effort="quick")
     assert plan.reason == "unreachable"
     assert "beginning of the path" in plan.message
 
 
 def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
     """The ball's centre is 0.1 m beside link 3's middle: 0.06 m outside it, 0.14 m of the radius inside."""
-    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]))
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]), effort="quick")
     assert plan.reason == "start_in_collision"
     assert (obstruction(plan).link, obstruction(plan).obstacle) == ("link3", "ball")
     assert -obstruction(plan).distance == pytest.approx(0.14, abs=1e-9)
@@ -183,7 +187,7 @@ def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
 
 
 def test_start_closer_than_allowed(planar4: bp.Robot) -> None:
-    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.25, 0.2)]))
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.25, 0.2)]), effort="quick")
     assert plan.reason == "start_in_collision"
     assert obstruction(plan).distance == pytest.approx(0.01, abs=1e-9)
     assert "0.010 m closer than allowed" in plan.message
@@ -191,7 +195,7 @@ def test_start_closer_than_allowed(planar4: bp.Robot) -> None:
 
 def test_goal_in_collision(planar4: bp.Robot) -> None:
     """Every posture has the middle of link 4's end face at the goal, 0.1 m inside the ball's surface."""
-    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.0, 2.1, 0.2)]))
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.0, 2.1, 0.2)]), effort="quick")
     assert plan.reason == "goal_in_collision"
     assert obstruction(plan).obstacle == "ball"
     assert obstruction(plan).link == "link4"
@@ -200,7 +204,7 @@ def test_goal_in_collision(planar4: bp.Robot) -> None:
 
 def test_start_outside_the_limits(planar4: bp.Robot) -> None:
     start = {"joints": STRETCHED["joints"] | {"joint2": 4.0}}
-    plan = bp.plan(planar4, site(goal(2.0, 2.0), start=start))
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), start=start), effort="quick")
     assert plan.reason == "outside_limits"
     assert plan.findings.joints == ("joint2",)
     assert "joint2 starts at 4" in plan.message
@@ -320,14 +324,16 @@ def test_a_detour_keeps_the_acceleration_limits_at_its_seams(planar4: bp.Robot) 
             "obstacles": [{"name": "ball", "shape": "sphere", "radius": 0.1, "position": [2.2, 1.6, 0.0]}],
         }
     )
-    plan = bp.plan(planar4, scene)
+    plan = bp.plan(planar4, scene, effort="quick")
     assert plan.certificate.acceleration.ratio <= 1.0 + 1e-6
     assert plan.verified, plan.message
 
 
 def test_a_waypoint_out_of_reach_is_named(planar4: bp.Robot) -> None:
     waypoints = [{"position": [2.0, 0.0, 0.0]}, {"position": [3.0, 0.0, 0.0]}, {"position": [5.0, 0.0, 0.0]}]
-    plan = bp.plan(planar4, bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": waypoints}}}))
+    plan = bp.plan(
+        planar4, bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": waypoints}}}), effort="quick"
+    )
     assert plan.reason == "unreachable"
     assert "waypoint 3" in plan.message
     assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-4)

@@ -123,6 +123,7 @@ def test_what_costs_upward_alone_is_passed_below(planar4: bp.Robot) -> None:
     assert raised(way) < 0.3
 
 
+@pytest.mark.long
 def test_another_way_round_the_obstacles_is_found() -> None:
     """Sampled ways of this seed lead to 3.82 s; by another side of the obstacles it is 2.77 s."""
     robot = load_machine("planar4")

@@ -82,7 +82,7 @@ def test_a_corner_that_is_cut_between_two_samples_is_not_followed(backhoe: bp.Ro
     """Both samples lie on the path, the chord between them passes the corner at more than the tolerance."""
     corner = [[4.6, 0.0, -0.3], [4.6, 0.4, -0.3], [4.2, 0.4, -0.3]]
     given = scene(start=None, task={"path": {"waypoints": [{"position": p} for p in corner], "speed": 0.1}})
-    whole = bp.plan(backhoe, given)
+    whole = bp.plan(backhoe, given, effort="quick")
     assert whole.verified
     assert not whole.certificate.detours
     tips = whole.tip_path()
@@ -242,7 +242,7 @@ def test_only_a_path_with_a_speed_has_one_to_keep(planar4: bp.Robot) -> None:
 
 def test_a_plan_whose_file_asks_for_less_speed_is_not_verified(backhoe: bp.Robot, tmp_path: Path) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}]
-    whole = bp.plan(backhoe, scene(start=None, task={"path": {"waypoints": points, "speed": 0.5}}))
+    whole = bp.plan(backhoe, scene(start=None, task={"path": {"waypoints": points, "speed": 0.5}}), effort="quick")
     assert whole.verified
     assert whole.certificate.tip_speed is not None
     assert 0.99 < whole.certificate.tip_speed.ratio < 1.03
@@ -259,7 +259,7 @@ def test_a_plan_whose_file_asks_for_less_speed_is_not_verified(backhoe: bp.Robot
 def test_on_the_way_to_the_path_and_round_an_obstacle_the_tip_may_be_faster(backhoe: bp.Robot) -> None:
     stone = {"name": "stone", "shape": "sphere", "radius": 0.15, "position": [4.1, 0.0, -0.35]}
     path = {"waypoints": [{"position": [4.6, 0.0, -0.3]}, {"position": [3.6, 0.0, -0.6]}], "speed": 0.1}
-    found = bp.plan(backhoe, scene(task={"path": path}, obstacles=[stone]))
+    found = bp.plan(backhoe, scene(task={"path": path}, obstacles=[stone]), effort="quick")
     assert found.verified, found.message
     assert found.certificate.detours
     assert found.certificate.tip_speed is not None

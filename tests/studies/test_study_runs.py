@@ -356,6 +356,7 @@ def test_a_row_at_which_the_process_dies_twice_has_crashed_and_the_others_are_pl
     assert sorted((one.row, one.verdict) for one in found) == [(1, "crashed"), (2, "verified")]
 
 
+@pytest.mark.long
 def test_a_cluster_of_which_a_worker_dies_goes_on_with_the_journal_of_this_computer(
     whole: StudyResult, copied: Path
 ) -> None:

@@ -21,7 +21,7 @@ from validation.surfaces import BRANCHES, link_shapes
 @pytest.fixture(scope="module")
 def plan() -> bp.Plan:
     robot = load_machine("planar4")
-    return bp.plan(robot, random_site(robot, SiteKey("planar4", "cluttered", "goal", 1)).scene)
+    return bp.plan(robot, random_site(robot, SiteKey("planar4", "cluttered", "goal", 1)).scene, effort="quick")
 
 
 def test_the_independent_check_places_the_joints_as_pinocchio_does() -> None:

@@ -16,7 +16,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
 @pytest.mark.parametrize(("name", "machine"), [("paper_planar", "planar4"), ("yard", "backhoe")])
 def test_nothing_touches_on_a_verified_plan(name: str, machine: str) -> None:
-    plan = bp.plan(bp.load_robot(f"example:{machine}"), bp.load_scene(SCENES / f"{name}.yaml"))
+    plan = bp.plan(bp.load_robot(f"example:{machine}"), bp.load_scene(SCENES / f"{name}.yaml"), effort="quick")
     assert plan.verified
     replayed = replay(plan.robot, plan.scene, plan.trajectory)
     assert replayed.moments == 10 * (len(plan.trajectory) - 1) + 1
