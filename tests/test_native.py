@@ -43,6 +43,10 @@ def chosen(rng: Rng, of: int) -> np.ndarray[Any, np.dtype[np.intp]]:
     return np.sort(rng.choice(of, size=int(rng.integers(0, of + 1)), replace=False)).astype(np.intp)
 
 
+def rows_of(columns: tuple[Any, ...]) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, np.column_stack(columns).tolist()))
+
+
 def rotation(rng: Rng) -> Any:
     return np.linalg.qr(rng.normal(size=(3, 3)))[0]
 
@@ -130,7 +134,8 @@ def keep_placements(rng: Rng) -> Arguments:
 
 def place_tip(rng: Rng) -> Arguments:
     n = joints(rng)
-    return placements(rng, 1, 2)[0, 1], np.append(rng.normal(size=3), 1.0), rng.normal(size=(6, n)), np.zeros((6, n))
+    tip = np.append(rng.normal(size=3), 1.0)
+    return placements(rng, 1, 2)[0, 1], tip, rng.normal(size=(6, n)), np.eye(6), np.zeros((6, n))
 
 
 def undamped_terms(rng: Rng) -> Arguments:
@@ -138,7 +143,7 @@ def undamped_terms(rng: Rng) -> Arguments:
     count = some(rng, 60)
     s_e, s_o = rng.choice([1.0, 0.5], 2).tolist()
     settings = LawSettings(s_e, s_o, 0.6, 0.2, 0.1, float(rng.integers(2)))
-    ranges = np.column_stack((np.full(4, -2.0), np.full(4, 2.0), np.full(4, 0.6)))
+    ranges = ((-2.0, 2.0, 0.6),) * 4
     return (
         rng.uniform(-2.1, 2.1, 4), 2.0 * rng.normal(size=(3, 4)), rng.normal(size=3), rng.uniform(-0.05, 0.8, count),
         rng.normal(size=(count, 4)), 0.1 * rng.normal(size=count), ranges, settings,
@@ -149,7 +154,7 @@ def step_conditions(rng: Rng) -> Arguments:
     count, n = some(rng), joints(rng)
     velocity, a, dt = rng.uniform(0.2, 1.0, n), rng.uniform(0.5, 2.0, n), 0.02
     room = 0.5 * velocity**2 / a
-    table = np.column_stack((np.full(n, -2.0), np.full(n, 2.0), room - 2.0, 2.0 - room, velocity, a, a * dt, 1.0 / a))
+    table = rows_of((np.full(n, -2.0), np.full(n, 2.0), room - 2.0, 2.0 - room, velocity, a, a * dt, 1.0 / a))
     v = rng.uniform(-0.4, 0.4, n)
     return (
         v + 0.02 * rng.normal(size=n), rng.uniform(-2.2, 2.2, n), v, dt, table, rng.uniform(-0.05, 0.5, count),
@@ -171,7 +176,7 @@ def nearest_safe_program(rng: Rng) -> Arguments:
 def reachable_velocities(rng: Rng) -> Arguments:
     n = joints(rng)
     change, braking = rng.uniform(0.001, 0.1, n), rng.uniform(0.5, 2.0, n)
-    table = np.column_stack((np.full(n, -2.0), np.full(n, 2.0), np.full(n, 0.8), change, braking, 1.0 / braking))
+    table = rows_of((np.full(n, -2.0), np.full(n, 2.0), np.full(n, 0.8), change, braking, 1.0 / braking))
     return (
         rng.uniform(-2.1, 2.1, n), rng.uniform(-0.9, 0.9, n), rng.normal(size=n), 0.004, table,
         (1.0, 0.02, 0.25, 1e-9, 0.8),
@@ -180,12 +185,12 @@ def reachable_velocities(rng: Rng) -> Arguments:
 
 def straight_towards(rng: Rng) -> Arguments:
     n = joints(rng)
-    return rng.normal(size=n), rng.normal(size=n), rng.uniform(0.1, 3.0, n)
+    return rng.normal(size=n), rng.normal(size=n), tuple(rng.uniform(0.1, 3.0, n).tolist())
 
 
 def changes_of_end(rng: Rng) -> Arguments:
     n = joints(rng)
-    return (*rng.normal(size=(3, n)), rng.uniform(0.0, 0.1, n), 0.3, 0.005)
+    return (*rng.normal(size=(3, n)), tuple(rng.uniform(0.0, 0.1, n).tolist()), 0.3, 0.005)
 
 
 def near_now(rng: Rng) -> Arguments:
@@ -244,7 +249,8 @@ def refused_velocity(rng: Rng) -> Arguments:
     n = joints(rng)
     v = rng.normal(size=n)
     target = np.where(rng.integers(0, 2, n) > 0, v, rng.normal(size=n))
-    return rng.normal(size=n), rng.normal(size=n), v, target, rng.uniform(0.0, 0.5, n), 0.05, 1e-9
+    free, changes = tuple(rng.normal(size=n).tolist()), tuple(rng.uniform(0.0, 0.5, n).tolist())
+    return free, rng.normal(size=n), v, target, changes, 0.05, 1e-9
 
 
 def force_on_hand(rng: Rng) -> Arguments:

@@ -133,7 +133,8 @@ class CompletedLaw:
         self._turns = directionality and any(s_k)
         span = robot.limits.upper - robot.limits.lower
         zone = np.where(np.isfinite(span), _NEAR_LIMIT * span, 1.0)
-        self._ranges = np.column_stack((robot.limits.lower, robot.limits.upper, zone))
+        columns = (robot.limits.lower, robot.limits.upper, zone)
+        self._ranges = tuple(zip(*(column.tolist() for column in columns), strict=True))
         self._epsilon = _EPSILON * np.eye(robot.n)
         self._settings = LawSettings(
             self._s_e, self._s_o, self.influence, self.unity, self.nominal, float(self.directionality)
@@ -233,7 +234,7 @@ class CompletedLaw:
 
     def _near_limit(self, q: Vector, v: Vector) -> Vector:
         near = []
-        for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges.tolist(), strict=True):
+        for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges, strict=True):
             if abs(rate) < _STANDING:
                 near.append(0.0)
                 continue
@@ -330,8 +331,8 @@ class LawSettings(NamedTuple):
 
 @compiled
 def undamped_terms(
-    q: Vector, J_e: Matrix, xdot_e: Vector, margin: Vector, gradient: Matrix, drift: Vector, ranges: Matrix,
-    settings: LawSettings, /,
+    q: Vector, J_e: Matrix, xdot_e: Vector, margin: Vector, gradient: Matrix, drift: Vector,
+    ranges: tuple[tuple[float, float, float], ...], settings: LawSettings, /,
 ) -> tuple[Vector, Vector] | None:  # fmt: skip
     """(n,), (n,) J_e^+ xdot_e times s_e, and H; None where J^+ may be damped, or there is no quicker way than `wish`.
 
@@ -340,7 +341,7 @@ def undamped_terms(
     q: (n,) joint positions [rad or m].
     J_e, xdot_e: (m, n), (m,) the task.
     margin, gradient, drift: (K,), (K, n), (K,) of the critical points, see `CriticalRows`.
-    ranges: (n, 3) of each joint its limits, and within which of one it counts as near it [rad or m].
+    ranges: of each of n joints its limits, and within which of one it counts as near it [rad or m].
     """
     if J_e.shape != (3, 4):
         return None
@@ -354,7 +355,7 @@ def undamped_terms(
     if settings.s_o > 0.0 and len(margin):
         above, below = _sums_of_rows(margin, drift, gradient.dot(np.array((z, primary)).T), settings)
     if settings.holds:
-        for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, ranges.tolist(), strict=True):
+        for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, ranges, strict=True):
             if abs(rate) < settings.standing:
                 continue
             hold = 1.0 - (high - position if rate > 0.0 else position - low) / zone

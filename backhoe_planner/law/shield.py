@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from operator import mul
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,6 +40,8 @@ _RATES = _STOPPING_PART, _RECOVERY, _FASTEST_RECOVERY
 _NO_PAIRS: Indices = np.zeros(0, dtype=np.intp)
 _FEW = 16  # rows; measured: to find out which can bind takes longer than to solve with all of them
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
+
+JointTable: TypeAlias = tuple[tuple[float, ...], ...]
 
 
 class Kept(NamedTuple):
@@ -83,7 +85,7 @@ class Shield:
         self._n = len(limits.velocity)
         self._per_acceleration: list[float] = (1.0 / limits.acceleration).tolist()
         self._dt = math.nan
-        self._joints: Matrix
+        self._joints: JointTable
 
     def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
         """(n,), (n,) the joint velocities that keep every joint limit, with room to brake.
@@ -104,8 +106,8 @@ class Shield:
         low, high, _, _ = _range(v_before, q, v_before, dt, self._joints_at(dt))
         return np.array(low), np.array(high)
 
-    def _joints_at(self, dt: float) -> Matrix:
-        """(n, 8) what a step of dt [s] knows of each joint.
+    def _joints_at(self, dt: float) -> JointTable:
+        """What a step of dt [s] knows of each joint.
 
         Its range, the part of it in which there is room to brake from full speed, and its limits.
         """
@@ -113,12 +115,12 @@ class Shield:
             self._dt, self._joints = dt, self._joints_of(dt)
         return self._joints
 
-    def _joints_of(self, dt: float) -> Matrix:
+    def _joints_of(self, dt: float) -> JointTable:
         limits = self.limits
         velocity, a = limits.velocity, limits.acceleration
         room = 0.5 * velocity * velocity / a + 1.5 * dt * velocity
         columns = limits.lower, limits.upper, limits.lower + room, limits.upper - room, velocity, a, a * dt
-        return np.column_stack((*columns, self._per_acceleration))
+        return tuple(zip(*(column.tolist() for column in columns), self._per_acceleration, strict=True))
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
@@ -195,7 +197,7 @@ class Shield:
         ----------
         kept: what is to be kept beside the clearances.
         """
-        is_kept, low, high, time, bound = step_conditions(
+        is_kept, low_high, time, bound = step_conditions(
             wish,
             q,
             v_before,
@@ -210,6 +212,7 @@ class Shield:
         keep = () if kept is None else (self._keep_rows(kept, time, dt),)
         if is_kept and all(block.are_kept_by(wish) for block in keep):
             return Shielded(wish, 0.0, _NO_PAIRS)
+        low, high = low_high
         H, f, G, h, pairs = nearest_safe_program(wish, J_tip, nearby.gradient, bound, low, high, _WEIGHTS, _FEW)
         solution = solve_program(QuadraticProgram(H, f, low, high, (Rows("clearance", G, h), *keep)))
         x = self._braked(v_before, dt) if solution is None else solution.x
@@ -232,15 +235,15 @@ class Shield:
 
 @compiled
 def step_conditions(
-    wish: Vector, q: Vector, v_before: Vector, dt: float, joints: Matrix, margin: Vector, extra: Vector | float,
+    wish: Vector, q: Vector, v_before: Vector, dt: float, joints: JointTable, margin: Vector, extra: Vector | float,
     gradient: Matrix, drift: Vector, rates: tuple[float, float, float], /,
-) -> tuple[bool, Vector, Vector, float, Vector]:  # fmt: skip
+) -> tuple[bool, Matrix, float, Vector]:  # fmt: skip
     """What the velocity of a step must keep, and whether `wish` (n,) keeps it.
 
     Parameters
     ----------
     q, v_before, dt: as in `Shield.filter`.
-    joints: (n, 8) of each joint its lower and upper limit, between which positions there is room to brake from full
+    joints: of each of n joints its lower and upper limit, between which positions there is room to brake from full
         speed, largest velocity and acceleration, by how much the velocity can change in a step, 1 / acceleration.
     margin, gradient, drift: (K,), (K, n), (K,) as in `Nearby`.
     extra: (K,) or one number, by how much less the margins are [m].
@@ -248,7 +251,7 @@ def step_conditions(
 
     Returns
     -------
-    Whether the wish keeps all; (n,), (n,) bounds of the velocity [rad/s or m/s]; the longer time in which all joints
+    Whether the wish keeps all; (2, n) bounds of the velocity [rad/s or m/s]; the longer time in which all joints
     come to rest, from `v_before` or from the wish [s]; (K,) how fast each margin may shrink [m/s].
     """
     lows, highs, time, within = _range(wish, q, v_before, dt, joints)
@@ -258,17 +261,17 @@ def step_conditions(
         left = gradient.dot(wish)
         left += bound
         within = bool(left[left.argmin()] >= 0.0)
-    return within, np.array(lows), np.array(highs), time, bound
+    return within, np.array((lows, highs)), time, bound
 
 
 def _range(
-    wish: Vector, q: Vector, v_before: Vector, dt: float, joints: Matrix
+    wish: Vector, q: Vector, v_before: Vector, dt: float, joints: JointTable
 ) -> tuple[list[float], list[float], float, bool]:
     """The bounds of the velocity, n numbers each, the time [s], and whether the wish is within; `step_conditions`."""
     lead, within, time = 1.5 * dt, True, 0.0
     lows, highs = [], []
     # for a handful of joints plain numbers cost a fraction of what arrays would
-    each = zip(q.tolist(), v_before.tolist(), wish.tolist(), joints.tolist(), strict=True)
+    each = zip(q.tolist(), v_before.tolist(), wish.tolist(), joints, strict=True)
     for position, rate, wished, (least, most, first, last, velocity, a, change, per) in each:
         low, high = rate - change, rate + change
         if first < position < last:  # mostly there is room to brake from full speed

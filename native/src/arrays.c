@@ -88,6 +88,26 @@ int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out)
     return 0;
 }
 
+int as_table(PyObject *tuple, const char *name, Py_ssize_t rows, Py_ssize_t columns, double *out)
+{
+    if (!PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != rows) {
+        PyErr_Format(PyExc_TypeError, "%s: a tuple of %zd tuples is wanted", name, rows);
+        return -1;
+    }
+    for (Py_ssize_t i = 0; i < rows; i++)
+        if (as_doubles(PyTuple_GET_ITEM(tuple, i), name, columns, out + columns * i) < 0)
+            return -1;
+    return 0;
+}
+
+int some_joints(npy_intp n)
+{
+    if (n >= 1 && n <= MOST_JOINTS)
+        return 0;
+    PyErr_Format(PyExc_ValueError, "1 to %d joints are wanted, not %zd", MOST_JOINTS, (Py_ssize_t)n);
+    return -1;
+}
+
 int count_is(Py_ssize_t given, Py_ssize_t wanted, const char *function)
 {
     if (given == wanted)

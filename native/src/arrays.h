@@ -45,6 +45,9 @@ int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, 
 int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out);
 int as_double(PyObject *object, const char *name, double *out);
 int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out);
+/* `rows` tuples of as many numbers in a tuple: constants of each joint, as a plain version takes them quickest */
+int as_table(PyObject *tuple, const char *name, Py_ssize_t rows, Py_ssize_t columns, double *out);
+int some_joints(npy_intp n);
 int count_is(Py_ssize_t given, Py_ssize_t wanted, const char *function);
 
 PyObject *new_vec(npy_intp n, double **data);

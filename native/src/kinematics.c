@@ -52,12 +52,12 @@ PyObject *keep_placements(PyObject *self, PyObject *const *args, Py_ssize_t coun
 
 PyObject *place_tip(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Mat pose, J, jacobian;
+    Mat pose, J, to, jacobian;
     Vec tip;
     double *at;
-    if (count_is(count, 4, "place_tip") < 0 || as_mat(args[0], "pose", 4, 4, &pose) < 0 ||
+    if (count_is(count, 5, "place_tip") < 0 || as_mat(args[0], "pose", 4, 4, &pose) < 0 ||
         as_vec(args[1], "tip", 4, &tip) < 0 || as_mat(args[2], "J", 6, -1, &J) < 0 ||
-        as_mat(args[3], "jacobian", 6, J.columns, &jacobian) < 0)
+        as_mat(args[3], "to_tip", 6, 6, &to) < 0 || as_mat(args[4], "jacobian", 6, J.columns, &jacobian) < 0)
         return NULL;
     PyObject *position = new_vec(3, &at);
     if (!position)
@@ -67,6 +67,8 @@ PyObject *place_tip(PyObject *self, PyObject *const *args, Py_ssize_t count)
         for (int d = 0; d < 4; d++)
             at[c] += AT2(pose, c, d) * AT(tip, d);
     }
+    AT2(to, 0, 4) = at[2], AT2(to, 0, 5) = -at[1], AT2(to, 1, 3) = -at[2];
+    AT2(to, 1, 5) = at[0], AT2(to, 2, 3) = at[1], AT2(to, 2, 4) = -at[0];
     for (npy_intp j = 0; j < J.columns; j++) {
         double t[6];
         for (int c = 0; c < 6; c++)

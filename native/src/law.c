@@ -7,17 +7,18 @@ enum { S_E, S_O, INFLUENCE, UNITY, NOMINAL, HOLDS, EPSILON, NEAREST_PUSH, STANDI
 
 PyObject *undamped_terms(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Mat J, gradient, ranges;
+    Mat J, gradient;
     Vec xdot, q, margin, drift;
-    double set[SETTINGS];
+    double set[SETTINGS], ranges[3 * MOST_JOINTS];
     if (count_is(count, 8, "undamped_terms") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
         as_mat(args[1], "J", -1, q.n, &J) < 0 || as_vec(args[2], "xdot", J.rows, &xdot) < 0 ||
         as_vec(args[3], "margin", -1, &margin) < 0 || as_mat(args[4], "gradient", margin.n, q.n, &gradient) < 0 ||
-        as_vec(args[5], "drift", margin.n, &drift) < 0 || as_mat(args[6], "ranges", q.n, 3, &ranges) < 0 ||
+        as_vec(args[5], "drift", margin.n, &drift) < 0 || some_joints(q.n) < 0 ||
+        as_table(args[6], "ranges", q.n, 3, ranges) < 0 ||
         as_doubles(args[7], "settings", SETTINGS, set) < 0)
         return NULL;
     const int m = (int)J.rows, n = (int)q.n;
-    if (m < 1 || m > MOST_TASKS || m > n || n > MOST_JOINTS)
+    if (m < 1 || m > MOST_TASKS || m > n)
         Py_RETURN_NONE;
     double Jd[MOST_TASKS * MOST_JOINTS], S[MOST_TASKS * MOST_TASKS], inverse[MOST_TASKS * MOST_TASKS], trace = 0.0;
     for (int a = 0; a < m; a++)
@@ -101,10 +102,10 @@ PyObject *undamped_terms(PyObject *self, PyObject *const *args, Py_ssize_t count
         }
     }
     for (int j = 0; set[HOLDS] != 0.0 && n > m && j < n; j++) {
-        const double rate = primary[j], low = AT2(ranges, j, 0), high = AT2(ranges, j, 1), zone = AT2(ranges, j, 2);
+        const double rate = primary[j], low = ranges[3 * j], high = ranges[3 * j + 1];
         if (fabs(rate) < set[STANDING])
             continue;
-        double hold = 1.0 - (rate > 0.0 ? high - AT(q, j) : AT(q, j) - low) / zone;
+        double hold = 1.0 - (rate > 0.0 ? high - AT(q, j) : AT(q, j) - low) / ranges[3 * j + 2];
         if (!(hold > 0.0))
             continue;
         acts = 1;

@@ -31,14 +31,6 @@ static int moves_between(PyObject *q_0, PyObject *q, npy_intp n, double *moves)
     return 0;
 }
 
-static int some_joints(npy_intp n)
-{
-    if (n >= 1 && n <= MOST_JOINTS)
-        return 0;
-    PyErr_Format(PyExc_ValueError, "1 to %d joints are wanted, not %zd", MOST_JOINTS, (Py_ssize_t)n);
-    return -1;
-}
-
 PyObject *bounds_after(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Vec lower;

@@ -13,6 +13,7 @@ static int same_length(npy_intp found, npy_intp wanted, const char *name)
 
 /* --- joints ----------------------------------------------------------------------------- */
 
+#define OF(j, column) joints[COLUMNS * (j) + (column)]
 enum { LOWER, UPPER, FASTEST, CHANGE, ACCELERATION, PER, COLUMNS };
 enum { PER_MISSING, SLOWEST, QUICKEST, TOLERANCE, BRAKING, RATES };
 
@@ -30,12 +31,11 @@ static double clipped(double value, double low, double high)
 PyObject *reachable_velocities(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Vec q, v, wish;
-    Mat joints;
-    double dt, set[RATES], time = 0.0;
+    double dt, set[RATES], joints[COLUMNS * MOST_JOINTS], time = 0.0;
     if (count_is(count, 6, "reachable_velocities") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
         as_vec(args[1], "v", q.n, &v) < 0 || as_vec(args[2], "wish", q.n, &wish) < 0 ||
-        as_double(args[3], "dt", &dt) < 0 || as_mat(args[4], "joints", q.n, COLUMNS, &joints) < 0 ||
-        as_doubles(args[5], "rates", RATES, set) < 0)
+        as_double(args[3], "dt", &dt) < 0 || some_joints(q.n) < 0 ||
+        as_table(args[4], "joints", q.n, COLUMNS, joints) < 0 || as_doubles(args[5], "rates", RATES, set) < 0)
         return NULL;
     double *low, *high, *least, *most;
     PyObject *lows = new_vec(q.n, &low), *highs = new_vec(q.n, &high), *leasts = new_vec(q.n, &least),
@@ -45,16 +45,16 @@ PyObject *reachable_velocities(PyObject *self, PyObject *const *args, Py_ssize_t
         return NULL;
     }
     for (npy_intp j = 0; j < q.n; j++) {
-        const double stop = fabs(AT(v, j)) * AT2(joints, j, PER);
+        const double stop = fabs(AT(v, j)) * OF(j, PER);
         if (stop > time)
             time = stop;
     }
     const double look = dt + 0.5 * (time + dt / set[BRAKING]);
     int tight = 0, cut = 0;
     for (npy_intp j = 0; j < q.n; j++) {
-        const double fastest = AT2(joints, j, FASTEST), room = fastest * look, rate = AT(v, j), wished = AT(wish, j);
-        const double above = AT2(joints, j, UPPER) - AT(q, j), below = AT(q, j) - AT2(joints, j, LOWER);
-        const double down = rate - AT2(joints, j, CHANGE), up = rate + AT2(joints, j, CHANGE);
+        const double fastest = OF(j, FASTEST), room = fastest * look, rate = AT(v, j), wished = AT(wish, j);
+        const double above = OF(j, UPPER) - AT(q, j), below = AT(q, j) - OF(j, LOWER);
+        const double down = rate - OF(j, CHANGE), up = rate + OF(j, CHANGE);
         double to = above > room ? fastest : above / look, from = below > room ? -fastest : -below / look;
         if (above < -set[TOLERANCE]) {
             to = -way_back(-above, set);
@@ -71,8 +71,8 @@ PyObject *reachable_velocities(PyObject *self, PyObject *const *args, Py_ssize_t
     }
     for (npy_intp j = 0; tight && j < q.n; j++) {
         /* a joint needs all that is left of its range to brake: the others must not make that way longer */
-        const double cap = AT2(joints, j, ACCELERATION) * (time > dt ? time - dt : 0.0), rate = AT(v, j);
-        const double change = AT2(joints, j, CHANGE);
+        const double cap = OF(j, ACCELERATION) * (time > dt ? time - dt : 0.0), rate = AT(v, j);
+        const double change = OF(j, CHANGE);
         if (most[j] > cap)
             most[j] = cap;
         if (least[j] < -cap)
@@ -85,18 +85,19 @@ PyObject *reachable_velocities(PyObject *self, PyObject *const *args, Py_ssize_t
 
 PyObject *straight_towards(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Vec wish, v, change;
-    double *next, part = 1.0;
+    Vec wish, v;
+    double *next, change[MOST_JOINTS], part = 1.0;
     if (count_is(count, 3, "straight_towards") < 0 || as_vec(args[0], "wish", -1, &wish) < 0 ||
-        as_vec(args[1], "v", wish.n, &v) < 0 || as_vec(args[2], "change", wish.n, &change) < 0)
+        as_vec(args[1], "v", wish.n, &v) < 0 || some_joints(wish.n) < 0 ||
+        as_doubles(args[2], "change", wish.n, change) < 0)
         return NULL;
     PyObject *found = new_vec(wish.n, &next);
     if (!found)
         return NULL;
     for (npy_intp j = 0; j < wish.n; j++) {
         const double amount = fabs(AT(wish, j) - AT(v, j));
-        if (amount * part > AT(change, j))
-            part = AT(change, j) / amount;
+        if (amount * part > change[j])
+            part = change[j] / amount;
     }
     for (npy_intp j = 0; j < wish.n; j++)
         next[j] = AT(v, j) + part * (AT(wish, j) - AT(v, j));
@@ -105,18 +106,19 @@ PyObject *straight_towards(PyObject *self, PyObject *const *args, Py_ssize_t cou
 
 PyObject *changes_of_end(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Vec q, v, end, change;
-    double look, later, *by;
+    Vec q, v, end;
+    double look, later, change[MOST_JOINTS], *by;
     if (count_is(count, 6, "changes_of_end") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
         as_vec(args[1], "v", q.n, &v) < 0 || as_vec(args[2], "end", q.n, &end) < 0 ||
-        as_vec(args[3], "change", q.n, &change) < 0 || as_double(args[4], "look", &look) < 0 ||
+        some_joints(q.n) < 0 ||
+        as_doubles(args[3], "change", q.n, change) < 0 || as_double(args[4], "look", &look) < 0 ||
         as_double(args[5], "later", &later) < 0)
         return NULL;
     PyObject *found = new_vec(q.n, &by);
     if (!found)
         return NULL;
     for (npy_intp j = 0; j < q.n; j++)
-        by[j] = fabs(AT(q, j) + AT(v, j) * look - AT(end, j)) + look * AT(change, j) + fabs(AT(v, j)) * later;
+        by[j] = fabs(AT(q, j) + AT(v, j) * look - AT(end, j)) + look * change[j] + fabs(AT(v, j)) * later;
     return found;
 }
 
@@ -357,25 +359,31 @@ PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
 
 PyObject *refused_velocity(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Vec free, wish, v, target, change;
-    double forgets, tolerance, *next, *refused;
-    if (count_is(count, 7, "refused_velocity") < 0 || as_vec(args[0], "free", -1, &free) < 0 ||
-        as_vec(args[1], "wish", free.n, &wish) < 0 || as_vec(args[2], "v", free.n, &v) < 0 ||
-        as_vec(args[3], "target", free.n, &target) < 0 || as_vec(args[4], "change", free.n, &change) < 0 ||
-        as_double(args[5], "forgets", &forgets) < 0 || as_double(args[6], "tolerance", &tolerance) < 0)
+    Vec wish, v, target;
+    double free[MOST_JOINTS], change[MOST_JOINTS], forgets, tolerance, *refused;
+    if (count_is(count, 7, "refused_velocity") < 0 || as_vec(args[1], "wish", -1, &wish) < 0 ||
+        some_joints(wish.n) < 0 || as_doubles(args[0], "free", wish.n, free) < 0 ||
+        as_vec(args[2], "v", wish.n, &v) < 0 || as_vec(args[3], "target", wish.n, &target) < 0 ||
+        as_doubles(args[4], "change", wish.n, change) < 0 || as_double(args[5], "forgets", &forgets) < 0 ||
+        as_double(args[6], "tolerance", &tolerance) < 0)
         return NULL;
-    PyObject *frees = new_vec(free.n, &next), *found = new_vec(free.n, &refused);
-    if (!frees || !found) {
-        Py_XDECREF(frees), Py_XDECREF(found);
+    PyObject *after = PyTuple_New(wish.n), *found = new_vec(wish.n, &refused);
+    for (npy_intp j = 0; after && found && j < wish.n; j++) {
+        const double rate = AT(v, j), aim = AT(wish, j);
+        const double next = free[j] + (fabs(rate - AT(target, j)) > tolerance ? clipped(aim - free[j], -change[j], change[j])
+                                                                              : forgets * (rate - free[j]));
+        PyObject *one = PyFloat_FromDouble(next);
+        if (!one)
+            Py_CLEAR(after);
+        else
+            PyTuple_SET_ITEM(after, j, one);
+        refused[j] = next - rate - aim;
+    }
+    if (!after || !found) {
+        Py_XDECREF(after), Py_XDECREF(found);
         return NULL;
     }
-    for (npy_intp j = 0; j < free.n; j++) {
-        const double before = AT(free, j), rate = AT(v, j), most = AT(change, j);
-        next[j] = before + (fabs(rate - AT(target, j)) > tolerance ? clipped(AT(wish, j) - before, -most, most)
-                                                                   : forgets * (rate - before));
-        refused[j] = next[j] - rate - AT(wish, j);
-    }
-    return Py_BuildValue("NN", frees, found);
+    return Py_BuildValue("NN", after, found);
 }
 
 enum { DT, DAMPING, LARGEST, SHARPEST, PART, MOST_STORED, SLOW_HAND, SEED, LEAK, SETTINGS };

@@ -4,6 +4,7 @@
 #include <math.h>
 
 enum { STOPPING_PART, RECOVERY, FASTEST_RECOVERY, RATES };
+#define OF(j, column) joints[COLUMNS * (j) + (column)]
 enum { LEAST, MOST, FIRST, LAST, VELOCITY, ACCELERATION, CHANGE, PER, COLUMNS };
 
 static double stoppable(double gap, double a, double lead, const double *set)
@@ -18,11 +19,12 @@ static double stoppable(double gap, double a, double lead, const double *set)
 PyObject *step_conditions(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Vec wish, q, before, margin, drift, extra = {0};
-    Mat joints, gradient;
-    double dt, set[RATES], same = 0.0, time = 0.0;
+    Mat gradient;
+    double dt, joints[COLUMNS * MOST_JOINTS], set[RATES], same = 0.0, time = 0.0;
     if (count_is(count, 10, "step_conditions") < 0 || as_vec(args[0], "wish", -1, &wish) < 0 ||
         as_vec(args[1], "q", wish.n, &q) < 0 || as_vec(args[2], "v_before", wish.n, &before) < 0 ||
-        as_double(args[3], "dt", &dt) < 0 || as_mat(args[4], "joints", wish.n, COLUMNS, &joints) < 0 ||
+        as_double(args[3], "dt", &dt) < 0 || some_joints(wish.n) < 0 ||
+        as_table(args[4], "joints", wish.n, COLUMNS, joints) < 0 ||
         as_vec(args[5], "margin", -1, &margin) < 0 || as_mat(args[7], "gradient", margin.n, wish.n, &gradient) < 0 ||
         as_vec(args[8], "drift", margin.n, &drift) < 0 || as_doubles(args[9], "rates", RATES, set) < 0)
         return NULL;
@@ -31,20 +33,21 @@ PyObject *step_conditions(PyObject *self, PyObject *const *args, Py_ssize_t coun
     else if (as_vec(args[6], "extra", margin.n, &extra) < 0)
         return NULL;
     double *low, *high, *bound;
-    PyObject *lows = new_vec(wish.n, &low), *highs = new_vec(wish.n, &high), *bounds = new_vec(margin.n, &bound);
-    if (!lows || !highs || !bounds) {
-        Py_XDECREF(lows), Py_XDECREF(highs), Py_XDECREF(bounds);
+    PyObject *low_high = new_mat(2, wish.n, &low), *bounds = new_vec(margin.n, &bound);
+    if (!low_high || !bounds) {
+        Py_XDECREF(low_high), Py_XDECREF(bounds);
         return NULL;
     }
+    high = low + wish.n;
     int kept = 1;
     for (npy_intp j = 0; j < wish.n; j++) {
         const double position = AT(q, j), rate = AT(before, j), wished = AT(wish, j);
-        const double velocity = AT2(joints, j, VELOCITY), a = AT2(joints, j, ACCELERATION), per = AT2(joints, j, PER);
-        const double slowest = rate - AT2(joints, j, CHANGE), fastest = rate + AT2(joints, j, CHANGE);
+        const double velocity = OF(j, VELOCITY), a = OF(j, ACCELERATION), per = OF(j, PER);
+        const double slowest = rate - OF(j, CHANGE), fastest = rate + OF(j, CHANGE);
         double upper = velocity, lower = -velocity;
-        if (!(AT2(joints, j, FIRST) < position && position < AT2(joints, j, LAST))) {
-            const double up = stoppable(AT2(joints, j, MOST) - position, a, 1.5 * dt, set);
-            const double down = stoppable(position - AT2(joints, j, LEAST), a, 1.5 * dt, set);
+        if (!(OF(j, FIRST) < position && position < OF(j, LAST))) {
+            const double up = stoppable(OF(j, MOST) - position, a, 1.5 * dt, set);
+            const double down = stoppable(position - OF(j, LEAST), a, 1.5 * dt, set);
             upper = velocity < up ? velocity : up;
             lower = -(velocity < down ? velocity : down);
         }
@@ -75,7 +78,7 @@ PyObject *step_conditions(PyObject *self, PyObject *const *args, Py_ssize_t coun
         if (!(rate + bound[k] >= 0.0))
             kept = 0;
     }
-    return Py_BuildValue("NNNdN", PyBool_FromLong(kept), lows, highs, time, bounds);
+    return Py_BuildValue("NNdN", PyBool_FromLong(kept), low_high, time, bounds);
 }
 
 PyObject *nearest_safe_program(PyObject *self, PyObject *const *args, Py_ssize_t count)

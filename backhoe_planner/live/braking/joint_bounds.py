@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.native import compiled
 
@@ -55,7 +55,7 @@ class JointBounds:
     ----------
     limits, dt: as above.
     acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2]; `braking` the same as a list.
-    change: (n,) by which a velocity can change in a step [rad/s or m/s]; `changes` the same as a list.
+    change: (n,) by which a velocity can change in a step [rad/s or m/s]; `changes` the same as numbers.
     """
 
     def __init__(self, limits: JointLimits, dt: float, load: Load | None = None) -> None:
@@ -63,10 +63,9 @@ class JointBounds:
         self.acceleration = BRAKING * limits.acceleration
         self.braking: list[float] = self.acceleration.tolist()
         self.change = limits.acceleration * dt * (1.0 - 1e-9)
-        self.changes: list[float] = self.change.tolist()
-        self._joints = np.column_stack(
-            (limits.lower, limits.upper, limits.velocity, self.change, self.acceleration, 1.0 / self.acceleration)
-        )
+        self.changes: tuple[float, ...] = tuple(self.change.tolist())
+        columns = limits.lower, limits.upper, limits.velocity, self.change, self.acceleration, 1.0 / self.acceleration
+        self._joints = tuple(zip(*(column.tolist() for column in columns), strict=True))
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
 
     def brake(self, v: Vector) -> Vector:
@@ -85,7 +84,7 @@ class JointBounds:
 
     def towards(self, wish: Vector, v: Vector) -> Vector:
         """(n,) the next velocity straight from v (n,) to the wish (n,), as far as acceleration allows."""
-        return straight_towards(wish, v, self.change)
+        return straight_towards(wish, v, self.changes)
 
     def velocity_range(self, q: Vector, v: Vector, wish: Vector) -> VelocityRange:
         """The velocities that the step from q, v (n,) may take. Beyond a limit a joint must come back."""
@@ -96,7 +95,7 @@ class JointBounds:
 
         end: (n,) of the present one [rad or m]; look: see `VelocityRange` [s].
         """
-        return changes_of_end(q, v, end, self.change, look, self.dt / BRAKING)
+        return changes_of_end(q, v, end, self.changes, look, self.dt / BRAKING)
 
     def over_rates(self, q: Vector, v: Vector) -> float:
         """By which factor joint velocities v (n,) at q (n,) exceed the joints' rates or the load; at least 1."""
@@ -115,21 +114,23 @@ class JointBounds:
 
 
 @compiled
-def straight_towards(wish: Vector, v: Vector, changes: Vector, /) -> Vector:
+def straight_towards(wish: Vector, v: Vector, changes: tuple[float, ...], /) -> Vector:
     """(n,) how far a velocity comes straight from v (n,) to the wish (n,), of which each may change by `changes`."""
     rates = v.tolist()
     change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
     part = 1.0
-    for amount, largest in zip(change, changes.tolist(), strict=True):
+    for amount, largest in zip(change, changes, strict=True):
         if abs(amount) * part > largest:
             part = largest / abs(amount)
     return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
 
 
 @compiled
-def changes_of_end(q: Vector, v: Vector, end: Vector, changes: Vector, look: float, later: float, /) -> Vector:
+def changes_of_end(
+    q: Vector, v: Vector, end: Vector, changes: tuple[float, ...], look: float, later: float, /
+) -> Vector:
     """(n,) by how much the end of the braking path can change; see `JointBounds.changes_of_end`, `later` in [s]."""
-    joints = zip(q.tolist(), v.tolist(), end.tolist(), changes.tolist(), strict=True)
+    joints = zip(q.tolist(), v.tolist(), end.tolist(), changes, strict=True)
     # the end moves with the step taken, and with the change of velocity
     by = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
     return np.array(by)
@@ -137,23 +138,23 @@ def changes_of_end(q: Vector, v: Vector, end: Vector, changes: Vector, look: flo
 
 @compiled
 def reachable_velocities(
-    q: Vector, v: Vector, wish: Vector, dt: float, joints: Matrix, rates: tuple[float, ...], /
+    q: Vector, v: Vector, wish: Vector, dt: float, joints: tuple[tuple[float, ...], ...], rates: tuple[float, ...], /
 ) -> tuple[Vector, Vector, Vector, Vector, float, bool]:
     """The fields of `VelocityRange` for a step of dt [s] from q, v (n,).
 
     Parameters
     ----------
-    joints: (n, 6) of each joint its limits, its largest velocity, by how much that can change in a step, the
+    joints: of each of n joints its limits, its largest velocity, by how much that can change in a step, the
         acceleration that braking is planned with, and 1 / that.
     rates: RECOVERY, SLOWEST_RECOVERY, FASTEST_RECOVERY, TOLERANCE and BRAKING.
     """
     recovery, slowest, quickest, tolerance, braking = rates
-    before, table = v.tolist(), joints.tolist()
-    time = max([abs(rate) * joint[5] for rate, joint in zip(before, table, strict=True)])
+    before = v.tolist()
+    time = max([abs(rate) * joint[5] for rate, joint in zip(before, joints, strict=True)])
     look = dt + 0.5 * (time + dt / braking)
     lows, highs, reached_low, reached_high = [], [], [], []
     tight = cut = False
-    each = zip(q.tolist(), before, wish.tolist(), table, strict=True)
+    each = zip(q.tolist(), before, wish.tolist(), joints, strict=True)
     for position, rate, wished, (lower, upper, fastest, change, _, _) in each:
         above, below, room = upper - position, position - lower, fastest * look
         high = fastest if above > room else above / look
@@ -175,10 +176,10 @@ def reachable_velocities(
         reached_high.append(down if high < down else up if high > up else high)
     if tight:
         # a joint needs all that is left of its range to brake: the others must not make that way longer
-        caps = (joints[:, 4] * max(time - dt, 0.0)).tolist()
+        caps = [joint[4] * max(time - dt, 0.0) for joint in joints]
         highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
         lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
-        change = joints[:, 3]
-        reached_low = np.clip(lows, v - change, v + change).tolist()
-        reached_high = np.clip(highs, v - change, v + change).tolist()
+        changes = np.array([joint[3] for joint in joints])
+        reached_low = np.clip(lows, v - changes, v + changes).tolist()
+        reached_high = np.clip(highs, v - changes, v + changes).tolist()
     return np.array(reached_low), np.array(reached_high), np.array(lows), np.array(highs), look, cut

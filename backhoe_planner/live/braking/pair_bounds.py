@@ -37,6 +37,7 @@ _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundr
 _SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
 _TIGHT = 0.05  # the same, where boxes are to show what the cells show; chosen, with none there are many
 _ROOM = 0.1  # m that boxes have to keep more than they must before their planes are not looked at; chosen
+_EMPTY = np.zeros(0)
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
@@ -544,6 +545,8 @@ def near_now(
     lower = distance.take(pairs)
     lower -= counted
     rows = (lower < within.take(pairs)).nonzero()[0]
+    if len(rows) == 0:
+        return rows, _EMPTY, _EMPTY
     return pairs.take(rows), lower.take(rows), counted.take(rows)
 
 

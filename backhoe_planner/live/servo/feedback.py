@@ -43,12 +43,12 @@ class Refusal:
     Parameters
     ----------
     dt: length of a step [s].
-    changes: (n,) by how much a joint's velocity can change in a step [rad/s or m/s].
+    changes: n numbers, by how much a joint's velocity can change in a step [rad/s or m/s].
     """
 
-    def __init__(self, dt: float, changes: Vector) -> None:
+    def __init__(self, dt: float, changes: tuple[float, ...]) -> None:
         self._changes = changes
-        self._free = np.zeros(len(changes))  # velocities with nothing in the way
+        self._free = (0.0,) * len(changes)  # velocities with nothing in the way
         self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
         self._steps = max(math.ceil(_REMEMBERED / dt), 1)
         self._counts_for = 0
@@ -66,26 +66,30 @@ class Refusal:
 
 @compiled
 def refused_velocity(
-    free: Vector, wish: Vector, v: Vector, target: Vector, changes: Vector, forgets: float, tolerance: float, /
-) -> tuple[Vector, Vector]:
-    """(n,) velocities with nothing in the way after a step, and (n,) what is refused of them; see `Refusal.next`.
+    free: tuple[float, ...], wish: Vector, v: Vector, target: Vector, changes: tuple[float, ...],
+    forgets: float, tolerance: float, /,
+) -> tuple[tuple[float, ...], Vector]:  # fmt: skip
+    """The n velocities with nothing in the way after a step, and (n,) what is refused of them; see `Refusal.next`.
 
     Parameters
     ----------
-    free: (n,) those before it [rad/s or m/s].
-    changes: (n,) by how much a velocity can change in a step [rad/s or m/s].
+    free: n numbers, those before it [rad/s or m/s].
+    changes: n numbers, by how much a velocity can change in a step [rad/s or m/s].
     forgets: the part of the difference that is forgotten in a step.
     tolerance: within which a joint goes at its target [rad/s or m/s].
     """
     rates, wishes = v.tolist(), wish.tolist()
-    joints = zip(free.tolist(), wishes, rates, target.tolist(), changes.tolist(), strict=True)
+    joints = zip(free, wishes, rates, target.tolist(), changes, strict=True)
     # a joint that goes at its target has caught up with what it would have done
-    after = [
-        before + (min(max(aim - before, -most), most) if abs(rate - goal) > tolerance else forgets * (rate - before))
-        for before, aim, rate, goal, most in joints
-    ]
+    after = tuple(
+        [
+            before
+            + (min(max(aim - before, -most), most) if abs(rate - goal) > tolerance else forgets * (rate - before))
+            for before, aim, rate, goal, most in joints
+        ]
+    )
     refused = [before - rate - aim for before, rate, aim in zip(after, rates, wishes, strict=True)]
-    return np.array(after), np.array(refused)
+    return after, np.array(refused)
 
 
 class Feedback:
@@ -122,7 +126,7 @@ class Feedback:
                 isinstance(nearness, float)
                 and 0.0 <= nearness <= 1.0
                 and len(hand) == len(refused) == len(normal) == 3
-                and math.isfinite(sum(hand.tolist()) + sum(refused.tolist()) + sum(normal.tolist()))
+                and math.isfinite(sum(hand.tolist() + refused.tolist() + normal.tolist()))
             )
         except (AttributeError, TypeError, ValueError):
             right = False

@@ -130,7 +130,7 @@ class Servo:
         self._blocking: ClusterPairs | None = None  # whose boxes may have forbidden the last step
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
-        self._refusal = Refusal(dt, self._joints.change)
+        self._refusal = Refusal(dt, self._joints.changes)
         self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, FINEST_PARTS + 2)

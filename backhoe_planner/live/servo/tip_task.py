@@ -18,7 +18,6 @@ from backhoe_planner.native import compiled
 _SIDEWAYS = 0.2  # part of the speed into an obstacle above which the wish itself says which way round; chosen
 _STEEP = 0.9  # size of a normal's z from which on its surface is level, with no "up" along it; chosen, 26 degrees
 _UP = np.array([0.0, 0.0, 1.0])
-_AT_ORIGIN = np.eye(6)  # what takes a twist at the world's origin to there
 _NOTHING = np.zeros((0, 3))
 
 
@@ -63,6 +62,7 @@ class TipTask:
         frame = robot.model.frames[robot.tip_frame]
         self._joint = int(frame.parentJoint)
         self._t = np.append(frame.placement.translation, 1.0)
+        self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
         self.jacobian = np.zeros((6, robot.n))
         self.position = np.zeros(3)
         self._rows = _movable_tip_rows(robot)
@@ -76,7 +76,7 @@ class TipTask:
         """Forward kinematics at q (n,), and the tip's Jacobian."""
         at = self._at
         at.place(0, q)
-        self.position = place_tip(at.T[0, self._joint], self._t, at.J[0], self.jacobian)
+        self.position = place_tip(at.T[0, self._joint], self._t, at.J[0], self._to_tip, self.jacobian)
 
     def wish(self, q: Vector, command: Commands, near: Near, *, circulate: bool) -> JointWish:
         """The velocity of the joints for a command at q (n,), where the machine must have been placed.
@@ -157,13 +157,15 @@ class TipTask:
 
 
 @compiled
-def place_tip(pose: Matrix, tip: Vector, J: Matrix, jacobian: Matrix, /) -> Vector:
-    """(3,) where the `tip` (4,) of a body placed at `pose` (4, 4) is [m], and its `jacobian` (6, n) from J (6, n)."""
+def place_tip(pose: Matrix, tip: Vector, J: Matrix, to_tip: Matrix, jacobian: Matrix, /) -> Vector:
+    """(3,) where the `tip` (4,) of a body placed at `pose` (4, 4) is [m], and its `jacobian` (6, n) from J (6, n).
+
+    The upper right part of `to_tip` (6, 6), omega -> omega x tip, is written, too; its rest is the identity.
+    """
     position: Vector = pose.dot(tip)[:3]
     x, y, z = position.tolist()
-    to = _AT_ORIGIN.copy()  # its upper right part is omega -> omega x tip
-    to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
-    np.dot(to, J, out=jacobian)
+    to_tip[0, 4], to_tip[0, 5], to_tip[1, 3], to_tip[1, 5], to_tip[2, 3], to_tip[2, 4] = z, -y, -z, x, y, -x
+    np.dot(to_tip, J, out=jacobian)
     return position
 
 

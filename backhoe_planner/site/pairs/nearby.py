@@ -52,13 +52,14 @@ class Lead(NamedTuple):
     change: Vector
     longest: float
 
-    def can_bind(self, margin: Vector, gradient: Matrix, drift: Vector) -> Flags:
-        """(K,) whether margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count."""
-        rate = np.abs(gradient).dot(self.change)
-        rate -= gradient.dot(self.v)
-        rate -= drift
-        rate *= self.longest
-        return np.asarray(margin < rate)
+
+def _can_bind(margin: Vector, gradient: Matrix, drift: Vector, v: Vector, change: Vector, longest: float) -> Flags:
+    """(K,) which margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count; see `Lead`."""
+    rate = np.abs(gradient).dot(change)
+    rate -= gradient.dot(v)
+    rate -= drift
+    rate *= longest
+    return np.asarray(margin < rate)
 
 
 @compiled
@@ -122,7 +123,7 @@ def near_rows(
     if v is None or change is None or not len(left) or left[left.argmax()] <= margin:
         return measured, found, measured, found, left, gradient, drift
     counts = left <= margin
-    counts |= Lead(v, change, longest).can_bind(left, gradient, drift)
+    counts |= _can_bind(left, gradient, drift, v, change, longest)
     rows = counts.nonzero()[0]
     return (
         measured, found, measured.take(rows), found.take(rows, axis=0),
