@@ -81,6 +81,7 @@ _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is g
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
+_END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
 _STRAIGHT = "straight for the joints"
 
@@ -145,7 +146,7 @@ class MotionSearch:
             if not np.isfinite(self._longest):
                 self._go_straight(self._ends.order if self._goes_on() else self._least_blocked())
                 if self._goes_on():
-                    self._go_straight(self._sooner())
+                    self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
             if self.best is None or not self._goes_straight(self.best):
                 self._go_round()
             self._refine()
@@ -281,17 +282,13 @@ class MotionSearch:
         )  # fmt: skip
         return [] if isinstance(found, Outcome) else self._ends.take(found.clear, found.goals)
 
-    def _sooner(self) -> list[int]:
-        """Further postures that can be reached sooner than all before, of which some are looked for."""
-        before = self._least_time()
-        found = self._look_for_postures(None if self.best is None else self.best.motion.duration)
-        return [index for index in found if (1.0 + _LEAST_GAIN) * self._ends.least[index] < before]
-
     def _go_straight(self, order: Sequence[int]) -> None:
         """Descents from straight lines to the first postures of `order`, until one of them does not get clear."""
         work = self._world.work
         self._reserved = work.descent_rounds // 2
         for index in order[: work.effort.ways_at_once]:
+            if self._is_optimal():
+                return
             if not self._is_open(index):
                 continue
             line = JointCurve.straight(self._start, self._ends.postures[index], work.effort.pieces)
@@ -432,7 +429,8 @@ class MotionSearch:
         """Whether a motion to this posture can still be better than the best."""
         if self.best is None or not self._problem.objective.is_time:
             return True
-        return self.best.motion.duration > (1.0 + _LEAST_GAIN) * self._ends.least[index]
+        worth = 1.0 + _LEAST_GAIN if _holds_end(self._problem, self._ends.goals[index]) else 1.0 - _END_GAIN
+        return self.best.motion.duration > worth * self._ends.least[index]
 
     # --- descents -----------------------------------------------------------------------
 
