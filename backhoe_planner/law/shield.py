@@ -212,7 +212,8 @@ class Shield:
         keep = () if kept is None else (self._keep_rows(kept, time, dt),)
         if is_kept and all(block.are_kept_by(wish) for block in keep):
             return Shielded(wish, 0.0, _NO_PAIRS)
-        low, high = low_high
+        # without bounds, what is not kept stands beside the clearances
+        low, high = self._bounds(q, v_before, dt) if low_high is None else low_high
         H, f, G, h, pairs = nearest_safe_program(wish, J_tip, nearby.gradient, bound, low, high, _WEIGHTS, _FEW)
         solution = solve_program(QuadraticProgram(H, f, low, high, (Rows("clearance", G, h), *keep)))
         x = self._braked(v_before, dt) if solution is None else solution.x
@@ -237,7 +238,7 @@ class Shield:
 def step_conditions(
     wish: Vector, q: Vector, v_before: Vector, dt: float, joints: JointTable, margin: Vector, extra: Vector | float,
     gradient: Matrix, drift: Vector, rates: tuple[float, float, float], /,
-) -> tuple[bool, Matrix, float, Vector]:  # fmt: skip
+) -> tuple[bool, Matrix | None, float, Vector]:  # fmt: skip
     """What the velocity of a step must keep, and whether `wish` (n,) keeps it.
 
     Parameters
@@ -251,8 +252,8 @@ def step_conditions(
 
     Returns
     -------
-    Whether the wish keeps all; (2, n) bounds of the velocity [rad/s or m/s]; the longer time in which all joints
-    come to rest, from `v_before` or from the wish [s]; (K,) how fast each margin may shrink [m/s].
+    Whether the wish keeps all; if not, (2, n) bounds of the velocity [rad/s or m/s]; the longer time in which all
+    joints come to rest, from `v_before` or from the wish [s]; (K,) how fast each margin may shrink [m/s].
     """
     lows, highs, time, within = _range(wish, q, v_before, dt, joints)
     bound = _approach_rates(margin - extra, time, dt)
@@ -261,7 +262,7 @@ def step_conditions(
         left = gradient.dot(wish)
         left += bound
         within = bool(left[left.argmin()] >= 0.0)
-    return within, np.array((lows, highs)), time, bound
+    return within, None if within else np.array((lows, highs)), time, bound
 
 
 def _range(
@@ -323,9 +324,12 @@ def nearest_safe_program(
     rows = np.empty((4, n))
     rows[:3] = J_tip
     tip.dot(J_tip, out=rows[3])
-    by = np.array((across, across, across, (along - across) / speed2 if speed2 > 1e-12 else 0.0))
+    tip_weights, anywhere = _constant_weights(across, free, n)
+    by = tip_weights.copy()
+    if speed2 > 1e-12:
+        by[3] = (along - across) / speed2
     H = np.asarray((rows.T * by).dot(rows))
-    H.reshape(-1)[:: n + 1] += free
+    H += anywhere
     G = -gradient
     if len(bound) <= few:
         return H, -H.dot(wish), G, bound, _numbers(len(bound))
@@ -334,6 +338,12 @@ def nearest_safe_program(
     fastest += G.dot(middle)
     pairs = (bound <= fastest).nonzero()[0]
     return H, -H.dot(wish), G.take(pairs, axis=0), bound.take(pairs), pairs
+
+
+@lru_cache(maxsize=32)
+def _constant_weights(across: float, free: float, n: int) -> tuple[Vector, Matrix]:
+    """(4,) weights of the tip's three directions and none for a fourth, (n, n) of all motion; to be read only."""
+    return np.array((across, across, across, 0.0)), free * np.eye(n)
 
 
 @lru_cache(maxsize=_FEW)

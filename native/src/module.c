@@ -15,7 +15,7 @@ PyMODINIT_FUNC PyInit_backhoe_planner_native(void)
 {
     import_array();
     PyObject *made = PyModule_Create(&module);
-    if (made && PyModule_AddIntConstant(made, "INTERFACE", 2) < 0) {
+    if (made && PyModule_AddIntConstant(made, "INTERFACE", 3) < 0) {
         Py_DECREF(made);
         return NULL;
     }

@@ -78,6 +78,10 @@ PyObject *step_conditions(PyObject *self, PyObject *const *args, Py_ssize_t coun
         if (!(rate + bound[k] >= 0.0))
             kept = 0;
     }
+    if (kept) {
+        Py_DECREF(low_high);
+        low_high = Py_NewRef(Py_None);
+    }
     return Py_BuildValue("NNdN", PyBool_FromLong(kept), low_high, time, bounds);
 }
 
