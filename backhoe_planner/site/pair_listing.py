@@ -69,7 +69,7 @@ def ball_within(robot: Robot, run_out: tuple[float, ...]) -> tuple[Vector, float
 
 
 @lru_cache(maxsize=16)
-def travel_within(robot: Robot, run_out: tuple[float, ...]) -> Matrix:
+def travel_of_pieces(robot: Robot, run_out: tuple[float, ...]) -> Matrix:
     """(K, n) `travel_bounds` of the K pieces of `self_pieces`, while slides are run out no further than `run_out` (n).
 
     Infinity for a hinge stands for any angle.

@@ -38,7 +38,7 @@ from backhoe_planner.machine import (
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction
-from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_within, with_tracking_room
+from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
@@ -160,7 +160,7 @@ class Proximity:
     def _take_travel(self) -> None:
         # joints that move both bodies do not change their distance
         shared, ever = self.robot.support[self._other_joint] > 0.0, self._run_out
-        self.travel = np.where(shared, 0.0, travel_within(self.robot, tuple(ever.tolist()))[self._first])
+        self.travel = np.where(shared, 0.0, travel_of_pieces(self.robot, tuple(ever.tolist()))[self._first])
 
     def _take_ball(self) -> None:
         """Find out which pairs the machine can bring near, by the ball that it never leaves."""
