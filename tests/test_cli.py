@@ -338,12 +338,15 @@ def test_without_an_output_a_command_works_and_its_file_is_its_own(tmp_path: Pat
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_where_the_error_stream_is_lost_too_the_exit_status_says_so() -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_where_the_error_stream_is_lost_too_the_exit_status_says_so(unbuffered: str) -> None:
+    environment = ENVIRONMENT | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(
-            [*COMMAND, "--help"], stdout=full, stderr=full, env=ENVIRONMENT, timeout=PATIENCE, check=False
-        )
-    assert done.returncode == 2
+        for command in (["--help"], ["plan", "none.urdf", "none.yaml"]):
+            done = subprocess.run(
+                [*COMMAND, *command], stdout=full, stderr=full, env=environment, timeout=PATIENCE, check=False
+            )
+            assert done.returncode == 2
 
 
 def with_output(output: str | int, command: list[str]) -> tuple[int, str]:

@@ -6,7 +6,6 @@ be written, 130 interrupted.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import os
 import sys
@@ -23,7 +22,7 @@ from backhoe_planner.cli import (
     study_command,
     teleop_command,
 )
-from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, print_error
+from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, let_go, print_error
 from backhoe_planner.native import native_version
 
 app = typer.Typer(
@@ -122,8 +121,7 @@ def _open_what_is_closed() -> None:
 
 def _output_lost(error: OSError) -> int:
     """The exit status where the output can no longer be written: nobody reads it, or the disk is full."""
-    with contextlib.suppress(OSError):  # the rest of the buffer would fail again when Python ends
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    let_go(sys.stdout)
     print_error(f"the output cannot be written: {error.strerror}")
     return BAD_INPUT
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 from rich.console import Console
@@ -31,8 +33,17 @@ ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 def print_error(message: str) -> None:
     """Print the one line about an error; in vain where the error stream cannot be written either."""
-    with contextlib.suppress(OSError):
+    try:
         ERR.print(Text("error: ", style="bold red") + Text(message))
+        sys.stderr.flush()
+    except OSError:
+        let_go(sys.stderr)
+
+
+def let_go(stream: TextIO) -> None:
+    """Send what is still buffered nowhere: it would fail again when Python ends, with 120 as the exit status."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def print_warnings(warnings: Iterable[str]) -> None:

@@ -346,6 +346,7 @@ def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed
 # --- the same again -----------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.Plan) -> None:
     again = bp.plan(planar4, around_a_ball.scene, effort="quick")
     assert again.verified

@@ -156,6 +156,7 @@ def largest_turn(plan: bp.Plan) -> float:
     return found
 
 
+@pytest.mark.long
 def test_the_joints_turn_only_while_the_tip_moves_where_they_may_not_otherwise(planar4: bp.Robot) -> None:
     """From a folded posture on the path's beginning the cheapest way goes to another one first."""
     points = [[2.0, -0.6, 0.0], [2.0, 0.6, 0.0]]

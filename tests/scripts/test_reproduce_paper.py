@@ -30,6 +30,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return cwd / "a" / "b", done.stdout
 
 
+@pytest.mark.long
 def test_files(output: tuple[Path, str]) -> None:
     folder, _ = output
     figures = {f"{prefix}figure_{number}" for prefix in ("", "second_scene_") for number in (5, 6)} | {"population"}
@@ -40,6 +41,7 @@ def test_files(output: tuple[Path, str]) -> None:
     assert all(path.stat().st_size > 100 for path in folder.iterdir())
 
 
+@pytest.mark.long
 def test_tables(output: tuple[Path, str]) -> None:
     folder, printed = output
     with (folder / "population.csv").open() as file:

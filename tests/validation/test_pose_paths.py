@@ -36,6 +36,7 @@ def test_a_path_has_its_waypoints_and_its_corners(kind: str) -> None:
     assert np.max(np.min(off, axis=0)) < 1e-9
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_problem(tmp_path: Path) -> None:
     robot = load_arm("iiwa", tmp_path)
     one, other = draw("turn", robot, "iiwa", 5), draw("turn", robot, "iiwa", 5)

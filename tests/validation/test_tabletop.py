@@ -21,6 +21,7 @@ def drawn(kind: str, index: int) -> Site:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.long
 def test_a_problem_is_what_its_name_says_whatever_was_drawn_before(kind: str) -> None:
     again = tabletop_problem(load_machine("panda"), drawn(kind, 2).key)
     assert again.scene == drawn(kind, 2).scene
