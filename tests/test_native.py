@@ -319,7 +319,8 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
         arguments = source(rng)
         for place, one in enumerate(arguments):
             if isinstance(one, np.ndarray):
-                wrong: list[Any] = [one.astype(np.float32), one[None]]
+                swapped = one.astype(one.dtype.newbyteorder())  # as on a machine of the other byte order
+                wrong: list[Any] = [one.astype(np.float32), one[None], swapped]
                 if one.dtype.kind == "i" and len(one):
                     wrong += [one - 10**6, one + 10**6] if source is not pairs_within else []
                 for other in wrong:
@@ -327,6 +328,23 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
                     with pytest.raises((TypeError, ValueError, IndexError)):
                         compiled(*arguments[:place], other, *arguments[place + 1 :])
     assert refused > 5
+
+
+@needs_native
+@pytest.mark.parametrize(("source", "outputs"), [(corner_gaps, 1), (keep_placements, 2), (place_tip, 2)])
+def test_compiled_versions_write_to_no_array_that_is_read_only(
+    source: Callable[[Rng], Arguments], outputs: int
+) -> None:
+    """The last arguments are written to: a read-only one is refused by both versions, and stays as it is."""
+    rng = np.random.default_rng(13)
+    for function in (plain_versions()[source.__name__], getattr(find_compiled(), source.__name__)):
+        for place in range(-outputs, 0):
+            arguments = copied(source(rng))
+            arguments[place].flags.writeable = False
+            before = arguments[place].copy()
+            with pytest.raises(ValueError, match=r"read-only|not acceptable"):
+                function(*arguments)
+            assert np.array_equal(arguments[place], before)
 
 
 @needs_native

@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-static int is_array(PyObject *object, const char *name, int kind, int axes)
+int is_array(PyObject *object, const char *name, int kind, int axes)
 {
     PyArrayObject *array = (PyArrayObject *)object;
     if (!PyArray_Check(object) || PyArray_TYPE(array) != kind || PyArray_NDIM(array) != axes ||
@@ -12,6 +12,14 @@ static int is_array(PyObject *object, const char *name, int kind, int axes)
         return -1;
     }
     return 0;
+}
+
+int is_writeable(PyObject *object, const char *name)
+{
+    if (PyArray_ISWRITEABLE((PyArrayObject *)object))
+        return 0;
+    PyErr_Format(PyExc_ValueError, "%s: is read-only", name);
+    return -1;
 }
 
 static int has_length(npy_intp found, npy_intp wanted, const char *name)
@@ -47,6 +55,11 @@ int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, 
     if (has_length(out->rows, rows, name) < 0)
         return -1;
     return has_length(out->columns, columns, name);
+}
+
+int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out)
+{
+    return as_mat(object, name, rows, columns, out) < 0 ? -1 : is_writeable(object, name);
 }
 
 int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out)

@@ -42,7 +42,11 @@ typedef struct {
 /* Each returns 0, or -1 with an exception where the object is not such an array. A length of -1 is any. */
 int as_vec(PyObject *object, const char *name, npy_intp length, Vec *out);
 int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out);
+int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out); /* one to write to */
 int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out);
+/* of a type (NPY_DOUBLE, NPY_INTP) and with so many axes, as the processor reads it */
+int is_array(PyObject *object, const char *name, int kind, int axes);
+int is_writeable(PyObject *object, const char *name);
 int as_double(PyObject *object, const char *name, double *out);
 int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out);
 /* `rows` tuples of as many numbers in a tuple: constants of each joint, as a plain version takes them quickest */

@@ -30,14 +30,13 @@ PyObject *keep_placements(PyObject *self, PyObject *const *args, Py_ssize_t coun
 {
     Mat J, into;
     if (count_is(count, 4, "keep_placements") < 0 || as_mat(args[1], "J", 6, -1, &J) < 0 ||
-        as_mat(args[3], "own_J", 6, J.columns, &into) < 0)
+        as_out(args[3], "own_J", 6, J.columns, &into) < 0 || is_array(args[0], "poses", NPY_DOUBLE, 3) < 0 ||
+        is_array(args[2], "own_poses", NPY_DOUBLE, 3) < 0 || is_writeable(args[2], "own_poses") < 0)
         return NULL;
     PyArrayObject *poses = (PyArrayObject *)args[0], *own = (PyArrayObject *)args[2];
-    if (!PyArray_Check(args[0]) || !PyArray_Check(args[2]) || PyArray_TYPE(poses) != NPY_DOUBLE ||
-        PyArray_TYPE(own) != NPY_DOUBLE || PyArray_NDIM(poses) != 3 || PyArray_NDIM(own) != 3 ||
-        PyArray_DIM(own, 0) != PyArray_DIM(poses, 0) || PyArray_DIM(poses, 1) != 3 || PyArray_DIM(own, 1) != 3 ||
-        PyArray_DIM(poses, 2) != 4 || PyArray_DIM(own, 2) != 4 || !PyArray_ISWRITEABLE(own)) {
-        PyErr_SetString(PyExc_TypeError, "poses, own_poses: arrays (joints, 3, 4) of float64 are wanted");
+    if (PyArray_DIM(own, 0) != PyArray_DIM(poses, 0) || PyArray_DIM(poses, 1) != 3 || PyArray_DIM(own, 1) != 3 ||
+        PyArray_DIM(poses, 2) != 4 || PyArray_DIM(own, 2) != 4) {
+        PyErr_SetString(PyExc_ValueError, "poses, own_poses: arrays (joints, 3, 4) are wanted");
         return NULL;
     }
     for (npy_intp i = 0; i < PyArray_DIM(poses, 0); i++)
@@ -57,7 +56,7 @@ PyObject *place_tip(PyObject *self, PyObject *const *args, Py_ssize_t count)
     double *at;
     if (count_is(count, 5, "place_tip") < 0 || as_mat(args[0], "pose", 4, 4, &pose) < 0 ||
         as_vec(args[1], "tip", 4, &tip) < 0 || as_mat(args[2], "J", 6, -1, &J) < 0 ||
-        as_mat(args[3], "to_tip", 6, 6, &to) < 0 || as_mat(args[4], "jacobian", 6, J.columns, &jacobian) < 0)
+        as_out(args[3], "to_tip", 6, 6, &to) < 0 || as_out(args[4], "jacobian", 6, J.columns, &jacobian) < 0)
         return NULL;
     PyObject *position = new_vec(3, &at);
     if (!position)

@@ -80,12 +80,11 @@ PyObject *approach_rates(PyObject *self, PyObject *const *args, Py_ssize_t count
     Mat own, centre, J, shift, velocity;
     Vec size, v;
     Ind joint, piece, body;
-    if (count_is(count, 11, "approach_rates") < 0)
+    if (count_is(count, 11, "approach_rates") < 0 || is_array(args[0], "poses", NPY_DOUBLE, 3) < 0)
         return NULL;
     PyArrayObject *poses = (PyArrayObject *)args[0];
-    if (!PyArray_Check(args[0]) || PyArray_TYPE(poses) != NPY_DOUBLE || PyArray_NDIM(poses) != 3 ||
-        PyArray_DIM(poses, 1) != 3 || PyArray_DIM(poses, 2) != 4) {
-        PyErr_SetString(PyExc_TypeError, "poses: an array (joints, 3, 4) of float64 is wanted");
+    if (PyArray_DIM(poses, 1) != 3 || PyArray_DIM(poses, 2) != 4) {
+        PyErr_SetString(PyExc_ValueError, "poses: an array (joints, 3, 4) is wanted");
         return NULL;
     }
     const npy_intp joints = PyArray_DIM(poses, 0);

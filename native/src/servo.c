@@ -181,9 +181,10 @@ PyObject *not_proven(PyObject *self, PyObject *const *args, Py_ssize_t count)
 static const double *block(PyObject *object, const char *name, int axes, npy_intp *shape)
 {
     PyArrayObject *array = (PyArrayObject *)object;
-    if (!PyArray_Check(object) || PyArray_TYPE(array) != NPY_DOUBLE || PyArray_NDIM(array) != axes ||
-        !PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISALIGNED(array)) {
-        PyErr_Format(PyExc_TypeError, "%s: a contiguous array of float64 with %d axes is wanted", name, axes);
+    if (is_array(object, name, NPY_DOUBLE, axes) < 0)
+        return NULL;
+    if (!PyArray_IS_C_CONTIGUOUS(array)) {
+        PyErr_Format(PyExc_TypeError, "%s: is not in one piece", name);
         return NULL;
     }
     for (int axis = 0; axis < axes; axis++)
@@ -210,7 +211,7 @@ PyObject *corner_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
         return NULL;
     const double *T = block(args[4], "T", 4, t), *columns = T ? block(args[5], "columns", 3, c) : NULL;
     double *gaps = columns ? (double *)block(args[8], "gaps", 3, g) : NULL;
-    if (!gaps || as_ind(args[2], "joint", t[1], &joint) < 0 || same_length(joint.n, planes.rows, "joint") < 0 ||
+    if (!gaps || is_writeable(args[8], "gaps") < 0 || as_ind(args[2], "joint", t[1], &joint) < 0 || same_length(joint.n, planes.rows, "joint") < 0 ||
         (args[3] != Py_None &&
          (as_ind(args[3], "other", t[1], &other) < 0 || same_length(other.n, planes.rows, "other") < 0)) ||
         (args[6] != Py_None && as_vec(args[6], "drift", planes.rows, &drift) < 0))
