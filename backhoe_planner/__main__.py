@@ -8,6 +8,8 @@ import sys
 from types import FrameType
 from typing import NoReturn
 
+from backhoe_planner.blas import use_one_thread
+
 _INTERRUPTED = 128 + signal.SIGINT  # exit status, as shells give it to what Ctrl-C ended
 
 
@@ -15,6 +17,7 @@ def main() -> NoReturn:
     """Entry point of the command line. Ctrl-C also works while Python is still importing."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
+    use_one_thread()
     from backhoe_planner.cli import main as run
 
     run()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -81,6 +82,23 @@ def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
     assert loaded(["inspect", str(urdf)], libraries) == (0, [])
     urdf.write_text(urdf.read_text().replace("-1", "-2"))
     assert "yourdfpy" in loaded(["inspect", str(urdf)], libraries)[1]
+
+
+@pytest.mark.parametrize(("asked", "given"), [(None, "1"), ("3", "3")])
+def test_a_command_gives_linear_algebra_one_thread_unless_it_is_told_how_many(asked: str | None, given: str) -> None:
+    code = (
+        "import os, sys\n"
+        "sys.argv = ['backhoe-planner', '--help']\n"
+        "from backhoe_planner.__main__ import main\n"
+        "try:\n    main()\n"
+        "except SystemExit:\n"
+        "    print([os.environ[f'{name}_NUM_THREADS'] for name in ('OMP', 'OPENBLAS', 'MKL')])"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    if asked is not None:
+        environment["OPENBLAS_NUM_THREADS"] = asked
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.splitlines()[-1] == str(["1", given, "1"])
 
 
 @pytest.mark.parametrize("scene", ["yard", "wall"])

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from backhoe_planner.blas import ONE_THREAD
 from backhoe_planner.errors import InputError, OutputError, StudyError
 
 _AHEAD = 3  # items for each process that wait or are worked at: enough that none is idle; chosen
 _MOST_IN_VAIN = 3  # pools in a row of which no process begins anything; chosen
 _LOOKS_EVERY = 1.0  # s, at whether the main process is still there; chosen
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -97,7 +97,7 @@ def _until_one_dies(
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
     pool = ProcessPoolExecutor(
-        max_workers=processes, env=_ONE_THREAD, initializer=_begin_process, initargs=(os.getpid(),)
+        max_workers=processes, env=dict(ONE_THREAD), initializer=_begin_process, initargs=(os.getpid(),)
     )
     at_work: dict[Future[Any], int] = {}
     broken = False
