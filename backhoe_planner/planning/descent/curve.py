@@ -107,7 +107,7 @@ class JointCurve:
     def ending_at(self, end: Vector) -> JointCurve:
         """The curve with its end moved to `end` (n,), and the rest along with it, ever less towards the start."""
         part = np.linspace(0.0, 1.0, len(self.control))[:, None]
-        return self.moved_to(self.control + part * part * (3.0 - 2.0 * part) * (end - self.control[-1]))
+        return self.moved_to(self.control + from_rest_to_rest(part) * (end - self.control[-1]))
 
     @classmethod
     def fitted(
@@ -119,6 +119,11 @@ class JointCurve:
         control = _control_near(q, pieces, knots)
         control[1:-1] = np.clip(control[1:-1], limits.lower, limits.upper)
         return cls(control, knots)
+
+
+def from_rest_to_rest(part: Array) -> Array:
+    """The part of the way that is made at a part of the time, 0 to 1."""
+    return np.asarray(part * part * (3.0 - 2.0 * part))
 
 
 def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:

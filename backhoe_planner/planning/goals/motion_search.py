@@ -19,7 +19,7 @@ from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
-from backhoe_planner.planning.descent.starts import Start, cheapest
+from backhoe_planner.planning.descent.starts import Start, cheapest, paced
 from backhoe_planner.planning.goals.allowed_time import allowed_time, has_room
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
@@ -75,6 +75,7 @@ _VAIN = 2  # searches that gained nothing, as which one counts that found no way
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 # straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
 _LINES_FOR_ONE = 3
+_PACED_LINES = 4  # the soonest of them, of which some joints are made early or late as well; chosen
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
@@ -108,6 +109,7 @@ class MotionSearch:
             world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
             hurried=not self._goes_on(),
         )  # fmt: skip
+        self._screen = ClearanceScreen(world.proximity, time=time)
         self._ends = GoalEnds(world.problem, start)
         self._ends.take(found.clear, found.goals)
         self._ways = Ways(world, start, self._ends, time=time, hurried=not self._goes_on())
@@ -189,7 +191,10 @@ class MotionSearch:
         self._reserved = work.descent_rounds // 3
         lines = self._straight_starts() if self._goes_on() else []
         ways = work.effort.ways_at_once
-        self._descend_cheapest(([self._fitted(one) for one in ended], ways), (lines, _LINES_FOR_ONE * ways))
+        in_turn = paced(lines[:_PACED_LINES], self._descent, self._screen, longest=self._longest)
+        self._descend_cheapest(
+            ([self._fitted(one) for one in ended], ways), (lines, _LINES_FOR_ONE * ways), (in_turn, ways)
+        )
 
     def _search_fastest(self, effort: Effort) -> MotionSearch | None:
         """A search for the fastest motion that has ended; None where it has no posture on a goal."""
@@ -227,10 +232,10 @@ class MotionSearch:
 
     def _descend_cheapest(self, *groups: tuple[Sequence[Start], int]) -> None:
         """A few rounds of descents from the cheapest starts, so many of each group, then all rounds of the best."""
-        work, screen = self._world.work, ClearanceScreen(self._world.proximity, time=self._time)
+        work = self._world.work
         chosen = [
             start for group, count in groups
-            for start in cheapest(group, count, self._descent, screen, longest=self._longest)
+            for start in cheapest(group, count, self._descent, self._screen, longest=self._longest)
         ]  # fmt: skip
         if len(chosen) == 1:
             start = chosen[0]
@@ -262,12 +267,11 @@ class MotionSearch:
 
     def _least_blocked(self) -> list[int]:
         """The one of the soonest postures to which the straight line is most nearly clear, if that is enough."""
-        screen = ClearanceScreen(self._world.proximity, time=self._time)
         part = np.linspace(0.0, 1.0, _PLACES)[:, None]
         blocked: list[float] = []
         for index in self._ends.order[:_SOONEST]:
             line = self._start + part * (self._ends.postures[index] - self._start)
-            blocked.append(1.0 - float(np.mean(screen.keeps(line))))
+            blocked.append(1.0 - float(np.mean(self._screen.keeps(line))))
             if not blocked[-1]:
                 break
         best = int(np.argmin(blocked))
