@@ -49,6 +49,8 @@ def paced(starts: Sequence[Start], descent: Descent, screen: ClearanceScreen, *,
             for pace in paces:
                 moved = best.curve.control.copy()
                 moved[:, joint] = control[0, joint] + pace * way[joint]
+                if np.array_equal(moved, best.curve.control):
+                    continue
                 other = replace(start, curve=start.curve.moved_to(moved))
                 price = _price(other, descent, screen, longest)
                 if price < least:

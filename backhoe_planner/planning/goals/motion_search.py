@@ -75,7 +75,7 @@ _VAIN = 2  # searches that gained nothing, as which one counts that found no way
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 # straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
 _LINES_FOR_ONE = 3
-_PACED_LINES = 4  # the soonest of them, of which some joints are made early or late as well; chosen
+_PACED_LINES = 6  # the cheapest of them, of which some joints are made early or late as well; chosen
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
@@ -191,7 +191,8 @@ class MotionSearch:
         self._reserved = work.descent_rounds // 3
         lines = self._straight_starts() if self._goes_on() else []
         ways = work.effort.ways_at_once
-        in_turn = paced(lines[:_PACED_LINES], self._descent, self._screen, longest=self._longest)
+        cheap = cheapest(lines, _PACED_LINES, self._descent, self._screen, longest=self._longest)
+        in_turn = paced(cheap, self._descent, self._screen, longest=self._longest)
         self._descend_cheapest(
             ([self._fitted(one) for one in ended], ways), (lines, _LINES_FOR_ONE * ways), (in_turn, ways)
         )
