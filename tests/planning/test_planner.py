@@ -282,6 +282,7 @@ for name in {REPEATED}:
 """
 
 
+@pytest.mark.long
 def test_the_same_plan_bit_for_bit_on_a_busy_machine() -> None:
     """The second time in a process that is let run a third of the time, as among four others on two cores."""
     code = [sys.executable, "-c", SCENES_AGAIN, str(SCENES)]

@@ -94,6 +94,7 @@ def test_a_certificate_holds_any_motion_to_it(elbow: bp.Robot) -> None:
     assert bp.certify(elbow, inward(max_joint_step=0.957), free.trajectory).verified
 
 
+@pytest.mark.long
 def test_a_redundant_arm_takes_another_way(backhoe: bp.Robot) -> None:
     """The cheapest way moves some joint by 0.137 rad from one of 23 waypoints to the next."""
     points = np.linspace([4.4, 0.0, -0.4], [2.6, 0.4, 0.8], 23).tolist()
