@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any, TypeVar, cast
 
 _PACKAGE = "backhoe_planner_native"
-_INTERFACE = 3  # of the functions, in both versions; counted up where one takes or returns something else
+_INTERFACE = 4  # of the functions, in both versions; counted up where one takes or returns something else
 _PLAIN_ONLY = "BACKHOE_PLANNER_PLAIN"  # set in the environment, it leaves the compiled versions alone
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -49,7 +49,10 @@ def compiled(plain: _Function) -> _Function:
     """The compiled version of a function where it is installed, else the function itself."""
     _plain[plain.__name__] = plain
     found = find_compiled()
-    return plain if found is None else cast(_Function, getattr(found, plain.__name__))
+    if found is None:
+        return plain
+    found.plain[plain.__name__] = plain  # it answers where the compiled one has no room for so many joints
+    return cast(_Function, getattr(found, plain.__name__))
 
 
 def plain_versions() -> dict[str, Callable[..., Any]]:

@@ -331,6 +331,21 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
 
 
 @needs_native
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.__name__))
+def test_with_more_joints_than_there_is_room_for_the_plain_version_answers(
+    source: Callable[[Rng], Arguments], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As for a snake of 40 joints."""
+    monkeypatch.setattr(sys.modules[__name__], "joints", lambda _: 40)
+    rng = np.random.default_rng(17)
+    plain, compiled = plain_versions()[source.__name__], getattr(find_compiled(), source.__name__)
+    for _ in range(5):
+        arguments = source(rng)
+        found, expected = compiled(*copied(arguments)), plain(*copied(arguments))
+        assert same(found, expected) or (source is undamped_terms and expected is None)
+
+
+@needs_native
 @pytest.mark.parametrize(("source", "outputs"), [(corner_gaps, 1), (keep_placements, 2), (place_tip, 2)])
 def test_compiled_versions_write_to_no_array_that_is_read_only(
     source: Callable[[Rng], Arguments], outputs: int

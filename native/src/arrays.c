@@ -117,7 +117,7 @@ int some_joints(npy_intp n)
 {
     if (n >= 1 && n <= MOST_JOINTS)
         return 0;
-    PyErr_Format(PyExc_ValueError, "1 to %d joints are wanted, not %zd", MOST_JOINTS, (Py_ssize_t)n);
+    PyErr_Format(joints_beyond, "1 to %d joints are wanted, not %zd", MOST_JOINTS, (Py_ssize_t)n);
     return -1;
 }
 

@@ -14,7 +14,7 @@
 #endif
 #include <numpy/arrayobject.h>
 
-#define MOST_JOINTS 32 /* with more of them the caller's plain version answers */
+#define MOST_JOINTS 32 /* with more of them the plain version answers, see module.c */
 #define MOST_TASKS 6
 
 /* (n,) doubles; step in bytes */
@@ -51,7 +51,8 @@ int as_double(PyObject *object, const char *name, double *out);
 int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out);
 /* `rows` tuples of as many numbers in a tuple: constants of each joint, as a plain version takes them quickest */
 int as_table(PyObject *tuple, const char *name, Py_ssize_t rows, Py_ssize_t columns, double *out);
-int some_joints(npy_intp n);
+int some_joints(npy_intp n); /* 1 to MOST_JOINTS of them; else the exception is `joints_beyond` */
+extern PyObject *joints_beyond;
 int count_is(Py_ssize_t given, Py_ssize_t wanted, const char *function);
 
 PyObject *new_vec(npy_intp n, double **data);

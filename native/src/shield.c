@@ -100,10 +100,8 @@ PyObject *nearest_safe_program(PyObject *self, PyObject *const *args, Py_ssize_t
     if (few == -1 && PyErr_Occurred())
         return NULL;
     const npy_intp n = wish.n;
-    if (n > MOST_JOINTS) {
-        PyErr_Format(PyExc_ValueError, "at most %d joints are wanted", MOST_JOINTS);
+    if (some_joints(n) < 0)
         return NULL;
-    }
     double tip[3] = {0.0}, speed2 = 0.0, along[MOST_JOINTS] = {0.0};
     for (int c = 0; c < 3; c++) {
         for (npy_intp j = 0; j < n; j++)
