@@ -80,6 +80,8 @@ def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
     libraries = ["trimesh", "yourdfpy", "networkx", "shapely", "vhacdx"]
     assert {"trimesh", "yourdfpy"} <= set(loaded(["inspect", str(urdf)], libraries)[1])
     assert loaded(["inspect", str(urdf)], libraries) == (0, [])
+    trimesh.creation.box(extents=[0.1, 0.2, 0.4]).export(tmp_path / "arm.stl")
+    assert "yourdfpy" not in loaded(["inspect", str(urdf)], libraries)[1]
     urdf.write_text(urdf.read_text().replace("-1", "-2"))
     assert "yourdfpy" in loaded(["inspect", str(urdf)], libraries)[1]
 

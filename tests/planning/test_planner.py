@@ -271,7 +271,7 @@ def test_same_seed_same_plan(planar4: bp.Robot) -> None:
     assert first == second
 
 
-REPEATED = ("paper_planar", "pole")
+REPEATED = ("paper_planar", "pole", "truck")
 SCENES_AGAIN = f"""
 import sys
 import backhoe_planner as bp
