@@ -13,9 +13,10 @@ import pytest
 from small_jobs import small_job
 
 from backhoe_planner.errors import OutputError
-from backhoe_planner.job import JobPlan, plan_job
+from backhoe_planner.job import JobPlan, job_figures, plan_job
 from backhoe_planner.show import write_job_page
 from backhoe_planner.show.job.ground_changes import changes_of, start_of
+from backhoe_planner.show.job.job_facts import job_facts
 from backhoe_planner.show.job.job_frames import job_frames, job_parts
 from backhoe_planner.show.job.section import section_content
 
@@ -66,6 +67,18 @@ def test_the_section_runs_along_the_trench_and_has_the_pipe_in_it(plan: JobPlan)
     tip = section["tip"]
     assert tip["z"].min() == pytest.approx(-0.3, abs=0.02)  # the teeth go down to the design
     assert np.abs(tip["aside"][np.argmin(tip["z"])]) < 0.01
+
+
+def test_the_page_says_the_work_and_energy_of_the_plan_file(plan: JobPlan) -> None:
+    """Work is the joints', energy per m^3 the pump's: it is more, as throttling and leaks are paid too."""
+    figures = job_figures(plan)
+    facts = {name: (value, remark) for name, value, remark in job_facts(plan)}
+    assert facts["Work"][0] == f"{figures.work / 1e3:.0f} kJ"
+    assert facts["Energy"] == (
+        f"{figures.kwh_per_m3:.3f} kWh/m³",
+        f"in the ground, from the pump; about {plan.fuel:.2f} l of diesel",
+    )
+    assert figures.kwh_per_m3 * 3.6e6 * plan.bank > plan.work
 
 
 def test_a_page_has_an_ending_of_its_own_and_replaces_nothing_of_the_job(plan: JobPlan, tmp_path: Path) -> None:

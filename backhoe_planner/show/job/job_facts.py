@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.job import JobPlan
+from backhoe_planner.job import JobPlan, job_figures
 
 
 def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
@@ -30,8 +30,9 @@ def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
     facts.append(("Dug", f"{plan.bank:.2f} m³", f"in the ground; {plan.loose:.2f} m³ loose"))
     if cycles:
         facts.append(("Production", f"{plan.production:.1f} m³/h", "in the ground"))
-        energy = plan.energy_per_volume
-        facts.append(("Energy", f"{plan.work / 1e6:.2f} MJ", f"{energy / 3.6e6:.3f} kWh per m³ at the cylinders"))
+        facts.append(("Work", f"{plan.work / 1e3:.0f} kJ", f"of the joints; {plan.work / cycles / 1e3:.1f} kJ a cycle"))
+        used = job_figures(plan).kwh_per_m3
+        facts.append(("Energy", f"{used:.3f} kWh/m³", _whence(plan)))
     facts.append(
         (
             "Design",
@@ -42,6 +43,12 @@ def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
     if np.isfinite(plan.planning_time):
         facts.append(("Planned in", f"{plan.planning_time:.1f} s", f"effort {plan.effort}, seed {plan.seed}"))
     return facts
+
+
+def _whence(plan: JobPlan) -> str:
+    if plan.robot.hydraulics is None:
+        return "in the ground, at the joints"
+    return f"in the ground, from the pump; about {plan.fuel:.2f} l of diesel"
 
 
 def cycle_rows(plan: JobPlan) -> list[dict[str, Any]]:
