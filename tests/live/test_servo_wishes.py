@@ -115,6 +115,26 @@ def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
     assert back[-1].q[0] < forth[-1].q[0] - 0.3
 
 
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("is_beside_a_wall", [False, True])
+def test_rounding_decides_nothing(backhoe: Robot, seed: int, *, is_beside_a_wall: bool) -> None:
+    """Two machines that stand 1e-13 rad apart go alike, also where joints change by all they can, or slide."""
+    wall = {"name": "wall", "shape": "halfspace", "point": [0.0, 0.8, 0.0], "normal": [0.0, -1.0, 0.0]}
+    start = np.array([0.0, 0.3, -0.9, -0.5])
+    one, other = (
+        standing(backhoe, q, obstacles=[wall] if is_beside_a_wall else [])
+        for q in (start, start + 1e-13 * np.array([1.0, -1.0, 1.0, -1.0]))
+    )
+    statuses = set()
+    for wish in np.random.default_rng(seed).uniform(-0.8, 0.8, (8, 3)):
+        if is_beside_a_wall:
+            wish[1] = abs(wish[1])
+        for state, same in zip(driven(one, wish, 0.24), driven(other, wish, 0.24), strict=True):
+            np.testing.assert_allclose(state.v, same.v, rtol=0.0, atol=1e-7)
+            statuses.add(state.status)
+    assert (Status.SLIDING in statuses) == is_beside_a_wall
+
+
 def within_bounds(work: StepWork) -> bool:
     return (
         work.rows <= MOST_SOFT_ROWS

@@ -258,11 +258,13 @@ class VelocityFilter:
         Also the wish, without its null space where a limit cuts it.
         """
         target, (low, high, *_) = wish.target, wish.range
+        # a joint that changes by all it can is at its bound, and rounding must not say on which side
         for rate, least, most in zip(target.tolist(), low.tolist(), high.tolist(), strict=True):
-            if not least <= rate <= most:
+            if not least - TOLERANCE <= rate <= most + TOLERANCE:
                 break
         else:
-            return self._within_rows(state, wish, rows) if rows else target, wish
+            v = self._within_rows(state, wish, rows) if rows else np.minimum(np.maximum(target, low), high)
+            return v, wish
         if wish.for_tip:
             # clipped joint by joint, the others would lead the tip elsewhere
             wish = wish._replace(null=np.zeros(len(target)))
@@ -288,7 +290,7 @@ class VelocityFilter:
                 steady = slower
         target = self._joints.towards(steady, state.v)
         v = np.minimum(np.maximum(target, low), high)
-        if not np.count_nonzero(v != target) and all(block.are_kept_by(v) for block in rows):
+        if np.abs(v - target).max() <= TOLERANCE and all(block.are_kept_by(v, TOLERANCE) for block in rows):
             return v
         program = velocity_program(wish, target, low, high, rows, weights=weights)
         return self._solve(state, program, stacked, first=kept)[0]
