@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -10,6 +11,7 @@ from typing import NoReturn
 
 from backhoe_planner.blas import use_one_thread
 
+_YOUNG = 20_000  # objects; the simplest plan makes 120,000 that nearly all stay, and takes 3 % longer with Python's 700
 _INTERRUPTED = 128 + signal.SIGINT  # exit status, as shells give it to what Ctrl-C ended
 
 
@@ -18,9 +20,14 @@ def main() -> NoReturn:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
     use_one_thread()
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it reads what every installed package offers
+    gc.set_threshold(_YOUNG, *gc.get_threshold()[1:])
     from backhoe_planner.cli import main as run
 
-    run()
+    try:
+        run()
+    finally:
+        gc.freeze()  # the system takes back all memory at once; looking for cycles in it costs 0.1 s
 
 
 def _interrupt(_: int, frame: FrameType | None) -> None:

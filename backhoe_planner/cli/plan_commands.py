@@ -7,10 +7,9 @@ import functools
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.status import Status
 
 import backhoe_planner as bp
 from backhoe_planner import job, motion, planning, show, site
@@ -18,6 +17,9 @@ from backhoe_planner.cli.job_command import check_job
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_ending, check_output
+
+if TYPE_CHECKING:
+    from rich.status import Status
 
 
 def plan(

@@ -27,8 +27,8 @@ PlanUrdf = Annotated[
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
 DEGREES = math.degrees(1.0)  # in a radian
 
-OUT = Console(highlight=False, markup=False, soft_wrap=True)
-ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+OUT = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
+ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 
 def print_error(message: str) -> None:

@@ -143,15 +143,20 @@ class _Division:
     def __init__(self, robot: Robot, postures: Sequence[Vector]) -> None:
         self._robot, self._gauge = robot, shapes.Gauge()
         self._postures = postures
-        data = robot.model.createData()
-        self._places: list[list[pin.SE3]] = []  # of every joint, in each posture
-        for q in postures:
-            pin.forwardKinematics(robot.model, data, q)
-            self._places.append([pin.SE3(place) for place in data.oMi])
         self._divided: list[tuple[int, int]] = []
         self._numbers: dict[_Part, int] = {}
         self._pairs: list[tuple[int, int]] = []
         self._wholes: dict[int, _Part] = {}
+
+    @cached_property
+    def _places(self) -> list[list[pin.SE3]]:
+        """Of every joint, in each posture."""
+        model, found = self._robot.model, []
+        data = model.createData()
+        for q in self._postures:
+            pin.forwardKinematics(model, data, q)
+            found.append([pin.SE3(place) for place in data.oMi])
+        return found
 
     def result(self) -> FinerPairs:
         """What was divided."""
@@ -171,7 +176,8 @@ class _Division:
         of_links: Counter[tuple[str, str]] = Counter()
         overlapping: Counter[tuple[str, str]] = Counter()
         for posture, q in enumerate(self._postures):
-            pin.computeCollisions(robot.model, data, model, geometry, q, False)
+            if not pin.computeCollisions(robot.model, data, model, geometry, q, False):
+                continue
             hit = [pair for pair, result in zip(pairs, geometry.collisionResults, strict=True) if result.isCollision()]
             overlapping.update({self._links(pair) for pair in hit})
             falsely = [pair for pair in hit if not self._touches(pair, posture)]

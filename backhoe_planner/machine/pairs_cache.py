@@ -1,8 +1,8 @@
 """Which pairs of a machine's own pieces must keep apart, as a record, and kept in the user's cache folder.
 
-With meshes they take up to a second or two to work out. An entry belongs to all that they depend on: the
-URDF, the pieces with the triangles in them, the joints and their ranges, to the code that works them out
-and to the versions of the libraries that it calls.
+With meshes they take up to a second or two to work out, with many primitives some hundredths of one. An
+entry belongs to all that they depend on: the URDF, the pieces with the triangles in them, the joints and
+their ranges, to the code that works them out and to the versions of the libraries that it calls.
 """
 
 from __future__ import annotations

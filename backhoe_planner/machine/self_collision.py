@@ -59,6 +59,7 @@ _TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each o
 _PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
 _SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
 _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
+_MANY_PIECES = 20  # from which on pairs are kept in the cache folder: the shipped backhoe's 26 take 30 ms without
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
 
 
@@ -111,8 +112,10 @@ def _pairs_of(shaped: _Shaped, posture: tuple[float, ...] | None) -> SelfPairs:
 
 @lru_cache(maxsize=8)
 def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) -> SelfPairs:
-    """The same, from the cache folder where meshes make it slow; postures outside of the ranges are too many for it."""
-    if posture is not None or all(solid.cached is None for solid in machine.robot.solids):
+    """The same, from the cache folder where it is slow; postures outside of the ranges are too many for it."""
+    robot = machine.robot
+    has_meshes = any(solid.cached is not None for solid in robot.solids)
+    if posture is not None or not (has_meshes or len(robot.pieces) >= _MANY_PIECES):
         return _worked_out(machine.robot, posture)
     pairs = read_pairs(machine.key)
     if pairs is None:
@@ -269,7 +272,8 @@ def _touches(
         model.addCollisionPair(pin.CollisionPair(a, b))
     data, geometry = robot.model.createData(), model.createData()
     for q in postures:
-        pin.computeCollisions(robot.model, data, model, geometry, q, False)
+        if not pin.computeCollisions(robot.model, data, model, geometry, q, False):
+            continue
         hit = [pair for pair, result in zip(pairs, geometry.collisionResults, strict=True) if result.isCollision()]
         pieces.update(hit)
         links.update({_links(robot, pair) for pair in hit})

@@ -41,7 +41,7 @@ class ClusterDistances:
         pieces, self._column = np.unique(self.piece, return_inverse=True)
         own = [robot.pieces[row] for row in pieces.tolist()]
         self._balls = LinkBalls(own, most=_MOST_BALLS) if pairs else None
-        self._rows = [(index, np.flatnonzero(self.owner == index)) for index in np.unique(self.owner).tolist()]
+        self._rows = [(index, np.flatnonzero(self.owner == index)) for index in sorted(set(self.owner.tolist()))]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
         # bounds of the configurations that are expected, and what was needed of them

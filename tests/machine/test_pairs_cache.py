@@ -67,7 +67,25 @@ def test_a_damaged_entry_does_not_count(home: Path) -> None:
     assert read_pairs(key_of(robot)) is None
 
 
-def test_a_machine_of_primitives_keeps_nothing_and_neither_does_a_posture_out_of_range(home: Path) -> None:
+def test_the_pairs_of_many_primitives_are_kept_too(home: Path) -> None:
+    """A stack of 19 boxes below a wheel: they are on one body, and only the upper one is at the joint."""
+    box = '<collision><origin xyz="0 0 {z}"/><geometry><box size="0.6 0.6 0.1"/></geometry></collision>'
+    path = home / "machine.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="stack">{"".join(box.format(z=-0.1 * row) for row in range(19))}</link>'
+        '<link name="wheel"><collision><geometry><cylinder radius="0.1" length="0.08"/></geometry></collision></link>'
+        '<joint name="turn" type="revolute"><parent link="stack"/><child link="wheel"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    robot = load_robot(path)
+    assert len(robot.pieces) == 20
+    pairs = self_pairs(robot)
+    assert pairs.kept == ()
+    assert {one.why for one in pairs.left_out} == {"touch at turn", "cannot meet over the range of turn"}
+    assert read_pairs(key_of(robot)) == pairs
+
+
+def test_a_machine_of_few_primitives_keeps_nothing_and_neither_does_a_posture_out_of_range(home: Path) -> None:
     self_pairs(wheel_in(home, None))
     self_pairs(wheel_in(home, annulus(0.15), radius=0.103), posture=(1.5,))
     assert entries() == []
