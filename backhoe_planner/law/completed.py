@@ -35,7 +35,14 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import check_flag, check_kind
 from backhoe_planner.law.directionality import link_chain, link_jacobian, link_velocities
-from backhoe_planner.law.null_space import UNDAMPED, TaskInverse, resolve, resolve_on_null_line
+from backhoe_planner.law.null_space import (
+    LARGEST_DAMPING,
+    RANK_TOLERANCE,
+    UNDAMPED,
+    TaskInverse,
+    resolve,
+    resolve_on_null_line,
+)
 from backhoe_planner.machine import Configuration, Robot
 from backhoe_planner.native import compiled
 from backhoe_planner.site import Gains, Nearby
@@ -182,11 +189,11 @@ class CompletedLaw:
         self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector]:
         """(n,), (n,) the `primary` and `null` of `wish`, the quickest way, for callers in a loop."""
-        found = self.undamped_terms_unchecked(at.q, J_e, xdot_e, nearby)
+        found = self.quick_terms_unchecked(at.q, J_e, xdot_e, nearby)
         if found is None:
             wish = self.wish_unchecked(at, J_e, xdot_e, nearby)
             return wish.primary, wish.null
-        return found
+        return found[:2]
 
     def wish_on_null_line(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
@@ -211,22 +218,20 @@ class CompletedLaw:
         nearby = self._checked_rows(nearby)
         if J_e.shape != (3, 4):
             return None
-        found = self.undamped_terms_unchecked(q, J_e, xdot_e, nearby)
-        return None if found is None else (found[0] + found[1], found[1])
+        found = self.quick_terms_unchecked(q, J_e, xdot_e, nearby)
+        return None if found is None or found[2] > 0.0 else (found[0] + found[1], found[1])
 
-    def undamped_terms_unchecked(
+    def quick_terms_unchecked(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
-    ) -> tuple[Vector, Vector] | None:
-        """(n,), (n,) the `primary` and `null` of `wish`, quicker than by `wish` or not at all.
+    ) -> tuple[Vector, Vector, float] | None:
+        """(n,), (n,) the `primary` and `null` of `wish`, and its damping, quicker than by `wish` or not at all.
 
-        None where J_e comes near a singularity, links are to be turned, or there is no quicker way: the plain one is
-        for a null space that is one line, see `wish_on_null_line`.
+        None where links are to be turned, or there is no quicker way: the plain one is for a null space that is one
+        line, away from singularities, see `wish_on_null_line`.
         """
         if self._turns:
             return None
-        return undamped_terms(
-            q, J_e, xdot_e, nearby.margin, nearby.gradient, nearby.drift, self._ranges, self._settings
-        )
+        return quick_terms(q, J_e, xdot_e, nearby.margin, nearby.gradient, nearby.drift, self._ranges, self._settings)
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
@@ -327,14 +332,16 @@ class LawSettings(NamedTuple):
     nearest_push: float = _NEAREST_PUSH
     standing: float = _STANDING
     undamped: float = UNDAMPED
+    largest_damping: float = LARGEST_DAMPING
+    rank_tolerance: float = RANK_TOLERANCE
 
 
 @compiled
-def undamped_terms(
+def quick_terms(
     q: Vector, J_e: Matrix, xdot_e: Vector, margin: Vector, gradient: Matrix, drift: Vector,
     ranges: tuple[tuple[float, float, float], ...], settings: LawSettings, /,
-) -> tuple[Vector, Vector] | None:  # fmt: skip
-    """(n,), (n,) J_e^+ xdot_e times s_e, and H; None where J^+ may be damped, or there is no quicker way than `wish`.
+) -> tuple[Vector, Vector, float] | None:  # fmt: skip
+    """(n,), (n,) J_e^+ xdot_e times s_e, and H, and the damping; None where there is no quicker way than `wish`.
 
     Parameters
     ----------
@@ -364,7 +371,7 @@ def undamped_terms(
                 above -= hold * part * rate
                 below += hold * part * part
     size = above / below
-    return np.array(primary), np.array([size * part for part in z])
+    return np.array(primary), np.array([size * part for part in z]), 0.0
 
 
 def _sums_of_rows(margins: Vector, drifts: Vector, rates: Matrix, settings: LawSettings) -> tuple[float, float]:

@@ -18,8 +18,8 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 
 UNDAMPED = 0.08  # m/rad or rad/rad; chosen: damping sets in where the smallest singular value is below this
-_LARGEST_DAMPING = UNDAMPED  # lambda where the smallest singular value is 0; chosen: J^+ stays within 1 / 0.08
-_RANK_TOLERANCE = 1e-4  # part of the largest singular value; chosen: smaller ones count as 0 in the projector
+LARGEST_DAMPING = UNDAMPED  # lambda where the smallest singular value is 0; chosen: J^+ stays within 1 / 0.08
+RANK_TOLERANCE = 1e-4  # part of the largest singular value; chosen: smaller ones count as 0 in the projector
 _ROUNDING = 1e-10  # part of the scale of a matrix: singular values below are rounding
 
 
@@ -74,16 +74,16 @@ def resolve(J: Matrix) -> TaskInverse:
     U = solver.eigenvectors()
     s = np.sqrt(np.maximum(solver.eigenvalues(), 0.0))
     smallest = float(s[0])
-    if smallest > _RANK_TOLERANCE * float(s[-1]):
+    if smallest > RANK_TOLERANCE * float(s[-1]):
         scaled = U / s
     else:
-        kept = s > _RANK_TOLERANCE * s[-1]
+        kept = s > RANK_TOLERANCE * s[-1]
         scaled = U[:, kept] / s[kept]
     V = J.T.dot(scaled)  # right singular vectors, so that J^+ = V scaled^T
     projector = _eye(J.shape[1]) - V.dot(V.T)
     if smallest >= UNDAMPED:
         return TaskInverse(J, V.dot(scaled.T), projector, 0.0)
-    damping = _LARGEST_DAMPING * math.sqrt(1.0 - (smallest / UNDAMPED) ** 2)
+    damping = LARGEST_DAMPING * math.sqrt(1.0 - (smallest / UNDAMPED) ** 2)
     inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
     return TaskInverse(J, inverse, projector, damping)
 

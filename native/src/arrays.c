@@ -213,3 +213,42 @@ void solve_cholesky(const double *L, int n, double *b)
         b[i] /= L[n * i + i];
     }
 }
+
+int eigenvectors(double *A, int n, double *U)
+{
+    double size = 0.0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            U[n * i + j] = i == j;
+            size += A[n * i + j] * A[n * i + j];
+        }
+    for (int sweep = 0; sweep < 30; sweep++) {
+        double off = 0.0;
+        for (int p = 0; p < n; p++)
+            for (int q = p + 1; q < n; q++)
+                off += A[n * p + q] * A[n * p + q];
+        if (!(off > 1e-34 * size))
+            return off <= 1e-34 * size ? 0 : -1;
+        for (int p = 0; p < n; p++)
+            for (int q = p + 1; q < n; q++) {
+                if (A[n * p + q] == 0.0)
+                    continue;
+                const double half = 0.5 * (A[n * q + q] - A[n * p + p]) / A[n * p + q];
+                const double t = copysign(1.0, half) / (fabs(half) + sqrt(half * half + 1.0));
+                const double c = 1.0 / sqrt(t * t + 1.0), s = t * c;
+                for (int k = 0; k < n; k++) {
+                    const double x = A[n * k + p], y = A[n * k + q];
+                    A[n * k + p] = c * x - s * y, A[n * k + q] = s * x + c * y;
+                }
+                for (int k = 0; k < n; k++) {
+                    const double x = A[n * p + k], y = A[n * q + k];
+                    A[n * p + k] = c * x - s * y, A[n * q + k] = s * x + c * y;
+                }
+                for (int k = 0; k < n; k++) {
+                    const double x = U[n * k + p], y = U[n * k + q];
+                    U[n * k + p] = c * x - s * y, U[n * k + q] = s * x + c * y;
+                }
+            }
+    }
+    return -1;
+}

@@ -1,38 +1,54 @@
-/* The completed law's terms, away from singularities. */
+/* The completed law's terms. */
 #include "arrays.h"
 
 #include <math.h>
 
-enum { S_E, S_O, INFLUENCE, UNITY, NOMINAL, HOLDS, EPSILON, NEAREST_PUSH, STANDING, UNDAMPED, SETTINGS };
+enum { S_E, S_O, INFLUENCE, UNITY, NOMINAL, HOLDS, EPSILON, NEAREST_PUSH, STANDING, UNDAMPED, LARGEST_DAMPING, RANK_TOLERANCE,
+       SETTINGS };
 
-PyObject *undamped_terms(PyObject *self, PyObject *const *args, Py_ssize_t count)
+/* S = J J^T of a task J (m, n) */
+static void square(const double *J, int m, int n, double *S)
 {
-    Mat J, gradient;
-    Vec xdot, q, margin, drift;
-    double set[SETTINGS], ranges[3 * MOST_JOINTS];
-    if (count_is(count, 8, "undamped_terms") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
-        as_mat(args[1], "J", -1, q.n, &J) < 0 || as_vec(args[2], "xdot", J.rows, &xdot) < 0 ||
-        as_vec(args[3], "margin", -1, &margin) < 0 || as_mat(args[4], "gradient", margin.n, q.n, &gradient) < 0 ||
-        as_vec(args[5], "drift", margin.n, &drift) < 0 || some_joints(q.n) < 0 ||
-        as_table(args[6], "ranges", q.n, 3, ranges) < 0 ||
-        as_doubles(args[7], "settings", SETTINGS, set) < 0)
-        return NULL;
-    const int m = (int)J.rows, n = (int)q.n;
-    if (m < 1 || m > MOST_TASKS || m > n)
-        Py_RETURN_NONE;
-    double Jd[MOST_TASKS * MOST_JOINTS], S[MOST_TASKS * MOST_TASKS], inverse[MOST_TASKS * MOST_TASKS], trace = 0.0;
-    for (int a = 0; a < m; a++)
-        for (int j = 0; j < n; j++)
-            Jd[n * a + j] = AT2(J, a, j);
     for (int a = 0; a < m; a++)
         for (int b = 0; b <= a; b++) {
             double sum = 0.0;
             for (int j = 0; j < n; j++)
-                sum += Jd[n * a + j] * Jd[n * b + j];
+                sum += J[n * a + j] * J[n * b + j];
             S[m * a + b] = S[m * b + a] = sum;
         }
+}
+
+/* plus = J^T A (n, m), for A (m, m) symmetric */
+static void from_left(const double *J, int m, int n, const double *A, double *plus)
+{
+    for (int j = 0; j < n; j++)
+        for (int a = 0; a < m; a++) {
+            double sum = 0.0;
+            for (int b = 0; b < m; b++)
+                sum += J[n * b + j] * A[m * b + a];
+            plus[m * j + a] = sum;
+        }
+}
+
+/* N = I - X Y (n, n), for X (n, m) and Y (m, n) */
+static void projector(const double *X, const double *Y, int m, int n, double *N)
+{
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double sum = i == j ? 1.0 : 0.0;
+            for (int a = 0; a < m; a++)
+                sum -= X[m * i + a] * Y[n * a + j];
+            N[n * i + j] = sum;
+        }
+}
+
+/* J^+ (n, m) and N (n, n), where J (m, n) is known not to be damped; 0 elsewhere. */
+static int inverse_if_undamped(const double *J, int m, int n, const double *set, double *plus, double *N)
+{
+    double S[MOST_TASKS * MOST_TASKS], inverse[MOST_TASKS * MOST_TASKS], trace = 0.0;
+    square(J, m, n, S);
     if (cholesky(S, m) < 0)
-        Py_RETURN_NONE;
+        return 0;
     for (int a = 0; a < m; a++) {
         double column[MOST_TASKS] = {0.0};
         column[a] = 1.0;
@@ -43,15 +59,73 @@ PyObject *undamped_terms(PyObject *self, PyObject *const *args, Py_ssize_t count
     }
     /* the smallest eigenvalue of J J^T is at least 1 / trace of its inverse */
     if (!(trace * set[UNDAMPED] * set[UNDAMPED] < 1.0))
-        Py_RETURN_NONE;
-    double plus[MOST_JOINTS * MOST_TASKS], N[MOST_JOINTS * MOST_JOINTS], *primary, *null;
+        return 0;
+    from_left(J, m, n, inverse, plus);
+    projector(plus, J, m, n, N);
+    return 1;
+}
+
+/* The same for any J, damped near a singularity: the damping, or -1 where no singular values are found. */
+static double inverse_by_singular_values(const double *J, int m, int n, const double *set, double *plus, double *N)
+{
+    double S[MOST_TASKS * MOST_TASKS], U[MOST_TASKS * MOST_TASKS], A[MOST_TASKS * MOST_TASKS];
+    double s[MOST_TASKS], V[MOST_JOINTS * MOST_TASKS], V_T[MOST_TASKS * MOST_JOINTS];
+    double smallest = INFINITY, largest = 0.0, damping = 0.0;
+    square(J, m, n, S);
+    if (eigenvectors(S, m, U) < 0)
+        return -1.0;
+    for (int k = 0; k < m; k++) {
+        s[k] = sqrt(S[m * k + k] > 0.0 ? S[m * k + k] : 0.0);
+        smallest = s[k] < smallest ? s[k] : smallest;
+        largest = s[k] > largest ? s[k] : largest;
+    }
     for (int j = 0; j < n; j++)
-        for (int a = 0; a < m; a++) {
+        for (int k = 0; k < m; k++) {
             double sum = 0.0;
             for (int b = 0; b < m; b++)
-                sum += Jd[n * b + j] * inverse[m * b + a];
-            plus[m * j + a] = sum;
+                sum += J[n * b + j] * U[m * b + k];
+            V[m * j + k] = V_T[n * k + j] = s[k] > set[RANK_TOLERANCE] * largest ? sum / s[k] : 0.0;
         }
+    projector(V, V_T, m, n, N);
+    if (smallest < set[UNDAMPED]) {
+        const double part = smallest / set[UNDAMPED];
+        damping = set[LARGEST_DAMPING] * sqrt(1.0 - part * part);
+    }
+    for (int a = 0; a < m; a++)
+        for (int b = 0; b < m; b++) {
+            double sum = 0.0;
+            for (int k = 0; k < m; k++)
+                if (damping > 0.0 || s[k] > set[RANK_TOLERANCE] * largest)
+                    sum += U[m * a + k] * U[m * b + k] / (s[k] * s[k] + damping * damping);
+            A[m * a + b] = sum;
+        }
+    from_left(J, m, n, A, plus);
+    return damping;
+}
+
+PyObject *quick_terms(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat J, gradient;
+    Vec xdot, q, margin, drift;
+    double set[SETTINGS], ranges[3 * MOST_JOINTS];
+    if (count_is(count, 8, "quick_terms") < 0 || as_vec(args[0], "q", -1, &q) < 0 ||
+        as_mat(args[1], "J", -1, q.n, &J) < 0 || as_vec(args[2], "xdot", J.rows, &xdot) < 0 ||
+        as_vec(args[3], "margin", -1, &margin) < 0 || as_mat(args[4], "gradient", margin.n, q.n, &gradient) < 0 ||
+        as_vec(args[5], "drift", margin.n, &drift) < 0 || some_joints(q.n) < 0 ||
+        as_table(args[6], "ranges", q.n, 3, ranges) < 0 ||
+        as_doubles(args[7], "settings", SETTINGS, set) < 0)
+        return NULL;
+    const int m = (int)J.rows, n = (int)q.n;
+    if (m < 1 || m > MOST_TASKS || m > n)
+        Py_RETURN_NONE;
+    double Jd[MOST_TASKS * MOST_JOINTS], plus[MOST_JOINTS * MOST_TASKS], N[MOST_JOINTS * MOST_JOINTS], damping;
+    for (int a = 0; a < m; a++)
+        for (int j = 0; j < n; j++)
+            Jd[n * a + j] = AT2(J, a, j);
+    damping = inverse_if_undamped(Jd, m, n, set, plus, N) ? 0.0 : inverse_by_singular_values(Jd, m, n, set, plus, N);
+    if (damping < 0.0)
+        Py_RETURN_NONE;
+    double *primary, *null;
     PyObject *first = new_vec(n, &primary), *second = new_vec(n, &null);
     if (!first || !second)
         goto failed;
@@ -61,12 +135,6 @@ PyObject *undamped_terms(PyObject *self, PyObject *const *args, Py_ssize_t count
             rate += plus[m * i + a] * AT(xdot, a);
         primary[i] = set[S_E] * rate;
         null[i] = 0.0;
-        for (int j = 0; j < n; j++) {
-            double sum = i == j ? 1.0 : 0.0;
-            for (int a = 0; a < m; a++)
-                sum -= plus[m * i + a] * Jd[n * a + j];
-            N[n * i + j] = sum;
-        }
     }
     double A[MOST_JOINTS * MOST_JOINTS] = {0.0}, b[MOST_JOINTS] = {0.0};
     int acts = 0;
@@ -129,7 +197,7 @@ PyObject *undamped_terms(PyObject *self, PyObject *const *args, Py_ssize_t count
             for (int j = 0; j < n; j++)
                 null[i] += N[n * i + j] * b[j];
     }
-    return Py_BuildValue("NN", first, second);
+    return Py_BuildValue("NNd", first, second, damping);
 failed:
     Py_XDECREF(first);
     Py_XDECREF(second);

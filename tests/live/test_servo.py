@@ -597,7 +597,7 @@ def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
         raise ZeroDivisionError
 
     # opens the wall: a fault in the middle of a step, which nothing outside can cause
-    monkeypatch.setattr(servo._tip.law, "undamped_terms_unchecked", fails)
+    monkeypatch.setattr(servo._tip.law, "quick_terms_unchecked", fails)
     states = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 1500)
     keeps_limits(servo, states, moving.v)
     assert not any(state.proven for state in states)

@@ -99,14 +99,14 @@ class TipTask:
             J = np.vstack((J, self._robot.pitch_sense * turn[:, -1] @ turn))
             xdot = np.append(xdot, command.pitch)
         nearby, damped = self._critical_points(q, near), False
-        quick = self.law.undamped_terms_unchecked(q, J, xdot, nearby)
+        quick = self.law.quick_terms_unchecked(q, J, xdot, nearby)
         if quick is None:
             at = Configuration(self._robot, q, None, self.jacobian, self._at.J[0], _NOTHING)
             wish = self.law.wish_unchecked(at, J, xdot, nearby)
             v, null, damped = wish.v, wish.null, wish.task.damping > 0.0
         else:
-            null = quick[1]
-            v = quick[0] + null
+            first, null, damping = quick
+            v, damped = first + null, damping > 0.0
         over = self._bounds.over_rates(q, v)
         if over > 1.0 and np.count_nonzero(null):
             # the tip comes first: the null space gets the rates that are left
