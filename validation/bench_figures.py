@@ -19,11 +19,12 @@ from pydantic import Field, ValidationError
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.files.records import Record, explain
 from validation.tables import Row, markdown
 
 VERSION: Literal[1] = 1
-_LIBRARIES = ("backhoe_planner", "pin", "coal", "numpy", "scipy", "yourdfpy")
+_LIBRARIES = ("scipy", "yourdfpy")  # beside those that a plan names
 
 Amount = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Part = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
@@ -61,7 +62,7 @@ class BenchRun(Record):
     processor: str
     """Its name."""
     versions: dict[str, str]
-    """Of Python and of the libraries."""
+    """Of Python, of the libraries, and of the compiled functions where they are in use."""
     seconds: Part
     """Of the processor, all in all."""
     figures: tuple[Figure, ...]
@@ -89,7 +90,7 @@ class Change:
 
 def made_here(setting: Literal["short", "long"], seconds: float, figures: Sequence[Figure]) -> BenchRun:
     """A run on this machine."""
-    versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+    versions = {**installed_versions(), **{name: version(name) for name in _LIBRARIES}}
     return BenchRun(setting=setting, processor=_processor(), versions=versions, seconds=seconds, figures=tuple(figures))
 
 

@@ -11,6 +11,7 @@ import bench_all
 import pytest
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.native import native_version
 from validation import bench_figures
 from validation.bench_figures import Figure, changes_table, compare, differences, load, save
 from validation.benches import BENCHES
@@ -91,7 +92,8 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     run = bench_figures.made_here("short", 12.0, figures)
     save(run, tmp_path / "run.json")
     assert load(tmp_path / "run.json") == run
-    assert {"python", "pin", "coal", "numpy", "backhoe_planner"} <= set(run.versions)
+    assert {"python", "pin", "coal", "numpy", "backhoe_planner", "scipy", "yourdfpy"} <= set(run.versions)
+    assert run.versions.get("backhoe_planner_native") == native_version()
     assert run.processor
 
 
