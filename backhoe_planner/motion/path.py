@@ -8,7 +8,7 @@ direction to the other's: the way is C1, and d2q/ds2 is piecewise constant.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -166,16 +166,15 @@ class TipPath:
         """
         point, low = as_vector(point, 3, key="point"), as_number(low, key="low")
         high = self.length if high is None else as_number(high, key="high")
-        best = (low, float(np.linalg.norm(point - self(low))))
-        at_least = _distances_to_legs(self.points, point)
-        first = int(np.searchsorted(self.stations[1:], low))
-        behind = int(np.searchsorted(self.stations[:-1], high, side="right"))
-        for leg in range(first, behind):
-            s0, s1 = max(float(self.stations[leg]), low), min(float(self.stations[leg + 1]), high)
-            if s1 < s0 or at_least[leg] >= best[1]:
+        best, marks = (low, float(np.linalg.norm(point - self(low)))), self._marks
+        first, behind = bisect_left(marks, low, 1) - 1, bisect_right(marks, high, 0, len(marks) - 1)
+        at_least = self._distances_to_legs(point, first, behind).tolist()
+        for leg, least in enumerate(at_least, start=first):
+            s0, s1 = max(marks[leg], low), min(marks[leg + 1], high)
+            if s1 < s0 or least >= best[1]:
                 continue
-            a, b = self(s0) if s0 > self.stations[leg] else self.points[leg], self.points[leg + 1]
-            if s1 < self.stations[leg + 1]:
+            a, b = self(s0) if s0 > marks[leg] else self.points[leg], self.points[leg + 1]
+            if s1 < marks[leg + 1]:
                 b = self(s1)
             step = b - a
             square = float(step @ step)
@@ -198,7 +197,7 @@ class TipPath:
         low, high = as_number(low, key="low"), as_number(high, key="high")
         slack = as_number(slack, key="slack", least=0.0)
         tip, spans = at.tip_position, np.diff(self.stations)
-        nearest = _distances_to_legs(self.points, tip)
+        nearest = self._distances_to_legs(tip, 0, len(self.points) - 1)
         legs = np.flatnonzero((spans > 0.0) & (self.stations[1:] >= low) & (self.stations[:-1] <= high))
         if not len(legs):
             return (low, *self.target(low).distances(at))
@@ -315,6 +314,19 @@ class TipPath:
                 along = (square * along + weight * first) / (square + weight)
         return float(np.clip(along, low, high))
 
+    @cached_property
+    def _leg_steps(self) -> tuple[Matrix, Vector]:
+        """(W - 1, 3) from one end of each leg to the other [m], and (W - 1,) its square, not 0 [m^2]."""
+        steps = np.diff(self.points, axis=0)
+        return steps, np.maximum(np.einsum("ki,ki->k", steps, steps), _NO_LENGTH**2)
+
+    def _distances_to_legs(self, tip: Vector, first: int, behind: int) -> Vector:
+        """(behind - first,) distance [m] of the tip (3,) from each leg of these."""
+        legs, (steps, squares) = slice(first, behind), self._leg_steps
+        off, along = tip - self.points[:-1][legs], steps[legs]
+        part = np.clip(np.einsum("ki,ki->k", off, along) / squares[legs], 0.0, 1.0)
+        return np.asarray(np.linalg.norm(off - part[:, None] * along, axis=1))
+
     def _locate(self, s: float) -> tuple[int, float]:
         marks = self._marks
         s = min(max(as_number(s, key="s"), 0.0), marks[-1])
@@ -424,14 +436,6 @@ def _turned_parts(
     parts = [low, high, *([float(np.clip(off / turn, low, high))] if turn != 0.0 else [])]
     part = min(parts, key=lambda one: abs(off - one * turn) - half - one * wider)
     return part, part
-
-
-def _distances_to_legs(points: Matrix, tip: Vector) -> Vector:
-    """(W - 1,) distance [m] of the tip from each leg between `points` (W, 3)."""
-    steps, off = np.diff(points, axis=0), tip - points[:-1]
-    squares = np.maximum(np.einsum("ki,ki->k", steps, steps), _NO_LENGTH**2)
-    part = np.clip(np.einsum("ki,ki->k", off, steps) / squares, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(off - part[:, None] * steps, axis=1))
 
 
 @dataclass(frozen=True, eq=False)

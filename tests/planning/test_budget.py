@@ -36,8 +36,11 @@ class HandSetClock:
     def __init__(self) -> None:
         self.now = self.tick = 0.0
 
-    def thread_time(self) -> float:
+    def monotonic(self) -> float:
         self.now += self.tick
+        return self.now
+
+    def thread_time(self) -> float:
         return self.now
 
     def runs_out_at(self, call: Callable[..., Any], number: int = 1) -> Callable[..., Any]:
@@ -57,7 +60,7 @@ class HandSetClock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> HandSetClock:
     clock = HandSetClock()
-    monkeypatch.setattr(effort, "clock", SimpleNamespace(thread_time=clock.thread_time))
+    monkeypatch.setattr(effort, "clock", SimpleNamespace(thread_time=clock.thread_time, monotonic=clock.monotonic))
     return clock
 
 
@@ -135,3 +138,13 @@ def test_the_attempts_of_the_law_end_where_time_does(planar4: bp.Robot, clock: H
     assert plan.findings.closest_distance is not None
     assert len(plan.trajectory) > 10
     assert plan.certificate.safe
+
+
+def test_only_the_threads_own_computing_uses_up_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 100 s that go by, the thread computes for 2 s, then for 4 s."""
+    now = {"monotonic": 50.0, "thread_time": 1.0}
+    monkeypatch.setattr(effort, "clock", SimpleNamespace(**{name: lambda name=name: now[name] for name in now}))
+    brake = effort.Brake(3.0)
+    for computed, is_used_up in ((2.0, False), (4.0, True)):
+        now |= {"monotonic": 150.0, "thread_time": 1.0 + computed}
+        assert brake.is_used_up() is is_used_up

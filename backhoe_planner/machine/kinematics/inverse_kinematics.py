@@ -159,42 +159,44 @@ def solve_batch(
     limits = kinematics.robot.limits
     q = np.clip(np.array(guesses, dtype=float), limits.lower, limits.upper)
     reached = np.zeros(len(q), dtype=bool)
-    here, going = targets, np.arange(len(q))
-    cost_before = np.full(len(q), np.inf)
-    stalled = np.zeros(len(q), dtype=int)
+    # of those that go on: which they are, where they stand, and how they came on
+    going, x, here = np.arange(len(q)), q, targets
+    cost_before, stalled = np.full(len(q), np.inf), np.zeros(len(q), dtype=int)
     for iteration in range(iterations + 1):
         if not len(going):
             break
-        at = kinematics.at(q[going])
+        at = kinematics.at(x)
         error = here.errors(at)
         cost = np.einsum("bi,bi->b", error, error)
         arrived = np.sqrt(cost) <= tolerance
         reached[going[arrived]] = True
-        stalled[going] = np.where(cost > _STALLED_AT * cost_before[going], stalled[going] + 1, 0)
-        cost_before[going] = cost
-        left = ~arrived & (stalled[going] <= _MOST_STALLED)
+        stalled = np.where(cost > _STALLED_AT * cost_before, stalled + 1, 0)
+        cost_before = cost
+        left = ~arrived & (stalled <= _MOST_STALLED)
         if iteration == iterations or not left.any():
             break
-        J = here.jacobians(at)
+        J = here.jacobians(at).transpose(1, 2, 0)  # the searches run along the last axis, in which numpy is quick
         if not left.all():
-            here, going, error, J = here.take(left), going[left], error[left], J[left]
-        rows = movable_rows(J).any(axis=0)
-        J, error = J[:, rows], error[:, rows]
-        step = _limited_step(J, error, q[going], limits.lower, limits.upper)
-        q[going] = np.clip(q[going] + step, limits.lower, limits.upper)
+            going, x, here, error, J = going[left], x[left], here.take(left), error[left], J.compress(left, axis=2)
+            cost_before, stalled = cost_before[left], stalled[left]
+        rows = movable_rows(J.reshape(len(J), -1))
+        step = _limited_step(J[rows], error[:, rows], x, limits.lower, limits.upper)
+        q[going] = x = np.clip(x + step, limits.lower, limits.upper)
     return q, reached
 
 
 def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) -> Array:
-    """(B, n) damped Newton steps [rad or m], without the joints that would leave a limit at which they stand."""
+    """(B, n) damped Newton steps [rad or m], without the joints that would leave a limit at which they stand.
+
+    J: (m, n, B); error: (B, m); q: (B, n).
+    """
     cost = np.einsum("bi,bi->b", error, error)
     damping = np.minimum(cost, _MOST_DAMPED_ERROR) * _DAMPING + _LEAST_DAMPING
-    # the searches run along the last axis, in which numpy is quick
-    J, error, q = np.ascontiguousarray(J.transpose(1, 2, 0)), np.ascontiguousarray(error.T), np.ascontiguousarray(q.T)
+    error, q = np.ascontiguousarray(error.T), np.ascontiguousarray(q.T)
     step = _damped_step(J, error, damping)
     at_lower, at_upper = q <= lower[:, None], q >= upper[:, None]
     free = np.ones(q.shape, dtype=bool)
-    for _ in range(len(q) - 1):
+    for _ in range(len(q) - 1 if at_lower.any() or at_upper.any() else 0):
         hit = free & ((at_lower & (step < 0.0)) | (at_upper & (step > 0.0)))
         todo = np.flatnonzero(hit.any(axis=0))
         if not len(todo):
@@ -212,7 +214,7 @@ def _damped_step(J: Array, error: Array, damping: Array) -> Array:
     """
     count = len(J)
     square = np.einsum("inb,jnb->ijb", J, J)
-    square[range(count), range(count)] += damping
+    square.reshape(count * count, -1)[:: count + 1] += damping
     x = error.copy()
     for row in range(count):
         below = square[row + 1 :, row] / square[row, row]

@@ -95,11 +95,11 @@ def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool 
         np.hstack((before.beta, after.beta)),
         np.hstack((before.gamma, after.gamma)),
     )
-    cells = [_Cell(*parts) for parts in zip(*_slanted(rows, steps), strict=True)]
     highest = np.array(caps, dtype=float)
     highest[:-1] = np.minimum(highest[:-1], _level_caps(rows, steps))
     if rests:
         highest[0] = highest[-1] = 0.0
+    cells = _cells(*_slanted(rows, steps), highest[:-1])
     for i in range(len(steps) - 1, -1, -1):
         found = cells[i].greatest(float(highest[i]), 2.0 * float(steps[i]), float(highest[i + 1]))
         if found is None:
@@ -142,34 +142,48 @@ def _slanted(rows: Rows, steps: Array) -> tuple[Array, Array, Array, Array]:
     )  # fmt: skip
 
 
-class _Cell:
-    """The rows of one interval."""
+_Bounds = tuple[float, float, float, float]  # of u at some x: the greatest and its slope over x, the least and its
 
-    def __init__(self, top: Array, rise: Array, bottom: Array, fall: Array) -> None:
+
+def _cells(tops: Array, rises: Array, bottoms: Array, falls: Array, highest: Array) -> list[_Cell]:
+    """The intervals, with their bounds of u at the `highest` x (N,) that caps leave, found for all of them at once."""
+    top, bottom, count = tops + rises * highest[:, None], bottoms + falls * highest[:, None], np.arange(len(highest))
+    high, low = top.argmin(axis=1), bottom.argmax(axis=1)
+    bounds = (top[count, high], rises[count, high], bottom[count, low], falls[count, low])
+    at_highest = zip(*(one.tolist() for one in bounds), strict=True)
+    return [_Cell(*parts) for parts in zip(tops, rises, bottoms, falls, highest.tolist(), at_highest, strict=True)]
+
+
+class _Cell:
+    """The rows of one interval, and the bounds of u at the last x that was asked for."""
+
+    def __init__(self, top: Array, rise: Array, bottom: Array, fall: Array, x: float, bounds: _Bounds) -> None:
         self._top, self._rise, self._bottom, self._fall = top, rise, bottom, fall
+        self._x, self._bounds = x, bounds
 
     def hardest(self, x: float) -> float:
         """The greatest u at x, or the least where rounding leaves no room."""
-        return float((self._top + self._rise * x).min(initial=np.inf))
+        return self._bounds[0] if x == self._x else float((self._top + self._rise * x).min(initial=np.inf))
+
+    def _bounds_at(self, x: float) -> _Bounds:
+        if x != self._x:
+            tops, bottoms = self._top + self._rise * x, self._bottom + self._fall * x
+            high, low = tops.argmin(), bottoms.argmax()  # a method of an array costs a fifth of numpy's function
+            self._x = x
+            self._bounds = float(tops[high]), float(self._rise[high]), float(bottoms[low]), float(self._fall[low])
+        return self._bounds
 
     def greatest(self, x: float, twice: float, ahead: float) -> float | None:
         """The greatest x, at most as given, with a u so that 0 <= x + twice u <= ahead.
 
         The room for u is concave in x: Newton's method from above meets its zero.
         """
-        rises, falls = self._rise, self._fall
         for _ in range(_STEPS):
-            tops, bottoms = self._top + rises * x, self._bottom + falls * x
-            high, low = tops.argmin(), bottoms.argmax()  # a method of an array costs a fifth of numpy's function
-            top, bottom = float(tops[high]), float(bottoms[low])
+            top, rise, bottom, fall = self._bounds_at(x)
             if (ahead - x) / twice < top:
                 top, rise = (ahead - x) / twice, -1.0 / twice
-            else:
-                rise = float(rises[high])
             if -x / twice > bottom:
                 bottom, fall = -x / twice, -1.0 / twice
-            else:
-                fall = float(falls[low])
             room = top - bottom
             if room >= -_ROUNDING * (abs(top) + abs(bottom)):
                 return x

@@ -43,6 +43,7 @@ _KNOT_TURN = 3.0  # rad or m of a joint that count as 1 m of path between knots;
 _ROUNDS = 15  # at one distance of the neighbours; chosen: the end of what does not converge
 _TRIES = 3  # to find a clear way in one sweep; chosen
 _STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for; chosen: further off is another posture
+_ROUNDING = 1e-9  # m; far above that of the sums of two ways to the same bound
 _AHEAD = 0.2  # m beyond the floor up to which distances are measured; chosen: lower bounds hold for several sweeps
 
 
@@ -120,6 +121,7 @@ class _Descent:
         self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
         self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
         self.least = cost.of_run(stations, q)
+        self._there = None if np.all(proximity.appears_at <= time) else proximity.appears_at <= time  # (P,) by pairs
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._distances(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
@@ -208,8 +210,12 @@ class _Descent:
     def _keep_clear(self, here: Matrix, found: NDArray[np.float64], usable: Mask) -> None:
         """Take out the neighbours that are too near to something."""
         asked = self._proximity.clearance + self._floor[self._knots][:, None]
-        reach = np.abs(found - here[:, None, :]) @ self._proximity.travel.T
-        unsure = (self._lower[self._knots][:, None, :] - reach < asked[:, None, :]).any(axis=2) & usable
+        moved, lower, travel = np.abs(found - here[:, None, :]), self._lower[self._knots], self._proximity.travel.T
+        # knots at which some neighbour may be too near: no joint goes further than the furthest of them has it go
+        near = np.flatnonzero((lower - moved.max(axis=1) @ travel < asked + _ROUNDING).any(axis=1))
+        unsure = np.zeros_like(usable)
+        unsure[near] = (lower[near][:, None, :] - moved[near] @ travel < asked[near][:, None, :]).any(axis=2)
+        unsure &= usable
         unsure[:, _WIDTH] = False
         for k, c in np.argwhere(unsure).tolist():
             usable[k, c] = bool(np.all(self._distances(found[k, c], asked[k]) >= asked[k]))
@@ -260,7 +266,7 @@ class _Descent:
     def _distances(self, q: Vector, floor: Vector) -> Vector:
         """(P,) lower bounds of the distances at q (n,), exact where they are below `floor` (P,) [m]."""
         lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
-        return np.where(self._proximity.appears_at <= self._time, lower, np.inf)
+        return lower if self._there is None else np.where(self._there, lower, np.inf)
 
 
 def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
@@ -307,8 +313,8 @@ def _cheapest_with_turns(steps: NDArray[np.float64], turns: NDArray[np.float64],
     sources = []
     for row, turn in enumerate(turns):
         total = value[:, :, None] + turn
-        source = np.argmin(total, axis=0)
-        value = np.min(total, axis=0) + steps[row + 1] + closed[row + 2][None, :]
+        source = total.argmin(axis=0)  # a method of an array costs a fifth of numpy's function
+        value = total.min(axis=0) + steps[row + 1] + closed[row + 2]
         sources.append(source)
     a, b = np.unravel_index(int(np.argmin(value)), value.shape)
     chosen = [int(b), int(a)]
