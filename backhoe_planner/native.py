@@ -46,13 +46,13 @@ _plain: dict[str, Callable[..., Any]] = {}
 
 
 def compiled(plain: _Function) -> _Function:
-    """The compiled version of a function where it is installed, else the function itself."""
+    """The compiled version of a function where the installed package has one, else the function itself."""
     _plain[plain.__name__] = plain
     found = find_compiled()
     if found is None:
         return plain
     found.plain[plain.__name__] = plain  # it answers where the compiled one has no room for so many joints
-    return cast(_Function, getattr(found, plain.__name__))
+    return cast(_Function, getattr(found, plain.__name__, plain))
 
 
 def plain_versions() -> dict[str, Callable[..., Any]]:

@@ -13,7 +13,7 @@ setup(
             depends=["src/arrays.h"],
             include_dirs=[np.get_include()],
             # no product and sum are made one: the same numbers on every processor
-            extra_compile_args=["-O2", "-std=gnu11", "-ffp-contract=off"],
+            extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off"],
         )
     ]
 )

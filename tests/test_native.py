@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
-from backhoe_planner import Robot
+from backhoe_planner import Robot, native
 from backhoe_planner.law import CompletedLaw, CriticalRows
 from backhoe_planner.law.completed import LawSettings
 from backhoe_planner.live import Feedback, Servo  # noqa: F401  loads all functions that are marked
@@ -259,11 +259,26 @@ def force_on_hand(rng: Rng) -> Arguments:
     return rng.normal(size=3), rng.normal(size=3), normal, rng.uniform(), state, HandSettings(0.001, 60, 30, 200, 0.1)
 
 
+def damped_steps(rng: Rng) -> Arguments:
+    rows, n, count = int(rng.integers(1, 8)), joints(rng), some(rng)
+    return rng.normal(size=(rows, n, count)), rng.normal(size=(rows, count)), rng.uniform(1e-3, 0.1, count)
+
+
+def chain_placements(rng: Rng) -> Arguments:
+    n, count = joints(rng), some(rng)
+    q, factors, slides = rng.normal(size=(n, count)), np.zeros((33, n)), rng.integers(0, 2, n).astype(float)
+    for joint in range(n):
+        R, axis, x = rotation(rng), rotation(rng)[0], rng.normal(size=3)
+        K = np.cross(np.eye(3), axis)
+        factors[:, joint] = np.column_stack((R, R @ K, R @ K @ K, R @ axis, x)).T.ravel()
+    return q, np.sin(q), 1.0 - np.cos(q), factors, slides, np.vstack((rotation(rng), rng.normal(size=3)))
+
+
 SOURCES: list[Callable[[Rng], Arguments]] = [
-    approach_rates, blended_points, bounds_after, changes_of_end, corner_gaps, force_on_hand, keep_placements,
-    near_now, near_rows, nearest_safe_program, not_proven, pairs_within, place_tip, placed_arrays, plane_rows,
-    quick_terms, reach_of_lead, reachable_velocities, read_results, refused_velocity, step_conditions, straight_towards,
-    unproven_of_near,
+    approach_rates, blended_points, bounds_after, chain_placements, changes_of_end, corner_gaps, damped_steps,
+    force_on_hand, keep_placements, near_now, near_rows, nearest_safe_program, not_proven, pairs_within, place_tip,
+    placed_arrays, plane_rows, quick_terms, reach_of_lead, reachable_velocities, read_results, refused_velocity,
+    step_conditions, straight_towards, unproven_of_near,
 ]  # fmt: skip
 
 
@@ -422,6 +437,18 @@ def test_compiled_functions_of_another_version_are_not_used(monkeypatch: pytest.
     monkeypatch.delenv("BACKHOE_PLANNER_PLAIN", raising=False)
     monkeypatch.setitem(sys.modules, "backhoe_planner_native", SimpleNamespace(INTERFACE=-1))
     assert find_compiled.__wrapped__() is None
+
+
+def test_a_function_that_the_installed_package_does_not_have_runs_in_plain_python(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def later(x: float, /) -> float:
+        return 2.0 * x
+
+    older = SimpleNamespace(plain={})
+    monkeypatch.setattr(native, "find_compiled", lambda: older)
+    monkeypatch.setattr(native, "_plain", {})
+    assert native.compiled(later) is later
 
 
 def test_compiled_functions_are_left_alone_on_request(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -105,7 +105,7 @@ def _near(world: World, path: TipPath, low: float, high: float, reach: float) ->
     squares = np.maximum(np.einsum("ki,ki->k", steps, steps), 1e-18)
 
     def near(q: Matrix) -> bool:
-        off = kinematics.at(q).tip_position[:, None] - corners[:-1]
+        off = kinematics.tip_positions(q)[:, None] - corners[:-1]
         part = np.clip(np.einsum("bki,ki->bk", off, steps) / squares, 0.0, 1.0)
         off -= part[:, :, None] * steps
         return bool(np.max(np.min(np.einsum("bki,bki->bk", off, off), axis=1)) <= reach * reach)

@@ -80,6 +80,7 @@ int eigenvectors(double *A, int n, double *U);
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
     F(unproven_of_near) \
     F(quick_terms) \
+    F(damped_steps) F(chain_placements) \
     F(step_conditions) F(nearest_safe_program) \
     F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(corner_gaps) \
     F(blended_points) F(plane_rows) F(refused_velocity) F(force_on_hand)

@@ -28,6 +28,7 @@ def _random(robot: bp.Robot, count: int, seed: int = 0) -> NDArray[np.float64]:
 def test_agrees_with_pinocchio(any_robot: bp.Robot) -> None:
     q = _random(any_robot, 50)
     at = BatchKinematics(any_robot).at(q)
+    np.testing.assert_allclose(BatchKinematics(any_robot).tip_positions(q), at.tip_position, atol=1e-12)
     kinematics = bp.Kinematics(any_robot)
     for row, one in enumerate(map(kinematics.at, q)):
         np.testing.assert_allclose(at.tip_position[row], one.tip_position, atol=1e-12)
@@ -47,6 +48,7 @@ def test_a_sliding_joint_agrees_with_pinocchio(tmp_path: object) -> None:
     robot = bp.load_robot(file, tip="tip")
     q = _random(robot, 20)
     at = BatchKinematics(robot).at(q)
+    np.testing.assert_allclose(BatchKinematics(robot).tip_positions(q), at.tip_position, atol=1e-12)
     for row, one in enumerate(map(bp.Kinematics(robot).at, q)):
         np.testing.assert_allclose(at.tip_position[row], one.tip_position, atol=1e-12)
         np.testing.assert_allclose(at.position_jacobian()[row], one.jacobian[:3], atol=1e-12)

@@ -19,6 +19,7 @@ from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinematics
 from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.native import compiled
 
 _ITERATIONS = 40  # steps; most searches converge quadratically in a few, near singular postures damping slows them
 _ITERATIONS_OF_ONE = 60  # steps: a single target is given up later, since nothing else will find it
@@ -193,7 +194,7 @@ def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) 
     cost = np.einsum("bi,bi->b", error, error)
     damping = np.minimum(cost, _MOST_DAMPED_ERROR) * _DAMPING + _LEAST_DAMPING
     error, q = np.ascontiguousarray(error.T), np.ascontiguousarray(q.T)
-    step = _damped_step(J, error, damping)
+    step = damped_steps(J, error, damping)
     at_lower, at_upper = q <= lower[:, None], q >= upper[:, None]
     free = np.ones(q.shape, dtype=bool)
     for _ in range(len(q) - 1 if at_lower.any() or at_upper.any() else 0):
@@ -202,12 +203,13 @@ def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) 
         if not len(todo):
             break
         free &= ~hit
-        step[:, todo] = _damped_step(J[:, :, todo] * free[:, todo], error[:, todo], damping[todo])
+        step[:, todo] = damped_steps(J[:, :, todo] * free[:, todo], error[:, todo], damping[todo])
     step = np.where(free, step, 0.0)
     return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP).T)
 
 
-def _damped_step(J: Array, error: Array, damping: Array) -> Array:
+@compiled
+def damped_steps(J: Array, error: Array, damping: Vector, /) -> Array:
     """(n, B) the steps J^T (J J^T + damping I)^-1 error of J (m, n, B), error (m, B) and damping (B,).
 
     By elimination without pivots, which a positive definite matrix does not need, for all B at once.

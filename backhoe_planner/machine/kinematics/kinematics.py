@@ -223,45 +223,44 @@ class BatchKinematics:
         model = robot.model
         # A serial chain: joint j hangs on joint j - 1. By Rodrigues its rotation is I + sin K + (1 - cos) K^2, and
         # all that multiplies the rotation before it stands in one (3, 11) matrix: R, R K, R K^2, the axis, the origin.
-        self._factors = []
+        own = []
+        self._inward = []  # for a point that a joint carries: (9, 3) R, R K, R K^2 one below the other, axis, origin
         for placement, axis in zip(list(model.jointPlacements)[1:], robot.joint_axes, strict=True):
             R, skew = placement.rotation, pin.skew(axis)
             parts = np.column_stack((R, R @ skew, R @ skew @ skew, R @ axis, placement.translation))
-            self._factors.append(np.ascontiguousarray(parts.T))
+            own.append(parts.T.ravel())
+            self._inward.append((np.vstack(np.split(parts[:, :9], 3, axis=1)), parts[:, 9:10], parts[:, 10:]))
+        self._factors, self._slides = np.array(own).T, robot.prismatic.astype(float)
         frame = model.frames[robot.tip_frame]
         tip = np.column_stack((frame.placement.rotation, frame.placement.translation))
         self._tip = np.ascontiguousarray(tip.T)
         self._sense = robot.pitch_sense if robot.has_pitch else 0.0
 
+    def tip_positions(self, q: Array) -> Array:
+        """(B, 3) positions of the tip alone [m], world, in the configurations `q` (B, n)."""
+        joints = np.ascontiguousarray(np.asarray(q, dtype=float).T)
+        sine, versine = np.sin(joints), 1.0 - np.cos(joints)
+        point = self._tip[3][:, None]  # in the frame of the last joint, then of each further in
+        for joint in range(len(joints) - 1, -1, -1):
+            matrix, axis, origin = self._inward[joint]
+            parts = matrix @ point
+            if self.robot.prismatic[joint]:
+                point = origin + parts[:3] + axis * joints[joint]
+            else:
+                point = origin + parts[:3] + sine[joint] * parts[3:6] + versine[joint] * parts[6:]
+        return np.ascontiguousarray(point.T)
+
     def at(self, q: Array) -> ConfigurationBatch:
         """The configurations `q` (B, n)."""
         q = np.asarray(q, dtype=float)
-        count, n = len(q), self.robot.n
-        # the configurations run along the last axis, in which numpy is quick; a rotation stands column by column
-        joints = np.ascontiguousarray(q.T)
-        sine, versine = np.sin(joints), 1.0 - np.cos(joints)
-        axes, origins, rotations = np.empty((n, 3, count)), np.empty((n, 3, count)), np.empty((n, 3, 3, count))
-        rotation = np.repeat(np.eye(3)[:, :, None], count, axis=2)
-        position = np.zeros((3, count))
-        for joint, factors in enumerate(self._factors):
-            parts = (factors @ rotation.reshape(3, -1)).reshape(11, 3, count)
-            axes[joint] = parts[9]
-            rotation = rotations[joint]
-            if self.robot.prismatic[joint]:
-                position = position + parts[10] + parts[9] * joints[joint]
-                rotation[:] = parts[:3]
-            else:
-                position = position + parts[10]
-                np.multiply(sine[joint], parts[3:6], out=rotation)
-                rotation += parts[:3]
-                parts[6:9] *= versine[joint]
-                rotation += parts[6:9]
-            origins[joint] = position
-        tip = (self._tip @ rotation.reshape(3, -1)).reshape(4, 3, count)
+        joints = np.ascontiguousarray(q.T)  # the configurations run along the last axis, in which numpy is quick
+        axes, origins, rotations, tip_position, tip_rotation = chain_placements(
+            joints, np.sin(joints), 1.0 - np.cos(joints), self._factors, self._slides, self._tip
+        )
         return ConfigurationBatch(
             q=q,
-            tip_position=(position + tip[3]).T,
-            tip_rotation=tip[:3].transpose(2, 1, 0),
+            tip_position=tip_position.T,
+            tip_rotation=tip_rotation.transpose(2, 1, 0),
             axes=axes.transpose(2, 0, 1),
             origins=origins.transpose(2, 0, 1),
             rotations=rotations.transpose(3, 0, 2, 1),
@@ -269,3 +268,40 @@ class BatchKinematics:
             pitch_sense=self._sense,
             pitch_pin=self.robot.pitch_pin,
         )
+
+
+@compiled
+def chain_placements(
+    q: Matrix, sine: Matrix, versine: Matrix, factors: Matrix, slides: Vector, tip: Matrix, /
+) -> tuple[Array, Array, Array, Matrix, Array]:
+    """A chain's axes (n, 3, B), origins (n, 3, B) and rotations, (3, B) tip position, and the tip's rotation (3, 3, B).
+
+    The rotations (n, 3, 3, B) stand column by column.
+
+    Parameters
+    ----------
+    q: (n, B) joint positions [rad or m]; sine, versine: of these.
+    factors: (33, n) of each joint, one below the other the rows of its (11, 3) matrix; see `BatchKinematics`.
+    slides: (n,) 1 for a joint that slides, 0 for a hinge.
+    tip: (4, 3) the columns of the tip's rotation in the last joint, and its position there [m].
+    """
+    n, count = q.shape
+    axes, origins, rotations = np.empty((n, 3, count)), np.empty((n, 3, count)), np.empty((n, 3, 3, count))
+    rotation = np.repeat(np.eye(3)[:, :, None], count, axis=2)
+    position = np.zeros((3, count))
+    for joint, (own, slide) in enumerate(zip(factors.T, slides.tolist(), strict=True)):
+        parts = (own.reshape(11, 3) @ rotation.reshape(3, -1)).reshape(11, 3, count)
+        axes[joint] = parts[9]
+        rotation = rotations[joint]
+        if slide:
+            position = position + parts[10] + parts[9] * q[joint]
+            rotation[:] = parts[:3]
+        else:
+            position = position + parts[10]
+            np.multiply(sine[joint], parts[3:6], out=rotation)
+            rotation += parts[:3]
+            parts[6:9] *= versine[joint]
+            rotation += parts[6:9]
+        origins[joint] = position
+    turned = (tip @ rotation.reshape(3, -1)).reshape(4, 3, count)
+    return axes, origins, rotations, position + turned[3], turned[:3].copy()

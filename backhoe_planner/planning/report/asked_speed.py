@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
-from backhoe_planner.machine import Kinematics
+from backhoe_planner.machine import BatchKinematics, Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
 from backhoe_planner.planning.report.comparison import part_on_path
 
@@ -56,7 +56,7 @@ def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> 
     motion, _ = part_on_path(path, trajectory, begun, kinematics=kinematics)
     if len(motion) < 2:
         return None
-    tips = np.array([kinematics.at(q).tip_position for q in motion.q])
+    tips = BatchKinematics(problem.robot).tip_positions(motion.q)
     places, near = _places(path.without_angles if path.turns else path, tips, task.tolerance)
     length = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     speed = length / np.diff(motion.time)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.files.records import Figure, Record
-from backhoe_planner.machine import Kinematics
+from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import Detour, Problem, Trajectory, trajectory_costs
 from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.report.asked_speed import AskedSpeed, measure_speed
@@ -85,8 +85,7 @@ def measure_motion(
     compare: whether a motion along a path is compared with the local law's.
     law: how the law follows the path, where that is known.
     """
-    kinematics = Kinematics(problem.robot)
-    tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
+    tips = BatchKinematics(problem.robot).tip_positions(trajectory.q)
     found = tuple(_with_obstruction(detour, detours) for detour in certificate.detours)
     compared = compare_with_law(problem, trajectory, certificate, law=law) if compare else None
     figures = None if compared is None else compared.figures

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
 from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
-from backhoe_planner.machine import Kinematics, MotionEnergy, Robot
+from backhoe_planner.machine import BatchKinematics, MotionEnergy, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
 from backhoe_planner.planning.result.bound import Bound, measure_bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
@@ -168,8 +168,7 @@ class Plan:
 
     def tip_path(self) -> NDArray[np.float64]:
         """(T, 3) positions of the tip at the samples [m], world."""
-        kinematics = Kinematics(self.robot)
-        return np.array([kinematics.at(q).tip_position for q in self.trajectory.q])
+        return BatchKinematics(self.robot).tip_positions(self.trajectory.q)
 
     def energy(self) -> MotionEnergy:
         """Torques, power and work over the samples, with the scene's payload and soil."""
