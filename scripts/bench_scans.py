@@ -3,8 +3,9 @@
 
 The same yard is taken in, planned in and driven in without them, with each of them and with
 all, in one run; times are those on the processor, and what counts are the ratios. Each goal is
-planned to with all of them in turn. Every verified plan is checked against the raw points, and so is every
-goal: the tip cannot be where one is nearer than its clearance. The results are in docs/measurements.md.
+planned to with all of them in turn, and steps are taken in turn, too. Every verified plan is checked against the raw
+points, and so is every goal that is not reached: where no posture with the tip there keeps its clearance from them, it
+is not counted. The results are in docs/measurements.md.
 
     python scripts/bench_scans.py [--goals 12] [--steps 4000] [--seed 1] [--points 1000000] [--cells 1000]
 """
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import backhoe_planner as bp
-from validation.scans import KINDS, goals, measure, plan_in_turn, write_survey
+from validation.scans import KINDS, drive_in_turn, goals, measure, plan_in_turn, write_survey
 
 
 def main() -> None:
@@ -38,10 +39,8 @@ def main() -> None:
         )
         sets: list[tuple[str, ...]] = [(), *((kind,) for kind in KINDS), KINDS]
         goal = next(goals(robot, np.random.default_rng(options.seed)))
-        costs = [
-            measure(robot, survey, kinds, goal=goal, steps=options.steps, seed=options.seed)
-            for kinds in [(), *sets]  # the first run warms up
-        ][1:]
+        costs = [measure(robot, survey, kinds, goal=goal) for kinds in [(), *sets]][1:]  # the first run warms up
+        taken = drive_in_turn([cost.servo for cost in costs], steps=options.steps, seed=options.seed)
         plans = plan_in_turn(robot, survey, sets, count=options.goals, seed=options.seed)
     plain = costs[0]
     ratios = plans.seconds / plans.seconds[:, :1]
@@ -51,15 +50,15 @@ def main() -> None:
         "memory MB", "page MB", "gap m",
     )  # fmt: skip
     print("".join(f"{name:>15}" for name in head))
-    for number, (kinds, cost) in enumerate(zip(sets, costs, strict=True)):
-        steps = f"{cost.steps.mean():.0f} ({cost.steps.mean() / plain.steps.mean():.2f})"
+    for number, (kinds, cost, times) in enumerate(zip(sets, costs, taken, strict=True)):
+        steps = f"{times.mean():.0f} ({times.mean() / taken[0].mean():.2f})"
         lasts, free = plans.durations[:, number], ~plans.blocked[:, number]
         row = (
             "+".join(kinds) if len(kinds) < 2 else "all", f"{cost.intake:.2f}",
             f"{np.median(ratios[:, number]):.2f} times", f"{sums[number]:.2f}", f"{ratios[:, number].max():.2f}",
             f"{np.isfinite(lasts[free]).sum()} of {free.sum()}",
             f"{np.nanmedian(lasts / plans.durations[:, 0]):.3f}", steps,
-            f"{np.percentile(cost.steps, 99):.0f}", f"{cost.steps.max():.0f}",
+            f"{np.percentile(times, 99):.0f}", f"{times.max():.0f}",
             f"{cost.memory - plain.memory:+.0f}", f"{cost.page:.1f}",
             f"{plans.least_gap[number]:.3f}",
         )  # fmt: skip

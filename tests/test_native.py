@@ -245,6 +245,92 @@ def plane_rows(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def ways_of_links(rng: Rng) -> Arguments:
+    bodies, links = 1 + joints(rng), some(rng, 9)
+    T = placements(rng, 1 + some(rng, 4), bodies)
+    columns = rng.normal(size=(links, 4, 1 + some(rng, 12)))
+    columns[:, 3] = 1.0
+    joint = rng.integers(0, bodies, links)
+    begun = np.ascontiguousarray(T[0, joint, :3]) + 0.1 * rng.normal(size=(links, 3, 4)) * rng.integers(0, 2)
+    return T, joint, begun, columns, rng.uniform(0.0, 0.3, links)
+
+
+def line_ahead(rng: Rng) -> Arguments:
+    n, classes = joints(rng), some(rng, 6)
+    travel, q, v = rng.uniform(0.0, 5.0, (classes, n)), rng.normal(size=n), rng.normal(size=n) * rng.integers(0, 2)
+    furthest = rng.uniform(1.0, 5.0, n) * rng.choice([0.01, 1.0])
+    return (
+        q, v, q + 0.3 * v, rng.uniform(0.001, 0.1, n), rng.uniform(0.5, 2.0, n), travel, furthest,
+        rng.integers(0, 2, n).astype(float), (0.011, 0.02, 4),
+    )  # fmt: skip
+
+
+def box_urgency(rng: Rng) -> Arguments:
+    links, classes, every = 1 + some(rng, 8), 1 + some(rng, 5), 1 + some(rng)
+    return (
+        rng.uniform(0.0, 0.3, (1 + some(rng, 4), links)), rng.uniform(0.1, 1.0, links), rng.uniform(-0.1, 1.0, links),
+        rng.uniform(0.0, 0.2, links), rng.uniform(0.0, 0.5, links), rng.integers(0, 2, links).astype(float),
+        rng.integers(0, classes, links), *rng.uniform(0.0, 0.1, (3, classes)), 0.3,
+        rng.integers(0, every, 3 * links), rng.uniform(0.0, 1.0, every), rng.uniform(0.0, 0.2, classes),
+        rng.uniform(0.0, 1.0, every), rng.uniform(0.0, 0.2, classes), (0.05, 0.2, 0.02),
+    )  # fmt: skip
+
+
+def margins_now(rng: Rng) -> Arguments:
+    every, classes = 1 + some(rng), 1 + some(rng, 6)
+    pairs, distance = chosen(rng, every), rng.uniform(0.0, 0.5, every)
+    return (
+        pairs,
+        distance,
+        rng.uniform(0.0, 0.2, every),
+        rng.integers(0, classes, every),
+        rng.uniform(0.0, 0.2, classes),
+    )
+
+
+def stalest_pair(rng: Rng) -> Arguments:
+    pairs, distance, clearance, classes, odometer = margins_now(rng)
+    renewed = odometer[classes] - rng.choice([0.001, 0.01, 0.1]) * rng.uniform(0.0, 1.0, len(distance))
+    pairs, first, far = pairs if len(pairs) else np.zeros(1, np.intp), bool(rng.integers(2)), bool(rng.integers(2))
+    return pairs, distance, clearance, renewed, classes, odometer, first, far, (0.1, 0.02, 0.05)
+
+
+def off_turned_box(rng: Rng) -> Arguments:
+    points = 2.0 * rng.normal(size=(3, some(rng)))
+    return points, rotation(rng), rng.normal(size=3), rng.uniform(0.0, 1.0, 3), rng.uniform(0.0, 0.3)
+
+
+def cells_of_tiles(rng: Rng) -> Arguments:
+    """Of cells in a heap of tiles, some of them empty."""
+    counts = rng.integers(1, 6, 3)
+    number = chosen(rng, int(counts.prod()))
+    start = np.append(0, rng.integers(1, 5, len(number)).cumsum())
+    low = 3.0 * rng.normal(size=3)
+    _, R, of_link, half, radius = off_turned_box(rng)
+    return (
+        low, low + rng.uniform(0.0, 4.0, 3), rng.normal(size=3) - 2.0, rng.uniform(0.0, 0.2, 3), 0.7, counts, number,
+        start, 2.0 * rng.normal(size=(3, len(number))), rng.uniform(0.0, 0.5, len(number)), R, of_link, half, radius,
+        rng.choice([0.5, 3.0, np.inf]),
+    )  # fmt: skip
+
+
+def cells(rng: Rng) -> Arguments:
+    cubes, triangles = (some(rng) * int(rng.integers(2)) for _ in range(2))
+    return rng.normal(size=(3, cubes)), rng.uniform(0.0, 0.3, cubes), rng.normal(size=(3, 3, triangles))
+
+
+def split_by_plane(rng: Rng) -> Arguments:
+    middle, half, corners = cells(rng)
+    while not len(half) and not corners.shape[2]:
+        middle, half, corners = cells(rng)
+    nearest = int(rng.integers(len(half) + corners.shape[2]))
+    return rotation(rng)[0], nearest, rng.choice([1e-9, 0.5]), middle, half, corners
+
+
+def extent_along(rng: Rng) -> Arguments:
+    return rotation(rng), *cells(rng)
+
+
 def refused_velocity(rng: Rng) -> Arguments:
     n = joints(rng)
     v = rng.normal(size=n)
@@ -275,10 +361,11 @@ def chain_placements(rng: Rng) -> Arguments:
 
 
 SOURCES: list[Callable[[Rng], Arguments]] = [
-    approach_rates, blended_points, bounds_after, chain_placements, changes_of_end, corner_gaps, damped_steps,
-    force_on_hand, keep_placements, near_now, near_rows, nearest_safe_program, not_proven, pairs_within, place_tip,
-    placed_arrays, plane_rows, quick_terms, reach_of_lead, reachable_velocities, read_results, refused_velocity,
-    step_conditions, straight_towards, unproven_of_near,
+    approach_rates, blended_points, bounds_after, box_urgency, cells_of_tiles, chain_placements, changes_of_end,
+    corner_gaps, damped_steps, extent_along, force_on_hand, keep_placements, line_ahead, margins_now, near_now,
+    near_rows, nearest_safe_program, not_proven, off_turned_box, pairs_within, place_tip, placed_arrays, plane_rows,
+    quick_terms, reach_of_lead, reachable_velocities, read_results, refused_velocity, split_by_plane, stalest_pair,
+    step_conditions, straight_towards, unproven_of_near, ways_of_links,
 ]  # fmt: skip
 
 
@@ -337,7 +424,7 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
                 swapped = one.astype(one.dtype.newbyteorder())  # as on a machine of the other byte order
                 wrong: list[Any] = [one.astype(np.float32), one[None], swapped]
                 if one.dtype.kind == "i" and len(one):
-                    wrong += [one - 10**6, one + 10**6] if source is not pairs_within else []
+                    wrong += [one - 10**6, one + 10**6] if source not in (pairs_within, cells_of_tiles) else []
                 for other in wrong:
                     refused += 1
                     with pytest.raises((TypeError, ValueError, IndexError)):

@@ -22,6 +22,7 @@ from scipy.spatial import ConvexHull
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.machine import TipTarget, solve_inverse_kinematics
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import plan_problem
 from backhoe_planner.show import plan_page
@@ -36,6 +37,8 @@ ROCK = (2.6, -4.2, 0.4)  # m: where the mesh stands
 _CLEARANCE = 0.1  # m
 _NEAR = 0.5  # m beyond a link, within which points are looked at
 _EVERY = 5  # of so many samples of a motion one is checked
+_PITCHES, _ATTEMPTS = 360, 10  # steps of pitch by which a goal's postures are looked through, and starts for each
+_BLOCK = 50  # steps that one servo takes before the next one's turn
 _EXTENT = 15.0  # m to all sides of a scan
 _SIZE = 50.0  # m, edge of a terrain
 _PLAIN: tuple[dict[str, Any], ...] = (
@@ -169,43 +172,62 @@ def least_gap(robot: bp.Robot, motion: Matrix, points: Matrix) -> float:
     return least
 
 
+def widest_gap(robot: bp.Robot, goal: Vector, points: Matrix) -> float:
+    """The largest `least_gap` of all postures that put the tip at a goal (3,), by steps of pitch [m].
+
+    Minus infinity where none does.
+    """
+    pitches = np.linspace(-np.pi, np.pi, _PITCHES, endpoint=False)
+    found = [
+        solve_inverse_kinematics(robot, TipTarget(goal, pitch=(pitch, pitch)), attempts=_ATTEMPTS) for pitch in pitches
+    ]
+    gaps = [least_gap(robot, one.q[None], points) for one in found if one.reached]
+    return max(gaps, default=-np.inf)
+
+
 @dataclass(frozen=True)
 class Cost:
-    """What a site costs on the processor, beside planning.
+    """What a site costs on the processor, beside planning and steps.
 
     Attributes
     ----------
     intake: to take it in [s].
-    steps: (steps,) of the servo [us].
     memory: the most that the process has had by then [MB].
     page: of one plan [MB].
+    servo: beside it.
     """
 
     intake: float
-    steps: Vector
     memory: float
     page: float
+    servo: bp.Servo
 
 
-def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vector, steps: int, seed: int) -> Cost:
-    """The cost of the yard with these kinds of surveys.
-
-    Parameters
-    ----------
-    goal: (3,) to which one motion is planned [m].
-    steps: of the servo.
-    """
+def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vector) -> Cost:
+    """The cost of the yard with these kinds of surveys, and of one motion to a goal (3,) [m]."""
     scene = site_scene(survey, goal, kinds=kinds)
     begun = time.process_time()
     problem = build_problem(robot, scene)
     intake = time.process_time() - begun
     page = len(plan_page(plan_problem(problem))[0]) / 1e6
     servo = bp.Servo(robot, scene)
+    return Cost(intake, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page, servo)
+
+
+def drive_in_turn(servos: Sequence[bp.Servo], *, steps: int, seed: int) -> Matrix:
+    """(S, steps) processor times of the steps of servos that are told the same [us].
+
+    Some steps of each in turn, so that what else the computer does slows all of them alike.
+    """
     gc.collect()
     gc.freeze()  # as a program that keeps a clock does: else Python looks through all that is loaded now and then
-    taken = ServoDrive(servo, 0, np.random.default_rng(seed)).take(steps).whole
+    drives = [ServoDrive(servo, 0, np.random.default_rng(seed)) for servo in servos]
+    taken: list[list[Vector]] = [[] for _ in drives]
+    for _ in range(max(steps // _BLOCK, 1)):
+        for drive, times in zip(drives, taken, strict=True):
+            times.append(drive.take(_BLOCK).whole)
     gc.unfreeze()
-    return Cost(intake, taken, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page)
+    return np.array([np.concatenate(times) for times in taken])
 
 
 @dataclass(frozen=True)
@@ -217,7 +239,8 @@ class PlanCosts:
     seconds: (G, S) to plan, without taking the site in [s].
     durations: (G, S) of the plans that are verified, nan of the others [s].
     least_gap: (S,) of all verified plans from the raw points [m]; infinite where nothing was surveyed.
-    blocked: (G, S) whether a raw point is nearer to the goal than the clearance, so that the tip cannot be there.
+    blocked: (G, S) whether no posture with the tip at the goal keeps the clearance from the raw points; of goals to
+        which a plan was verified it is not asked.
     """
 
     seconds: Matrix
@@ -255,7 +278,12 @@ def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]],
         row[0] = 0.5 * (row[0] + _timed(robot, site_scene(survey, goal, kinds=()))[0])
         seconds.append(row)
         durations.append(lasts)
-        blocked.append([bool((np.linalg.norm(points - goal, axis=1) < _CLEARANCE).any()) for points in raw])
+        blocked.append(
+            [
+                not np.isfinite(taken) and widest_gap(robot, goal, points) < _CLEARANCE
+                for taken, points in zip(lasts, raw, strict=True)
+            ]
+        )
     return PlanCosts(np.array(seconds[1:]), np.array(durations[1:]), gaps, np.array(blocked[1:]))
 
 

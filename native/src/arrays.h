@@ -74,16 +74,18 @@ void solve_cholesky(const double *L, int n, double *b);
 /* symmetric A (n, n): its eigenvalues on the diagonal and its eigenvectors as columns of U, by Jacobi's rotations; or -1 */
 int eigenvectors(double *A, int n, double *U);
 
-/* All functions that Python sees, by the files that they stand in: kinematics, pairs, law, shield, servo. */
+/* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo. */
 #define FUNCTIONS(F) \
     F(placed_arrays) F(keep_placements) F(place_tip) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
     F(unproven_of_near) \
     F(quick_terms) \
     F(damped_steps) F(chain_placements) \
+    F(off_turned_box) F(cells_of_tiles) F(split_by_plane) F(extent_along) \
     F(step_conditions) F(nearest_safe_program) \
     F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(corner_gaps) \
-    F(blended_points) F(plane_rows) F(refused_velocity) F(force_on_hand)
+    F(blended_points) F(plane_rows) F(margins_now) F(stalest_pair) F(line_ahead) F(box_urgency) \
+    F(ways_of_links) F(refused_velocity) F(force_on_hand)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

@@ -14,6 +14,10 @@ from backhoe_planner.live import Placements
 
 # opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
 from backhoe_planner.live.braking import pair_bounds
+from backhoe_planner.live.braking.box_places import MOST_PARTS, Line, box_urgency
+from backhoe_planner.live.braking.braking_path import JointState
+from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
+from backhoe_planner.live.braking.pair_choice import stalest_pair
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
@@ -66,12 +70,15 @@ def test_a_scan_that_is_moved_away_frees_the_way(backhoe: Robot) -> None:
 def test_a_scan_that_comes_is_evaded(backhoe: Robot) -> None:
     servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
     rng = np.random.default_rng(3)
-    servo.add_points("truck", rng.uniform([3.0, 2.0, 0.0], [5.0, 2.5, 2.0], (30_000, 3)), resolution=0.1)
+    servo.add_points("truck", rng.uniform([3.0, 1.5, 0.0], [5.0, 2.0, 2.0], (30_000, 3)), resolution=0.1)
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    assert float(np.min(gauge.distances(np.array(START)))) > 0.9  # further away than boxes are found
     servo.set_velocity("truck", [0.0, -0.15, 0.0])
-    for _ in range(800):
+    for _ in range(1000):
         state = servo.step([0.0, 0.0, 0.0])
         assert servo.last_error is None
     gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    assert float(np.min(gauge.distances(np.array(START)))) < 0.0
     assert float(np.min(gauge.distances(state.q))) > 0.0
 
 
@@ -121,18 +128,91 @@ def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
 
     def count(self: Separation, *args: Any, **kwargs: Any) -> np.ndarray:
         measured[-1] += 1
-        return find(self, *args, **kwargs)
+        return put(self, *args, **kwargs)
 
-    find = Separation.find_boxes
-    monkeypatch.setattr(Separation, "find_boxes", count)
+    put = Separation.put_boxes
+    monkeypatch.setattr(Separation, "put_boxes", count)
     for kind in (Tiles, DistanceGrid, GridFrame):
         monkeypatch.setattr(kind, "__init__", must_not)
     for _ in range(1500):
         measured.append(0)
-        servo.step([0.2, 0.6, -0.5])
+        servo.step([0.4, 1.2, -1.0])
         assert servo.last_error is None
     assert sum(measured) > 5
     assert max(measured) <= 2
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.01])
+def test_no_link_comes_further_than_its_line_in_some_steps_and_braking_after_them(backhoe: Robot, dt: float) -> None:
+    """At any velocities that the accelerations allow, and wherever braking begins."""
+    servo, steps, rng = Servo(backhoe, scene_from_dict(SCENE), dt=dt), 10, np.random.default_rng(8)
+    servo.add_points("scan", ground_and_wall(rng), resolution=0.1)
+    separation, joints, at = servo._separation, servo._joints, Placements(backhoe, MOST_PARTS + 1)
+    tightest = np.inf
+    for _ in range(30):
+        q, v = backhoe.random_q(rng), rng.uniform(-0.7, 0.7, 4) * servo.limits.velocity
+        begun = JointState(q, v, q + 0.5 * joints.braking_time(v) * v)
+        line = Line.ahead(
+            begun, joints, steps,
+            travel=separation.travel, furthest=separation.furthest, turning=separation.turning,
+        )  # fmt: skip
+        for sample, end in enumerate(line.ends):
+            at.place(sample, end)
+        bound = [
+            separation.places.way_of(one, at.T[: len(line.ends)]) + float(line.beside[one.classes])
+            for one in separation.clusters
+        ]
+        corners = [placed_corners(separation, one, at, q) for one in separation.clusters]
+        push = rng.choice([-1.0, 0.0, 1.0], 4)
+        for _ in range(int(rng.integers(1, steps + 2))):
+            v = v + push * joints.change * rng.uniform(0.9, 1.0)
+            q = q + dt * v
+        for part in (0.0, 0.4, 1.0):  # of the braking way
+            after = q + part * 0.5 * joints.braking_time(v) * v
+            for one, most, here in zip(separation.clusters, bound, corners, strict=True):
+                moved = float(np.linalg.norm(placed_corners(separation, one, at, after) - here, axis=1).max())
+                assert moved <= most
+                tightest = min(tightest, most - moved)
+                assert most < line.way[one.classes] + 0.05
+    assert tightest < 0.1
+
+
+def placed_corners(separation: Separation, one: ClusterPairs, at: Placements, q: np.ndarray) -> np.ndarray:
+    """(V, 3) corners of a link in the world [m]."""
+    at.place(MOST_PARTS, q)
+    T = at.T[MOST_PARTS, separation.own_pieces[one.piece].joint]
+    return np.asarray(one.own.hull @ T[:3, :3].T + T[:3, 3])
+
+
+def test_how_urgent_it_is_to_find_boxes_anew_by_hand() -> None:
+    """Of links with 25 cm left, near by and moved, with nothing left, and not there."""
+    rules, pairs = (0.05, 0.2, 0.02), np.arange(4)
+    found = box_urgency(
+        np.array([[0.05, 0.05, 0.05, 0.05], [0.1, 0.1, 0.4, 0.4]]), np.full(4, 0.5), np.array([0.5, 0.1, 0.1, 0.1]),
+        np.full(4, 0.1), np.zeros(4), np.array([1.0, 1.0, 1.0, 0.0]), np.zeros(4, dtype=np.intp),
+        np.array([0.05]), np.array([0.1]), np.array([0.1]), 0.3, pairs, np.array([1.0, 0.2, 1.0, 1.0]),
+        np.zeros(1), np.array([1.0, 0.2, 1.0, 1.0]), np.zeros(1), rules,
+    )  # fmt: skip
+    # left: 0.5 - 0.1 - 0.1 - 0.05; moved: 0.05 of the 0.02 that is a fifth of 0.1
+    np.testing.assert_allclose(found, [0.02 / 0.25, 2.5, np.inf, 0.0])
+
+
+def test_which_plane_is_measured_anew_by_hand() -> None:
+    """Pairs at 0.3, 0.05 and 0.18 m of margin that have moved by 5, 1 and 4 cm since they were measured."""
+    pairs, distance, clearance = np.array([0, 1, 2]), np.array([1.4, 1.15, 1.28]), np.full(3, 0.1)
+    renewed, classes, odometer = np.array([0.95, 0.99, 0.96]), np.zeros(3, dtype=np.intp), np.ones(1)
+
+    def chosen(*, nearest_first: bool, far: bool, close: float = 0.1, least: float = 0.1) -> int:
+        rules = close, 0.02, least
+        return stalest_pair(pairs, distance, clearance, renewed, classes, odometer, nearest_first, far, rules)
+
+    # 0.05 / 0.32 = 0.156, 0.01 / 0.07 = 0.143, 0.04 / 0.2 = 0.2
+    assert chosen(nearest_first=False, far=False) == 2
+    assert chosen(nearest_first=True, far=False) == 1
+    assert chosen(nearest_first=True, far=False, least=0.15) == 2
+    assert chosen(nearest_first=True, far=False, least=0.25) == -1
+    assert chosen(nearest_first=True, far=False, close=0.01) == -1
+    assert chosen(nearest_first=True, far=True, close=0.01) == 2
 
 
 def test_how_far_a_link_is_from_where_its_boxes_were_found(backhoe: Robot) -> None:
@@ -141,12 +221,12 @@ def test_how_far_a_link_is_from_where_its_boxes_were_found(backhoe: Robot) -> No
     servo.add_points("scan", ground_and_wall(np.random.default_rng(5)), resolution=0.1)
     separation, at, q = servo._separation, Placements(backhoe, 1), np.array(START)
     at.place(0, q)
-    np.testing.assert_allclose(separation.moved_since_boxes(at), 0.0, atol=1e-12)
+    np.testing.assert_allclose(separation.places.moved(at.T[:1])[0], 0.0, atol=1e-12)
     data = backhoe.model.createData()
     pin.forwardKinematics(backhoe.model, data, q)
     for angle in (0.02, -0.3, 1.0):
         at.place(0, q + np.array([angle, 0.0, 0.0, 0.0]))
-        moved = separation.moved_since_boxes(at)
+        moved = separation.places.moved(at.T[:1])[0]
         for one, far in zip(separation.counting_clusters, moved.tolist(), strict=True):
             own = separation.own_pieces[one.piece]
             corners = np.array([data.oMi[own.joint].act(corner) for corner in own.piece.hull])
@@ -212,11 +292,11 @@ def test_boxes_found_bit_by_bit_are_those_found_at_once_and_bound_what_the_machi
             at.place(0, later)
             bounds.advance(later - q, None)
             while bounds.searches:
-                bounds.search_on(at, servo._check.path(later, np.zeros(4), step=False), 1)
+                bounds.search_on(at, servo._check.path(later, np.zeros(4), step=False))
                 bits += 1
             assert (one.covered, one.nearest) == (covered, nearest)
             assert (bounds.lower()[one.pairs] <= once).all()
-            moved = separation.moved_since_boxes(at)[separation.counting_clusters.index(one)]
+            moved = separation.places.moved(at.T[:1])[0][separation.counting_clusters.index(one)]
             assert 0.0 < moved < 0.5
             pair = next(number for number, own in enumerate(gauge.pairs) if own.piece == one.piece)
             true = gauge.distance_of(pair, later)

@@ -12,7 +12,6 @@ in none of them is at least that far away, less what the link has moved since.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -25,10 +24,7 @@ from backhoe_planner.machine import Around, Cluster, Part, Piece
 
 SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
 _REST = 1  # of these, for what is left where it takes more
-_NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
-_CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _ROOM = 0.05  # m beyond the clearance that boxes should cover at least; chosen
-_LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
 
 
 class BoxSearch(NamedTuple):
@@ -48,7 +44,7 @@ class BoxSearch(NamedTuple):
     bits: Iterator[Around | None]
 
 
-@dataclass
+@dataclass(eq=False)
 class ClusterPairs:
     """What one link's piece has around it of one cluster.
 
@@ -171,19 +167,3 @@ class ClusterPairs:
         """The boxes that a search has found; `found_at` (3, 4) is where the body was when it began."""
         self.found_at = found_at
         return self._take(found, reach)
-
-    def urgency(self, moved: float, needed: float, time: float) -> float:
-        """How much the boxes have to be found anew: from 1 on they should be, infinite where they must.
-
-        Parameters
-        ----------
-        moved: how far any point of the piece is from where it was when they were found, at most [m].
-        needed: how far the link may move until this is asked again, and braking after it [m].
-        time: how long that takes [s].
-        """
-        left = self.covered - moved - self.clearance - needed - self.speed * time
-        if left <= 0.0:
-            return math.inf
-        ahead = self.nearest - moved - self.clearance
-        is_near = ahead < _NEAR + needed
-        return max(moved / max(_LEAST, _CLOSE * self.nearest) if is_near else 0.0, _LEAST / left)

@@ -77,11 +77,6 @@ class JointBounds:
         """Time in which all joints, slowing in proportion from v (n,), come to rest [s]."""
         return float((np.abs(v) / self.acceleration).max())
 
-    def longest_way(self, v: Vector, steps: int) -> Vector:
-        """(n,) how far joints can go from v (n,) in so many steps and one more, and braking after it [rad or m]."""
-        speed = np.abs(v) + (steps + 1) * self.change
-        return np.asarray(speed * ((steps + 1) * self.dt + 0.5 * self.braking_time(speed)))
-
     def towards(self, wish: Vector, v: Vector) -> Vector:
         """(n,) the next velocity straight from v (n,) to the wish (n,), as far as acceleration allows."""
         return straight_towards(wish, v, self.changes)

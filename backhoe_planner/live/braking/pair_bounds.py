@@ -17,13 +17,14 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Vector
+from backhoe_planner.live.braking.box_places import KnownDistances
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
+from backhoe_planner.live.braking.pair_choice import margins_now, near_now, not_proven, stalest_pair
 from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.live.braking.step_work import MOST_NEAR
-from backhoe_planner.native import compiled
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
@@ -37,8 +38,9 @@ _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundr
 _SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
 _TIGHT = 0.05  # the same, where boxes are to show what the cells show; chosen, with none there are many
 _ROOM = 0.1  # m that boxes have to keep more than they must before their planes are not looked at; chosen
-_EMPTY = np.zeros(0)
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
+_MOVED = 0.1  # of the margin and that: chosen, planes are renewed after 2 mm at a wall, and 2 cm at 0.2 m from it
+_STALE = CLOSE, _URGENT, _MOVED
 
 
 class Near(NamedTuple):
@@ -115,7 +117,7 @@ class PairBounds:
         # over the braking path and at its start, each and what the odometer had counted
         self._proven, self._distance = np.full(count, -FAR), np.full(count, -FAR)
         self.required = separation.clearance.copy()
-        self._renewed_at = np.zeros(count, dtype=np.int64)
+        self._renewed_at = np.full(count, -np.inf)  # what the odometer had counted when a pair was measured last
         # margins within which a pair is looked at, and within which it slows the machine down
         self._reach, self._slow_from = np.full(count, influence), np.zeros(count)
         self.inside: Indices = np.zeros(0, dtype=np.intp)
@@ -140,7 +142,7 @@ class PairBounds:
         far = np.full(count, -FAR)
         self._proven, self._distance = np.append(self._proven, far), np.append(self._distance, far)
         self.required = np.append(self.required, self._separation.clearance[pairs])
-        self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
+        self._renewed_at = np.append(self._renewed_at, np.full(count, -np.inf))
         self._slow_from = np.append(self._slow_from, slow)
         self._reach = np.append(self._reach, np.maximum(slow, self._influence))
 
@@ -175,15 +177,16 @@ class PairBounds:
         """Let the obstacles move on for a step."""
         self._distance -= self._per_step
         self._proven -= self._per_step_on_path
+        self._renewed_at -= self._per_step
         self._around.until -= self._furthest_step
         self._around_path.until -= self._furthest_step
 
-    def measure(self, pairs: Indices, path: BrakingPath, at: Placements, step: int) -> None:
+    def measure(self, pairs: Indices, path: BrakingPath, at: Placements) -> None:
         """Measure pairs that are new or were moved, and note their distances over the braking path."""
         separation = self._separation
         self._search = None
         self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
-        self._renewed_at[pairs] = step
+        self._note_renewed(pairs)
         parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
         bound = np.concatenate([separation.proven_on(part, path, at, path.time) for part in parts])
         self.set_proven(pairs, bound)
@@ -216,20 +219,19 @@ class PairBounds:
         self.find_inside()
         return np.asarray(pairs[~clear])
 
-    def prepare(self, pairs: Indices, at: Placements, step: int) -> None:
-        """Measure a few of the pairs (K,) of a load that is carried soon, those that were measured longest ago first.
+    def prepare(self, pairs: Indices, at: Placements) -> None:
+        """Measure a few of the pairs (K,) of a load that is carried soon, those that have moved most since first.
 
         Only those that may be near, by the placements' row 0.
         """
         separation = self._separation
         near = pairs[self.lower()[pairs] < separation.full_clearance[pairs] + _PREPARED_WITHIN]
-        for pair in near[np.argsort(self._renewed_at[near], kind="stable")[:_PREPARED_AT_ONCE]].tolist():
+        moved = self._start_odometer[separation.classes[near]] - self._renewed_at[near]
+        for pair in near[np.argsort(-moved, kind="stable")[:_PREPARED_AT_ONCE]].tolist():
             self.set_distance(np.array([pair]), np.array([separation.renew(pair, at, 0)]))
-            self._renewed_at[pair] = step
+            self._note_renewed(pair)
 
-    def find_boxes(
-        self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None, step: int = 0
-    ) -> None:
+    def find_boxes(self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None) -> None:
         """Find anew the boxes that stand for a cluster around a link, by the placements' row 0.
 
         Parameters
@@ -241,9 +243,9 @@ class PairBounds:
         if self._search is not None and self._search[0].one is one:
             self._search = None  # of before
         kept = float(self.required[one.pairs].min())
-        self._put_boxes(one, at, reach, step, is_new=path is None)
+        self._put_boxes(one, at, reach, is_new=path is None)
         if path is not None:
-            self._prove_boxes(one, kept, at, reach=reach, path=path, step=step)
+            self._prove_boxes(one, kept, at, reach=reach, path=path)
 
     def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
         """Begin to find the same boxes bit by bit in the steps to come; False where that has to be done at once."""
@@ -258,7 +260,7 @@ class PairBounds:
         """Whether boxes are being found bit by bit."""
         return self._search is not None
 
-    def search_on(self, at: Placements, path: BrakingPath, step: int) -> None:
+    def search_on(self, at: Placements, path: BrakingPath) -> None:
         """Do the next bit, with parameters as for `find_boxes`; the last one puts the boxes there."""
         assert self._search is not None
         search, odometer = self._search
@@ -269,22 +271,20 @@ class PairBounds:
         one, kept = search.one, float(self.required[search.one.pairs].min())
         boxes = one.take(found, search.reach, search.found_at)
         if one.nearest <= 0.0:  # what is in something takes more than that
-            self.find_boxes(one, at, reach=search.reach, path=path, step=step)
+            self.find_boxes(one, at, reach=search.reach, path=path)
             return
         came = float(self._start_odometer[one.classes]) - odometer
         self.set_distance(one.pairs, self._separation.put_boxes(one, boxes) - came)
-        self._renewed_at[one.pairs] = step
-        self._prove_boxes(one, kept, at, reach=search.reach, path=path, step=step)
+        self._note_renewed(one.pairs)
+        self._prove_boxes(one, kept, at, reach=search.reach, path=path)
 
-    def _prove_boxes(
-        self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath, step: int
-    ) -> None:
+    def _prove_boxes(self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath) -> None:
         """Note what is proven of new boxes over the present braking path.
 
         Parameters
         ----------
         kept: what the boxes before have to keep at least [m].
-        at, reach, path, step: as for `find_boxes`.
+        at, reach, path: as for `find_boxes`.
         """
         separation, pairs = self._separation, one.pairs
         bound = self._distance_of(pairs) - float(separation.travel[one.classes].dot(np.abs(path.delta)))
@@ -294,9 +294,9 @@ class PairBounds:
             if bound.min() < kept - TOLERANCE:
                 # at the path's end a box is nearer than all cells are: tighter ones, where they hold as much
                 covered = one.covered
-                self._put_boxes(one, at, reach, step, slack=_TIGHT)
+                self._put_boxes(one, at, reach, slack=_TIGHT)
                 if one.covered < covered:
-                    self._put_boxes(one, at, reach, step)
+                    self._put_boxes(one, at, reach)
                 bound = separation.proven_on(pairs, path, at, path.time)
         self.set_proven(pairs, bound)
         # boxes may hold more than the cells do: what was proven of the cells stays proven
@@ -304,7 +304,7 @@ class PairBounds:
         self.find_inside()
 
     def _put_boxes(
-        self, one: ClusterPairs, at: Placements, reach: float, step: int, *, is_new: bool = False, slack: float = _SLACK
+        self, one: ClusterPairs, at: Placements, reach: float, *, is_new: bool = False, slack: float = _SLACK
     ) -> None:
         """Let the boxes of a cluster around a link be those that are found now, and note their distances."""
         found = self._separation.find_boxes(
@@ -312,25 +312,12 @@ class PairBounds:
             is_new=is_new, slack=slack,
         )  # fmt: skip
         self.set_distance(one.pairs, found)
-        self._renewed_at[one.pairs] = step
+        self._note_renewed(one.pairs)
 
-    def most_urgent(self, at: Placements, needed: Vector, time: float) -> tuple[ClusterPairs | None, float]:
-        """The link whose boxes should be found anew before all others, and how urgent that is; see `ClusterPairs`.
-
-        Parameters
-        ----------
-        at: the machine is placed in row 0.
-        needed: (C,) how far points of each class may move until this is asked again, and braking after it [m].
-        time: how long that takes [s].
-        """
-        most, urgency = None, 1.0
-        clusters, needs = self._separation.counting_clusters, needed.tolist()
-        moved = self._separation.moved_since_boxes(at).tolist() if clusters else []
-        for one, way in zip(clusters, moved, strict=True):
-            found = one.urgency(way, needs[one.classes], time)
-            if found >= urgency:
-                most, urgency = one, found
-        return most, urgency
+    @property
+    def known(self) -> KnownDistances:
+        """What is known of all distances; to be read only."""
+        return KnownDistances(self._distance, self._start_odometer, self._proven, self._path_odometer)
 
     def find_inside(self) -> None:
         """Find the pairs of what stands that are closer than allowed."""
@@ -462,28 +449,32 @@ class PairBounds:
         self._seen = self._seen[0], self._seen[1] - most
 
     def renew(self, near: Near, at: Placements, step: int) -> None:
-        """Measure one plane anew every few steps, by the placements' row 0."""
+        """Measure one plane anew every few steps, by the placements' row 0.
+
+        The nearer it is and the further it has moved since, the sooner; and every other time the nearest of all. Of
+        what has hardly moved for its margin none.
+        """
         if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
             return
-        # not near.margin: some pairs were measured since the beginning of the step
-        margin = self._distance_of(near.pairs) - self._separation.clearance.take(near.pairs)
-        nearest = int(margin.argmin())
-        close = margin[nearest] <= CLOSE
-        if not close and step % _FAR_RENEWED_EVERY:
+        separation = self._separation
+        turn, far = step // _NEAR_RENEWED_EVERY % 2 > 0, step % _FAR_RENEWED_EVERY == 0
+        pair = stalest_pair(  # not near.margin: some pairs were measured since the beginning of the step
+            near.pairs, self._distance, separation.clearance, self._renewed_at, separation.classes,
+            self._start_odometer, turn, far, _STALE,
+        )  # fmt: skip
+        if pair < 0:
             return
-        # the nearer and the older, the sooner; and every other time the nearest of all
-        value = (step - self._renewed_at[near.pairs]) / (_URGENT + np.maximum(margin, 0.0))
-        turn = step // _NEAR_RENEWED_EVERY % 2
-        pair = int(near.pairs[nearest if close and turn else value.argmax()])
-        self._distance[pair] = (
-            self._separation.renew(pair, at, 0) + self._start_odometer[self._separation.classes[pair]]
-        )
-        self._renewed_at[pair] = step
+        self._distance[pair] = separation.renew(pair, at, 0) + self._start_odometer[separation.classes[pair]]
+        self._note_renewed(pair)
         self._seen = None, 0.0
+
+    def _note_renewed(self, pairs: Indices | int) -> None:
+        """Pairs (K,) were measured in this step."""
+        self._renewed_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
 
     def renew_soon(self, pairs: Indices) -> None:
         """Let these pairs be measured soon: their planes are from elsewhere than where the machine is."""
-        self._renewed_at[pairs] = 0
+        self._renewed_at[pairs] = -np.inf
 
     # --- after it ------------------------------------------------------------------------
 
@@ -493,8 +484,7 @@ class PairBounds:
         if len(pairs) == 0:
             return -1, math.inf
         separation = self._separation
-        margins = self._distance_of(pairs)
-        margins -= separation.clearance.take(pairs)
+        margins = margins_now(pairs, self._distance, separation.clearance, separation.classes, self._start_odometer)
         row = int(margins.argmin())
         pair, margin = int(pairs[row]), float(margins[row])
         if near.next >= 0:
@@ -528,43 +518,3 @@ class PairBounds:
             return -1, math.inf
         pair = int(margins.argmin())
         return pair, float(margins[pair])
-
-
-@compiled
-def near_now(
-    distance: Vector, within: Vector, pairs: Indices, classes: Indices, odometer: Vector, /
-) -> tuple[Indices, Vector, Vector]:
-    """Those (K,) of `pairs` (M,) that may be near, their lower bounds (K,) and what their odometers say (K,) [m].
-
-    Parameters
-    ----------
-    distance: (P,) lower bounds of all pairs, and what the odometer had counted [m]; within: (P,) what is near [m].
-    classes: (M,) rows of the odometer (C,) for the `pairs`.
-    """
-    counted = odometer.take(classes)
-    lower = distance.take(pairs)
-    lower -= counted
-    rows = (lower < within.take(pairs)).nonzero()[0]
-    if len(rows) == 0:
-        return rows, _EMPTY, _EMPTY
-    return pairs.take(rows), lower.take(rows), counted.take(rows)
-
-
-@compiled
-def not_proven(
-    proven: Vector, required: Vector, pairs: Indices, classes: Indices, odometer: Vector, budget: Vector,
-    buffer: float, /,
-) -> Indices:  # fmt: skip
-    """Those of `pairs` (M,) of which too little is proven of the braking path, if it may move by `budget` (C,) [m].
-
-    Parameters
-    ----------
-    proven: (P,) of all pairs, and what the odometer had counted [m]; required: (P,) what must be kept [m].
-    classes: (M,) rows of the odometer (C,) for the `pairs`.
-    buffer: to be kept beyond that [m].
-    """
-    left = proven.take(pairs)
-    left -= required.take(pairs)
-    needed = odometer + budget
-    needed += buffer
-    return pairs.take((left < needed.take(classes)).nonzero()[0])

@@ -20,6 +20,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.live.braking.box_places import BoxPlaces
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import Gaps, Memory, blended_points, corner_gaps, plane_rows
@@ -98,7 +99,7 @@ class Separation:
     furthest: (n,) the largest of `travel` for each joint.
     turning: (n,) 1 for hinges, 0 for slides.
     clusters: the links' pairs with obstacles of thousands of cells; `counting_clusters` without those of loads that
-        are not carried now.
+        are not carried now, and `places` where their boxes were found.
     measured: how many distances were measured so far.
     """
 
@@ -232,7 +233,9 @@ class Separation:
         self.counting_clusters = [
             one for one in self.clusters if self._load_of_piece[one.piece] in (NO_LOAD, self._carried)
         ]
-        self._counting = np.array([one.piece for one in self.counting_clusters], dtype=np.intp)
+        self.places = BoxPlaces(
+            self.clusters, self._joint_of, self._fat, self._columns4, counting=self.counting_clusters
+        )
 
     def _rows_on(self, links: Collection[str] | None) -> list[int]:
         return rows_on(self.robot, self._laden, self._own, links)
@@ -309,22 +312,8 @@ class Separation:
             n = part.reading.normal
             self._keep_plane(pair, n, float((part.piece.hull @ n).min() + n @ shift))
         distance[: len(parts)] = [part.reading.distance for part in parts]
+        self.places.note(one)
         return distance
-
-    def moved_since_boxes(self, at: Placements) -> Vector:
-        """(C,) how far any point of the link is at most from where it was when its boxes were found [m].
-
-        Of each of `counting_clusters`, by the placements' row 0. A point of a piece moves as its place in the frame
-        of the link, so that none in the hull of its corners moves further than a corner.
-        """
-        change = at.T[0, self._joint_of[self._counting], :3]
-        change -= np.array([one.found_at for one in self.counting_clusters])
-        off = np.matmul(change, self._columns4[self._counting])
-        off *= off
-        change = change[..., :3]
-        change *= change
-        turned = self._fat[self._counting] * np.sqrt(np.add.reduce(change, axis=(1, 2)))
-        return np.asarray(np.sqrt(np.add.reduce(off, axis=1).max(axis=1)) + turned)
 
     def _refresh(self) -> None:
         for one in self.clusters:

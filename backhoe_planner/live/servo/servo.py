@@ -30,8 +30,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Vector, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
+from backhoe_planner.live.braking.box_upkeep import BoxUpkeep
 from backhoe_planner.live.braking.braking_path import FINEST_PARTS, JointState, Placements
-from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.own_pieces import NO_LOAD
 from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
@@ -59,8 +59,6 @@ from backhoe_planner.site import (
     swing_sectors,
 )
 
-_BOXES_EVERY = 10  # steps after which boxes of scans are looked at again, where none are due; chosen
-_BOXES_AHEAD = 0.15  # m beyond what counts now, within which boxes of a scan are found; chosen
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
 _LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish; chosen, far above rounding
@@ -126,8 +124,7 @@ class Servo:
         q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
-        self._steps = self._boxes_due = 0
-        self._blocking: ClusterPairs | None = None  # whose boxes may have forbidden the last step
+        self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
         self._refusal = Refusal(dt, self._joints.changes)
@@ -139,6 +136,7 @@ class Servo:
         self._influence = min(scene.influence, _INFLUENCE)
         self._bounds = PairBounds(self._separation, influence=self._influence)
         self._check = PathCheck(self._separation, self._bounds, self._joints, self._at)
+        self._boxes = BoxUpkeep(robot, self._check, influence=self._influence)
         self._tip = TipTask(robot, self._check, influence=self._influence)
         self._recovery = Recovery(robot, self._check)
         self._filter = VelocityFilter(self._check, self._recovery)
@@ -275,7 +273,7 @@ class Servo:
         plain, of_scans = self._separation.pairs_of_load(load)
         self._measure(np.concatenate((self._bounds.carry(plain, path), of_scans)))
         self._check.forget()
-        self._boxes_due, self._blocking = 0, None
+        self._boxes.forget(blocking=True)
         self._recovery.changed()
 
     def prepare_to_carry(self, leg: str | None) -> None:
@@ -290,7 +288,7 @@ class Servo:
         plain, _ = self._separation.pairs_of_load(self._loads.number_of(leg))
         if len(plain):
             self._tip.place(self._state.q)
-            self._bounds.prepare(plain, self._at, self._steps)
+            self._bounds.prepare(plain, self._at)
 
     @property
     def way_to_go(self) -> float | None:
@@ -325,7 +323,7 @@ class Servo:
     def _update_moving(self) -> None:
         """Update which pairs there are and which of them move, and how far in a step."""
         self._check.forget()
-        self._blocking = None
+        self._boxes.forget(blocking=True)
         per_step = self.dt * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later
         self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
@@ -336,14 +334,11 @@ class Servo:
             return
         self._check.forget()
         self._tip.place(self._state.q)
-        self._boxes_due = 0
-        moved = set(pairs.tolist())
-        for one in self._separation.clusters:
-            if not moved.isdisjoint(one.pairs.tolist()):
-                self._bounds.find_boxes(one, self._at, reach=self._reach_of(one))
+        self._boxes.forget()
+        self._boxes.find_for(pairs, self._state)
         path = self._check.path(self._state.q, self._state.v, step=False)
         path.place(self._at)
-        self._bounds.measure(pairs, path, self._at, self._steps)
+        self._bounds.measure(pairs, path, self._at)
         if self._bounds.stands[pairs].any():
             self._recovery.changed()
 
@@ -375,7 +370,7 @@ class Servo:
     def _move(self, command: Command) -> ServoState:
         """Find what is near, the wish and the nearest safe velocity, and take the step."""
         self._drift()
-        if self._separation.clusters and not self._renew_boxes():
+        if self._separation.clusters and not self._boxes.renew(self._state, self._steps):
             return self._brake(command, moved=False)
         near = self._bounds.near(self._state.q, self._at)
         self._check.begin_step(len(near.pairs))
@@ -393,7 +388,7 @@ class Servo:
         )
         chosen = self._filter.choose(self._state, request, near)
         self._bounds.renew(near, self._at, self._steps)
-        self._blocking = self._bounds.tightest_cluster(near) if chosen.end is None else None
+        self._boxes.note(near, held_back=chosen.end is None)
         self._advance(chosen.v, chosen.end)
         return self._report(command, near, wish, request, chosen, pace)
 
@@ -405,60 +400,6 @@ class Servo:
             self._site.drift(self.dt)
             self._bounds.drift()
         self._tip.place(self._state.q)
-
-    def _reach_of(self, one: ClusterPairs) -> float:
-        """Distance from a link within which the cells of a cluster count [m]."""
-        return float(one.clearance + max(self._influence, self._next_path(_BOXES_EVERY)[one.classes]) + _BOXES_AHEAD)
-
-    def _next_path(self, steps: int) -> Vector:
-        """(C,) how far points of each class may move in so many steps and one more, and braking after it [m]."""
-        length = self._joints.longest_way(self._state.v, steps)
-        return np.asarray(self._separation.travel @ np.maximum(length, np.abs(self._state.end - self._state.q)))
-
-    def _most_urgent(self, steps: int) -> tuple[ClusterPairs | None, float]:
-        """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
-        time = self._joints.braking_time(self._state.v) + (steps + 1) * self.dt
-        return self._bounds.most_urgent(self._at, self._next_path(steps), time)
-
-    def _find_boxes(self, one: ClusterPairs) -> None:
-        """Find the boxes of a link and a cluster anew."""
-        path = self._check.path(self._state.q, self._state.v, step=False)
-        self._bounds.find_boxes(one, self._at, reach=self._reach_of(one), path=path, step=self._steps)
-
-    def _renew_boxes(self) -> bool:
-        """Find the boxes of one link and one cluster anew, where that is due; of more where the next step needs them.
-
-        What can wait is found bit by bit in the steps to come, so that none of them takes long.
-
-        False where boxes cannot hold all that the machine could come to: it has to slow down.
-        """
-        if self._blocking is not None:
-            # boxes that were found further away may forbid what the cells allow
-            self._find_boxes(self._blocking)
-            self._blocking = None
-        elif self._bounds.searches:
-            path = self._check.path(self._state.q, self._state.v, step=False)
-            self._bounds.search_on(self._at, path, self._steps)
-        if self._steps < self._boxes_due:
-            return True
-        one, urgency = self._most_urgent(_BOXES_EVERY)
-        if one is None:
-            self._boxes_due = self._steps + _BOXES_EVERY
-            return True
-        if urgency < math.inf:
-            self._boxes_due = self._steps + _BOXES_EVERY
-            if not (self._bounds.searches or self._bounds.search_boxes(one, self._at, reach=self._reach_of(one))):
-                self._find_boxes(one)
-            return True
-        self._find_boxes(one)
-        self._boxes_due = self._steps + 1  # the next step looks whether there are more that cannot wait long
-        for _ in self._separation.clusters:
-            # of the others only those that this step or the next one needs cannot wait
-            one, urgency = self._most_urgent(1)
-            if one is None or urgency < math.inf:
-                return True
-            self._find_boxes(one)
-        return self._most_urgent(1)[1] < math.inf
 
     def _pace_of_sectors(self) -> float:
         """The part of the wished speed that the slow distances of swing sectors leave."""

@@ -210,6 +210,7 @@ class Surroundings:
         for one in self._separation.clusters:
             if one.number == placed.number:
                 one.speed = float(np.linalg.norm(placed.velocity))
+                self._separation.places.note(one)
         self._sort()
         return pairs
 
@@ -218,7 +219,9 @@ class Surroundings:
         self._separation.planes[:, 3] += dt * self._separation.drift
         self._shifts += dt * self._velocities
         for one in self._separation.clusters:
-            one.covered -= dt * one.speed
+            if one.speed > 0.0:
+                one.covered -= dt * one.speed
+                self._separation.places.note(one)
 
     def _find(self, name: str) -> _Placed:
         if check_kind(name, str, key="name") not in self._placed:

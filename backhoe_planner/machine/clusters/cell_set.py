@@ -10,6 +10,7 @@ from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.shape.shapes import Gauge, cube, thin_triangle, transform
+from backhoe_planner.native import compiled
 
 _ROOT3 = 3.0**0.5
 
@@ -77,27 +78,18 @@ class CellSet:
 
     def least_along(self, n: Vector) -> Vector:
         """(K + T,) the least of n . x over each cell [m]."""
-        if not self.corners.shape[2]:
-            return self._least_of_cubes(n)
-        least = np.minimum.reduce(np.matmul(n, self.corners), axis=0)
-        return np.concatenate((self._least_of_cubes(n), least)) if len(self.half) else np.asarray(least)
-
-    def _least_of_cubes(self, n: Vector) -> Vector:
-        x, y, z = n.tolist()
-        return np.asarray(n @ self.middle - (abs(x) + abs(y) + abs(z)) * self.half)
+        return _least_along(n, self.middle, self.half, self.corners)
 
     def extent(self, axes: Matrix) -> tuple[Vector, Vector]:
         """(3,), (3,) how far all of them reach along the columns of `axes` (3, 3) [m]."""
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        if len(self.half):
-            at, more = axes.T @ self.middle, np.multiply.outer(np.add.reduce(np.abs(axes), axis=0), self.half)
-            high = np.maximum.reduce(np.add(at, more), axis=1)
-            low = np.minimum.reduce(np.subtract(at, more, out=at), axis=1)
-        if self.corners.shape[2]:
-            at = np.matmul(axes.T, self.corners)
-            low = np.minimum(low, np.minimum.reduce(at, axis=(0, 2)))
-            high = np.maximum(high, np.maximum.reduce(at, axis=(0, 2)))
-        return low, high
+        return extent_along(axes, self.middle, self.half, self.corners)
+
+    def split(self, n: Vector, nearest: int, slack: float) -> tuple[Indices, Indices, float]:
+        """Which cells lie behind the plane across `n` (3,) before the `nearest` cell, or within `slack` [m] before it.
+
+        These, the others, and how much nearer than the plane the nearest of these is [m], not positive.
+        """
+        return split_by_plane(n, nearest, slack, self.middle, self.half, self.corners)
 
     def measure(self, index: int, gauge: Gauge, shape: object, T: object) -> tuple[float, Vector, Vector, Vector]:
         """The distance of one of them from a convex `shape` at `T`, as `Gauge.measure` gives it."""
@@ -106,6 +98,43 @@ class CellSet:
         else:
             own, there = thin_triangle(self.corners[:, :, index - len(self.half)]), _HERE
         return gauge.measure(shape, T, own, there)
+
+
+def _least_along(n: Vector, middle: Matrix, half: Vector, corners: Array) -> Vector:
+    """(K + T,) the least of n . x over each of the cells of a `CellSet` [m]."""
+    x, y, z = n.tolist()
+    of_cubes = n @ middle - (abs(x) + abs(y) + abs(z)) * half
+    if not corners.shape[2]:
+        return np.asarray(of_cubes)
+    least = np.minimum.reduce(np.matmul(n, corners), axis=0)
+    return np.concatenate((of_cubes, least)) if len(half) else np.asarray(least)
+
+
+@compiled
+def split_by_plane(
+    n: Vector, nearest: int, slack: float, middle: Matrix, half: Vector, corners: Array, /
+) -> tuple[Indices, Indices, float]:
+    """See `CellSet.split`; `middle`, `half` and `corners` are those of the set."""
+    along = _least_along(n, middle, half, corners)
+    plane = float(along[nearest])
+    behind = along >= plane - slack
+    own = behind.nonzero()[0]
+    return own, (~behind).nonzero()[0], min(float(along[own].min()) - plane, 0.0)
+
+
+@compiled
+def extent_along(axes: Matrix, middle: Matrix, half: Vector, corners: Array, /) -> tuple[Vector, Vector]:
+    """See `CellSet.extent`; `middle`, `half` and `corners` are those of the set."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    if len(half):
+        at, more = axes.T @ middle, np.multiply.outer(np.add.reduce(np.abs(axes), axis=0), half)
+        high = np.maximum.reduce(np.add(at, more), axis=1)
+        low = np.minimum.reduce(np.subtract(at, more, out=at), axis=1)
+    if corners.shape[2]:
+        at = np.matmul(axes.T, corners)
+        low = np.minimum(low, np.minimum.reduce(at, axis=(0, 2)))
+        high = np.maximum(high, np.maximum.reduce(at, axis=(0, 2)))
+    return low, high
 
 
 _NONE = np.zeros((3, 0))

@@ -187,18 +187,14 @@ class Cluster:
         while len(off) and len(parts) < most:
             nearest = int(off.argmin())
             distance, n, x_link, x_cell = cells.measure(nearest, gauge, link.shape, T_link)
-            along = cells.least_along(n)
-            plane = float(along[nearest])
-            behind = along >= plane - slack * max(distance, 0.0) - _BEYOND
-            own = behind.nonzero()[0]
+            own, left, before = cells.split(n, nearest, slack * max(distance, 0.0) + _BEYOND)
             part = cells if len(own) == len(off) else cells.only(own)
-            distance += min(float(along[own].min()) - plane, 0.0)
+            distance += before
             box_of = self._box(part, _frame_along(n, link.R), shift)
             parts.append(Part(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift)))
             if part is cells:
                 off = off[:0]
                 break
-            left = (~behind).nonzero()[0]
             cells, off = cells.only(left), off.take(left)
             yield None
         if not len(off):

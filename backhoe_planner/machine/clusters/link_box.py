@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.native import compiled
 
 
 @dataclass(frozen=True)
@@ -28,16 +29,7 @@ class LinkBox:
 
     def off(self, points: Matrix) -> Vector:
         """(k,) signed distance of points (3, k) from it [m]; less than the true one where the link is round."""
-        off = self.R.T @ points
-        off -= self.middle[:, None]
-        np.abs(off, out=off)
-        off -= self.half[:, None]
-        found = np.minimum(np.maximum.reduce(off, axis=0), 0.0)
-        np.maximum(off, 0.0, out=off)
-        off *= off
-        found += np.sqrt(np.add.reduce(off, axis=0))
-        found -= self.radius
-        return np.asarray(found)
+        return off_turned_box(points, self.R, self.middle, self.half, self.radius)
 
 
 class LinkReach(NamedTuple):
@@ -45,3 +37,24 @@ class LinkReach(NamedTuple):
 
     box: LinkBox
     reach: float
+
+
+ANYWHERE = LinkReach(LinkBox(np.eye(3), np.zeros(3), np.zeros(3), 0.0), np.inf)
+
+
+@compiled
+def off_turned_box(points: Matrix, R: Matrix, middle: Vector, half: Vector, radius: float, /) -> Vector:
+    """(k,) how far points (3, k) are off a box along axes R (3, 3), less a radius, negative inside [m].
+
+    middle, half: (3,) of the box along its axes [m].
+    """
+    off = R.T @ points
+    off -= middle[:, None]
+    np.abs(off, out=off)
+    off -= half[:, None]
+    found = np.minimum(np.maximum.reduce(off, axis=0), 0.0)
+    np.maximum(off, 0.0, out=off)
+    off *= off
+    found += np.sqrt(np.add.reduce(off, axis=0))
+    found -= radius
+    return np.asarray(found)

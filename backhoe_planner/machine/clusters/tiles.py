@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.machine.clusters.link_box import LinkReach
+from backhoe_planner.machine.clusters.link_box import ANYWHERE, LinkReach, off_turned_box
+from backhoe_planner.native import compiled
 
 _MOST_ALONG = 2_000  # tiles along an axis; chosen: the numbers of all tiles fit into one integer
 
@@ -45,20 +46,42 @@ class Tiles:
 
         link: cells out of its reach are not needed either.
         """
-        first = np.floor((low - self._spread - self._low) / self._edge).astype(np.int64)
-        last = np.floor((high + self._spread - self._low) / self._edge).astype(np.int64)
-        first, last = np.maximum(first, 0), np.minimum(last, self._counts - 1)
-        if (last < first).any():
-            return np.zeros(0, dtype=np.intp)
-        x, y = np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1)
-        column = ((x[:, None] * self._counts[1] + y) * self._counts[2]).reshape(-1)
-        starts = self._number.searchsorted(column + first[2])
-        tiles = _spans(starts, self._number.searchsorted(column + (last[2] + 1)))
-        if link is not None:
-            away = link.box.off(self._middle.take(tiles, axis=1))
-            away -= self._radius.take(tiles)
-            tiles = tiles.take((away <= link.reach).nonzero()[0])
-        return _spans(self._start.take(tiles), self._start.take(tiles + 1))
+        box, reach = ANYWHERE if link is None else link
+        return cells_of_tiles(
+            low, high, self._low, self._spread, self._edge, self._counts, self._number, self._start,
+            self._middle, self._radius, box.R, box.middle, box.half, box.radius, reach,
+        )  # fmt: skip
+
+
+@compiled
+def cells_of_tiles(
+    low: Vector, high: Vector, origin: Vector, spread: Vector, edge: float, counts: Indices, number: Indices,
+    start: Indices, middle: Matrix, size: Vector, R: Matrix, of_link: Vector, half: Vector, radius: float,
+    reach: float, /,
+) -> Indices:  # fmt: skip
+    """(k,) places of the cells in those of M tiles that may touch the box from `low` to `high` (3,) and a link.
+
+    Parameters
+    ----------
+    origin, spread: (3,), (3,) the lowest corner of the first tile, and how far cells reach out of theirs [m].
+    edge, counts: of a tile [m], and (3,) how many there are along each axis.
+    number, start: (M,) of those that hold any, ascending, and (M + 1,) their first places and the last one's end.
+    middle, size: (3, M), (M,) of balls around their cells [m].
+    R, of_link, half, radius, reach: of the link's box, see `off_turned_box`, and how far from it tiles count [m].
+    """
+    first = np.floor((low - spread - origin) / edge).astype(np.int64)
+    last = np.floor((high + spread - origin) / edge).astype(np.int64)
+    first, last = np.maximum(first, 0), np.minimum(last, counts - 1)
+    if (last < first).any():
+        return np.zeros(0, dtype=np.intp)
+    x, y = np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1)
+    column = ((x[:, None] * counts[1] + y) * counts[2]).reshape(-1)
+    starts = number.searchsorted(column + first[2])
+    tiles = _spans(starts, number.searchsorted(column + (last[2] + 1)))
+    away = off_turned_box(middle.take(tiles, axis=1), R, of_link, half, radius)
+    away -= size.take(tiles)
+    tiles = tiles.take((away <= reach).nonzero()[0])
+    return _spans(start.take(tiles), start.take(tiles + 1))
 
 
 def _spans(starts: Indices, ends: Indices) -> Indices:

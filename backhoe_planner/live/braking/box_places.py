@@ -1,0 +1,235 @@
+"""Where the boxes that stand for clusters were found, and how far the links may come from there.
+
+Boxes hold all cells that were within `covered` of a link where they were found. So they are good for all that
+the machine may do in some steps and braking after these, if no point of the link comes further than that from
+where it was then, less what must be kept.
+
+In that time the joints stay within `spread` of a straight line, on which they go on as fast as now. The link is placed
+at the ends of equal parts of that line. Between these a point is off its chord by no more than `bend_weights` says,
+and off the line by no more than the spread times its radii. That is far less than the length of all
+joints' ways times these.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.live.braking.braking_path import JointState
+from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
+from backhoe_planner.live.braking.joint_bounds import JointBounds
+from backhoe_planner.machine import bend_weights
+from backhoe_planner.native import compiled
+
+_OFF = 0.02  # m that points may be off their chords; chosen, small beside the ways of links in motion
+MOST_PARTS = 4  # of the line; chosen, to bound the work
+_NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
+_CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
+_LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
+_RULES = _NEAR, _CLOSE, _LEAST
+
+
+class Line(NamedTuple):
+    """The straight line along which the joints go on, in equal parts.
+
+    Attributes
+    ----------
+    ends: (S, n) of the parts, from where the joints are [rad or m].
+    beside: (C,) how far points of each class may come from the chords between their places at the ends [m].
+    way: (C,) how far they may come from where they are [m].
+    change: (C,) how far the end of the braking path may move until braking begins, at any of them [m].
+    time: until the machine stands [s].
+    """
+
+    ends: Matrix
+    beside: Vector
+    way: Vector
+    change: Vector
+    time: float
+
+    @classmethod
+    def ahead(
+        cls, state: JointState, joints: JointBounds, steps: int, *, travel: Matrix, furthest: Vector, turning: Vector
+    ) -> Line:
+        """Of so many steps and one more, and braking after these; see `Separation` for `travel` and the others."""
+        gained = (steps + 1) * joints.change
+        rules = (steps + 1) * joints.dt, _OFF, MOST_PARTS
+        return cls(*line_ahead(*state, gained, joints.acceleration, travel, furthest, turning, rules))
+
+
+class BoxPlaces:
+    """Where the boxes of K links were found, each around one cluster, and what they cover.
+
+    Parameters
+    ----------
+    clusters: the K pairs of a link with a cluster.
+    joint, fat, columns: of every piece the joint, the radius [m], and the corners with a 1 below each (4, V) [m].
+    counting: those of them that count now.
+
+    Attributes
+    ----------
+    clusters: as above.
+    counts: (K,) 1 for those that count, 0 for others.
+    classes: (K,) as in `ClusterPairs`.
+    """
+
+    def __init__(
+        self, clusters: Sequence[ClusterPairs], joint: Indices, fat: Vector, columns: Array,
+        *, counting: Sequence[ClusterPairs],
+    ) -> None:  # fmt: skip
+        self.clusters = list(clusters)
+        self.counts = np.array([one in counting for one in clusters], dtype=float)
+        pieces = np.array([one.piece for one in clusters], dtype=np.intp)
+        self._joint, self._fat, self._columns = joint[pieces], fat[pieces], np.ascontiguousarray(columns[pieces])
+        self._pairs: Indices = np.array([one.pairs for one in clusters], dtype=np.intp).reshape(-1)
+        self.classes = np.array([one.classes for one in clusters], dtype=np.intp)
+        self._clearance = np.array([one.clearance for one in clusters], dtype=float)
+        self._covered, self._nearest, self._speed = np.zeros((3, len(pieces)))
+        self._found_at = np.zeros((len(pieces), 3, 4))
+        for one in clusters:
+            self.note(one)
+
+    def note(self, one: ClusterPairs) -> None:
+        """The boxes of a link were found anew, or what it must not touch has moved on, or has another speed."""
+        row = self.clusters.index(one)
+        self._found_at[row], self._covered[row], self._nearest[row] = one.found_at, one.covered, one.nearest
+        self._speed[row] = one.speed
+
+    def moved(self, T: Array) -> Matrix:
+        """(S, K) how far any point of the link is at most from where it was when its boxes were found [m].
+
+        T: (S, joints, 4, 4) see `Placements`.
+        """
+        return ways_of_links(T, self._joint, self._found_at, self._columns, self._fat)
+
+    def most_urgent(self, T: Array, line: Line, known: KnownDistances) -> tuple[ClusterPairs | None, float]:
+        """Whose boxes are to be found anew before all others if all are to hold for the line, and how urgent that is.
+
+        None where none are. It is urgent from 1 on, and infinitely so where boxes do not hold.
+
+        T: (S, joints, 4, 4) placements of the line's ends.
+        """
+        if not self.clusters:
+            return None, 0.0
+        urgency = box_urgency(
+            self.moved(T), self._covered, self._nearest, self._clearance, self._speed, self.counts, self.classes,
+            line.beside, line.way, line.change, line.time, self._pairs, *known, _RULES,
+        )  # fmt: skip
+        row = int(urgency.argmax())
+        most = float(urgency[row])
+        return (self.clusters[row] if most >= 1.0 else None), most
+
+    def way_of(self, one: ClusterPairs, T: Array) -> float:
+        """How far any point of a link is at most from where it is in the first of the placements T [m]."""
+        row = slice(self.clusters.index(one), self.clusters.index(one) + 1)
+        begun = T[0, self._joint[row], :3]
+        return float(ways_of_links(T, self._joint[row], begun, self._columns[row], self._fat[row]).max())
+
+
+class KnownDistances(NamedTuple):
+    """What is known of the distances of all pairs, and what the odometers had counted then.
+
+    Attributes
+    ----------
+    distance, odometer: (P,) where the machine is, and (C,) what its odometers count now [m].
+    proven, path_odometer: (P,), (C,) the same over its braking path [m].
+    """
+
+    distance: Vector
+    odometer: Vector
+    proven: Vector
+    path_odometer: Vector
+
+
+@compiled
+def line_ahead(
+    q: Vector, v: Vector, end: Vector, gained: Vector, acceleration: Vector, travel: Matrix, furthest: Vector,
+    turning: Vector, rules: tuple[float, ...], /,
+) -> tuple[Matrix, Vector, Vector, Vector, float]:  # fmt: skip
+    """The fields of `Line` from q, v (n,) and the `end` (n,) of the present braking path [rad or m].
+
+    The joints go at velocities v_k that are within what is `gained` of v, and brake from one of them in proportion, for
+    T_k / 2 at v_k. So in t seconds at these, they are within t times that of q + v t, and t is no more
+    than `rules` and braking allow.
+
+    Parameters
+    ----------
+    gained: (n,) by how much each velocity can change until braking begins [rad/s or m/s].
+    acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2].
+    travel, furthest, turning: (C, n), (n,), (n,) see `Separation`.
+    rules: when braking begins [s], how far points may be off their chords [m], and the greatest number of parts.
+    """
+    begins, off, most = rules
+    speed = np.abs(v)
+    braking = float(((speed + gained) / acceleration).max())
+    look = begins + 0.5 * braking
+    delta = look * v
+    spread = np.maximum(look * gained, np.abs(end - q - 0.5 * float((speed / acceleration).max()) * v))
+    bend = bend_weights(delta, turning)
+    parts = min(max(math.ceil(math.sqrt(float(bend.dot(furthest)) / (8.0 * off))), 1), int(most))
+    ends = q + np.arange(parts + 1)[:, None] / parts * delta
+    return (
+        ends, travel.dot(bend / (8.0 * parts * parts) + spread), travel.dot(np.abs(delta) + spread),
+        travel.dot(begins * speed + spread), begins + braking,
+    )  # fmt: skip
+
+
+@compiled
+def box_urgency(
+    moved: Matrix, covered: Vector, nearest: Vector, clearance: Vector, speed: Vector, counts: Vector, classes: Indices,
+    beside: Vector, way: Vector, change: Vector, time: float, pairs: Indices, distance: Vector, odometer: Vector,
+    proven: Vector, path_odometer: Vector, rules: tuple[float, ...], /,
+) -> Vector:  # fmt: skip
+    """(K,) how much the boxes of K links have to be found anew; infinite where they do not hold what a line needs.
+
+    They should be where little is left of what they hold, and where the link has moved a part of the distance that it
+    had, and one of them comes near by what is known of its distance here and over the braking path.
+
+    Parameters
+    ----------
+    moved: (S, K) how far each link is from where they were found, at the ends of the line's parts [m].
+    covered, nearest, clearance, speed, counts, classes: (K,) see `BoxPlaces`.
+    beside, way, change, time: see `Line`.
+    pairs: their pairs, as many of each link.
+    distance, odometer, proven, path_odometer: see `KnownDistances`.
+    rules: `_NEAR`, `_CLOSE` and `_LEAST`.
+    """
+    near, close, least = rules
+    left = covered - clearance - speed * time
+    left -= moved.max(axis=0)
+    left -= beside.take(classes)
+    each = pairs.reshape(len(classes), -1)
+    here = distance.take(each).min(axis=1) - (odometer + way).take(classes)
+    over = proven.take(each).min(axis=1) - (path_odometer + change).take(classes)
+    comes_near = np.maximum(here, over) < clearance + near
+    aside = np.where(comes_near, moved[0] / np.maximum(least, close * nearest), 0.0)
+    holds = left > 0.0
+    found = np.where(holds, np.maximum(aside, least / np.where(holds, left, 1.0)), np.inf)
+    return np.asarray(np.where(counts > 0.0, found, 0.0))
+
+
+@compiled
+def ways_of_links(T: Array, joint: Indices, begun: Array, columns: Array, fat: Vector, /) -> Matrix:
+    """(S, K) how far any point of a link is at most from where it was, with its body placed at `begun` (K, 3, 4) [m].
+
+    A point moves as its place in the frame of the link, so that none in the hull of its corners moves further than
+    a corner.
+
+    Parameters
+    ----------
+    T: (S, joints, 4, 4) see `Placements`.
+    joint: (K,) of each link's body.
+    columns: (K, 4, V) the link's corners with a 1 below each; fat: (K,) it lies within that of their hull [m].
+    """
+    change = T.take(joint, axis=1)[:, :, :3] - begun
+    off = np.matmul(change, columns)
+    off *= off
+    turn = change[..., :3]
+    turn *= turn
+    moved = np.sqrt(np.add.reduce(off, axis=2).max(axis=2))
+    moved += fat * np.sqrt(np.add.reduce(turn, axis=(2, 3)))
+    return np.asarray(moved)

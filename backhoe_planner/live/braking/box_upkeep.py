@@ -1,0 +1,116 @@
+"""The boxes that stand for clusters around the links are found anew where they do not hold all that counts."""
+
+from __future__ import annotations
+
+import math
+
+from backhoe_planner.arrays import Array, Indices
+from backhoe_planner.live.braking.box_places import MOST_PARTS, Line
+from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, Placements
+from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
+from backhoe_planner.live.braking.pair_bounds import Near
+from backhoe_planner.live.braking.path_check import PathCheck
+from backhoe_planner.machine import Robot
+
+_EVERY = 10  # steps after which boxes are looked at again, where none are due; chosen
+_AHEAD = 0.15  # m beyond what counts now, within which boxes are found; chosen
+
+
+class BoxUpkeep:
+    """Finds boxes anew in the steps of one machine.
+
+    Parameters
+    ----------
+    robot: the machine.
+    check: of its braking paths.
+    influence: margin within which obstacles act [m].
+    """
+
+    def __init__(self, robot: Robot, check: PathCheck, *, influence: float) -> None:
+        self._separation, self._bounds, self._joints = check.separation, check.bounds, check.joints
+        self._check, self._at, self._influence = check, check.at, influence
+        self._line = Placements(robot, MOST_PARTS + 1)
+        self._due = 0
+        self._blocking: ClusterPairs | None = None  # whose boxes may have forbidden the last step
+
+    def forget(self, *, blocking: bool = False) -> None:
+        """Boxes are looked at in the next step; with `blocking` it is also forgotten which ones forbade a step."""
+        self._due = 0
+        if blocking:
+            self._blocking = None
+
+    def note(self, near: Near, *, held_back: bool) -> None:
+        """A step was found, or none was because something `held_back` the machine."""
+        self._blocking = self._bounds.tightest_cluster(near) if held_back else None
+
+    def find_for(self, pairs: Indices, state: JointState) -> None:
+        """Find the boxes of all links and clusters whose `pairs` (K,) are new or were moved."""
+        moved = set(pairs.tolist())
+        for one in self._separation.clusters:
+            if not moved.isdisjoint(one.pairs.tolist()):
+                self._bounds.find_boxes(one, self._at, reach=self._reach_of(one, state))
+
+    def renew(self, state: JointState, step: int) -> bool:
+        """Find the boxes of one link and one cluster anew, where that is due; of more where the next step needs them.
+
+        What can wait is found bit by bit in the steps to come, so that none of them takes long.
+
+        False where boxes cannot hold all that the machine could come to: it has to slow down.
+        """
+        if self._blocking is not None:
+            # boxes that were found further away may forbid what the cells allow
+            self._find(self._blocking, state)
+            self._blocking = None
+        elif self._bounds.searches:
+            self._bounds.search_on(self._at, self._path(state))
+        if step < self._due:
+            return True
+        one, urgent = self._most_urgent(state, _EVERY)
+        self._due = step + _EVERY
+        if one is None:
+            return True
+        if urgent < math.inf:
+            if not (
+                self._bounds.searches or self._bounds.search_boxes(one, self._at, reach=self._reach_of(one, state))
+            ):
+                self._find(one, state)
+            return True
+        self._find(one, state)
+        self._due = step + 1  # the next step looks whether there are more that cannot wait long
+        for _ in self._separation.clusters:
+            # of the others only those that this step or the next one needs cannot wait
+            one, urgent = self._most_urgent(state, 1)
+            if one is None or urgent < math.inf:
+                return True
+            self._find(one, state)
+        return self._most_urgent(state, 1)[1] < math.inf
+
+    def _path(self, state: JointState) -> BrakingPath:
+        """The present braking path."""
+        return self._check.path(state.q, state.v, step=False)
+
+    def _find(self, one: ClusterPairs, state: JointState) -> None:
+        """Find the boxes of a link and a cluster anew."""
+        self._bounds.find_boxes(one, self._at, reach=self._reach_of(one, state), path=self._path(state))
+
+    def _reach_of(self, one: ClusterPairs, state: JointState) -> float:
+        """Distance from a link within which the cells of a cluster count [m]."""
+        line, T = self._ahead(state, _EVERY)
+        way = self._separation.places.way_of(one, T) + float(line.beside[one.classes])
+        return float(one.clearance + max(self._influence, way) + _AHEAD)
+
+    def _ahead(self, state: JointState, steps: int) -> tuple[Line, Array]:
+        """The line along which the machine goes on in so many steps, and the placements of its ends."""
+        separation = self._separation
+        line = Line.ahead(
+            state, self._joints, steps,
+            travel=separation.travel, furthest=separation.furthest, turning=separation.turning,
+        )  # fmt: skip
+        for sample, q in enumerate(line.ends):
+            self._line.place(sample, q)
+        return line, self._line.T[: len(line.ends)]
+
+    def _most_urgent(self, state: JointState, steps: int) -> tuple[ClusterPairs | None, float]:
+        """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
+        line, T = self._ahead(state, steps)
+        return self._separation.places.most_urgent(T, line, self._bounds.known)

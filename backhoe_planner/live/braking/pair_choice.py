@@ -1,0 +1,92 @@
+"""Which pairs are looked at in a step: those that are near, those whose braking path is not proven, the stalest one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Vector
+from backhoe_planner.native import compiled
+
+_EMPTY = np.zeros(0)
+
+
+@compiled
+def near_now(
+    distance: Vector, within: Vector, pairs: Indices, classes: Indices, odometer: Vector, /
+) -> tuple[Indices, Vector, Vector]:
+    """Those (K,) of `pairs` (M,) that may be near, their lower bounds (K,) and what their odometers say (K,) [m].
+
+    Parameters
+    ----------
+    distance: (P,) lower bounds of all pairs, and what the odometer had counted [m]; within: (P,) what is near [m].
+    classes: (M,) rows of the odometer (C,) for the `pairs`.
+    """
+    counted = odometer.take(classes)
+    lower = distance.take(pairs)
+    lower -= counted
+    rows = (lower < within.take(pairs)).nonzero()[0]
+    if len(rows) == 0:
+        return rows, _EMPTY, _EMPTY
+    return pairs.take(rows), lower.take(rows), counted.take(rows)
+
+
+@compiled
+def not_proven(
+    proven: Vector, required: Vector, pairs: Indices, classes: Indices, odometer: Vector, budget: Vector,
+    buffer: float, /,
+) -> Indices:  # fmt: skip
+    """Those of `pairs` (M,) of which too little is proven of the braking path, if it may move by `budget` (C,) [m].
+
+    Parameters
+    ----------
+    proven: (P,) of all pairs, and what the odometer had counted [m]; required: (P,) what must be kept [m].
+    classes: (M,) rows of the odometer (C,) for the `pairs`.
+    buffer: to be kept beyond that [m].
+    """
+    left = proven.take(pairs)
+    left -= required.take(pairs)
+    needed = odometer + budget
+    needed += buffer
+    return pairs.take((left < needed.take(classes)).nonzero()[0])
+
+
+@compiled
+def margins_now(pairs: Indices, distance: Vector, clearance: Vector, classes: Indices, odometer: Vector, /) -> Vector:
+    """(K,) by how much the distances of `pairs` (K,) are more than their clearance at least [m].
+
+    Parameters
+    ----------
+    distance: (P,) lower bounds of all pairs, and what the odometer had counted [m]; clearance: (P,) of them [m].
+    classes: (P,) their rows of the odometer (C,).
+    """
+    found = distance.take(pairs)
+    found -= odometer.take(classes.take(pairs))
+    found -= clearance.take(pairs)
+    return found
+
+
+@compiled
+def stalest_pair(
+    pairs: Indices, distance: Vector, clearance: Vector, renewed: Vector, classes: Indices, odometer: Vector,
+    nearest_first: bool, far: bool, rules: tuple[float, ...], /,
+) -> int:  # fmt: skip
+    """Which of `pairs` (K,) to measure anew; -1 for none.
+
+    Parameters
+    ----------
+    distance, clearance, classes, odometer: as for `margins_now`.
+    renewed: (P,) what the odometer had counted when each was measured last [m].
+    nearest_first: whether the nearest one comes first, if it is close.
+    far: whether one is also measured where none is close.
+    rules: margin within which a pair is close, what is added to it [m], and the part of both that it must have moved.
+    """
+    close, urgent, least = rules
+    margin = margins_now(pairs, distance, clearance, classes, odometer)
+    nearest = int(margin.argmin())
+    is_close = bool(margin[nearest] <= close)
+    if not (is_close or far):
+        return -1
+    moved = odometer.take(classes.take(pairs)) - renewed.take(pairs)
+    moved /= urgent + np.maximum(margin, 0.0)
+    row = nearest if is_close and nearest_first and moved[nearest] > least else int(moved.argmax())
+    return int(pairs[row]) if moved[row] > least else -1

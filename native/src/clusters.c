@@ -1,0 +1,255 @@
+/* Cells of clusters: which are near a link, and how far they reach. */
+#include "arrays.h"
+
+#include <math.h>
+
+/* the box around a link */
+typedef struct {
+    double R[9], middle[3], half[3], radius;
+} Box;
+
+static int as_three(PyObject *object, const char *name, double *out)
+{
+    Vec three;
+    if (as_vec(object, name, 3, &three) < 0)
+        return -1;
+    for (int c = 0; c < 3; c++)
+        out[c] = AT(three, c);
+    return 0;
+}
+
+static int as_box(PyObject *const *args, Box *box)
+{
+    Mat R;
+    if (as_mat(args[0], "R", 3, 3, &R) < 0 || as_three(args[1], "middle", box->middle) < 0 ||
+        as_three(args[2], "half", box->half) < 0 || as_double(args[3], "radius", &box->radius) < 0)
+        return -1;
+    for (int c = 0; c < 9; c++)
+        box->R[c] = AT2(R, c / 3, c % 3);
+    return 0;
+}
+
+static double off_box(const Box *box, double x, double y, double z)
+{
+    double most = -INFINITY, sum = 0.0;
+    for (int c = 0; c < 3; c++) {
+        const double off = fabs(box->R[c] * x + box->R[3 + c] * y + box->R[6 + c] * z - box->middle[c]) - box->half[c];
+        if (!(off <= most))
+            most = off;
+        if (!(off <= 0.0))
+            sum += off * off;
+    }
+    return (most < 0.0 ? most : 0.0) + sqrt(sum) - box->radius;
+}
+
+PyObject *off_turned_box(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat points;
+    Box box;
+    double *off;
+    if (count_is(count, 5, "off_turned_box") < 0 || as_mat(args[0], "points", 3, -1, &points) < 0 ||
+        as_box(args + 1, &box) < 0)
+        return NULL;
+    PyObject *found = new_vec(points.columns, &off);
+    for (npy_intp k = 0; found && k < points.columns; k++)
+        off[k] = off_box(&box, AT2(points, 0, k), AT2(points, 1, k), AT2(points, 2, k));
+    return found;
+}
+
+/* whole numbers that are no indices: there may be very many, and they are not looked at */
+static int as_numbers(PyObject *object, const char *name, npy_intp length, Ind *out)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (is_array(object, name, NPY_INTP, 1) < 0)
+        return -1;
+    if (length >= 0 && PyArray_DIM(array, 0) != length) {
+        PyErr_Format(PyExc_ValueError, "%s: has length %zd, not %zd", name, (Py_ssize_t)PyArray_DIM(array, 0),
+                     (Py_ssize_t)length);
+        return -1;
+    }
+    out->data = PyArray_BYTES(array), out->n = PyArray_DIM(array, 0), out->step = PyArray_STRIDE(array, 0);
+    return 0;
+}
+
+/* the first of ascending numbers that is not less */
+static npy_intp lower_bound(const Ind *numbers, npy_intp wanted)
+{
+    npy_intp low = 0, high = numbers->n;
+    while (low < high) {
+        const npy_intp middle = low + (high - low) / 2;
+        if (INDEX(*numbers, middle) < wanted)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+PyObject *cells_of_tiles(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    double low[3], high[3], origin[3], spread[3], edge, reach;
+    Ind counts, number, start;
+    Mat middle;
+    Vec size;
+    Box box;
+    if (count_is(count, 15, "cells_of_tiles") < 0 || as_three(args[0], "low", low) < 0 ||
+        as_three(args[1], "high", high) < 0 || as_three(args[2], "origin", origin) < 0 ||
+        as_three(args[3], "spread", spread) < 0 || as_double(args[4], "edge", &edge) < 0 ||
+        as_numbers(args[5], "counts", 3, &counts) < 0 || as_numbers(args[6], "number", -1, &number) < 0 ||
+        as_numbers(args[7], "start", number.n + 1, &start) < 0 || as_mat(args[8], "middle", 3, number.n, &middle) < 0 ||
+        as_vec(args[9], "size", number.n, &size) < 0 || as_box(args + 10, &box) < 0 ||
+        as_double(args[14], "reach", &reach) < 0)
+        return NULL;
+    npy_intp first[3], last[3], *place;
+    for (int c = 0; c < 3; c++) {
+        const double from = floor((low[c] - spread[c] - origin[c]) / edge), most = (double)INDEX(counts, c) - 1.0;
+        const double to = floor((high[c] + spread[c] - origin[c]) / edge);
+        if (!(from <= most) || !(to >= 0.0))
+            return new_ind(0, &place);
+        first[c] = from > 0.0 ? (npy_intp)from : 0, last[c] = (npy_intp)(to < most ? to : most);
+        if (last[c] < first[c])
+            return new_ind(0, &place);
+    }
+    Room room;
+    npy_intp *tiles = NULL, near = 0, cells = 0;
+    const npy_intp rows = INDEX(counts, 1), columns = INDEX(counts, 2);
+    for (int again = 0; again < 2; again++) { /* how many there are, then which of them */
+        npy_intp some = 0;
+        for (npy_intp x = first[0]; x <= last[0]; x++)
+            for (npy_intp y = first[1]; y <= last[1]; y++) {
+                const npy_intp column = (x * rows + y) * columns;
+                const npy_intp until = lower_bound(&number, column + last[2] + 1);
+                for (npy_intp tile = lower_bound(&number, column + first[2]); tile < until; tile++, some++)
+                    if (again && off_box(&box, AT2(middle, 0, tile), AT2(middle, 1, tile), AT2(middle, 2, tile)) -
+                                         AT(size, tile) <= reach) {
+                        const npy_intp more = INDEX(start, tile + 1) - INDEX(start, tile);
+                        tiles[near++] = tile, cells += more > 0 ? more : 0;
+                    }
+            }
+        if (!again && !(tiles = room_for(&room, some * sizeof(npy_intp))))
+            return NULL;
+    }
+    PyObject *found = new_ind(cells, &place);
+    for (npy_intp i = 0; found && i < near; i++)
+        for (npy_intp cell = INDEX(start, tiles[i]); cell < INDEX(start, tiles[i] + 1); cell++)
+            *place++ = cell;
+    release(&room);
+    return found;
+}
+
+/* cubes and triangles as a CellSet has them */
+typedef struct {
+    Mat middle;
+    Vec half;
+    const char *corners;
+    npy_intp triangles, step[3];
+} Cells;
+
+static int as_cells(PyObject *const *args, Cells *cells)
+{
+    if (as_vec(args[1], "half", -1, &cells->half) < 0 || as_mat(args[0], "middle", 3, cells->half.n, &cells->middle) < 0 ||
+        is_array(args[2], "corners", NPY_DOUBLE, 3) < 0)
+        return -1;
+    PyArrayObject *corners = (PyArrayObject *)args[2];
+    if (PyArray_DIM(corners, 0) != 3 || PyArray_DIM(corners, 1) != 3) {
+        PyErr_SetString(PyExc_ValueError, "corners: an array (3, 3, triangles) is wanted");
+        return -1;
+    }
+    cells->corners = PyArray_BYTES(corners), cells->triangles = PyArray_DIM(corners, 2);
+    for (int axis = 0; axis < 3; axis++)
+        cells->step[axis] = PyArray_STRIDE(corners, axis);
+    return 0;
+}
+
+static double along_corner(const Cells *cells, npy_intp triangle, int corner, const double *n)
+{
+    const char *at = cells->corners + triangle * cells->step[2] + corner * cells->step[0];
+    return n[0] * *(const double *)at + n[1] * *(const double *)(at + cells->step[1]) +
+           n[2] * *(const double *)(at + 2 * cells->step[1]);
+}
+
+PyObject *split_by_plane(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    double n[3], slack;
+    Cells cells;
+    if (count_is(count, 6, "split_by_plane") < 0 || as_three(args[0], "n", n) < 0 ||
+        as_double(args[2], "slack", &slack) < 0 || as_cells(args + 3, &cells) < 0)
+        return NULL;
+    const npy_intp nearest = PyLong_AsSsize_t(args[1]), cubes = cells.half.n, all = cubes + cells.triangles;
+    if (nearest == -1 && PyErr_Occurred())
+        return NULL;
+    if (nearest < 0 || nearest >= all) {
+        PyErr_SetString(PyExc_IndexError, "nearest: is not one of the cells");
+        return NULL;
+    }
+    Room room;
+    double *along = room_for(&room, all * sizeof(double)), least = INFINITY;
+    if (!along)
+        return NULL;
+    const double wide = fabs(n[0]) + fabs(n[1]) + fabs(n[2]);
+    for (npy_intp k = 0; k < cubes; k++)
+        along[k] = n[0] * AT2(cells.middle, 0, k) + n[1] * AT2(cells.middle, 1, k) + n[2] * AT2(cells.middle, 2, k) -
+                   wide * AT(cells.half, k);
+    for (npy_intp t = 0; t < cells.triangles; t++) {
+        along[cubes + t] = along_corner(&cells, t, 0, n);
+        for (int corner = 1; corner < 3; corner++) {
+            const double other = along_corner(&cells, t, corner, n);
+            if (other < along[cubes + t])
+                along[cubes + t] = other;
+        }
+    }
+    const double plane = along[nearest], from = plane - slack;
+    npy_intp some = 0, *own, *left;
+    for (npy_intp k = 0; k < all; k++)
+        if (along[k] >= from) {
+            some++;
+            if (along[k] < least)
+                least = along[k];
+        }
+    PyObject *owns = new_ind(some, &own), *lefts = new_ind(all - some, &left);
+    if (!owns || !lefts) {
+        Py_XDECREF(owns), Py_XDECREF(lefts);
+        release(&room);
+        return NULL;
+    }
+    for (npy_intp k = 0; k < all; k++)
+        if (along[k] >= from)
+            *own++ = k;
+        else
+            *left++ = k;
+    release(&room);
+    return Py_BuildValue("NNd", owns, lefts, least < plane ? least - plane : 0.0);
+}
+
+PyObject *extent_along(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat axes;
+    Cells cells;
+    double *low, *high;
+    if (count_is(count, 4, "extent_along") < 0 || as_mat(args[0], "axes", 3, 3, &axes) < 0 || as_cells(args + 1, &cells) < 0)
+        return NULL;
+    PyObject *lows = new_vec(3, &low), *highs = new_vec(3, &high);
+    if (!lows || !highs) {
+        Py_XDECREF(lows), Py_XDECREF(highs);
+        return NULL;
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        const double n[3] = {AT2(axes, 0, axis), AT2(axes, 1, axis), AT2(axes, 2, axis)};
+        const double wide = fabs(n[0]) + fabs(n[1]) + fabs(n[2]);
+        double least = INFINITY, most = -INFINITY;
+        for (npy_intp k = 0; k < cells.half.n; k++) {
+            const double more = wide * AT(cells.half, k), at = n[0] * AT2(cells.middle, 0, k) +
+                                                              n[1] * AT2(cells.middle, 1, k) + n[2] * AT2(cells.middle, 2, k);
+            least = at - more < least ? at - more : least;
+            most = at + more > most ? at + more : most;
+        }
+        for (npy_intp t = 0; t < cells.triangles; t++)
+            for (int corner = 0; corner < 3; corner++) {
+                const double at = along_corner(&cells, t, corner, n);
+                least = at < least ? at : least;
+                most = at > most ? at : most;
+            }
+        low[axis] = least, high[axis] = most;
+    }
+    return Py_BuildValue("NN", lows, highs);
+}
