@@ -21,10 +21,11 @@ from backhoe_planner.machine.description.urdf_tree import read_tree
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# loading any of these takes a tenth of a second or more
+# loading any of these takes a tenth of a second or more, or is of no use to a motion to a goal
 SLOW = [
     "scipy", "trimesh", "yourdfpy", "networkx", "shapely", "vhacdx", "ompl", "PIL", "matplotlib", "meshcat", "tornado",
     "umsgpack", "toppra", "backhoe_planner.live.servo", "backhoe_planner.show.viewer", "backhoe_planner.show.plots",
+    "backhoe_planner.planning.path_planning", "backhoe_planner.planning.sequence.chain", "rich.status",
 ]  # fmt: skip
 SIMPLEST = """
 version: 1

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retime
-from backhoe_planner.planning.goals.goal_planning import ToGoal
-from backhoe_planner.planning.path_planning import AlongPath
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
@@ -28,6 +27,10 @@ from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import STEP_ROUNDING, motion_is_clear, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
+
+if TYPE_CHECKING:
+    from backhoe_planner.planning.goals.goal_planning import ToGoal
+    from backhoe_planner.planning.path_planning import AlongPath
 
 _Reply = tuple[Outcome, str, float | None]  # how the motion goes on, in a word, and when the machine stands [s]
 

@@ -10,15 +10,15 @@ What can fail in normal use is a reason with its numbers.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Problem, Trajectory, drive_of, retime, slow_tip
+from backhoe_planner.motion import Problem, TipPath, Trajectory, drive_of, retime, slow_tip
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
-from backhoe_planner.planning.path_planning import AlongPath, plan_along_path
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, OutOfTime, Work
@@ -26,6 +26,9 @@ from backhoe_planner.planning.waypoints import path_within_reach
 from backhoe_planner.planning.world.outcome import Outcome, at_rest, bad_start, no_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, certify_motion
+
+if TYPE_CHECKING:
+    from backhoe_planner.planning.path_planning import AlongPath
 
 _SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen, slower joints are not tried for what is so far beyond it
@@ -107,7 +110,7 @@ def _plan_task(world: World, method: Method) -> Outcome:
             return replace(within, message=f"{within.message}, as `keep` has it") if counted else within
         world, path = within
         if problem.start_q is None and problem.start_target is None:
-            return _plan_from_anywhere(world, AlongPath(path), method)
+            return _plan_from_anywhere(world, _along(path), method)
     start = _start(world)
     failure = start if isinstance(start, Outcome) else bad_start(world, start)
     if failure is not None:
@@ -121,12 +124,21 @@ def _plan_task(world: World, method: Method) -> Outcome:
             return task.by_paper(world, stepper)
     else:
         assert path is not None
-        task = AlongPath(path)
+        task = _along(path)
     return task.by_law(world, stepper) if method == "reactive" else plan_over_time(world, task, stepper)
+
+
+def _along(path: TipPath) -> AlongPath:
+    """The task of following a path; what that takes is not loaded for a goal."""
+    from backhoe_planner.planning.path_planning import AlongPath
+
+    return AlongPath(path)
 
 
 def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcome:
     """Along a path, from the best configuration on its beginning."""
+    from backhoe_planner.planning.path_planning import plan_along_path
+
     if method == "reactive":
         return task.by_law(world, None)
     outcome = plan_along_path(world, task.path, stepper=None)

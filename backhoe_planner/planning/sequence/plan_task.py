@@ -21,8 +21,6 @@ from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, EFFORTS, Brake, EffortName
-from backhoe_planner.planning.sequence.leg import Leg
-from backhoe_planner.planning.sequence.legs_planning import plan_legs
 from backhoe_planner.site import Scene
 
 _LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
@@ -159,6 +157,9 @@ def _plan_sequence(
     begun: float,
 ) -> Plan:  # fmt: skip
     """The plan of a sequence; `begun` is when the clock stood at its beginning [s]."""
+    from backhoe_planner.planning.sequence.leg import Leg  # what one motion does without is not loaded for it
+    from backhoe_planner.planning.sequence.legs_planning import plan_legs
+
     found = plan_legs(
         [Leg(leg) for leg in problem.legs],
         method=method, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch,
