@@ -64,6 +64,18 @@ class Dynamics:
             found[row] = rnea(model, data, *moment)
         return found
 
+    def torque_slopes(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, Array]:
+        """(B, n) the torques of `torques_along`, and (B, n, 3 n) their derivatives by q, v and a; all (B, n)."""
+        count, n = np.shape(q)
+        found, slopes = np.empty((count, n)), np.empty((count, n, 3 * n))
+        derive, model, data = pin.computeRNEADerivatives, self._model, self._data
+        for row, moment in enumerate(zip(q, v, a, strict=True)):
+            derive(model, data, *moment)
+            found[row] = data.tau
+            slopes[row, :, :n], slopes[row, :, n : 2 * n], slopes[row, :, 2 * n :] = data.dtau_dq, data.dtau_dv, data.M
+        slopes[:, :, 2 * n :] = _symmetric(slopes[:, :, 2 * n :])
+        return found, slopes
+
     def gravity_torques(self, q: Matrix) -> Matrix:
         """(B, n) torques or forces that hold the machine still at q (B, n) [N m or N]."""
         found = [pin.computeGeneralizedGravity(self._model, self._data, row) for row in q]
@@ -74,8 +86,7 @@ class Dynamics:
         found = np.empty((*q.shape, q.shape[-1]))
         for row, joints in enumerate(q):
             found[row] = pin.crba(self._model, self._data, joints)
-        # the half below the diagonal is what stood there before
-        return np.asarray(np.triu(found) + np.triu(found, 1).swapaxes(-1, -2))
+        return _symmetric(found)
 
     def bodies(self) -> tuple[Vector, Matrix]:
         """(n,) the masses that each joint carries itself [kg], and (n, 3) their centres in the joints' frames [m]."""
@@ -117,6 +128,11 @@ class MotionEnergy:
     potential: Vector
     hydraulic_power: Vector | None
     hydraulic: Vector | None
+
+
+def _symmetric(M: Array) -> Array:
+    """(..., n, n) Pinocchio's mass matrices as a whole: below the diagonal stands what was there before."""
+    return np.asarray(np.triu(M) + np.triu(M, 1).swapaxes(-1, -2))
 
 
 def motion_energy(

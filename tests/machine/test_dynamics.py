@@ -160,3 +160,22 @@ def test_torques_of_many_moments_are_those_of_each(panda: bp.Robot) -> None:
     each = [dynamics.torques(*moment) for moment in zip(q, v, a, strict=True)]
     np.testing.assert_array_equal(dynamics.torques_along(q, v, a), each)
     assert dynamics.torques_along(q[:0], v[:0], a[:0]).shape == (0, panda.n)
+
+
+@pytest.mark.parametrize("payload", [0.0, 40.0])
+def test_the_slopes_of_torques_are_those_of_central_differences(any_robot: bp.Robot, payload: float) -> None:
+    rng = np.random.default_rng(4)
+    q = np.array([any_robot.random_q(rng) for _ in range(3)])
+    dynamics = Dynamics(any_robot, payload=payload)
+    at = [q, rng.normal(size=q.shape), rng.normal(size=q.shape)]
+    torque, slopes = dynamics.torque_slopes(*at)
+    np.testing.assert_allclose(torque, dynamics.torques_along(*at), rtol=1e-12, atol=1e-9)
+    n, nudge = any_robot.n, 1e-5
+    for column in range(3 * n):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = [each.copy() for each in at]
+            moved[column // n][:, column % n] += sign * nudge
+            ends.append(dynamics.torques_along(*moved))
+        expected = (ends[0] - ends[1]) / (2.0 * nudge)
+        np.testing.assert_allclose(slopes[:, :, column], expected, atol=1e-6 * (1.0 + float(np.max(np.abs(slopes)))))

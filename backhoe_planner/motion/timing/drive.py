@@ -104,6 +104,10 @@ class Drive:
         """(K, n) torques against inertia and gravity at q, v, a (K, n) [N m or N]."""
         return self._dynamics.torques_along(q, v, a)
 
+    def rigid_torque_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """The same and (K, n, 3 n) their derivatives by q, v and a."""
+        return self._dynamics.torque_slopes(q, v, a)
+
     def soil_torques(self, q: Array, v: Array) -> Array:
         """(K, n) torques against the soil at q, v (K, n) [N m or N]."""
         return np.zeros(np.shape(q)) if self._soil is None else -self._soil.torques(q, v)
