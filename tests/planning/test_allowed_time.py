@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning.goals.allowed_time import allowed_time
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning.goals.allowed_time import (
+    allowed_time,
+    bound_for_allowed_time,
+    fastest_with_room,
+    has_room,
+)
 
 
 @pytest.mark.parametrize(
@@ -25,6 +31,24 @@ def test_it_is_a_multiple_of_the_bound(bound: float, fastest: float, allowed: fl
     assert allowed_time(bound, fastest) == pytest.approx(allowed)
 
 
+def test_a_motion_has_room_up_to_what_the_bound_leaves_it() -> None:
+    assert fastest_with_room(2.0) == pytest.approx(5.0)  # 1.2 times 5 s is three times 2 s
+    assert has_room(2.0, 4.99)
+    assert not has_room(2.0, 5.01)
+
+
+def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(planar4: bp.Robot) -> None:
+    """With acceleration a, and the rate never at its limit, a joint takes 2 sqrt(d / a) for d."""
+    for d, a in ((0.2, 0.02), (1.2, 0.002)):
+        start = dict.fromkeys(planar4.joint_names, 0.1)
+        content = {
+            "version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.1 + d}}},
+            "limits": {"acceleration": {"joint1": a}},
+        }  # fmt: skip
+        problem, T = build_problem(planar4, bp.scene_from_dict(content)), 2.0 * np.sqrt(d / a)
+        assert 0.97 * T <= bound_for_allowed_time(problem, np.full(4, 0.1)) <= T
+
+
 @pytest.mark.long
 def test_a_plan_says_what_it_was_allowed_and_two_seeds_are_allowed_the_same(planar4: bp.Robot) -> None:
     joints = [f"joint{k}" for k in (1, 2, 3, 4)]
@@ -41,5 +65,6 @@ def test_a_plan_says_what_it_was_allowed_and_two_seeds_are_allowed_the_same(plan
         assert longest is not None
         assert longest == pytest.approx(3.0 * plan.bound.duration, rel=0.02)
         assert plan.metrics.duration <= longest + 0.02
+    assert plans[0].findings.allowed_time == plans[1].findings.allowed_time
     fast = bp.plan(planar4, bp.scene_from_dict(content | {"objective": "time"}), effort="quick")
     assert fast.findings.allowed_time is None

@@ -13,7 +13,7 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent
-from backhoe_planner.planning.descent.starts import Start, paced
+from backhoe_planner.planning.descent.starts import Start, StartPrices
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 from validation.goal_runs import with_objective
@@ -30,23 +30,57 @@ def test_joints_are_early_even_or_late_between_the_same_ends_and_cost_no_more(ba
     proximity = Proximity(backhoe, problem.obstacles)
     descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
     screen = ClearanceScreen(proximity, time=0.0)
+    prices = StartPrices(descent, screen, longest=LONGEST)
     u = np.linspace(0.0, 1.0, PIECES + 1)
     paces = [part * part * (3.0 - 2.0 * part) for part in (np.minimum(2.0 * u, 1.0), u, np.maximum(2.0 * u - 1.0, 0.0))]
     rng, cheaper = np.random.default_rng(5), 0
     for _ in range(6):
         start, end = backhoe.random_q(rng), backhoe.random_q(rng)
         line = Start(JointCurve.straight(start, end, PIECES), 1.0, problem.goals[0], "straight")
-        for found in paced([line], descent, screen, longest=LONGEST):
+        for found in (one.start for one in prices.paced(list(prices.in_order([line])))):
             control = found.curve.control
             np.testing.assert_allclose(control[[0, -1]], [start, end], atol=1e-12)
             for joint in range(backhoe.n):
                 parts = (control[:, joint] - start[joint]) / (end[joint] - start[joint])
                 assert any(np.allclose(parts, pace, atol=1e-9) for pace in paces)
-            costs = [descent.estimate(one.curve, LONGEST, longest=LONGEST) for one in (found, line)]
+            costs = [descent.estimates([one.curve], np.array([LONGEST]), longest=LONGEST)[0] for one in (found, line)]
             blocked = [1.0 - np.mean(screen.keeps(one.curve(np.linspace(0.0, 1.0, 25)))) for one in (found, line)]
             assert costs[0] * (1.0 + blocked[0]) < costs[1] * (1.0 + blocked[1])
             cheaper += 1
     assert cheaper >= 3
+
+
+def test_starts_come_in_the_order_of_their_prices_and_none_that_is_dear_or_near_another_is_chosen(
+    backhoe: bp.Robot,
+) -> None:
+    middle = {"joints": dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))}
+    ball = {"name": "ball", "shape": "sphere", "radius": 1.0, "position": [3.0, 1.0, 0.5]}
+    content = {"version": 1, "start": middle, "task": {"goal": middle}, "obstacles": [ball]}
+    problem = replace(build_problem(backhoe, bp.scene_from_dict(content)), objective=OBJECTIVES["work"])
+    proximity = Proximity(backhoe, problem.obstacles)
+    descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
+    screen = ClearanceScreen(proximity, time=0.0)
+    prices = StartPrices(descent, screen, longest=LONGEST)
+    rng = np.random.default_rng(7)
+    ends = [backhoe.random_q(rng) for _ in range(11)]
+    lines = [
+        Start(JointCurve.straight(ends[0], end, PIECES), time, problem.goals[0], "straight")
+        for end, time in zip([*ends[1:], ends[1]], [1.0] * 9 + [1.5 * LONGEST, 1.0], strict=True)
+    ]
+    blocked = [1.0 - np.mean(screen.keeps(one.curve(np.linspace(0.0, 1.0, 25)))) for one in lines]
+    assert max(blocked) > 0.1
+    expected = [
+        float(descent.estimates([one.curve], np.array([max(one.duration, LONGEST)]), longest=LONGEST)[0]) * (1.0 + part)
+        for one, part in zip(lines, blocked, strict=True)
+    ]
+    found = list(prices.in_order(lines))
+    assert [one.price for one in found] == pytest.approx(sorted(expected))
+    assert [one.start for one in found] == [lines[index] for index in np.argsort(expected, kind="stable")]
+    chosen = prices.cheapest(found, 20)
+    assert chosen[0] is found[0]
+    assert chosen[-1].price <= 1.5 * found[0].price
+    controls = [one.start.curve.control / descent.rate for one in chosen]
+    assert all(np.max(np.abs(one - other)) > 0.15 * LONGEST for k, one in enumerate(controls) for other in controls[:k])
 
 
 @pytest.mark.long

@@ -14,7 +14,7 @@ with smaller steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -132,7 +132,7 @@ class Descent:
     def run(
         self, curve: JointCurve, duration: float, goal: Goal, *,
         most_rounds: int, spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
-        longest: float = np.inf,
+        longest: float = np.inf, unsampled: bool = False,
     ) -> Timed | None:  # fmt: skip
         """Bend a curve until its cost falls no more.
 
@@ -146,6 +146,8 @@ class Descent:
         density: places at which clearances are looked at, for each at which limits are.
         box: how far the first step may move a control point [rad or m of the fastest joint].
         longest: that the motion may take [s], where its time is not the cost.
+        unsampled: whether the motion need not keep all limits between the places where a step keeps them, nor its cost
+            be exact, where the time is not the cost; to make it so takes as long as two rounds.
         is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
 
         Returns
@@ -227,18 +229,24 @@ class Descent:
             slow = slow + 1 if gain < self._enough(bend) * here.cost else 0
             if slow >= (1 if bend is None else _SLOW) and here.missed <= _KEPT:
                 break
-        return self._as_sampled(clear if here.missed > looks.allowed >= clear.missed else here)
+        found = clear if here.missed > looks.allowed >= clear.missed else here
+        if self._own_time is None:
+            return found
+        self._width = _LEAST_WIDTH
+        return self._priced(found) if unsampled else self._as_sampled(found)
 
-    def estimate(self, curve: JointCurve, duration: float, *, longest: float) -> float:
-        """What a curve costs in its own time, `duration` [s] or longer where the limits ask for it; not for the time.
+    def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
+        """(C,) what curves of the same pieces cost in their own times; not for the time.
 
         Parameters
         ----------
-        longest: that its motion may take [s].
+        durations: (C,) of each [s]; longer where the limits ask for it.
+        longest: that a motion may take [s].
         """
         assert self._own_time is not None
-        self._longest, self._width = longest, _LEAST_WIDTH
-        return self._own_cost(curve, self._own_time.least_duration(curve, duration))
+        T = self._own_time.least_durations(curves, durations)
+        late = np.maximum(T / longest - 1.0, 0.0)
+        return np.asarray(self._own_time.costs(curves, T, width=_LEAST_WIDTH) * (1.0 + _LATE * late))
 
     def _soft(self, here: Timed) -> float:
         return max(_SOFT * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
@@ -261,8 +269,6 @@ class Descent:
 
     def _as_sampled(self, found: Timed) -> Timed:
         """The same with the motion within all limits, and what that costs."""
-        if self._own_time is None:
-            return found
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
         return replace(found, motion=motion, cost=motion_cost(self._problem, motion))
 

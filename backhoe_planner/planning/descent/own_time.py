@@ -7,11 +7,12 @@ The integral is a sum over equally many s of every piece (trapezium rule), and t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.motion import Drive, Problem, cost_rate
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
@@ -56,9 +57,14 @@ class OwnTime:
 
     def cost(self, curve: JointCurve, duration: float, *, width: float) -> float:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
-        parts, kinked = self.parts(*_moments(curve, duration))
-        rate = np.sum(rounded(parts, width) if kinked else parts, axis=1)
-        return float(curve.shares(len(rate)) @ rate) * duration
+        return float(self.costs([curve], np.array([duration]), width=width)[0])
+
+    def costs(self, curves: Sequence[JointCurve], durations: Vector, *, width: float) -> Vector:
+        """(C,) the same of several curves of the same pieces with `durations` (C,), at once."""
+        moments = _moments_of_all(curves, durations, _PLACES_PER_PIECE)
+        parts, kinked = self.parts(*(each.reshape(-1, each.shape[2]) for each in moments))
+        rate = np.sum(rounded(parts, width) if kinked else parts, axis=1).reshape(len(curves), -1)
+        return np.asarray(rate @ curves[0].shares(rate.shape[1]) * durations)
 
     def gross(self, curve: JointCurve, duration: float) -> float:
         """What the motion would cost where what counts only as far as it is positive counted by its size."""
@@ -75,7 +81,7 @@ class OwnTime:
             slope = share @ change.of(slopes[:, 0])
             slope[-1] += share @ rate[:, 0] / duration
             return Slope(slope, np.zeros((len(slope), len(slope))), Kinks.none(len(slope)))
-        torque, slopes = moment_slopes(self._torques, *moments)
+        torque, slopes = self._torque_slopes(*moments)
         v, n = moments[1], curve.control.shape[1]
         of_torque = change.of(slopes.reshape(-1, 3 * n), each=n)
         of_v = change.of_velocities()
@@ -92,6 +98,13 @@ class OwnTime:
     def _torques(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
         return np.asarray(self.drive.rigid_torques(q, v, a) + self.drive.soil_torques(q, v))
 
+    def _torque_slopes(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, Array]:
+        torque, slopes = self.drive.rigid_torque_slopes(q, v, a)
+        if not self.drive.digs:
+            return torque, slopes
+        of_soil, soil_slopes = moment_slopes(lambda q, v, a: self.drive.soil_torques(q, v), q, v, a)
+        return torque + of_soil, slopes + soil_slopes
+
     def parts(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, bool]:
         """(K, U) what moments at q, v, a (K, n) cost a second; and whether only what is positive counts of each."""
         if self.problem.objective.is_positive_power:
@@ -104,25 +117,36 @@ class OwnTime:
         They are looked at where the steps of a descent keep them: elsewhere a step that is on a limit all along is
         beyond it by some thousandths, and counts as late.
         """
-        limits, T = self.problem.limits, duration
+        return float(self.least_durations([curve], np.array([duration]))[0])
+
+    def least_durations(self, curves: Sequence[JointCurve], durations: Vector) -> Vector:
+        """(C,) the same of several curves of the same pieces, each not below one of `durations` (C,) [s]."""
+        limits, T, left = self.problem.limits, np.array(durations, dtype=float), np.arange(len(curves))
         held = None
         for _ in range(_STRETCHES):
-            q, v, a = _moments(curve, T, PLACES_PER_PIECE)
-            over = max(
-                float(np.max(np.abs(v) / limits.velocity)),
-                float(np.sqrt(np.max(np.abs(a) / limits.acceleration))),
+            q, v, a = moments = _moments_of_all([curves[index] for index in left.tolist()], T[left], PLACES_PER_PIECE)
+            over = np.maximum(
+                np.max(np.abs(v) / limits.velocity, axis=(1, 2)),
+                np.sqrt(np.max(np.abs(a) / limits.acceleration, axis=(1, 2))),
             )
             if self.drive.limited:
+                flat = [each.reshape(-1, each.shape[2]) for each in moments]
                 if held is None:
-                    still = np.zeros_like(q)
-                    held = self.drive.effort_use(q, self.drive.rigid_torques(q, still, still)) < 1.0
-                use = self.drive.use(q, v, a)
-                effort = float(np.max(use.effort, where=held, initial=0.0))
-                hard = max(effort, float(np.max(use.power)))  # with the weight's part, it falls by 1 / T^2 and 1 / T^3
-                over = max(over, float(np.max(use.rod_speed)), float(np.max(use.flow)), hard**0.5)
-            if over <= 1.0 + _WITHIN:
+                    still = np.zeros_like(flat[0])
+                    weight = self.drive.effort_use(flat[0], self.drive.rigid_torques(flat[0], still, still))
+                    held = weight.reshape(q.shape) < 1.0
+                use = self.drive.use(*flat)
+                effort = np.max(use.effort.reshape(q.shape), axis=(1, 2), where=held, initial=0.0)
+                power, flow = (np.max(each.reshape(q.shape[:2]), axis=1) for each in (use.power, use.flow))
+                # with the weight's part, it falls by 1 / T^2 and 1 / T^3
+                hard = np.sqrt(np.maximum(effort, power))
+                speed = np.max(use.rod_speed.reshape(q.shape), axis=(1, 2))
+                over = np.maximum.reduce((over, speed, flow, hard))
+            late = over > 1.0 + _WITHIN
+            if not late.any():
                 break
-            T *= over
+            T[left[late]] *= over[late]
+            left, held = left[late], None if held is None else held[late]
         return T
 
 
@@ -162,8 +186,15 @@ def _convex(H: Matrix) -> Matrix:
     return np.asarray((along * np.maximum(bends, 0.0)) @ along.T)
 
 
-def _moments(curve: JointCurve, duration: float, each: int = _PLACES_PER_PIECE) -> tuple[Matrix, Matrix, Matrix]:
-    """(K, n) q, v, a at so many places of each piece."""
-    places = each * curve.pieces + 1
-    q, v, a = (curve.weights(places, k) @ curve.control / duration**k for k in range(3))
+def _moments(curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
+    """(K, n) q, v, a at the places of the sum."""
+    q, v, a = _moments_of_all([curve], np.array([duration]), _PLACES_PER_PIECE)
+    return q[0], v[0], a[0]
+
+
+def _moments_of_all(curves: Sequence[JointCurve], durations: Vector, each: int) -> tuple[Array, Array, Array]:
+    """(C, K, n) q, v, a of curves of the same pieces with `durations` (C,), at `each` places of each piece."""
+    places, control = each * curves[0].pieces + 1, np.array([curve.control for curve in curves])
+    T = durations[:, None, None]
+    q, v, a = (curves[0].weights(places, k) @ control / T**k for k in range(3))
     return q, v, a

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve, from_rest_to_rest
 from backhoe_planner.planning.descent.descent import Descent
@@ -15,6 +17,8 @@ from backhoe_planner.site import ClearanceScreen
 _PLACES = 25  # of a curve, that are asked whether they are clear; chosen, about every 2 to 10 cm of the tip
 _PART = 0.5  # of the way, in which an early or a late joint makes all of its own; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
+_DEAR = 1.5  # times the least price, above which no descent is tried; measured, it hardly ever becomes the best
+_TOGETHER = 100  # starts that are priced at once, to bound the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,49 +31,16 @@ class Start:
     way: str
 
 
-def paced(starts: Sequence[Start], descent: Descent, screen: ClearanceScreen, *, longest: float) -> list[Start]:
-    """Each of `starts`, straight lines, with the joints early or late on the way, so that it costs less.
+@dataclass(frozen=True, eq=False)
+class PricedStart:
+    """A start, and about what a descent from it costs: more, the more of it is blocked, at most twice as much."""
 
-    What a motion costs is often decided by which joint moves first: an arm that is unfolded after it was lowered needs
-    little of the work of one that is held out on the way, and from an even pace no small step leads there. The joints
-    are looked at one after the other, twice.
-
-    Parameters
-    ----------
-    longest: that a motion may take [s].
-    """
-    found = []
-    for start in starts:
-        control, way = start.curve.control, start.curve.control[-1] - start.curve.control[0]
-        u = np.linspace(0.0, 1.0, len(control))
-        early, late = np.minimum(u / _PART, 1.0), np.maximum((u - 1.0) / _PART + 1.0, 0.0)
-        paces = [from_rest_to_rest(part) for part in (early, u, late)]
-        best, least = start, _price(start, descent, screen, longest)
-        for joint in (*range(len(way)), *range(len(way))):
-            for pace in paces:
-                moved = best.curve.control.copy()
-                moved[:, joint] = control[0, joint] + pace * way[joint]
-                if np.array_equal(moved, best.curve.control):
-                    continue
-                other = replace(start, curve=start.curve.moved_to(moved))
-                price = _price(other, descent, screen, longest)
-                if price < least:
-                    best, least = other, price
-        if best is not start:
-            found.append(best)
-    return found
+    start: Start
+    price: float
 
 
-def _price(start: Start, descent: Descent, screen: ClearanceScreen, longest: float) -> float:
-    """About what a descent from there costs: more, the more of it is blocked."""
-    kept = screen.keeps(start.curve(np.linspace(0.0, 1.0, _PLACES)))
-    return descent.estimate(start.curve, max(start.duration, longest), longest=longest) * (2.0 - float(np.mean(kept)))
-
-
-def cheapest(
-    starts: Sequence[Start], count: int, descent: Descent, screen: ClearanceScreen, *, longest: float
-) -> list[Start]:
-    """At most `count` of them: what costs least, and less is blocked, first; of those near each other one.
+class StartPrices:
+    """The prices of starts among the same obstacles.
 
     Parameters
     ----------
@@ -77,13 +48,85 @@ def cheapest(
     screen: of the obstacles.
     longest: that a motion may take [s].
     """
-    cost = [_price(start, descent, screen, longest) for start in starts]
-    chosen: list[Start] = []
-    for index in np.argsort(cost, kind="stable"):
-        start = starts[index]
-        apart = [float(np.max(np.abs(start.curve.control - one.curve.control) / descent.rate)) for one in chosen]
-        if min(apart, default=np.inf) > _APART * longest:
-            chosen.append(start)
-        if len(chosen) == count:
-            break
-    return chosen
+
+    def __init__(self, descent: Descent, screen: ClearanceScreen, *, longest: float) -> None:
+        self._descent, self._screen, self._longest = descent, screen, longest
+        self._u = np.linspace(0.0, 1.0, _PLACES)
+
+    def in_order(self, starts: Sequence[Start]) -> Iterator[PricedStart]:
+        """Starts of as many pieces each, the cheapest first; what is blocked of one is looked at when it matters."""
+        # what is not looked at yet costs this or more
+        left = [(cost, False, index) for index, cost in enumerate(self._where_clear(starts))]
+        heapq.heapify(left)
+        while left:
+            price, looked_at, index = heapq.heappop(left)
+            if looked_at:
+                yield PricedStart(starts[index], price)
+            else:
+                heapq.heappush(left, (price * self._dearer(starts[index]), True, index))
+
+    def cheapest(self, priced: Iterable[PricedStart], count: int) -> list[PricedStart]:
+        """At most `count` of what comes the cheapest first, none of it dear; of those near each other one."""
+        chosen: list[PricedStart] = []
+        for one in priced:
+            if chosen and one.price > _DEAR * chosen[0].price:
+                break
+            apart = [self._apart(one.start.curve.control, other.start.curve.control) for other in chosen]
+            if min(apart, default=np.inf) > _APART * self._longest:
+                chosen.append(one)
+            if len(chosen) >= count:
+                break
+        return chosen
+
+    def paced(self, lines: Sequence[PricedStart]) -> list[PricedStart]:
+        """Each of `lines`, straight ones, with the joints early or late on the way, so that it costs less; these first.
+
+        What a motion costs is often decided by which joint moves first: an arm that is unfolded after it was lowered
+        needs little of the work of one that is held out on the way, and from an even pace no small step leads there.
+        The joints are looked at one after the other, twice.
+        """
+        if not lines:
+            return []
+        best = list(lines)
+        n = lines[0].start.curve.control.shape[1]
+        for joint in (*range(n), *range(n)):
+            tried = [
+                list(_with_other_paces(line.start, one.start, joint)) for line, one in zip(lines, best, strict=True)
+            ]
+            cost = iter(self._where_clear([other for others in tried for other in others]))
+            for index, others in enumerate(tried):
+                for other in others:
+                    price = next(cost)
+                    if price < best[index].price:
+                        price *= self._dearer(other)
+                    if price < best[index].price:
+                        best[index] = PricedStart(other, price)
+        changed = [one for one, line in zip(best, lines, strict=True) if one is not line]
+        return sorted(changed, key=lambda one: one.price)
+
+    def _where_clear(self, starts: Sequence[Start]) -> list[float]:
+        """About what descents from starts cost, of which nothing is blocked."""
+        found: list[float] = []
+        for first in range(0, len(starts), _TOGETHER):
+            some = starts[first : first + _TOGETHER]
+            durations = np.array([max(start.duration, self._longest) for start in some])
+            found += self._descent.estimates([start.curve for start in some], durations, longest=self._longest).tolist()
+        return found
+
+    def _dearer(self, start: Start) -> float:
+        """How many times as much a start costs as where nothing is blocked: 1 to 2."""
+        return 2.0 - float(np.mean(self._screen.keeps(start.curve(self._u))))
+
+    def _apart(self, one: Matrix, other: Matrix) -> float:
+        return float(np.max(np.abs(one - other) / self._descent.rate))
+
+
+def _with_other_paces(line: Start, now: Start, joint: int) -> Iterator[Start]:
+    """The start `now` with one joint early, at the pace of the straight `line`, or late, but for what it is already."""
+    control, way = line.curve.control, line.curve.control[-1] - line.curve.control[0]
+    u = np.linspace(0.0, 1.0, len(control))
+    for part in (np.minimum(u / _PART, 1.0), u, np.maximum((u - 1.0) / _PART + 1.0, 0.0)):
+        moved = now.curve.control.copy()
+        moved[:, joint] = control[0, joint] + from_rest_to_rest(part) * way[joint]
+        if not np.array_equal(moved, now.curve.control):
+            yield replace(line, curve=line.curve.moved_to(moved))

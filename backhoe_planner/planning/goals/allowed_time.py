@@ -1,16 +1,36 @@
 """How long a motion to a goal may take that is to cost little, where its time is not the cost.
 
 Mostly slower costs less, and with no limit some motions would cost nothing and take for ever. How
-fast a motion the search finds is partly luck, so it is a multiple of the proven bound that decides.
+fast a motion the search finds is partly luck, so it is a multiple of the proven bound that decides, which for this
+depends on the problem alone: neither on a motion that is known nor on the effort.
 """
 
 from __future__ import annotations
 
 import math
 
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import Problem
+from backhoe_planner.planning.search.effort import EFFORTS
+from backhoe_planner.proof import least_duration
+
 _TIMES_BOUND = 3.0  # times the bound, that a motion may take; of 83 random sites it decides on 79, twice it on 70
 _ROOM = 1.2  # times the fastest motion known, that a motion may take at least; chosen
 _LONGER = 1.5  # times as long, where that is too little room; chosen, two seeds mostly agree on so large a step
+
+_SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound is sought, first and last; chosen
+_FURTHER = 2.0  # times as far, where no motion is that short: the less far, the finer the bound is; chosen
+_REACHED = 0.98  # part of what it is sought up to, from which on the bound may be more; least_duration stops at 0.99
+
+
+def bound_for_allowed_time(problem: Problem, start: Vector) -> float:
+    """What no motion from rest at `start` (n,) takes less than [s], the same whatever is known of the motions."""
+    most = _SHORTEST
+    while True:
+        bound = least_duration(problem, start, known=most, boxes=EFFORTS["normal"].boxes).duration
+        if bound < _REACHED * most or most >= _LONGEST:
+            return bound
+        most *= _FURTHER
 
 
 def allowed_time(bound: float, fastest: float) -> float:
@@ -31,4 +51,9 @@ def allowed_time(bound: float, fastest: float) -> float:
 
 def has_room(bound: float, fastest: float) -> bool:
     """Whether the bound alone decides, with a motion as fast as this known; see `allowed_time`."""
-    return _ROOM * fastest <= _TIMES_BOUND * bound
+    return fastest <= fastest_with_room(bound)
+
+
+def fastest_with_room(bound: float) -> float:
+    """What the fastest motion known takes at most, so that the bound alone decides [s]."""
+    return _TIMES_BOUND * bound / _ROOM

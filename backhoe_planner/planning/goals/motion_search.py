@@ -19,8 +19,13 @@ from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
-from backhoe_planner.planning.descent.starts import Start, cheapest, paced
-from backhoe_planner.planning.goals.allowed_time import allowed_time, has_room
+from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
+from backhoe_planner.planning.goals.allowed_time import (
+    allowed_time,
+    bound_for_allowed_time,
+    fastest_with_room,
+    has_room,
+)
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
@@ -34,7 +39,9 @@ from backhoe_planner.proof import least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 
 _FINE_PIECES = 20  # of the best curve at the end
-_FINER_PIECES = (20, 28, 36)  # the same for another cost than the time, in turn, of different lengths; chosen
+# the same for another cost than the time, in turn, of different lengths, and the control points' joints at most, as the
+# programs take ever longer; chosen
+_FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 200
 _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
 _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
@@ -43,7 +50,7 @@ _MORE_ROUNDS = 80  # the same for another cost than the time, which falls for lo
 _ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no curve is timed in them; measured
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
-_MUCH_GAIN = (0.01, 0.05)  # part of the cost, that the first and the second of these must gain for the next; chosen
+_MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each of these must gain for the next; chosen
 _FINER = 4  # times more of these for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
@@ -73,9 +80,10 @@ _NEAR = 1.1  # times the least time to any posture, up to which a motion is near
 _MORE_POSTURES = 4  # times the usual starting points, where more of them are looked for; chosen
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
-# straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
-_LINES_FOR_ONE = 3
-_PACED_LINES = 6  # the cheapest of them, of which some joints are made early or late as well; chosen
+# the cheapest straight lines for each of `Effort.ways_at_once`, of which some joints are made early or late as well,
+# and how many of both have a few rounds, for another cost than the time; chosen
+_LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
+_WAYS_FOR_ONE = 3  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
@@ -84,6 +92,8 @@ _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
+# for a motion whose time says how long one may take that costs little; where it finds none soon, a longer search does
+_FIRST_SEARCH = replace(EFFORTS["quick"], motions_per_search=1_000, motions=2_000)
 _STRAIGHT = "straight for the joints"
 
 
@@ -95,6 +105,7 @@ class MotionSearch:
     start: (n,) where the machine stands [rad or m].
     found: postures on the goals.
     time: the obstacles stand where they are at this time [s].
+    enough: a motion as fast as this ends the search, where the time is the cost [s].
 
     Attributes
     ----------
@@ -102,8 +113,8 @@ class MotionSearch:
     ended: where descents ended, among them motions that are not proven.
     """
 
-    def __init__(self, world: World, start: Vector, found: GoalPostures, *, time: float) -> None:
-        self._world, self._start, self._time = world, start, time
+    def __init__(self, world: World, start: Vector, found: GoalPostures, *, time: float, enough: float = 0.0) -> None:
+        self._world, self._start, self._time, self._enough = world, start, time, enough
         self._problem = world.problem
         self._descent = Descent(
             world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
@@ -122,7 +133,7 @@ class MotionSearch:
         self._bound = 0.0  # no motion is shorter [s]; worked out where the best is not near the least time
         self._looked_within = np.inf  # s, in which further postures can be reached that were looked for last
         self._longest = np.inf  # s that a motion may then take
-        # cost of the cheapest start of a descent after its first rounds: of those that stay in an obstacle, and others
+        # cost after its first rounds of the cheapest start that stays in an obstacle, and of the cheapest that does not
         self._blocked = self._early = np.inf
         self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
         self._bests = 0  # how many motions were the best so far
@@ -147,11 +158,12 @@ class MotionSearch:
                 self._go_fast()
             if not np.isfinite(self._longest):
                 self._go_straight(self._ends.order if self._goes_on() else self._least_blocked())
-                if self._goes_on():
+                if self._goes_on() and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
             if self.best is None or not self._goes_straight(self.best):
                 self._go_round()
-            self._refine()
+            if not self._is_enough():
+                self._refine()
         except OutOfTime as ended:
             return str(ended)
         return ""
@@ -161,9 +173,9 @@ class MotionSearch:
         """How long a motion may take [s]; None where its time is the cost, or no motion is known."""
         return self._longest if np.isfinite(self._longest) else None
 
-    def _bound_above(self, known: Trajectory, *, fewer: int) -> float:
-        """What no motion is shorter than [s], from so many times fewer boxes than the plan's bound; `known` is one."""
-        boxes = self._world.work.effort.boxes // fewer
+    def _bound_above(self, known: Trajectory) -> float:
+        """What no motion is shorter than [s], from fewer boxes than the plan's bound; `known` is one."""
+        boxes = self._world.work.effort.boxes // _FEWER_BOXES
         return least_duration(self._problem, self._start, known=known.duration, end=known.q[-1], boxes=boxes).duration
 
     # --- first ways -------------------------------------------------------------------
@@ -172,8 +184,9 @@ class MotionSearch:
         """How long a motion may take; where the searches for that end, and lines to many postures, brought down."""
         work = self._world.work
         ended: list[FoundMotion] = []
-        for effort in (EFFORTS["quick"], work.effort) if self._goes_on() else (work.effort,):
-            search = self._search_fastest(effort)
+        bound = bound_for_allowed_time(self._problem, self._start) if self._goes_on() else 0.0
+        for effort in (_FIRST_SEARCH, work.effort) if self._goes_on() else (work.effort,):
+            search = self._search_fastest(effort, enough=fastest_with_room(bound))
             if search is None:
                 return
             self._ends.take(search._ends.postures, search._ends.goals)
@@ -181,7 +194,6 @@ class MotionSearch:
             if search.best is not None:
                 ended.append(search.best)
                 fastest = search.best.motion
-                bound = self._bound_above(fastest, fewer=1) if self._goes_on() else 0.0
                 self._longest = min(self._longest, allowed_time(bound, fastest.duration))
                 self._offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
                 if has_room(bound, fastest.duration):
@@ -189,21 +201,21 @@ class MotionSearch:
         if self._goes_on() and np.isfinite(self._longest):
             self._look_for_postures(within=self._longest)
         self._reserved = work.descent_rounds // 3
-        lines = self._straight_starts() if self._goes_on() else []
         ways = work.effort.ways_at_once
-        cheap = cheapest(lines, _PACED_LINES, self._descent, self._screen, longest=self._longest)
-        in_turn = paced(cheap, self._descent, self._screen, longest=self._longest)
-        self._descend_cheapest(
-            ([self._fitted(one) for one in ended], ways), (lines, _LINES_FOR_ONE * ways), (in_turn, ways)
-        )
+        prices = StartPrices(self._descent, self._screen, longest=self._longest)
+        straight = prices.in_order(self._straight_starts() if self._goes_on() else [])
+        lines = prices.cheapest(straight, _LINES_FOR_ONE * ways)
+        both = sorted([*lines, *prices.paced(lines)], key=lambda one: one.price)
+        known = prices.in_order([self._fitted(one) for one in ended])
+        self._descend_cheapest([*prices.cheapest(known, ways), *prices.cheapest(both, _LINES_TRIED_FOR_ONE * ways)])
 
-    def _search_fastest(self, effort: Effort) -> MotionSearch | None:
-        """A search for the fastest motion that has ended; None where it has no posture on a goal."""
+    def _search_fastest(self, effort: Effort, *, enough: float) -> MotionSearch | None:
+        """A search for a motion as fast as `enough` [s] that has ended; None where it has no posture on a goal."""
         world = self._world.for_time(effort)
         found = find_goal_postures(world, self._problem.goals, near=self._start, time=self._time)
         if isinstance(found, Outcome):
             return None
-        search = MotionSearch(world, self._start, found, time=self._time)
+        search = MotionSearch(world, self._start, found, time=self._time, enough=enough)
         search.run()
         return search
 
@@ -214,9 +226,9 @@ class MotionSearch:
     def _goes_straight(self, found: FoundMotion) -> bool:
         """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round.
 
-        False where one is blocked that is cheaper as early: a way round what stands in it may be cheaper too.
+        False where one is blocked that is cheaper as early, or none got clear: a way round may be cheaper too.
         """
-        return not self._problem.objective.is_time and found.way == _STRAIGHT and self._early <= self._blocked
+        return found.curve is not None and found.way == _STRAIGHT and self._early <= self._blocked
 
     def _straight_starts(self) -> list[Start]:
         """Straight lines to postures that can be reached in the longest time, the soonest of those near each other."""
@@ -231,22 +243,18 @@ class MotionSearch:
             for index in ends.within(self._longest, _END_APART * self._longest)
         ]
 
-    def _descend_cheapest(self, *groups: tuple[Sequence[Start], int]) -> None:
-        """A few rounds of descents from the cheapest starts, so many of each group, then all rounds of the best."""
+    def _descend_cheapest(self, chosen: Sequence[PricedStart]) -> None:
+        """A few rounds of descents from these starts, then all rounds of the best."""
         work = self._world.work
-        chosen = [
-            start for group, count in groups
-            for start in cheapest(group, count, self._descent, self._screen, longest=self._longest)
-        ]  # fmt: skip
         if len(chosen) == 1:
-            start = chosen[0]
+            start = chosen[0].start
             self._descend(start.curve, max(start.duration, self._longest), start.goal, start.way)
             return
         tried: list[tuple[float, Start]] = []
-        for start in chosen:
+        for start in (one.start for one in chosen):
             found = self._bend(
                 start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
-                spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False,
+                spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False, unsampled=True,
             )  # fmt: skip
             if found is None:
                 continue
@@ -256,11 +264,16 @@ class MotionSearch:
                 on = replace(start, curve=found.curve, duration=found.duration)
                 tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
         tried.sort(key=lambda one: one[0])
-        self._early = min(self._early, tried[0][0] if tried else np.inf)
-        for cost, start in tried[: work.effort.ways_at_once]:
-            if cost > _WORTH_ROUNDS * tried[0][0]:
+        ways, clear = work.effort.ways_at_once, 0
+        for index, (cost, start) in enumerate(tried):
+            if clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
                 break
-            self._descend(start.curve, start.duration, start.goal, start.way)
+            if self._descend(start.curve, start.duration, start.goal, start.way):
+                clear, self._early = clear + 1, min(self._early, cost)
+            else:
+                self._blocked = min(self._blocked, cost)
+            if clear >= ways / _WAYS_FOR_ONE:
+                break
 
     def _goes_on(self) -> bool:
         """Whether the search goes on where it has found a motion."""
@@ -326,7 +339,8 @@ class MotionSearch:
             ways = list(ways)
             for way in ways:
                 self._offer(way)
-            self._descend_cheapest(([self._fitted(way) for way in ways], len(ways)))
+            prices = StartPrices(self._descent, self._screen, longest=self._longest)
+            self._descend_cheapest(prices.cheapest(prices.in_order([self._fitted(way) for way in ways]), len(ways)))
             return bool(ways)
         found = False
         for way in ways:
@@ -363,7 +377,7 @@ class MotionSearch:
         if self.best.motion.duration < _NEAR * self._least_time():
             return True
         if not self._bound:
-            self._bound = self._bound_above(self.best.motion, fewer=_FEWER_BOXES)
+            self._bound = self._bound_above(self.best.motion)
         return False
 
     def _least_time(self) -> float:
@@ -400,9 +414,11 @@ class MotionSearch:
         if not which:
             return
         known = [one.motion.at(np.linspace(0.0, one.motion.duration, _PLACES)) for one in (*self.ended, best)]
-        price = price_of(self._problem, best.motion, longest)
+        price, own = price_of(self._problem, best.motion, longest), best.cost
+        if np.isfinite(self._longest):  # a descent makes several times less of a price: prices are compared with prices
+            own = max(own, float(np.sum(price(known[-1][:-1], known[-1][1:]))))
         found = self._ways.through_roadmap(
-            which, turn, longest=longest, price=price, known=known, dearest=_DEAREST * best.cost
+            which, turn, longest=longest, price=price, known=known, dearest=_DEAREST * own
         )
         yield from itertools.islice(found, 2 * self._world.work.effort.ways_at_once)
 
@@ -424,8 +440,14 @@ class MotionSearch:
             if not len(ended) or np.min(np.max(np.abs(self._ends.postures[index] - ended) / rate, axis=1)) > _ELSEWHERE
         ]
 
+    def _is_enough(self) -> bool:
+        """Whether a motion is known that is as fast as is asked for."""
+        return self.best is not None and self.best.motion.duration <= self._enough
+
     def _is_optimal(self) -> bool:
-        """Whether no motion can be better by more than `_LEAST_GAIN`."""
+        """Whether no motion can be better by more than `_LEAST_GAIN`, or one is as fast as is asked for."""
+        if self._is_enough():
+            return True
         if self.best is None or not self._problem.objective.is_time or not self._goes_on():
             return False
         return self.best.motion.duration <= (1.0 + _LEAST_GAIN) * self._least_time()
@@ -479,7 +501,8 @@ class MotionSearch:
         is_time, limits = self._problem.objective.is_time, self._problem.limits
         if not is_time and not self._goes_on():
             return
-        for turn, pieces in enumerate((_FINE_PIECES,) if is_time else _FINER_PIECES):
+        finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
+        for turn, pieces in enumerate((_FINE_PIECES,) if is_time else finer or _FINER_PIECES[:1]):
             best = self.best
             if best is None or self._rounds_left() < _FINE_ROUNDS:
                 return
@@ -501,7 +524,7 @@ class MotionSearch:
 
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
-        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
+        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool], unsampled: bool = False,
     ) -> Timed | None:  # fmt: skip
         work, descent = self._world.work, self._descent
         before = descent.rounds
@@ -509,7 +532,7 @@ class MotionSearch:
         found = descent.run(
             curve, duration, goal,
             most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
-            longest=self._longest if np.isfinite(self._longest) else _SLOWER * duration,
+            longest=self._longest if np.isfinite(self._longest) else _SLOWER * duration, unsampled=unsampled,
         )  # fmt: skip
         work.descent_rounds -= -(-(descent.rounds - before) // self._rounds_in_one)
         return found
