@@ -4,8 +4,9 @@
 For each group of random sites (validation/sites.py), or of problems at a table, a shelf and a cage
 (validation/tabletop.py), in all of which a way is known: the part that was verified, cost over
 the best known, processor time, cost over the bound that the plan proves, and how far apart the
-results of several planning seeds are. `below bound` must be 0. What is best known is kept in
-a file; runs with other seeds and more effort make it better.
+results of several planning seeds are. For work and hydraulic energy, "beside little" gives the same shares
+with whatever costs less than lifting all that moves by a millimetre counted as that. `below bound` must be 0.
+What is best known is kept in a file; runs with other seeds and more effort make it better.
 
     python scripts/bench_goals.py --sites 10 --best best.json
     python scripts/bench_goals.py --sites 10 --best best.json --effort thorough --planning-seeds 1 2 3

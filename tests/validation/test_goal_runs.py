@@ -95,3 +95,16 @@ def test_an_exception_while_planning_is_a_row_of_its_own(monkeypatch: pytest.Mon
     (row,) = runs.run_site(SiteKey("planar4", "open", "goal", 0), runs.Settings())
     assert (row.verdict, row.reason, row.cost) == ("error", "error", None)
     assert row.message == "ZeroDivisionError: on purpose"
+
+
+def test_what_lifts_all_that_moves_by_a_millimetre_counts_as_little(backhoe: bp.Robot) -> None:
+    mass = sum(inertia.mass for inertia in backhoe.model.inertias.tolist()[1:])
+    middle = {"joints": dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))}
+    content = {"version": 1, "payload": 2.0, "start": middle, "task": {"goal": middle}}
+    scene = bp.scene_from_dict(content)
+    assert runs.little_cost(backhoe, scene, "work") == pytest.approx((mass + 2.0) * 9.81e-3)
+    assert runs.little_cost(backhoe, scene, "time") == 0.0
+    best, row = runs.Best(), dataclasses.replace(ROW, objective="work", cost=4.4, bound=None, little=4.2)
+    best.add(row.name, row.digest, 0.1, "known")
+    assert "| 0 % | 0 % | 0 % | 0, 100, 100 % |" in " ".join(runs.table([row], best).split())
+    assert "little" not in runs.table([dataclasses.replace(row, little=0.0)], best)
