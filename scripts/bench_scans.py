@@ -40,7 +40,7 @@ def main() -> None:
         sets: list[tuple[str, ...]] = [(), *((kind,) for kind in KINDS), KINDS]
         goal = next(goals(robot, np.random.default_rng(options.seed)))
         costs = [measure(robot, survey, kinds, goal=goal) for kinds in [(), *sets]][1:]  # the first run warms up
-        taken = drive_in_turn([cost.servo for cost in costs], steps=options.steps, seed=options.seed)
+        taken = drive_in_turn(robot, survey, sets, goal=goal, steps=options.steps, seed=options.seed)
         plans = plan_in_turn(robot, survey, sets, count=options.goals, seed=options.seed)
     plain = costs[0]
     ratios = plans.seconds / plans.seconds[:, :1]

@@ -194,13 +194,11 @@ class Cost:
     intake: to take it in [s].
     memory: the most that the process has had by then [MB].
     page: of one plan [MB].
-    servo: beside it.
     """
 
     intake: float
     memory: float
     page: float
-    servo: bp.Servo
 
 
 def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vector) -> Cost:
@@ -210,15 +208,20 @@ def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vect
     problem = build_problem(robot, scene)
     intake = time.process_time() - begun
     page = len(plan_page(plan_problem(problem))[0]) / 1e6
-    servo = bp.Servo(robot, scene)
-    return Cost(intake, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page, servo)
+    bp.Servo(robot, scene)  # which takes memory, too
+    return Cost(intake, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page)
 
 
-def drive_in_turn(servos: Sequence[bp.Servo], *, steps: int, seed: int) -> Matrix:
-    """(S, steps) processor times of the steps of servos that are told the same [us].
+def drive_in_turn(
+    robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]], *, goal: Vector, steps: int, seed: int
+) -> Matrix:
+    """(S, steps) processor times of the servo's steps beside each of S sets of surveys, with the same wishes [us].
 
     Some steps of each in turn, so that what else the computer does slows all of them alike.
+
+    goal: (3,) of the scene [m]; the servo does not use it.
     """
+    servos = [bp.Servo(robot, site_scene(survey, goal, kinds=kinds)) for kinds in sets]
     gc.collect()
     gc.freeze()  # as a program that keeps a clock does: else Python looks through all that is loaded now and then
     drives = [ServoDrive(servo, 0, np.random.default_rng(seed)) for servo in servos]
