@@ -83,7 +83,7 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # the cheapest straight lines for each of `Effort.ways_at_once`, of which some joints are made early or late as well,
 # and how many of both have a few rounds, for another cost than the time; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
-_WAYS_FOR_ONE = 3  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
+_WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
