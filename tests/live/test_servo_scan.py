@@ -142,6 +142,28 @@ def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
     assert max(measured) <= 2
 
 
+def test_boxes_that_could_not_be_found_are_found_in_the_next_step(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault in finding them must not let the machine go on with boxes that do not hold."""
+    servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
+    servo.add_points("scan", ground_and_wall(np.random.default_rng(5)), resolution=0.1)
+    one = servo._separation.clusters[-1]
+    one.covered = 0.0
+    servo._separation.places.note(one)
+
+    def fails(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(servo._bounds, "find_boxes", fails)
+        servo.step(joint_velocity=[0.1, 0.0, 0.0, 0.0])
+    assert isinstance(servo.last_error, ZeroDivisionError)
+    assert one.covered == 0.0
+    servo.step(joint_velocity=[0.1, 0.0, 0.0, 0.0])
+    assert one.covered > 0.1
+
+
 @pytest.mark.parametrize("dt", [0.001, 0.01])
 def test_no_link_comes_further_than_its_line_in_some_steps_and_braking_after_them(backhoe: Robot, dt: float) -> None:
     """At any velocities that the accelerations allow, and wherever braking begins."""

@@ -66,14 +66,15 @@ class BoxUpkeep:
         if step < self._due:
             return True
         one, urgent = self._most_urgent(state, _EVERY)
-        self._due = step + _EVERY
         if one is None:
+            self._due = step + _EVERY
             return True
         if urgent < math.inf:
             if not (
                 self._bounds.searches or self._bounds.search_boxes(one, self._at, reach=self._reach_of(one, state))
             ):
                 self._find(one, state)
+            self._due = step + _EVERY
             return True
         self._find(one, state)
         self._due = step + 1  # the next step looks whether there are more that cannot wait long
