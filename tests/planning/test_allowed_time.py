@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from backhoe_planner.planning.goals.allowed_time import (
     fastest_with_room,
     has_room,
 )
+from backhoe_planner.planning.goals.motion_search import MotionSearch
 
 
 @pytest.mark.parametrize(
@@ -47,6 +50,28 @@ def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(pla
         }  # fmt: skip
         problem, T = build_problem(planar4, bp.scene_from_dict(content)), 2.0 * np.sqrt(d / a)
         assert 0.97 * T <= bound_for_allowed_time(problem, np.full(4, 0.1)) <= T
+
+
+def test_where_no_fast_motion_is_proven_none_is_allowed_a_time_and_the_search_goes_on(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Descents have ended, but the proof of none was clear: what they cost in an infinite time says nothing."""
+
+    def unproven(self: MotionSearch, *args: Any, **kwargs: Any) -> MotionSearch | None:
+        search = search_fastest(self, *args, **kwargs)
+        assert search is not None
+        assert search.best is not None
+        search.ended.append(search.best)
+        search.best = None
+        return search
+
+    search_fastest = MotionSearch._search_fastest
+    monkeypatch.setattr(MotionSearch, "_search_fastest", unproven)
+    start = dict.fromkeys(planar4.joint_names, 0.1)
+    content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.6}}}}
+    plan = bp.plan(planar4, bp.scene_from_dict(content | {"objective": "work"}), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.findings.allowed_time is None
 
 
 @pytest.mark.long

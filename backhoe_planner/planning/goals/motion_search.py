@@ -181,7 +181,10 @@ class MotionSearch:
     # --- first ways -------------------------------------------------------------------
 
     def _go_fast(self) -> None:
-        """How long a motion may take; where the searches for that end, and lines to many postures, brought down."""
+        """How long a motion may take; where the searches for that end, and lines to many postures, brought down.
+
+        Nothing of that where none of the searches has a motion that is proven.
+        """
         work = self._world.work
         ended: list[FoundMotion] = []
         bound = bound_for_allowed_time(self._problem, self._start) if self._goes_on() else 0.0
@@ -198,7 +201,9 @@ class MotionSearch:
                 self._offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
                 if has_room(bound, fastest.duration):
                     break
-        if self._goes_on() and np.isfinite(self._longest):
+        if not np.isfinite(self._longest):
+            return
+        if self._goes_on():
             self._look_for_postures(within=self._longest)
         self._reserved = work.descent_rounds // 3
         ways = work.effort.ways_at_once
