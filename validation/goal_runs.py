@@ -21,7 +21,7 @@ import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.machine import Dynamics
+from backhoe_planner.machine import GRAVITY, Dynamics
 from validation.campaigns import call_for_all
 from validation.habitats import load_machine
 from validation.sites import Site, SiteKey, random_site
@@ -31,7 +31,6 @@ from validation.tables import markdown, percent
 VERSION = 1
 WITHIN = (1.03, 1.1, 1.3)  # times the best known: the shares of motions within these are counted
 _LIFTED = 1e-3  # m by which all that moves is lifted by the work that counts as little; chosen
-_GRAVITY = 9.81  # m/s^2
 _ROUNDING = 1e-6  # part of a bound by which a motion may be below it
 
 
@@ -185,7 +184,7 @@ def little_cost(robot: bp.Robot, scene: bp.Scene, objective: str) -> float:
     if objective not in ("work", "hydraulic"):
         return 0.0
     masses, _ = Dynamics(robot, payload=scene.payload).bodies()
-    return float(np.sum(masses)) * _GRAVITY * _LIFTED
+    return float(np.sum(masses)) * GRAVITY * _LIFTED
 
 
 def cost_of(plan: bp.Plan, objective: str) -> float:
