@@ -1,13 +1,13 @@
 """Compiled versions of some functions on arrays, where the package `backhoe_planner_native` is installed.
 
-What runs at every step of a motion has its arithmetic in a few functions that take and return arrays and numbers
-alone. Each stands in plain Python where it belongs, marked so:
+What runs at every step of a motion, or in every round of a search, has its arithmetic in functions that take and
+return arrays and numbers alone. Each stands in plain Python where it belongs, marked so:
 
     @compiled
     def bounds_after(lower, travel, q_0, q, /): ...
 
 and in C under the same name, in the folder `native` of the source. The marked function is the compiled one where
-that is installed. Its plain version says what is computed, is what the compiled one is tested against, and
+the installed package has it. Its plain version says what is computed, is what the compiled one is tested against, and
 runs where there is none. Both give the same results to rounding.
 """
 

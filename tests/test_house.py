@@ -23,6 +23,7 @@ FLOORS = [
     "__main__",
 ]  # fmt: skip
 FILES = sorted(PACKAGE.rglob("*.py"))
+COMPILED = sorted((ROOT / "native" / "src").glob("*.[ch]"))
 
 
 def module_name(file: Path) -> str:
@@ -106,6 +107,11 @@ def test_imports_run_one_way_within_a_room(floor: str) -> None:
         for other in imported(file):
             if other.startswith(f"backhoe_planner.{floor}."):
                 assert place(other) <= place(module_name(file)), f"{file} imports {other} from above"
+
+
+def test_no_file_is_longer_than_600_lines() -> None:
+    lengths = {file: len(file.read_text(encoding="utf-8").splitlines()) for file in [*FILES, *COMPILED]}
+    assert not {str(file): length for file, length in lengths.items() if length > 600}
 
 
 # modules whose own name says where a thing is from: `obstacle_shapes.Sphere`, `shapes.Sphere`

@@ -22,7 +22,7 @@ int is_writeable(PyObject *object, const char *name)
     return -1;
 }
 
-static int has_length(npy_intp found, npy_intp wanted, const char *name)
+int has_length(npy_intp found, npy_intp wanted, const char *name)
 {
     if (wanted >= 0 && found != wanted) {
         PyErr_Format(PyExc_ValueError, "%s: has length %zd, not %zd", name, (Py_ssize_t)found, (Py_ssize_t)wanted);
@@ -55,6 +55,20 @@ int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, 
     if (has_length(out->rows, rows, name) < 0)
         return -1;
     return has_length(out->columns, columns, name);
+}
+
+const double *block(PyObject *object, const char *name, int axes, npy_intp *shape)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (is_array(object, name, NPY_DOUBLE, axes) < 0)
+        return NULL;
+    if (!PyArray_IS_C_CONTIGUOUS(array)) {
+        PyErr_Format(PyExc_TypeError, "%s: is not in one piece", name);
+        return NULL;
+    }
+    for (int axis = 0; axis < axes; axis++)
+        shape[axis] = PyArray_DIM(array, axis);
+    return (const double *)PyArray_DATA(array);
 }
 
 int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out)

@@ -44,9 +44,12 @@ int as_vec(PyObject *object, const char *name, npy_intp length, Vec *out);
 int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out);
 int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out); /* one to write to */
 int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out);
+int has_length(npy_intp found, npy_intp wanted, const char *name);
 /* of a type (NPY_DOUBLE, NPY_INTP) and with so many axes, as the processor reads it */
 int is_array(PyObject *object, const char *name, int kind, int axes);
 int is_writeable(PyObject *object, const char *name);
+/* doubles in one piece: the first of them, and in `shape` the length of each axis; or NULL with an exception */
+const double *block(PyObject *object, const char *name, int axes, npy_intp *shape);
 int as_double(PyObject *object, const char *name, double *out);
 int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out);
 /* `rows` tuples of as many numbers in a tuple: constants of each joint, as a plain version takes them quickest */
@@ -74,18 +77,18 @@ void solve_cholesky(const double *L, int n, double *b);
 /* symmetric A (n, n): its eigenvalues on the diagonal and its eigenvectors as columns of U, by Jacobi's rotations; or -1 */
 int eigenvectors(double *A, int n, double *U);
 
-/* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo. */
+/* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo,
+ * boxes. */
 #define FUNCTIONS(F) \
-    F(placed_arrays) F(keep_placements) F(place_tip) \
+    F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
     F(unproven_of_near) \
-    F(quick_terms) \
-    F(damped_steps) F(chain_placements) \
     F(off_turned_box) F(cells_of_tiles) F(split_by_plane) F(extent_along) \
+    F(quick_terms) \
     F(step_conditions) F(nearest_safe_program) \
-    F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(corner_gaps) \
-    F(blended_points) F(plane_rows) F(margins_now) F(stalest_pair) F(line_ahead) F(box_urgency) \
-    F(ways_of_links) F(refused_velocity) F(force_on_hand)
+    F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(margins_now) \
+    F(stalest_pair) F(corner_gaps) F(blended_points) F(plane_rows) F(refused_velocity) F(force_on_hand) \
+    F(line_ahead) F(box_urgency) F(ways_of_links)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

@@ -60,13 +60,8 @@ PyObject *off_turned_box(PyObject *self, PyObject *const *args, Py_ssize_t count
 static int as_numbers(PyObject *object, const char *name, npy_intp length, Ind *out)
 {
     PyArrayObject *array = (PyArrayObject *)object;
-    if (is_array(object, name, NPY_INTP, 1) < 0)
+    if (is_array(object, name, NPY_INTP, 1) < 0 || has_length(PyArray_DIM(array, 0), length, name) < 0)
         return -1;
-    if (length >= 0 && PyArray_DIM(array, 0) != length) {
-        PyErr_Format(PyExc_ValueError, "%s: has length %zd, not %zd", name, (Py_ssize_t)PyArray_DIM(array, 0),
-                     (Py_ssize_t)length);
-        return -1;
-    }
     out->data = PyArray_BYTES(array), out->n = PyArray_DIM(array, 0), out->step = PyArray_STRIDE(array, 0);
     return 0;
 }

@@ -3,14 +3,6 @@
 
 #include <math.h>
 
-static int same_length(npy_intp found, npy_intp wanted, const char *name)
-{
-    if (found == wanted)
-        return 0;
-    PyErr_Format(PyExc_ValueError, "%s: has length %zd, not %zd", name, (Py_ssize_t)found, (Py_ssize_t)wanted);
-    return -1;
-}
-
 /* --- joints ----------------------------------------------------------------------------- */
 
 #define OF(j, column) joints[COLUMNS * (j) + (column)]
@@ -131,7 +123,7 @@ PyObject *near_now(PyObject *self, PyObject *const *args, Py_ssize_t count)
     if (count_is(count, 5, "near_now") < 0 || as_vec(args[0], "distance", -1, &distance) < 0 ||
         as_vec(args[1], "within", distance.n, &within) < 0 || as_ind(args[2], "pairs", distance.n, &pairs) < 0 ||
         as_vec(args[4], "odometer", -1, &odometer) < 0 || as_ind(args[3], "classes", odometer.n, &classes) < 0 ||
-        same_length(classes.n, pairs.n, "classes") < 0)
+        has_length(classes.n, pairs.n, "classes") < 0)
         return NULL;
     npy_intp some = 0, *near;
     double *lower, *moved;
@@ -158,7 +150,7 @@ PyObject *not_proven(PyObject *self, PyObject *const *args, Py_ssize_t count)
     if (count_is(count, 7, "not_proven") < 0 || as_vec(args[0], "proven", -1, &proven) < 0 ||
         as_vec(args[1], "required", proven.n, &required) < 0 || as_ind(args[2], "pairs", proven.n, &pairs) < 0 ||
         as_vec(args[4], "odometer", -1, &odometer) < 0 || as_vec(args[5], "budget", odometer.n, &budget) < 0 ||
-        as_ind(args[3], "classes", odometer.n, &classes) < 0 || same_length(classes.n, pairs.n, "classes") < 0 ||
+        as_ind(args[3], "classes", odometer.n, &classes) < 0 || has_length(classes.n, pairs.n, "classes") < 0 ||
         as_double(args[6], "buffer", &buffer) < 0)
         return NULL;
     Room room;
@@ -183,7 +175,7 @@ PyObject *margins_now(PyObject *self, PyObject *const *args, Py_ssize_t count)
     if (count_is(count, 5, "margins_now") < 0 || as_vec(args[1], "distance", -1, &distance) < 0 ||
         as_ind(args[0], "pairs", distance.n, &pairs) < 0 || as_vec(args[2], "clearance", distance.n, &clearance) < 0 ||
         as_vec(args[4], "odometer", -1, &odometer) < 0 || as_ind(args[3], "classes", odometer.n, &classes) < 0 ||
-        same_length(classes.n, distance.n, "classes") < 0)
+        has_length(classes.n, distance.n, "classes") < 0)
         return NULL;
     PyObject *found = new_vec(pairs.n, &margin);
     for (npy_intp k = 0; found && k < pairs.n; k++) {
@@ -201,7 +193,7 @@ PyObject *stalest_pair(PyObject *self, PyObject *const *args, Py_ssize_t count)
     if (count_is(count, 9, "stalest_pair") < 0 || as_vec(args[1], "distance", -1, &distance) < 0 ||
         as_ind(args[0], "pairs", distance.n, &pairs) < 0 || as_vec(args[2], "clearance", distance.n, &clearance) < 0 ||
         as_vec(args[3], "renewed", distance.n, &renewed) < 0 || as_vec(args[5], "odometer", -1, &odometer) < 0 ||
-        as_ind(args[4], "classes", odometer.n, &classes) < 0 || same_length(classes.n, distance.n, "classes") < 0 ||
+        as_ind(args[4], "classes", odometer.n, &classes) < 0 || has_length(classes.n, distance.n, "classes") < 0 ||
         as_doubles(args[8], "rules", 3, rules) < 0)
         return NULL;
     const int nearest_first = PyObject_IsTrue(args[6]), far = PyObject_IsTrue(args[7]);
@@ -229,21 +221,6 @@ PyObject *stalest_pair(PyObject *self, PyObject *const *args, Py_ssize_t count)
 
 /* --- planes ----------------------------------------------------------------------------- */
 
-/* An array of doubles in one piece: its numbers, and in `shape` the length of each axis. */
-static const double *block(PyObject *object, const char *name, int axes, npy_intp *shape)
-{
-    PyArrayObject *array = (PyArrayObject *)object;
-    if (is_array(object, name, NPY_DOUBLE, axes) < 0)
-        return NULL;
-    if (!PyArray_IS_C_CONTIGUOUS(array)) {
-        PyErr_Format(PyExc_TypeError, "%s: is not in one piece", name);
-        return NULL;
-    }
-    for (int axis = 0; axis < axes; axis++)
-        shape[axis] = PyArray_DIM(array, axis);
-    return (const double *)PyArray_DATA(array);
-}
-
 /* The normal of a plane (4,), as it stands in a body placed at T (4, 4), in the world. */
 static void turned(const double *T, const double *n, double *out)
 {
@@ -263,9 +240,9 @@ PyObject *corner_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
         return NULL;
     const double *T = block(args[4], "T", 4, t), *columns = T ? block(args[5], "columns", 3, c) : NULL;
     double *gaps = columns ? (double *)block(args[8], "gaps", 3, g) : NULL;
-    if (!gaps || is_writeable(args[8], "gaps") < 0 || as_ind(args[2], "joint", t[1], &joint) < 0 || same_length(joint.n, planes.rows, "joint") < 0 ||
+    if (!gaps || is_writeable(args[8], "gaps") < 0 || as_ind(args[2], "joint", t[1], &joint) < 0 || has_length(joint.n, planes.rows, "joint") < 0 ||
         (args[3] != Py_None &&
-         (as_ind(args[3], "other", t[1], &other) < 0 || same_length(other.n, planes.rows, "other") < 0)) ||
+         (as_ind(args[3], "other", t[1], &other) < 0 || has_length(other.n, planes.rows, "other") < 0)) ||
         (args[6] != Py_None && as_vec(args[6], "drift", planes.rows, &drift) < 0))
         return NULL;
     const npy_intp K = pairs.n, S = t[0], V = c[2];
@@ -357,9 +334,9 @@ PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
         as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || as_mat(args[2], "points", pairs.n, 4, &points) < 0)
         return NULL;
     const double *T = block(args[7], "T", 4, t), *J = T ? block(args[8], "J", 3, j) : NULL;
-    if (!J || as_ind(args[4], "joint", t[1], &joint) < 0 || same_length(joint.n, planes.rows, "joint") < 0 ||
+    if (!J || as_ind(args[4], "joint", t[1], &joint) < 0 || has_length(joint.n, planes.rows, "joint") < 0 ||
         (args[5] != Py_None &&
-         (as_ind(args[5], "other", t[1], &other) < 0 || same_length(other.n, planes.rows, "other") < 0)) ||
+         (as_ind(args[5], "other", t[1], &other) < 0 || has_length(other.n, planes.rows, "other") < 0)) ||
         as_mat(args[6], "mask", planes.rows, j[2], &mask) < 0)
         return NULL;
     if (PyLong_Check(args[1])) {
@@ -368,7 +345,7 @@ PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
             PyErr_SetString(PyExc_IndexError, "samples: is not one of those of T");
             return NULL;
         }
-    } else if (as_ind(args[1], "samples", t[0], &samples) < 0 || same_length(samples.n, pairs.n, "samples") < 0)
+    } else if (as_ind(args[1], "samples", t[0], &samples) < 0 || has_length(samples.n, pairs.n, "samples") < 0)
         return NULL;
     if (t[2] != 4 || t[3] != 4 || j[0] != t[0] || j[1] != 6) {
         PyErr_SetString(PyExc_ValueError, "T and J do not fit together");
@@ -405,160 +382,6 @@ PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
             row[i] = sum * AT2(mask, pair, i);
         }
     }
-    return found;
-}
-
-/* --- clusters --------------------------------------------------------------------------- */
-
-PyObject *line_ahead(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    Vec q, v, end, gained, acceleration, furthest, turning;
-    Mat travel;
-    double rules[3], braking = 0.0, now = 0.0, bent = 0.0, angles = 0.0;
-    double delta[MOST_JOINTS], spread[MOST_JOINTS], bend[MOST_JOINTS];
-    if (count_is(count, 9, "line_ahead") < 0 || as_vec(args[0], "q", -1, &q) < 0 || some_joints(q.n) < 0 ||
-        as_vec(args[1], "v", q.n, &v) < 0 || as_vec(args[2], "end", q.n, &end) < 0 ||
-        as_vec(args[3], "gained", q.n, &gained) < 0 || as_vec(args[4], "acceleration", q.n, &acceleration) < 0 ||
-        as_mat(args[5], "travel", -1, q.n, &travel) < 0 || as_vec(args[6], "furthest", q.n, &furthest) < 0 ||
-        as_vec(args[7], "turning", q.n, &turning) < 0 || as_doubles(args[8], "rules", 3, rules) < 0)
-        return NULL;
-    const npy_intp n = q.n;
-    for (npy_intp j = 0; j < n; j++) {
-        const double speed = fabs(AT(v, j)), a = AT(acceleration, j), time = (speed + AT(gained, j)) / a;
-        if (time > braking)
-            braking = time;
-        if (speed / a > now)
-            now = speed / a;
-    }
-    const double begins = rules[0], look = begins + 0.5 * braking;
-    for (npy_intp j = 0; j < n; j++) {
-        const double off = fabs(AT(end, j) - AT(q, j) - 0.5 * now * AT(v, j)), gain = look * AT(gained, j);
-        delta[j] = look * AT(v, j);
-        spread[j] = off > gain ? off : gain;
-        const double size = fabs(delta[j]), angle = size * AT(turning, j);
-        angles += angle;
-        bend[j] = size * (2.0 * angles - angle);
-        bent += bend[j] * AT(furthest, j);
-    }
-    const double wanted = ceil(sqrt(bent / (8.0 * rules[1])));
-    const npy_intp parts = wanted < 1.0 ? 1 : (npy_intp)(wanted > rules[2] ? rules[2] : wanted);
-    double *at, *beside, *way, *change;
-    PyObject *ends = new_mat(parts + 1, n, &at), *besides = new_vec(travel.rows, &beside),
-             *ways = new_vec(travel.rows, &way), *changes = new_vec(travel.rows, &change);
-    if (!ends || !besides || !ways || !changes) {
-        Py_XDECREF(ends), Py_XDECREF(besides), Py_XDECREF(ways), Py_XDECREF(changes);
-        return NULL;
-    }
-    for (npy_intp s = 0; s <= parts; s++)
-        for (npy_intp j = 0; j < n; j++)
-            at[n * s + j] = AT(q, j) + (double)s / parts * delta[j];
-    for (npy_intp c = 0; c < travel.rows; c++) {
-        beside[c] = way[c] = change[c] = 0.0;
-        for (npy_intp j = 0; j < n; j++) {
-            const double r = AT2(travel, c, j);
-            beside[c] += r * (bend[j] / (8.0 * parts * parts) + spread[j]);
-            way[c] += r * (fabs(delta[j]) + spread[j]);
-            change[c] += r * (begins * fabs(AT(v, j)) + spread[j]);
-        }
-    }
-    return Py_BuildValue("NNNNd", ends, besides, ways, changes, begins + braking);
-}
-
-PyObject *box_urgency(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    Mat moved;
-    Vec covered, nearest, clearance, speed, counts, beside, way, change, distance, odometer, proven, path;
-    Ind classes, pairs;
-    double time, rules[3], *urgency;
-    if (count_is(count, 17, "box_urgency") < 0 || as_vec(args[1], "covered", -1, &covered) < 0 ||
-        as_mat(args[0], "moved", -1, covered.n, &moved) < 0 || as_vec(args[2], "nearest", covered.n, &nearest) < 0 ||
-        as_vec(args[3], "clearance", covered.n, &clearance) < 0 || as_vec(args[4], "speed", covered.n, &speed) < 0 ||
-        as_vec(args[5], "counts", covered.n, &counts) < 0 || as_vec(args[7], "beside", -1, &beside) < 0 ||
-        as_ind(args[6], "classes", beside.n, &classes) < 0 || same_length(classes.n, covered.n, "classes") < 0 ||
-        as_vec(args[8], "way", beside.n, &way) < 0 || as_vec(args[9], "change", beside.n, &change) < 0 ||
-        as_double(args[10], "time", &time) < 0 || as_vec(args[12], "distance", -1, &distance) < 0 ||
-        as_ind(args[11], "pairs", distance.n, &pairs) < 0 || as_vec(args[13], "odometer", beside.n, &odometer) < 0 ||
-        as_vec(args[14], "proven", distance.n, &proven) < 0 ||
-        as_vec(args[15], "path_odometer", beside.n, &path) < 0 || as_doubles(args[16], "rules", 3, rules) < 0)
-        return NULL;
-    const npy_intp K = covered.n, each = K ? pairs.n / K : 0;
-    if (K && (moved.rows < 1 || each < 1 || each * K != pairs.n)) {
-        PyErr_SetString(PyExc_ValueError, "moved, pairs: some of each link are wanted, as many of all");
-        return NULL;
-    }
-    PyObject *found = new_vec(K, &urgency);
-    if (!found)
-        return NULL;
-    const double near = rules[0], close = rules[1], least = rules[2];
-    for (npy_intp k = 0; k < K; k++) {
-        const npy_intp row = INDEX(classes, k);
-        double furthest = AT2(moved, 0, k), here = INFINITY, over = INFINITY;
-        for (npy_intp s = 1; s < moved.rows; s++)
-            if (!(AT2(moved, s, k) <= furthest))
-                furthest = AT2(moved, s, k);
-        for (npy_intp i = each * k; i < each * (k + 1); i++) {
-            const npy_intp pair = INDEX(pairs, i);
-            here = AT(distance, pair) < here ? AT(distance, pair) : here;
-            over = AT(proven, pair) < over ? AT(proven, pair) : over;
-        }
-        here -= AT(odometer, row) + AT(way, row);
-        over -= AT(path, row) + AT(change, row);
-        const double left = AT(covered, k) - AT(clearance, k) - AT(speed, k) * time - furthest - AT(beside, row);
-        const double part = close * AT(nearest, k);
-        urgency[k] = INFINITY;
-        if (left > 0.0) {
-            const double aside = AT2(moved, 0, k) / (part > least ? part : least);
-            urgency[k] = least / left;
-            if ((here > over ? here : over) < AT(clearance, k) + near && aside > urgency[k])
-                urgency[k] = aside;
-        }
-        if (!(AT(counts, k) > 0.0))
-            urgency[k] = 0.0;
-    }
-    return found;
-}
-
-PyObject *ways_of_links(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    Ind joint;
-    Vec fat;
-    npy_intp t[4], b[3], c[3];
-    double *way;
-    if (count_is(count, 5, "ways_of_links") < 0)
-        return NULL;
-    const double *T = block(args[0], "T", 4, t), *begun = T ? block(args[2], "begun", 3, b) : NULL;
-    const double *columns = begun ? block(args[3], "columns", 3, c) : NULL;
-    if (!columns || as_ind(args[1], "joint", t[1], &joint) < 0 || as_vec(args[4], "fat", joint.n, &fat) < 0)
-        return NULL;
-    const npy_intp S = t[0], K = joint.n, V = c[2];
-    if (t[2] != 4 || t[3] != 4 || b[0] != K || b[1] != 3 || b[2] != 4 || c[0] != K || c[1] != 4 || V < 1) {
-        PyErr_SetString(PyExc_ValueError, "T, begun and columns do not fit together");
-        return NULL;
-    }
-    PyObject *found = new_mat(S, K, &way);
-    if (!found)
-        return NULL;
-    for (npy_intp s = 0; s < S; s++)
-        for (npy_intp k = 0; k < K; k++) {
-            const double *now = T + 16 * (t[1] * s + INDEX(joint, k)), *corner = columns + 4 * V * k;
-            double change[12], turn = 0.0, most = 0.0;
-            for (int i = 0; i < 12; i++) {
-                change[i] = now[i] - begun[12 * k + i];
-                if (i % 4 < 3)
-                    turn += change[i] * change[i];
-            }
-            for (npy_intp v = 0; v < V; v++) {
-                double off = 0.0;
-                for (int r = 0; r < 3; r++) {
-                    const double *m = change + 4 * r;
-                    const double x = m[0] * corner[v] + m[1] * corner[V + v] + m[2] * corner[2 * V + v] + m[3] * corner[3 * V + v];
-                    off += x * x;
-                }
-                if (!(off <= most)) /* what is no number is kept */
-                    most = off;
-            }
-            way[K * s + k] = sqrt(most) + AT(fat, k) * sqrt(turn);
-        }
     return found;
 }
 
