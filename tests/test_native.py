@@ -291,7 +291,7 @@ def margins_now(rng: Rng) -> Arguments:
 def stalest_pair(rng: Rng) -> Arguments:
     pairs, distance, clearance, classes, odometer = margins_now(rng)
     renewed = odometer[classes] - rng.choice([0.001, 0.01, 0.1]) * rng.uniform(0.0, 1.0, len(distance))
-    pairs, first, far = pairs if len(pairs) else np.zeros(1, np.intp), bool(rng.integers(2)), bool(rng.integers(2))
+    first, far = bool(rng.integers(2)), bool(rng.integers(2))
     return pairs, distance, clearance, renewed, classes, odometer, first, far, (0.1, 0.02, 0.05)
 
 
@@ -411,12 +411,12 @@ def test_compiled_and_plain_versions_agree(source: Callable[[Rng], Arguments]) -
 @needs_native
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.__name__))
 def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Arguments]) -> None:
-    """An array that is a number short, of another type, or an index out of range, is refused and not read beyond."""
+    """An array of another type, of a length that does not fit, or an index out of range, is refused and not read."""
     rng = np.random.default_rng(11)
     compiled = getattr(find_compiled(), source.__name__)
     with pytest.raises(TypeError, match="takes"):
         compiled()
-    refused = 0
+    refused, plain = 0, plain_versions()[source.__name__]
     for _ in range(6):
         arguments = source(rng)
         for place, one in enumerate(arguments):
@@ -429,6 +429,15 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
                     refused += 1
                     with pytest.raises((TypeError, ValueError, IndexError)):
                         compiled(*arguments[:place], other, *arguments[place + 1 :])
+                for axis in [axis for axis, length in enumerate(one.shape) if length]:
+                    shorter = (*arguments[:place], np.delete(one, -1, axis), *arguments[place + 1 :])
+                    try:
+                        found = compiled(*copied(shorter))
+                    except (TypeError, ValueError, IndexError):
+                        refused += 1
+                    else:  # there may be one less of it
+                        expected = plain(*copied(shorter))
+                        assert same(found, expected) or (source is quick_terms and expected is None)
     assert refused > 5
 
 

@@ -80,6 +80,8 @@ def stalest_pair(
     far: whether one is also measured where none is close.
     rules: margin within which a pair is close, what is added to it [m], and the part of both that it must have moved.
     """
+    if len(pairs) == 0:
+        return -1
     close, urgent, least = rules
     margin = margins_now(pairs, distance, clearance, classes, odometer)
     nearest = int(margin.argmin())
