@@ -65,7 +65,10 @@ class Dynamics:
         return found
 
     def torque_slopes(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, Array]:
-        """(B, n) the torques of `torques_along`, and (B, n, 3 n) their derivatives by q, v and a; all (B, n)."""
+        """(B, n) the torques of `torques_along` [N m or N], and (B, n, 3 n) their derivatives.
+
+        Those by q (B, n) come first along the last axis, then those by v and by a (B, n).
+        """
         count, n = np.shape(q)
         found, slopes = np.empty((count, n)), np.empty((count, n, 3 * n))
         derive, model, data = pin.computeRNEADerivatives, self._model, self._data
