@@ -59,8 +59,8 @@ _TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each o
 _PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
 _SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
 _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
-_MANY_PIECES = 20  # from which on pairs are kept in the cache folder: the shipped backhoe's 26 take 30 ms without
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
+_MANY_PIECES = 20  # from which on pairs are kept in the cache folder: the shipped backhoe's 26 take 30 ms without
 
 
 class _Shaped:

@@ -39,8 +39,8 @@ from backhoe_planner.proof import least_duration, motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 
 _FINE_PIECES = 20  # of the best curve at the end
-# the same for another cost than the time, in turn, of different lengths, and the control points' joints at most, as the
-# programs take ever longer; chosen
+# the same for another cost than the time, in turn, with pieces of different lengths; and pieces times joints at most,
+# as the programs take ever longer; chosen
 _FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 200
 _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
@@ -84,7 +84,7 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # and how many of both have a few rounds, for another cost than the time; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
-_END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
+_END_APART = 0.03  # part of the longest time: joint time between two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
@@ -501,7 +501,7 @@ class MotionSearch:
         return (1.0 + _LEAST_GAIN) * self._ends.least_to(curve.control[-1])
 
     def _refine(self) -> None:
-        """The best motion again on a curve of more pieces; for another cost than the time on three, if in no hurry."""
+        """The best motion again on a curve of more pieces; for another cost on several in turn, if in no hurry."""
         self._reserved = 0
         is_time, limits = self._problem.objective.is_time, self._problem.limits
         if not is_time and not self._goes_on():
