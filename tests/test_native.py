@@ -494,6 +494,19 @@ def test_the_compiled_law_is_the_general_one_on_any_arm(panda: Robot, rows: int,
         assert found[2] == pytest.approx(0.08 * np.sqrt(1.0 - (least / 0.08) ** 2) if least < 0.08 else 0.0, abs=1e-12)
 
 
+@needs_native
+@pytest.mark.parametrize("s", [(1.0, 1.0, 1.0, 0.01, 0.01, 0.01), (1.0, 1.0, 1.0, 0.5, 0.0, 0.0), (2.0, 2.0, 0.01)])
+def test_the_compiled_law_answers_where_singular_values_are_equal(panda: Robot, s: tuple[float, ...]) -> None:
+    rng, law, at = np.random.default_rng(0), CompletedLaw(panda, influence=0.5), Kinematics(panda).at(np.zeros(7))
+    nothing = CriticalRows(np.zeros(0), np.zeros((0, 7)), np.zeros(0))
+    for _ in range(150):
+        U, V = (np.linalg.qr(rng.normal(size=(size, size)))[0] for size in (len(s), 7))
+        J, xdot = (U * s).dot(V[: len(s)]), rng.normal(size=len(s))
+        found = law.quick_terms_unchecked(at.q, J, xdot, nothing)
+        assert found is not None
+        assert found[0] == pytest.approx(law.wish(at, J, xdot, nothing).primary, rel=1e-9, abs=1e-10)
+
+
 # --- what is known of the plain versions ------------------------------------------------------
 
 

@@ -241,8 +241,9 @@ int eigenvectors(double *A, int n, double *U)
         for (int p = 0; p < n; p++)
             for (int q = p + 1; q < n; q++)
                 off += A[n * p + q] * A[n * p + q];
-        if (!(off > 1e-34 * size))
-            return off <= 1e-34 * size ? 0 : -1;
+        /* 1e-15 of A, of which its own rounding leaves as much: where eigenvalues are equal it gets no less */
+        if (!(off > 1e-30 * size))
+            return off <= 1e-30 * size ? 0 : -1;
         for (int p = 0; p < n; p++)
             for (int q = p + 1; q < n; q++) {
                 if (A[n * p + q] == 0.0)
