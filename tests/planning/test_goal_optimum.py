@@ -104,6 +104,27 @@ def test_what_nothing_stands_beside_is_not_gone_round(
     assert bool(mapped) == near
 
 
+def test_after_a_roadmap_in_vain_one_stands_closer_where_a_much_shorter_way_would_be(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a motion round a ball that stands on the arc of the second joint: it takes twice as long as the bound."""
+    asked: list[tuple[int, float]] = []
+
+    def through_roadmap(self: Any, which: list[int], turn: int, **given: Any) -> Iterator[Any]:
+        asked.append((given["nodes"], given["longest"]))
+        yield from ()
+
+    monkeypatch.setattr("backhoe_planner.planning.goals.ways.Ways.through_roadmap", through_roadmap)
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [1.76, 0.96, 0.0]}
+    plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], ball))
+    assert plan.verified, plan.message
+    assert plan.bound is not None
+    assert plan.trajectory.duration > 2.0 * plan.bound.duration
+    (nodes, longest), (more, shorter) = asked[:2]
+    assert more > nodes
+    assert plan.bound.duration < shorter < longest < plan.trajectory.duration
+
+
 def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL), effort="quick")
     assert plan.verified, plan.message

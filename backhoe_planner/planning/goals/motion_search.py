@@ -70,7 +70,8 @@ _WORTH_MORE = 2.0  # times the part that the best is above the bound: the part t
 _DEAREST = 1.6  # times the best cost: the price up to which there are ways through a roadmap; chosen
 # parts of what the logarithm of the best duration is above that of the bound, which a way's longest time is below
 # it, in turn; chosen
-_SHORTER = (0.25, 0.0, 0.5)
+_SHORTER = (0.25, 0.5, 0.0, 0.5)
+_MANY_NODES = 3_600  # of a roadmap after one that gained nothing, at least; chosen
 _FEWEST_WAYS = 2  # that are sampled before none is found
 # times the bound, from which on there is more patience, and by which factor; chosen
 _PATIENCE = ((2.0, 4), (1.4, 3), (1.1, 2))
@@ -410,9 +411,9 @@ class MotionSearch:
     def _mapped(self, turn: int, dull: int) -> Iterator[FoundMotion]:
         """Motions along different ways through a roadmap, which pass elsewhere than those that are known."""
         assert self.best is not None
-        longest, best = self._longest, self.best
+        longest, best, nodes = self._longest, self.best, self._world.work.effort.nodes
         if not np.isfinite(longest):
-            longest = self._longest_worth(dull)
+            longest, nodes = self._longest_worth(dull), max(nodes, _MANY_NODES) if dull else nodes
             if longest != self._looked_within:
                 self._look_for_postures(longest)
         which = [index for index in self._ends.order if self._is_open(index) and self._ends.least[index] < longest]
@@ -423,7 +424,7 @@ class MotionSearch:
         if np.isfinite(self._longest):  # a descent makes several times less of a price: prices are compared with prices
             own = max(own, float(np.sum(price(known[-1][:-1], known[-1][1:]))))
         found = self._ways.through_roadmap(
-            which, turn, longest=longest, price=price, known=known, dearest=_DEAREST * own
+            which, turn, nodes=nodes, longest=longest, price=price, known=known, dearest=_DEAREST * own
         )
         yield from itertools.islice(found, 2 * self._world.work.effort.ways_at_once)
 

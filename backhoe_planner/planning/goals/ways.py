@@ -115,7 +115,7 @@ class Ways:
         return found
 
     def through_roadmap(
-        self, which: Sequence[int], turn: int, *, longest: float, price: Price, known: Sequence[Matrix],
+        self, which: Sequence[int], turn: int, *, nodes: int, longest: float, price: Price, known: Sequence[Matrix],
         dearest: float = np.inf,
     ) -> Iterator[FoundMotion]:  # fmt: skip
         """Motions along different ways through a roadmap to any of the postures `which`, shortened.
@@ -123,6 +123,7 @@ class Ways:
         Parameters
         ----------
         turn: how many roadmaps were made before.
+        nodes: of the roadmap.
         longest: configurations are left out through which every motion takes longer [s].
         price: of straight motions, by which the cheapest ways come first.
         known: (K, n) each: places along motions, through which ways may lead, and near all of which none does.
@@ -135,7 +136,7 @@ class Ways:
             return
         seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
         reach = Reach(self._problem.limits, self._start, goals[clear[1:]], longest)
-        nodes, rng = self._world.work.effort.nodes, np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
         roadmap = Roadmap(check, reach, nodes=nodes, rng=rng, price=price, known=known)
         for path in roadmap.ways(dearest=dearest):
             found = self._motion(check, path, which, seed=seed, way="through a roadmap")
