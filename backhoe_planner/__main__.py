@@ -27,7 +27,8 @@ def main() -> NoReturn:
     try:
         run()
     finally:
-        gc.freeze()  # the system takes back all memory at once; looking for cycles in it costs 0.1 s
+        if "ompl" not in sys.modules:  # it complains of every object of its own that is left at the end
+            gc.freeze()  # the system takes back all memory at once; looking for cycles in it costs 0.1 s
 
 
 def _interrupt(_: int, frame: FrameType | None) -> None:

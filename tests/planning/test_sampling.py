@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import signal
 import subprocess
 import sys
@@ -297,6 +298,26 @@ def test_the_same_seed_gives_the_same_way_bit_for_bit_and_writes_nothing_to_the_
 def test_nothing_is_written_to_the_terminal(tmp_path: Path, mode: str, status: int) -> None:
     done = run_script(mode, tmp_path / "way.npy")
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
+
+
+def test_a_command_that_sampled_ends_in_silence(tmp_path: Path) -> None:
+    """Nothing of OMPL's is left when the process ends, of which it would complain."""
+    scene = {
+        "version": 1, "start": {"joints": {"swing": -0.9, "boom": 0.0, "stick": -1.2, "bucket": -0.6}},
+        "task": {"goal": {"position": [2.6, 2.8, 0.6]}},
+        "obstacles": [{"name": "wall", "shape": "box", "size": [3.0, 0.2, 2.0], "position": [3.2, 0.6, 1.0]}],
+    }  # fmt: skip
+    file = tmp_path / "scene.yaml"
+    file.write_text(json.dumps(scene))
+    code = "import sys; from backhoe_planner.__main__ import main\ntry: main()\n"
+    code += "finally: print('sampled' if 'ompl' in sys.modules else 'did not sample')"
+    arguments = ["plan", "example:backhoe", str(file), "--effort", "quick", "-o", str(tmp_path / "plan.json")]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False, timeout=PATIENCE
+    )
+    assert done.returncode == 0
+    assert done.stdout.rstrip().endswith("\nsampled")
+    assert done.stderr == ""
 
 
 def test_an_interrupt_ends_the_search_at_once(tmp_path: Path) -> None:
