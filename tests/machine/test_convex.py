@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
+from backhoe_planner.machine import convex_cover, is_nearly_convex, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
 
 ROUNDING = 1e-9
@@ -328,7 +328,9 @@ def test_mesh_files_are_read_as_their_author_placed_them(suffix: str, tmp_path: 
         ("garbage.ply", b"plx\n", "can be read"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "triangles"),
         ("mesh.xyzzy", b"abc", "can be read"),
-        ("nan.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite|triangles"),
+        ("box.obj.gz", b"abc", r"can be read; found '\.gz'; allowed: \.stl, \.obj"),
+        ("nan.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "vertex 1, coordinate 3"),
+        ("of_normals.obj", b"v 9 9 9\nv 1 0 0\nv 0 0 0\nv 0 1 nan\nvn 0 0 1\nf 4//1 2//1 3//1\n", "vertex 4, c"),
     ],
 )
 def test_unusable_mesh_files_are_named(
@@ -340,6 +342,34 @@ def test_unusable_mesh_files_are_named(
         load_mesh(path)
     assert str(path) in str(caught.value)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "dae", "glb", "3mf"])
+def test_one_coordinate_that_is_not_finite_is_named_in_every_format(suffix: str, value: float, tmp_path: Path) -> None:
+    """Its triangles would be left out, and a plan would go through the hole."""
+    path = tmp_path / f"block.{suffix}"
+    mesh = trimesh.creation.box((1.0, 2.0, 3.0))
+    mesh = trimesh.Trimesh(np.where(mesh.vertices == mesh.vertices[3], value, mesh.vertices), mesh.faces, process=False)
+    with np.errstate(all="ignore"):
+        (mesh.scene() if suffix == "3mf" else mesh).export(path)
+    said = r"block\.\w+: vertex \d+, coordinate \d: a coordinate is not finite; found (nan|-?inf); allowed: a f"
+    with pytest.raises(InputError, match=said):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize("corner", ["1e30 0 0", "1 1 0"])
+def test_a_mesh_that_is_huge_or_encloses_nothing_is_read_in_silence(corner: str, tmp_path: Path) -> None:
+    path = tmp_path / "open.obj"
+    path.write_text(f"v 0 0 0\nv 1 0 0\nv {corner}\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 5\n")
+    with np.errstate(all="raise"):
+        mesh = load_mesh(path)
+        if corner == "1 1 0":
+            assert not is_nearly_convex(mesh)
+            assert convex_cover(mesh)
+        else:
+            with pytest.raises(InputError, match="the mesh is too large"):
+                is_nearly_convex(mesh)
 
 
 def test_missing_mesh_file_and_folder_are_named(tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from lxml import etree
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 Cells = NDArray[np.int64]
 Block = tuple[int, int, int, int]
 """Of a height map: first and last row, first and last column."""
+
+_FORMATS = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf", ".3mf")
+"""Suffixes of mesh files whose vertices can be looked at as they stand in the file: trimesh drops triangles at NaN."""
 
 _RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
 _CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them
@@ -39,7 +43,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
     Raises
     ------
-    InputError: the file is missing, empty, or not a mesh.
+    InputError: the file is missing, empty, of another format, or not a mesh; a coordinate is not finite.
     """
     import trimesh
 
@@ -47,17 +51,61 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise InputError("no such mesh file", file=path)
     if path.stat().st_size == 0:
         raise InputError("the mesh file is empty", file=path)
+    if path.suffix.lower() not in _FORMATS:
+        found = repr(path.suffix) if path.suffix else "no suffix"
+        raise InputError("is not a mesh that can be read", file=path, found=found, allowed=", ".join(_FORMATS))
     try:
-        mesh = trimesh.load_mesh(path)
+        with np.errstate(all="ignore"):  # the coordinates are looked at below
+            scene = trimesh.load_scene(path, process=False)
+            parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]
+            for part in parts:
+                _check_part(part, path)
+            if path.suffix.lower() == ".dae":
+                _check_collada(path)
+            for part in parts:
+                part.process()
+            mesh = scene.to_mesh()
+    except InputError:
+        raise
     except Exception as error:  # trimesh raises whatever its format readers run into
         raise InputError(f"is not a mesh that can be read: {error}", file=path) from error
-    if isinstance(mesh, trimesh.Scene):
-        mesh = mesh.to_mesh()
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    if len(mesh.faces) == 0:
         raise InputError("holds no triangles", file=path)
-    if not np.all(np.isfinite(mesh.vertices)):
-        raise InputError("holds a vertex that is not finite", file=path)
+    _check_finite(np.asarray(mesh.vertices, dtype=float).ravel(), path)
     return mesh
+
+
+def _check_part(part: trimesh.Trimesh, path: Path) -> None:
+    coordinates = np.asarray(part.vertices, dtype=float).ravel()
+    if path.suffix.lower() == ".obj" and not np.isfinite(coordinates).all():  # whose reader numbers vertices anew
+        lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
+        _check_finite(np.array([words[1:4] for words in lines if words[:1] == ["v"]], dtype=float).ravel(), path)
+    _check_finite(coordinates, path)
+
+
+def _check_finite(coordinates: Vector, path: Path) -> None:
+    """InputError that names the first of a file's `coordinates` (3 n,) that is not finite."""
+    wrong = np.flatnonzero(~np.isfinite(coordinates))
+    if len(wrong):
+        vertex, coordinate = divmod(int(wrong[0]), 3)
+        raise InputError(
+            "a coordinate is not finite",
+            file=path,
+            key=f"vertex {vertex + 1}, coordinate {coordinate + 1}",
+            found=f"{coordinates[wrong[0]]:g}",
+            allowed="a finite number",
+        )
+
+
+def _check_collada(path: Path) -> None:
+    """Check the positions in a COLLADA file: pycollada reads NaN as 0, and trimesh drops triangles at infinity."""
+    root = etree.parse(path, etree.XMLParser(resolve_entities=False, huge_tree=True)).getroot()
+    inputs = (element for element in root.iter("{*}input") if element.get("semantic") == "POSITION")
+    positions = {str(element.get("source", "")).removeprefix("#") for element in inputs}
+    for source in root.iter("{*}source"):
+        array = source.find("{*}float_array")
+        if source.get("id") in positions and array is not None:
+            _check_finite(np.array((array.text or "").split(), dtype=float), path)
 
 
 def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EXCESS) -> list[Matrix]:
@@ -88,18 +136,9 @@ def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> 
     """
     vertices = np.asarray(mesh.vertices, dtype=float)
     faces = np.asarray(mesh.faces)
-    used = np.unique(faces)
-    furthest = float(np.max(np.abs(vertices[used])))
-    if furthest > _FURTHEST:
-        raise InputError(
-            "the mesh is too large",
-            found=f"a vertex {furthest:.4g} m from the origin",
-            allowed=f"up to {_FURTHEST:.0e} m",
-            hint="its scale takes the units of the file to metres",
-        )
-    around = hull(vertices[used])
-    if is_flat(vertices[used]) or around.volume <= excess * abs(mesh.volume):
-        is_mesh = mesh.is_watertight and around.volume <= _SAME_VOLUME * abs(mesh.volume)
+    points, around, volume = _extent(mesh)
+    if is_flat(points) or around.volume <= excess * volume:
+        is_mesh = mesh.is_watertight and around.volume <= _SAME_VOLUME * volume
         return [(around.points[around.vertices], None if is_mesh else vertices[faces])]
     from vhacdx import compute_vhacd
 
@@ -112,9 +151,29 @@ def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> 
 
 
 def is_nearly_convex(mesh: trimesh.Trimesh, *, excess: float = _EXCESS) -> bool:
-    """Whether a mesh is flat, or its convex hull has at most `excess` times its volume."""
+    """Whether a mesh is flat, or its convex hull has at most `excess` times its volume.
+
+    Raises
+    ------
+    InputError: see `convex_cover`.
+    """
+    points, around, volume = _extent(mesh)
+    return is_flat(points) or bool(around.volume <= excess * volume)
+
+
+def _extent(mesh: trimesh.Trimesh) -> tuple[Matrix, ConvexHull, float]:
+    """(k, 3) vertices that triangles use [m], their hull, and the volume that the triangles enclose [m^3]."""
     points = np.asarray(mesh.vertices, dtype=float)[np.unique(mesh.faces)]
-    return is_flat(points) or bool(hull(points).volume <= excess * abs(mesh.volume))
+    furthest = float(np.max(np.abs(points)))
+    if furthest > _FURTHEST:
+        raise InputError(
+            "the mesh is too large",
+            found=f"a vertex {furthest:.4g} m from the origin",
+            allowed=f"up to {_FURTHEST:.0e} m",
+            hint="its scale takes the units of the file to metres",
+        )
+    with np.errstate(all="ignore"):  # trimesh divides by the volume for the centre of mass, also where it is 0
+        return points, hull(points), abs(float(mesh.volume))
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[tuple[Matrix, Matrix | None]]:
