@@ -7,13 +7,14 @@ from pathlib import Path
 from backhoe_planner.errors import InputError
 
 
-def read_text(path: Path, *, what: str, error: type[InputError] = InputError) -> str:
+def read_text(path: Path, *, what: str, error: type[InputError] = InputError, formats: str | None = None) -> str:
     """The text of a file in UTF-8, without the byte order mark that it may begin with.
 
     Parameters
     ----------
     what: what the file holds, for messages, such as ``scene``.
     error: the class of what is raised.
+    formats: those in which it may be, for the message about a file that is no text.
 
     Raises
     ------
@@ -26,7 +27,8 @@ def read_text(path: Path, *, what: str, error: type[InputError] = InputError) ->
     except IsADirectoryError:
         raise error(f"is a folder, not a {what} file", file=path) from None
     except UnicodeDecodeError as problem:
-        raise error(f"is not UTF-8 text: {problem.reason} at byte {problem.start}", file=path) from problem
+        said = f"is not UTF-8 text: {problem.reason} at byte {problem.start}"
+        raise error(said, file=path, allowed=formats) from problem
     except OSError as problem:
         raise error(f"cannot be read: {problem.strerror}", file=path) from problem
     if not text.strip():

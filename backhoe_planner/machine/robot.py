@@ -37,6 +37,7 @@ from backhoe_planner.machine.shape.shapes import Piece, moved
 
 DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none; chosen
 _FULL_RATE_AFTER = 0.5  # s from rest, where neither URDF nor scene gives an acceleration; chosen
+_INERTIA_ROUNDING = 1e-3  # of the largest principal moment; chosen: files give few digits
 _PARALLEL = 1e-6  # sine of the angle between axes that count as parallel: rounding of a URDF's numbers
 _SEEDS_OF_AXIS = 8  # postures in which the last axis is looked at: one that leaves the level does so in nearly all
 _SEEDS_OF_REACH = 64  # postures among which the furthest reach is sought; only its sign counts
@@ -438,7 +439,8 @@ def load_robot(
 
     Raises
     ------
-    RobotError: see `read_urdf`, `read_hydraulics` and `chain_model`.
+    RobotError: see `read_urdf`, `read_hydraulics` and `chain_model`; a body that moves has a negative principal
+        moment of inertia.
     InputError: see `with_hold`.
 
     Examples
@@ -477,6 +479,7 @@ def _build(
 ) -> Robot:
     chain = chain_model(urdf, tip, hold, base)
     model = chain.model
+    _check_inertias(urdf, model)
     joint_names = tuple(str(name) for name in model.names[1:])
     return Robot(
         name=str(urdf.robot.name),
@@ -495,6 +498,21 @@ def _build(
         hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
         base=base,
     )
+
+
+def _check_inertias(urdf: Urdf, model: pin.Model) -> None:
+    """RobotError where a body that moves has a negative principal moment: it would turn against the torque on it.
+
+    Links that are fixed to each other are one body: in published URDFs small ones are wrong by themselves.
+    """
+    for joint in range(1, model.njoints):
+        moments = np.linalg.eigvalsh(model.inertias[joint].inertia)
+        if moments[0] < -_INERTIA_ROUNDING * np.abs(moments).max():
+            raise RobotError(
+                "has a negative principal moment of inertia", file=urdf.path,
+                key=f"link {urdf.joints[model.names[joint]].child!r} with what is fixed to it",
+                found=f"{moments[0]:.4g} kg m^2", allowed="0 or more",
+            )  # fmt: skip
 
 
 def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from backhoe_planner import Servo
+from backhoe_planner import InputError, Servo
 from backhoe_planner.live import Placements
 
 # opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
@@ -52,6 +52,15 @@ def test_driven_into_a_scan_it_stops_before_it(backhoe: Robot, tip_velocity: lis
             least = min(least, float(np.min(gauge.distances(state.q) - gauge.clearance)))
     assert -1e-6 <= least < 0.15
     assert np.max(np.abs(state.q - START)) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(np.nan, "is not finite; found nan"), (-2000.0, "is too far away; found -2000")]
+)
+def test_a_point_of_no_site_is_named(backhoe: Robot, value: float, said: str) -> None:
+    servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
+    with pytest.raises(InputError, match=f"points of a: point 2, coordinate 3: {said}; allowed: .* at most 1000 m"):
+        servo.add_points("a", [[5.0, 0.0, 0.0], [5.0, 0.0, value]], resolution=0.1)
 
 
 def test_a_scan_that_is_moved_away_frees_the_way(backhoe: Robot) -> None:

@@ -16,6 +16,7 @@ JOINT = (
     f'<joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>{LIMIT}</joint>'
 )
 ARM = '<link name="arm"/>'
+INERTIAL = '<link name="arm"><inertial><mass value="1"/><inertia %s/></inertial></link>'
 INERTIA = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
 
 
@@ -112,6 +113,14 @@ BROKEN = {
     "negative mass": (
         robot_xml(arm=f'<link name="arm"><inertial><mass value="-1"/>{INERTIA}</inertial></link>'),
         ["link 'arm' > inertial > mass", "negative"],
+    ),
+    "negative inertia": (
+        robot_xml(arm=INERTIAL % ('ixx="-.5" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".02"')),
+        ["link 'arm' with what is fixed", "negative principal moment", "found -0.5 kg m^2", "0 or more"],
+    ),
+    "inertia negative about a slanted axis": (  # [[1, 2], [2, 1]] has the moments 3 and -1
+        robot_xml(arm=INERTIAL % ('ixx="1" ixy="2" ixz="0" iyy="1" iyz="0" izz="1"')),
+        ["link 'arm' with what is fixed", "found -1 kg m^2"],
     ),
     "inertial without mass": (
         robot_xml(arm=f'<link name="arm"><inertial>{INERTIA}</inertial></link>'),

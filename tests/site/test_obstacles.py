@@ -102,6 +102,13 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         {"resolution": 0.1},
         r"a\.xyz: point 2, coordinate 3: a coordinate is too large; found 1e\+308; allowed: -100000 to 100000 m",
     ),
+    "points not text": (
+        "pointcloud",
+        "a.npy",
+        b"\x93NUMPY\x01",
+        {"resolution": 0.1},
+        r"a\.npy: is not UTF-8 text: .*; allowed: text with x, y, z in a line \(CSV, XYZ\), or \.ply, \.obj, \.stl",
+    ),
     "point NaN": ("pointcloud", "a.xyz", b"1 2 3\nnan nan nan\n", {"resolution": 0.1}, "not finite"),
     "points too fine": (
         "pointcloud",

@@ -118,8 +118,15 @@ class Surroundings:
             raise InputError("are not points", key=f"points of {name}") from error
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise InputError("are not points", key=f"points of {name}", found=f"shape {cloud.shape}", allowed="(k, 3)")
-        if not (np.abs(cloud) <= _FARTHEST).all():
-            raise InputError("lie too far away", key=f"points of {name}", allowed=f"numbers of at most {_FARTHEST:g} m")
+        wrong = np.argwhere(~(np.abs(cloud) <= _FARTHEST)).tolist()
+        if wrong:
+            row, column = wrong[0]
+            raise InputError(
+                "is too far away" if np.isfinite(cloud[row, column]) else "is not finite",
+                key=f"points of {name}: point {row + 1}, coordinate {column + 1}",
+                found=f"{cloud[row, column]:g}",
+                allowed=f"numbers of at most {_FARTHEST:g} m",
+            )
         resolution = as_number(resolution, key="resolution", least=_VOXELS[0], most=_VOXELS[1])
         if clearance is not None:
             clearance = as_number(clearance, key="clearance", least=0.0, most=_FARTHEST)

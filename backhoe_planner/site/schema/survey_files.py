@@ -44,7 +44,7 @@ def _read_heights(path: Path, *, holes: bool) -> HeightTable:
 
 
 def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
-    text = read_text(path, what="height map")
+    text = read_text(path, what="height map", formats="a CSV of heights, or a GeoTIFF (.tif, .tiff)")
     heights = _plain_table(text)
     if heights is not None and min(heights.shape) >= 2:
         return heights
@@ -132,7 +132,7 @@ def _plain_table(text: str) -> Matrix | None:
 
 
 def _points_from_text(path: Path) -> Matrix:
-    text = read_text(path, what="point cloud")
+    text = read_text(path, what="point cloud", formats="text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl")
     table = _plain_table(text)
     if table is not None and table.shape[1] >= 3:
         return np.ascontiguousarray(table[:, :3])
