@@ -158,7 +158,7 @@ def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:
 
 
 def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
-    """What of its joints' limits neither the machine's URDF nor the scene says, and what is assumed, in words."""
+    """What of limits and masses neither the machine's URDF nor the scene says, and what is assumed, in words."""
     velocity, effort, position = (
         (scene.limits.velocity, scene.limits.effort, scene.limits.position) if scene is not None else ({}, {}, {})
     )
@@ -180,6 +180,11 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
         found.append(
             "the URDF's soft limits (safety_controller) are not used, only its limits; "
             f"the scene can narrow them (limits: {{position: {{{ranges}}}}})"
+        )
+    if not any(inertia.mass for inertia in robot.model.inertias.tolist()[1:]):
+        found.append(
+            "no link that moves has a mass in the URDF: torque, work and energy are those of the payload alone, "
+            "0 without one"
         )
     return tuple(found)
 

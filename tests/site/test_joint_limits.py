@@ -153,11 +153,12 @@ def unlimited(tmp_path: Path) -> bp.Robot:
 def test_what_the_urdf_does_not_say_is_assumed_and_said(unlimited: bp.Robot) -> None:
     np.testing.assert_array_equal(unlimited.limits.velocity, [1.0, 1.0])
     np.testing.assert_array_equal(unlimited.limits.effort, [np.inf, np.inf])
-    velocity, effort, soft = limit_warnings(unlimited)
+    velocity, effort, soft, mass = limit_warnings(unlimited)
     assert "no velocity limit, or 0, for turn, spin: 1 rad/s is assumed" in velocity
     assert "limits: {velocity: {turn: ...}}" in velocity
     assert "no effort limit, or 0, for turn, spin" in effort
     assert "limits: {position: {turn: [-0.5, 1.0]}}" in soft
+    assert "no link that moves has a mass" in mass
 
 
 def test_the_scene_gives_what_the_urdf_lacks(unlimited: bp.Robot) -> None:
@@ -169,9 +170,15 @@ def test_the_scene_gives_what_the_urdf_lacks(unlimited: bp.Robot) -> None:
     np.testing.assert_allclose(limits.acceleration, [6.0, 0.4])
     np.testing.assert_array_equal(limits.effort, [7.0, np.inf])
     np.testing.assert_array_equal([limits.lower, limits.upper], [[-0.5, 2.0], [1.0, 4.0]])
-    (effort,) = limit_warnings(unlimited, own)
+    effort, _ = limit_warnings(unlimited, own)
     assert "no effort limit, or 0, for spin" in effort
-    assert limit_warnings(machine_on_site(unlimited, scene(hold={"spin": 1.0})), own) == ()
+    assert len(limit_warnings(machine_on_site(unlimited, scene(hold={"spin": 1.0})), own)) == 1
+
+
+def test_a_machine_of_which_one_link_has_a_mass_has_one(tmp_path: Path) -> None:
+    body = '<link name="hand"><inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    (tmp_path / "tiny.urdf").write_text(URDF.replace('<link name="hand">', f"{body}</inertial>"))
+    assert not any("mass" in warning for warning in limit_warnings(load_robot(tmp_path / "tiny.urdf")))
 
 
 def test_cylinders_limit_what_the_urdf_does_not(tmp_path: Path, backhoe: bp.Robot) -> None:
