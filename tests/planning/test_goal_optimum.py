@@ -177,7 +177,7 @@ def test_in_thrice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trape
     T = plan.trajectory.duration
     assert plan.findings.allowed_time is not None
     assert 0.97 * 4.5 <= plan.findings.allowed_time <= 4.5
-    assert 0.99 * plan.findings.allowed_time <= T <= 1.02 * plan.findings.allowed_time
+    assert 0.99 * plan.findings.allowed_time <= T <= plan.findings.allowed_time
     v = T - np.sqrt(T * T - 2.0)
     assert plan.metrics.energy["velocity_norm"] == pytest.approx(v * v * (T - v + v / 3.0), rel=0.03)
 
@@ -356,7 +356,7 @@ def test_least_work_takes_thrice_the_least_time_and_no_more_than_that_of_an_even
     T = plan.findings.allowed_time
     assert T is not None
     assert 0.97 * 4.5 <= T <= 4.5
-    assert 0.5 * T < plan.trajectory.duration < 1.01 * T
+    assert 0.5 * T < plan.trajectory.duration <= T
     v = T - np.sqrt(T * T - 2.0)
     M = float(Dynamics(planar4).mass_matrices(np.zeros((1, 4)))[0, 0, 0])
     assert 0.0 < plan.metrics.energy["work"] < 1.01 * 0.5 * M * v * v

@@ -139,7 +139,7 @@ def time_evenly(
     *,
     drive: Drive | None = None,
 ) -> Trajectory:
-    """The motion along a smooth curve at an even pace, slower where it exceeds a limit.
+    """The motion along a smooth curve at an even pace, slower where it exceeds a limit, there alone if that is enough.
 
     Parameters
     ----------
@@ -153,7 +153,14 @@ def time_evenly(
     if limits is None:
         return motion
     motion = Trajectory.from_steps(time, np.clip(motion.q, limits.lower, limits.upper))
-    return _slow_to_limits(motion, limits, drive)
+    slower = _slow_to_limits(motion, limits, drive)
+    if _over(motion, limits) <= 1.0 + _ROUNDING:
+        return slower
+    # mostly one joint is too fast for a moment
+    local = _locally(motion, limits, None, 1.0)
+    if local is None:
+        return slower
+    return min(slower, _slow_to_limits(local, limits, drive), key=lambda one: one.duration)
 
 
 def _over_curve(

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -57,6 +58,11 @@ _LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that
 # the programs become ill-conditioned
 _NOTHING = 1e-4
 _LATE = 10.0  # part of the cost that a motion costs more that takes longer than it may, for all of that time; chosen
+# part of the longest time that a descent leaves over: samples of a motion are slowed by so much where they are beyond a
+# limit between the places at which steps keep it; chosen, mostly less is needed
+_TIME_SPARE = 1e-3
+_HURRIES = 3  # tries to make a motion shorter that takes too long all the same; chosen
+_HURRY_ROUNDS = 6  # of each of them at most; chosen
 _SLOW = 2  # rounds in a row that gain too little, as which a descent for another cost than the time ends; chosen
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
 _ENOUGH_HURRIED = (
@@ -141,11 +147,11 @@ class Descent:
         curve: from where the machine stands to a goal; it need not be clear.
         duration: about how long it takes [s]; a sample's period at least is counted.
         goal: on which the end may move; one given by joints holds it.
-        most_rounds: after which the descent ends.
+        most_rounds: after which the descent ends, but for some where its motion takes too long.
         spare: to be kept beyond every clearance [m].
         density: places at which clearances are looked at, for each at which limits are.
         box: how far the first step may move a control point [rad or m of the fastest joint].
-        longest: that the motion may take [s], where its time is not the cost.
+        longest: that the motion may take [s], where its time is not the cost; it takes longer where no step helps.
         unsampled: whether the motion need not keep all limits between the places where a step keeps them, nor its cost
             be exact, where the time is not the cost; to make it so takes as long as two rounds.
         is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
@@ -158,6 +164,34 @@ class Descent:
         ------
         OutOfTime: the budget is used up.
         """
+        down = partial(self._down, goal=goal, spare=spare, density=density)
+        if self._own_time is None:
+            return down(curve, duration, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=longest)
+        within = (1.0 - _TIME_SPARE) * longest
+        duration = min(duration, within) if duration <= longest else duration
+        found = down(curve, duration, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=within)
+        if found is None or unsampled:
+            return found
+        found = self._as_sampled(found)
+        for _ in range(_HURRIES):
+            if found.motion.duration <= longest or found.missed > KEPT_PART * spare:
+                break
+            within *= (1.0 - _TIME_SPARE) * longest / found.motion.duration
+            sooner = down(
+                found.curve, min(found.duration, within), most_rounds=_HURRY_ROUNDS, box=_SMALLEST_BOX,
+                is_hopeless=lambda here, rounds: False, longest=within,
+            )  # fmt: skip
+            if sooner is None:
+                break
+            found = self._as_sampled(sooner)
+        return found
+
+    def _down(
+        self, curve: JointCurve, duration: float, *,
+        goal: Goal, most_rounds: int, spare: float, density: int, box: float,
+        is_hopeless: Callable[[Timed, int], bool], longest: float,
+    ) -> Timed | None:  # fmt: skip
+        """One descent, see `run`; where the time is not the cost, without kinks rounded off, but not as sampled."""
         free = goal if goal.q is None else None
         looks, self._longest, self._width = self._looks(curve, spare, density), longest, _LEAST_WIDTH
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
@@ -233,7 +267,7 @@ class Descent:
         if self._own_time is None:
             return found
         self._width = _LEAST_WIDTH
-        return self._priced(found) if unsampled else self._as_sampled(found)
+        return self._priced(found)
 
     def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
         """(C,) what curves of the same pieces cost in their own times; not for the time.

@@ -563,12 +563,14 @@ class MotionSearch:
         """Whether another descent has ended at a curve like this one, and at less cost."""
         return here.missed <= _SPARE and self._known.least_alike(here.curve) <= here.cost
 
-    def _is_dear(self, cost: float) -> bool:
-        return self.best is not None and cost >= self.best.cost
+    def _is_dear(self, found: FoundMotion) -> bool:
+        """Whether a motion is no better than the best; one that takes longer than it may is worse than any other."""
+        one, best = ((each.motion.duration > self._longest, each.cost) for each in (found, self.best or found))
+        return self.best is not None and one >= best
 
     def _offer(self, found: FoundMotion) -> bool:
         """Keep a motion where it is better than the best; whether it is proven clear, or too dear to be looked at."""
-        if not self._is_dear(found.cost):
+        if not self._is_dear(found):
             if not (self._world.keeps(found.motion) and self._is_proven(found.motion)):
                 return False
             self.best = found
