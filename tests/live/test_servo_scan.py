@@ -13,7 +13,7 @@ from backhoe_planner import InputError, Servo
 from backhoe_planner.live import Placements
 
 # opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
-from backhoe_planner.live.braking import pair_bounds
+from backhoe_planner.live.braking import cluster_pairs, pair_bounds
 from backhoe_planner.live.braking.box_places import MOST_PARTS, Line, box_urgency
 from backhoe_planner.live.braking.braking_path import JointState
 from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
@@ -354,3 +354,50 @@ def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: 
         state = servo.step()
         assert servo.last_error is None
     assert float(np.min(gauge.distances(state.q) - gauge.clearance)) > -1e-6
+
+
+def slid_along_a_wall(backhoe: Robot) -> Servo:
+    """It has slid along a wall of rough cells until it came to rest, or for 3.3 s; the clearance was kept."""
+    start = dict(zip(backhoe.joint_names, [0.0, 0.2, -1.3, -0.8], strict=True))
+    servo = Servo(backhoe, scene_from_dict({**SCENE, "start": {"joints": start}}), dt=0.01)
+    wall = np.random.default_rng(0).uniform([4.3, -3.0, -2.0], [4.4, 3.0, 1.0], (4000, 3))
+    servo.add_points("scan", wall, resolution=0.05)
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    for step in range(330):
+        state = servo.step([0.4, 0.4, 0.0])
+        assert servo.last_error is None
+        if step % 20 == 0:
+            assert float(np.min(gauge.distances(state.q) - gauge.clearance)) > -1e-6
+    assert float(np.min(gauge.distances(state.q) - gauge.clearance)) < 0.05, "it came to the wall"
+    return servo
+
+
+@pytest.mark.parametrize("places", [cluster_pairs.SLOTS, 2])
+def test_boxes_that_are_found_anew_do_not_lock_it_beside_the_cells(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch, places: int
+) -> None:
+    """Also where there are so few of them that they are nearer than the cells wherever it stands."""
+    monkeypatch.setattr(cluster_pairs, "SLOTS", places)
+    servo = slid_along_a_wall(backhoe)
+    before = servo.q
+    for _ in range(40):
+        state = servo.step([-0.3, 0.0, 0.0])
+    assert state.proven
+    assert np.abs(state.q - before).max() > 0.02
+
+
+def test_at_rest_beside_a_scan_it_evades_what_comes(backhoe: Robot) -> None:
+    servo = slid_along_a_wall(backhoe)
+    for _ in range(50):
+        state = servo.step([0.0, 0.0, 0.0])
+    assert np.abs(state.v).max() < 1e-6
+    beside = state.tip_position + np.array([-0.8, -2.0, 0.0])
+    servo.add({"name": "person", "shape": "sphere", "radius": 0.3, "position": beside.tolist()})
+    servo.set_velocity("person", [0.0, 0.4, 0.0])
+    least = np.inf
+    for step in range(1000):
+        state = servo.step([0.0, 0.0, 0.0])
+        if step % 20 == 0:
+            gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+            least = min(least, float(np.min(gauge.distances(state.q))))
+    assert least > 0.09

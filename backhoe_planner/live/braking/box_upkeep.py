@@ -57,7 +57,10 @@ class BoxUpkeep:
 
         False where boxes cannot hold all that the machine could come to: it has to slow down.
         """
-        if self._blocking is not None:
+        if self._bounds.short and not state.v.any():
+            # no path from here keeps what these must keep: only here they are as far away as the cells
+            self._find(self._bounds.short[0], state)
+        elif self._blocking is not None:
             # boxes that were found further away may forbid what the cells allow
             self._find(self._blocking, state)
             self._blocking = None

@@ -36,7 +36,6 @@ _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a 
 _SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` are looked at anew; chosen, 5 % of that
 _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
 _SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
-_TIGHT = 0.05  # the same, where boxes are to show what the cells show; chosen, with none there are many
 _ROOM = 0.1  # m that boxes have to keep more than they must before their planes are not looked at; chosen
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 _MOVED = 0.1  # of the margin and that: chosen, planes are renewed after 2 mm at a wall, and 2 cm at 0.2 m from it
@@ -108,6 +107,8 @@ class PairBounds:
     inside: indices of the pairs that are closer than allowed and whose obstacle stands still.
     stands: (P,) whether the pair's obstacle stands still.
     anything_moves: whether the obstacle of any pair does not.
+    short: links and clusters whose new boxes prove less of the braking path than must be kept. What the boxes before
+        proved of it holds, so that the machine can brake on it; then they have to be found where it stands.
     """
 
     def __init__(self, separation: Separation, *, influence: float) -> None:
@@ -133,6 +134,7 @@ class PairBounds:
         # the boxes that are being found, and what the odometer of their link had counted when that began
         self._search: tuple[BoxSearch, float] | None = None
         self._accepted: tuple[Indices, Vector, Indices] | None = None
+        self.short: list[ClusterPairs] = []
 
     # --- which pairs there are -----------------------------------------------------------
 
@@ -170,6 +172,7 @@ class PairBounds:
     def _look_at_all(self) -> None:
         """Choose anew which pairs are looked at; there are others, or they move otherwise."""
         self._search = None
+        self.short = [one for one in self.short if one in self._separation.counting_clusters]
         self._around.until = self._around_path.until = -math.inf
         self._seen = None, 0.0
 
@@ -286,21 +289,30 @@ class PairBounds:
         kept: what the boxes before have to keep at least [m].
         at, reach, path: as for `find_boxes`.
         """
-        separation, pairs = self._separation, one.pairs
+        separation, pairs, at_rest = self._separation, one.pairs, not path.delta.any()
         bound = self._distance_of(pairs) - float(separation.travel[one.classes].dot(np.abs(path.delta)))
         if bound.min() < one.clearance + _ROOM:
             path.place(at)
             bound = separation.proven_on(pairs, path, at, path.time)
             if bound.min() < kept - TOLERANCE:
-                # at the path's end a box is nearer than all cells are: tighter ones, where they hold as much
+                # a box is nearer than all cells are: without slack none is here, and there are more of them. Elsewhere
+                # on the path one may still be, so that these are of use only where they hold as much
                 covered = one.covered
-                self._put_boxes(one, at, reach, slack=_TIGHT)
-                if one.covered < covered:
+                self._put_boxes(one, at, reach, slack=0.0)
+                if one.covered < covered and not at_rest:
                     self._put_boxes(one, at, reach)
                 bound = separation.proven_on(pairs, path, at, path.time)
         self.set_proven(pairs, bound)
         # boxes may hold more than the cells do: what was proven of the cells stays proven
-        self.required[pairs] = np.minimum(separation.clearance[pairs], np.maximum(bound, kept))
+        keeps = np.maximum(bound, kept)
+        self.short = [other for other in self.short if other is not one]
+        if bound.min() < kept - TOLERANCE:
+            if at_rest:
+                # it would find no path that keeps what was proven: the way out begins here
+                keeps = bound
+            else:
+                self.short.append(one)
+        self.required[pairs] = np.minimum(separation.clearance[pairs], keeps)
         self.find_inside()
 
     def _put_boxes(
