@@ -4,14 +4,19 @@ from __future__ import annotations
 
 
 def describe_quantity(value: float, unit: str) -> str:
-    """A `value` in four digits with its `unit`, with a prefix where that helps: 11.39 kJ, 1357 (kN m)^2 s."""
+    """A `value` in four digits with its `unit`, with a prefix where that helps: 11.39 kJ, 14.00 kJ, 1357 (kN m)^2 s."""
     if unit == "N^2 m^2 s" and abs(value) >= 1e4:
         value, unit = 1e-6 * value, "(kN m)^2 s"
     elif unit.startswith("J"):
         for prefix, factor in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
             if abs(value) >= factor:
-                return f"{value / factor:.4g} {prefix}{unit}"
-    return f"{value:.4g} {unit}" if abs(value) < 1e4 else f"{value:,.0f} {unit}"
+                return f"{_in_digits(value / factor)} {prefix}{unit}"
+    return f"{_in_digits(value)} {unit}" if abs(value) < 1e4 else f"{value:,.0f} {unit}"
+
+
+def _in_digits(value: float) -> str:
+    """A value in four digits, zeros at the end as well; 0 alone is 0."""
+    return f"{value:#.4g}".removesuffix(".") if value else "0"
 
 
 def describe_excess(value: float, least: float) -> str:
