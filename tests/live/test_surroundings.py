@@ -104,7 +104,7 @@ def test_only_a_scan_is_replaced_by_a_scan(servo: Servo) -> None:
         ({"resolution": 1e-300}, "resolution"),
         ({"resolution": math.inf}, "resolution"),
         ({"points": [[1e300, 0.0, 0.0]]}, "too far"),
-        ({"points": [[math.nan, 0.0, 0.0]]}, "too far"),
+        ({"points": [[math.nan, 0.0, 0.0]]}, "is not finite"),
         ({"points": [[0.0, 0.0]]}, "shape"),
         ({"name": ""}, "name"),
         ({"name": None}, "name"),
