@@ -331,14 +331,6 @@ def extent_along(rng: Rng) -> Arguments:
     return rotation(rng), *cells(rng)
 
 
-def refused_velocity(rng: Rng) -> Arguments:
-    n = joints(rng)
-    v = rng.normal(size=n)
-    target = np.where(rng.integers(0, 2, n) > 0, v, rng.normal(size=n))
-    free, changes = tuple(rng.normal(size=n).tolist()), tuple(rng.uniform(0.0, 0.5, n).tolist())
-    return free, rng.normal(size=n), v, target, changes, 0.05, 1e-9
-
-
 def force_on_hand(rng: Rng) -> Arguments:
     normal = rng.normal(size=3) * rng.integers(0, 2)
     state = (*rng.normal(size=6).tolist(), rng.uniform(0.0, 0.2), rng.uniform(0.0, 1.0))
@@ -364,7 +356,7 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, blended_points, bounds_after, box_urgency, cells_of_tiles, chain_placements, changes_of_end,
     corner_gaps, damped_steps, extent_along, force_on_hand, keep_placements, line_ahead, margins_now, near_now,
     near_rows, nearest_safe_program, not_proven, off_turned_box, pairs_within, place_tip, placed_arrays, plane_rows,
-    quick_terms, reach_of_lead, reachable_velocities, read_results, refused_velocity, split_by_plane, stalest_pair,
+    quick_terms, reach_of_lead, reachable_velocities, read_results, split_by_plane, stalest_pair,
     step_conditions, straight_towards, unproven_of_near, ways_of_links,
 ]  # fmt: skip
 

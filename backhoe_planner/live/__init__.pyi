@@ -24,6 +24,7 @@ from .rejoining import RejoiningQuery as RejoiningQuery
 from .rejoining import find_rejoining as find_rejoining
 from .rejoining import is_still_clear as is_still_clear
 from .servo.feedback import Feedback as Feedback
+from .servo.feedback import refused_part as refused_part
 from .servo.safe_velocity import VelocityWish as VelocityWish
 from .servo.safe_velocity import velocity_program as velocity_program
 from .servo.servo import Servo as Servo

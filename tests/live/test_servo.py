@@ -16,7 +16,17 @@ from scipy.optimize import linprog
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import CompletedLaw, activation
-from backhoe_planner.live import BrakingPath, Command, Feedback, Placements, Separation, Servo, Status, way_back
+from backhoe_planner.live import (
+    BrakingPath,
+    Command,
+    Feedback,
+    Placements,
+    Separation,
+    Servo,
+    Status,
+    refused_part,
+    way_back,
+)
 from backhoe_planner.machine import Robot, bend_weights
 from backhoe_planner.site import Nearby, Proximity, build_obstacles
 
@@ -691,6 +701,25 @@ def test_the_force_never_feeds_energy_to_the_hand(seed: int) -> None:
         force = feedback.next(hand, rng.normal(size=3), normal / np.linalg.norm(normal), rng.uniform())
         felt = max(felt, float(np.linalg.norm(force)))
     assert felt > 5.0
+
+
+@pytest.mark.parametrize(
+    ("difference", "refused"),
+    [
+        ([0.6, 0.0, 0.8], [0.6, 0.0, 0.8]),  # it stands: all of it
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([0.6, 0.0, 0.0], [0.6, 0.0, 0.0]),  # it slides along a wall across x
+        ([0.3, 0.0, -1.6], [0.3, 0.0, -0.1]),  # dragged up
+        ([1.2, 0.0, 1.6], [0.6, 0.0, 0.8]),  # it is driven back as fast as it should go: still no more than all
+        ([-0.6, 0.0, -0.8], [0.0, 0.0, 0.0]),  # it goes twice as fast as wished
+        ([0.3, 2.0, 0.4], [0.3, 0.5, 0.4]),  # dragged to the side
+    ],
+)
+def test_what_is_refused_of_a_wish_by_hand(difference: list[float], refused: list[float]) -> None:
+    """A wish of 1 m/s along (0.6, 0, 0.8): the ball of its parts has its centre at (0.3, 0, 0.4), radius 0.5."""
+    found = refused_part(np.array([0.6, 0.0, 0.8]), np.array(difference))
+    np.testing.assert_allclose(found, refused, atol=1e-12)
+    assert not refused_part(np.zeros(3), np.array(difference)).any()
 
 
 def test_status_and_command_names_are_words() -> None:

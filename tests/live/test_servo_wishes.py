@@ -100,6 +100,27 @@ def test_pressed_down_on_the_ground_it_stays_where_it_is(backhoe: Robot) -> None
     assert late[-1].status in (Status.SLIDING, Status.STOPPED)
 
 
+def test_pressed_against_a_wall_the_whole_command_is_refused_and_never_more(backhoe: Robot) -> None:
+    """All of 0.4 m/s straight into a wall, once the tip stands before it; none of it on the free way there."""
+    wall = {"name": "wall", "shape": "box", "size": [0.1, 5.0, 2.5], "position": [4.95, 0.0, -1.5], "clearance": 0.1}
+    servo, wish = standing(backhoe, [0.0, 0.2, -1.3, -0.8], obstacles=[wall]), np.array([0.4, 0.0, 0.0])
+    states = driven(servo, wish, 6.0)
+    free = [state for state in states if state.margin == math.inf]
+    assert len(free) > 100
+    assert max(float(np.abs(state.refused).max()) for state in free) < 1e-9
+    for state in states:
+        assert np.linalg.norm(state.refused) <= 0.4 + 1e-9
+        assert state.refused @ (wish - state.refused) >= -1e-9
+        assert np.linalg.norm(state.feedback_force) <= 30.0
+    for state in states[-50:]:
+        np.testing.assert_allclose(state.tip_velocity, 0.0, atol=0.02)
+        np.testing.assert_allclose(state.refused, wish, atol=0.02)
+        np.testing.assert_allclose(state.feedback_force[1:], 0.0, atol=0.3)
+    back = driven(servo, -wish, 2.0)
+    np.testing.assert_allclose(back[-1].tip_velocity, -wish, atol=0.01)
+    np.testing.assert_allclose(back[-1].refused, 0.0, atol=0.001)
+
+
 def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
     """A bar of 1 m on a hinge 0.2 m up; the ball is half a metre out and up from there."""
     (tmp_path / "gate.urdf").write_text(ONE_HINGE)

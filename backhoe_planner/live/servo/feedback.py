@@ -2,11 +2,12 @@
 
     F_wished = -B (r . t)^+ t  -  B rho(margin) ((r . n)^+ + (x_w . n)^+) n,    r = x_free - x
 
-r is the refused part of the wish: what the tip would do with nothing in the way and no
-joint limit, minus what it does. The hand feels its components into the obstacle (n) and
-along the rest of the hand's own motion (t). The rest of r is left out, so that the hand is
-not pulled aside when the machine gives way. rho rises smoothly from 0 to 1 as an obstacle
-comes near, before anything is refused. The force saturates smoothly at its largest.
+r is what the tip would do with nothing in the way and no joint limit, minus what it does.
+Of a machine that slides or stands it is the refused part of the wish. The hand feels its
+components into the obstacle (n) and along the rest of the hand's own motion (t). The rest
+of r is left out, so that the hand is not pulled aside when the machine gives way. rho rises
+smoothly from 0 to 1 as an obstacle comes near, before anything is refused. The force
+saturates smoothly at its largest.
 
 The force is smoothed over a hundredth of a second, so that it does not jump.
 
@@ -24,7 +25,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from backhoe_planner.arrays import Vector, as_number, as_vector
-from backhoe_planner.live.braking.joint_bounds import TOLERANCE
+from backhoe_planner.live.braking.joint_bounds import TOLERANCE, straight_towards
 from backhoe_planner.native import compiled
 
 _SEED = 1e-7  # J that a force against the hand may use before the hand has given any; chosen, too little to feel
@@ -37,8 +38,29 @@ _REMEMBERED = 0.02  # s for which being held back counts, so that a status does 
 HandState: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 
 
+class Recently:
+    """Whether something holds, or did just now, so that what follows from it does not flicker.
+
+    Parameters
+    ----------
+    dt: length of a step [s].
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._steps = max(math.ceil(_REMEMBERED / dt), 1)
+        self._counts_for = 0
+
+    def next(self, *, holds: bool) -> bool:
+        """The same in the next step, in which it holds or not."""
+        self._counts_for = self._steps if holds else self._counts_for - 1
+        return self._counts_for > 0
+
+
 class Refusal:
-    """Compares the machine with one that has nothing in its way.
+    """Compares the tip with that of a machine that has nothing in its way.
+
+    Whether something is in the way is a matter of the whole machine: where one joint is held, what the others do is
+    not what they would do without it, also where each of them goes at its own target.
 
     Parameters
     ----------
@@ -48,48 +70,35 @@ class Refusal:
 
     def __init__(self, dt: float, changes: tuple[float, ...]) -> None:
         self._changes = changes
-        self._free = (0.0,) * len(changes)  # velocities with nothing in the way
-        self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
-        self._steps = max(math.ceil(_REMEMBERED / dt), 1)
-        self._counts_for = 0
-
-    def remember(self, *, held_back: bool) -> bool:
-        """Whether the machine is held back, or was just now."""
-        self._counts_for = self._steps if held_back else self._counts_for - 1
-        return self._counts_for > 0
+        self._free = np.zeros(len(changes))  # velocities with nothing in the way
+        self._keeps = math.exp(-dt / _REMEMBERED)
+        self._held = Recently(dt)
 
     def next(self, v: Vector, *, wish: Vector, target: Vector) -> Vector:
-        """(n,) the velocity that is refused in a step at v (n,); see `VelocityWish` for `wish` and `target` (n,)."""
-        self._free, refused = refused_velocity(self._free, wish, v, target, self._changes, self._forgets, TOLERANCE)
-        return refused
+        """(n,) velocity with nothing in the way, minus v (n,); see `VelocityWish` for `wish` and `target` (n,)."""
+        self._free = straight_towards(wish, self._free, self._changes)
+        beyond, off = self._free - v, v - target
+        if not self._held.next(holds=float(off.dot(off)) > TOLERANCE * TOLERANCE):
+            beyond *= self._keeps  # the machine catches up with what it would have done
+            self._free = v + beyond
+        return beyond
 
 
-@compiled
-def refused_velocity(
-    free: tuple[float, ...], wish: Vector, v: Vector, target: Vector, changes: tuple[float, ...],
-    forgets: float, tolerance: float, /,
-) -> tuple[tuple[float, ...], Vector]:  # fmt: skip
-    """The n velocities with nothing in the way after a step, and (n,) what is refused of them; see `Refusal.next`.
+def refused_part(wish: Vector, difference: Vector) -> Vector:
+    """(3,) the part of a wish (3,) that is not followed, where the tip's velocity falls short by `difference` (3,).
 
-    Parameters
-    ----------
-    free: n numbers, those before it [rad/s or m/s].
-    changes: n numbers, by how much a velocity can change in a step [rad/s or m/s].
-    forgets: the part of the difference that is forgotten in a step.
-    tolerance: within which a joint goes at its target [rad/s or m/s].
+    A wish w is the sum of what is followed, f, and of what is refused, r, which are parts of it: neither points
+    against the other, f . r >= 0. With f = w - r that is the ball |r - w/2| <= |w|/2, in which also |r| <= |w|. Of it r
+    is the point that is nearest to `difference`. Where the tip goes at the nearest velocity of any convex set that has
+    0 in it, `difference` itself lies there. It need not where the machine gives way to what moves, or comes out of a
+    violation.
     """
-    rates, wishes = v.tolist(), wish.tolist()
-    joints = zip(free, wishes, rates, target.tolist(), changes, strict=True)
-    # a joint that goes at its target has caught up with what it would have done
-    after = tuple(
-        [
-            before
-            + (min(max(aim - before, -most), most) if abs(rate - goal) > tolerance else forgets * (rate - before))
-            for before, aim, rate, goal, most in joints
-        ]
-    )
-    refused = [before - rate - aim for before, rate, aim in zip(after, rates, wishes, strict=True)]
-    return after, np.array(refused)
+    (x, y, z), (dx, dy, dz) = wish.tolist(), difference.tolist()
+    if dx * dx + dy * dy + dz * dz <= dx * x + dy * y + dz * z:
+        return difference
+    dx, dy, dz = dx - 0.5 * x, dy - 0.5 * y, dz - 0.5 * z
+    part = math.sqrt((x * x + y * y + z * z) / (dx * dx + dy * dy + dz * dz))
+    return np.array((0.5 * (x + part * dx), 0.5 * (y + part * dy), 0.5 * (z + part * dz)))
 
 
 class Feedback:
@@ -116,7 +125,7 @@ class Feedback:
         Parameters
         ----------
         hand: (3,) velocity of the hand since the last sample, which is the wish [m/s], world.
-        refused: (3,) part of it that the tip does not follow [m/s], world.
+        refused: (3,) r, what the tip would do with nothing in the way, minus what it does [m/s], world.
         normal: (3,) unit vector into the nearest obstacle, world; zeros where none is near.
         nearness: rho, 0 where obstacles are far, 1 where no more approach is possible.
         """

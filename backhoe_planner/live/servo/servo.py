@@ -40,7 +40,7 @@ from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import StepWork
 from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
-from backhoe_planner.live.servo.feedback import Feedback, Refusal
+from backhoe_planner.live.servo.feedback import Feedback, Recently, Refusal, refused_part
 from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
@@ -127,7 +127,7 @@ class Servo:
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
-        self._refusal = Refusal(dt, self._joints.changes)
+        self._refusal, self._held_back = Refusal(dt, self._joints.changes), Recently(dt)
         self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, FINEST_PARTS + 2)
@@ -426,12 +426,15 @@ class Servo:
         elif margin < CLOSE:
             normal = self._separation.world_normal(pair, self._at)
         self._tip.blocking = normal if chosen.held_back else _ZERO
-        refused = J.dot(self._refusal.next(v, wish=request.v, target=request.target)) + wish.tip
+        beyond = self._refusal.next(v, wish=request.v, target=request.target)
+        difference = J.dot(beyond - request.v) + wish.tip
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / CLOSE, 0.0), 1.0)))
-        hand = wish.tip if self._commands.tip is None else self._commands.tip
         status = self._status(command, request, chosen, margin, singular=wish.singular)
-        force = self._feedback.next(hand, refused, normal, nearness)
-        return self._state_after(command, status, nearest, refused, force, proven=chosen.end is not None, pace=pace)
+        force = self._feedback.next(wish.tip, difference, normal, nearness)
+        return self._state_after(
+            command, status, nearest, refused_part(wish.tip, difference), force,
+            proven=chosen.end is not None, pace=pace,
+        )  # fmt: skip
 
     def _state_after(
         self, command: Command, status: Status, nearest: Obstruction | None, refused: Vector, force: Vector,
@@ -460,7 +463,7 @@ class Servo:
     def _status(
         self, command: Command, request: VelocityWish, chosen: SafeVelocity, margin: float, *, singular: bool
     ) -> Status:
-        held_back = self._refusal.remember(held_back=chosen.held_back)
+        held_back = self._held_back.next(holds=chosen.held_back)
         moving = max(map(abs, chosen.v.tolist())) > _CREEPS
         wishes = max(map(abs, request.v.tolist())) > _LEAST_WISH
         if chosen.evading:
@@ -479,9 +482,12 @@ class Servo:
         """Brake after a failure, unless the step was taken already."""
         if not moved:
             self._advance(self._joints.brake(self._state.v), None)
-        wish = _ZERO if self._commands.tip is None else self._commands.tip
+        J, commands = self._tip.jacobian[:3], self._commands
+        wish = _ZERO if commands.tip is None else commands.tip
+        if commands.joints is not None:
+            wish = J.dot(commands.joints)
         nearest, force = self._nearest(*self._bounds.tightest_of_all()), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
-        refused = wish - self._tip.jacobian[:3] @ self._state.v
+        refused = refused_part(wish, wish - J.dot(self._state.v))
         return self._state_after(command, Status.STOPPED, nearest, refused, force, proven=False, pace=1.0)
 
 

@@ -46,7 +46,8 @@ class ServoState(NamedTuple):
         distance and margin; None where nothing is within the influence distance.
     tip_position: (3,) at the beginning of the step [m], world.
     tip_velocity: (3,) of the tip at `v` [m/s], world.
-    refused: (3,) part of the wish that the tip does not follow [m/s], world.
+    refused: (3,) part of the wish that the tip does not follow [m/s], world; never longer than the wish for the tip.
+        What it does not follow yet, only because the joints are still accelerating, is no part of it.
     feedback_force: (3,) on the hand [N], world.
     proven: whether the braking path after this step was proven clear of everything that stands still.
     pace: part of the wished speed that the zones leave, 1 where none is near.
