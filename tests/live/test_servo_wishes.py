@@ -13,6 +13,7 @@ from backhoe_planner.law import MOST_ITERATIONS, MOST_SOFT_ROWS, Rows, solve_pro
 from backhoe_planner.live import (
     MOST_DISTANCES,
     MOST_NEAR,
+    Command,
     Placements,
     Servo,
     ServoState,
@@ -119,6 +120,42 @@ def test_pressed_against_a_wall_the_whole_command_is_refused_and_never_more(back
     back = driven(servo, -wish, 2.0)
     np.testing.assert_allclose(back[-1].tip_velocity, -wish, atol=0.01)
     np.testing.assert_allclose(back[-1].refused, 0.0, atol=0.001)
+
+
+def test_nobody_who_asks_for_nothing_is_told_that_it_is_stopped(backhoe: Robot) -> None:
+    """Driven to a wall and let go of: at rest beside it, where the null space would lead away, nothing is held."""
+    wall = {"name": "wall", "shape": "box", "size": [0.1, 5.0, 2.5], "position": [4.95, 0.0, -1.5], "clearance": 0.1}
+    servo = standing(backhoe, [0.0, 0.2, -1.3, -0.8], obstacles=[wall])
+    pressed = driven(servo, [0.4, 0.0, 0.0], 4.5)
+    assert pressed[-1].status in (Status.SLIDING, Status.STOPPED)
+    assert {state.status for state in driven(servo, [0.0, 0.0, 0.0], 2.0)} == {Status.NEAR_OBSTACLE}
+    assert np.abs(servo.v).max() < 0.001
+    silent = driven(servo, None, 0.3)
+    assert silent[-1].status is Status.STOPPED
+    assert silent[-1].command is Command.TIMED_OUT
+
+
+def test_a_machine_that_begins_to_move_or_creeps_is_not_stopped(backhoe: Robot) -> None:
+    """Slower than what counts as standing: after 4 ms at 0.2 rad/s^2, and where 0.2 mm/s are asked of a free tip."""
+    slow = {"acceleration": dict.fromkeys(backhoe.joint_names, 0.2)}
+    servo = standing(backhoe, [0.0, 0.3, -0.9, -0.5], limits=slow)
+    for wish in (2e-4, 0.3):
+        states = driven(servo, [wish, 0.0, 0.0], 2.0)
+        assert {state.status for state in states} == {Status.OK}
+        np.testing.assert_allclose(states[-1].tip_velocity, [wish, 0.0, 0.0], atol=1e-6)
+
+
+def test_where_boxes_are_missing_a_machine_is_held_only_where_it_is_asked_to_move(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    servo = standing(backhoe, [0.0, 0.3, -0.9, -0.5])
+    servo.add_points("scan", np.random.default_rng(0).uniform([-2.0, -4.0, 0.0], [2.0, -3.0, 1.0], (1000, 3)))
+    monkeypatch.setattr(servo._boxes, "renew", lambda *_: False)
+    assert {state.status for state in driven(servo, [0.0, 0.0, 0.0], 0.1)} == {Status.OK}
+    state = driven(servo, [0.3, 0.0, 0.0], 0.1)[-1]
+    assert state.status is Status.STOPPED
+    np.testing.assert_allclose(state.refused, [0.3, 0.0, 0.0])
+    assert servo.last_error is None
 
 
 def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:

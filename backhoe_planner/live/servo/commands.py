@@ -12,6 +12,8 @@ from backhoe_planner.machine import Robot
 
 _FASTEST_WISH = 100.0  # m/s or rad/s: chosen, faster than any machine; keeps the numbers of the problem small
 
+_LEAST_WISH = 1e-6  # m/s, rad/s: less counts as no wish to move; chosen, far above rounding
+
 
 class Commands:
     """The wish that holds now.
@@ -26,6 +28,7 @@ class Commands:
     tip: (3,) wished velocity of the tip [m/s], world, or None.
     joints: (n,) wished velocity of the joints [rad/s or m/s], or None.
     pitch: wished rate of the bucket's pitch [rad/s], or None.
+    asks: whether a motion is wished for: a velocity of 0 is a wish to stand.
     """
 
     def __init__(self, robot: Robot, *, dt: float, watchdog: float) -> None:
@@ -35,6 +38,7 @@ class Commands:
         self.tip: Vector | None = None
         self.joints: Vector | None = None
         self.pitch: float | None = None
+        self.asks = False
 
     def understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
         """Take a step's command, see `Servo.step`, and return what became of it. Nothing is raised."""
@@ -48,6 +52,7 @@ class Commands:
         self._since += self._dt
         if self._since > self._watchdog:
             self.tip = self.joints = self.pitch = None
+            self.asks = False
             return Command.TIMED_OUT if found is Command.HELD else found
         return found
 
@@ -65,6 +70,9 @@ class Commands:
         if understood:
             self.tip, self.joints = _capped(tip), _capped(joints)
             self.pitch = None if pitch is None else float(pitch[0])
+            self.asks = any(
+                max(map(abs, one.tolist())) > _LEAST_WISH for one in (tip, joints, pitch) if one is not None
+            )
         return understood
 
 

@@ -61,7 +61,7 @@ from backhoe_planner.site import (
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
-_LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish; chosen, far above rounding
+_MOSTLY = 0.5  # part of a wish that is refused from which on a machine at rest counts as held; chosen
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, beyond them it is a slip
 
 
@@ -365,13 +365,13 @@ class Servo:
             return self._move(command)
         except Exception as error:  # noqa: BLE001  whatever it was, braking was proven before
             self.last_error = error.with_traceback(None)
-            return self._brake(command, moved=self._state is not before)
+            return self._brake(command, failed=True, moved=self._state is not before)
 
     def _move(self, command: Command) -> ServoState:
         """Find what is near, the wish and the nearest safe velocity, and take the step."""
         self._drift()
         if self._separation.clusters and not self._boxes.renew(self._state, self._steps):
-            return self._brake(command, moved=False)
+            return self._brake(command, failed=False)
         near = self._bounds.near(self._state.q, self._at)
         self._check.begin_step(len(near.pairs))
         q, v, _ = self._state
@@ -429,12 +429,12 @@ class Servo:
         beyond = self._refusal.next(v, wish=request.v, target=request.target)
         difference = J.dot(beyond - request.v) + wish.tip
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / CLOSE, 0.0), 1.0)))
-        status = self._status(command, request, chosen, margin, singular=wish.singular)
-        force = self._feedback.next(wish.tip, difference, normal, nearness)
-        return self._state_after(
-            command, status, nearest, refused_part(wish.tip, difference), force,
-            proven=chosen.end is not None, pace=pace,
+        force, refused = self._feedback.next(wish.tip, difference, normal, nearness), refused_part(wish.tip, difference)
+        status = self._status(
+            command, margin, wish.tip, refused, held_back=chosen.held_back, evading=chosen.evading,
+            at_limit=request.range.cuts_wish, singular=wish.singular,
         )  # fmt: skip
+        return self._state_after(command, status, nearest, refused, force, proven=chosen.end is not None, pace=pace)
 
     def _state_after(
         self, command: Command, status: Status, nearest: Obstruction | None, refused: Vector, force: Vector,
@@ -461,34 +461,41 @@ class Servo:
         return self._site.obstruction(pair, margin, self.time) if margin < self._influence else None
 
     def _status(
-        self, command: Command, request: VelocityWish, chosen: SafeVelocity, margin: float, *, singular: bool
-    ) -> Status:
-        held_back = self._held_back.next(holds=chosen.held_back)
-        moving = max(map(abs, chosen.v.tolist())) > _CREEPS
-        wishes = max(map(abs, request.v.tolist())) > _LEAST_WISH
-        if chosen.evading:
+        self, command: Command, margin: float, wish: Vector, refused: Vector,
+        *, held_back: bool, evading: bool = False, at_limit: bool = False, singular: bool = False,
+    ) -> Status:  # fmt: skip
+        """What the servo does after a step. The wish is the tip's (3,), of which `refused` (3,) is not followed."""
+        held_back, asks = self._held_back.next(holds=held_back), self._commands.asks
+        if evading:
             return Status.EVADING
-        if not moving and (wishes or command in (Command.TIMED_OUT, Command.INVALID)):
-            return Status.STOPPED
-        if held_back and wishes:
+        if max(map(abs, self._state.v.tolist())) <= _CREEPS:
+            # a machine that begins to move, or that nobody asks to, is at rest, too
+            held = asks and (held_back or at_limit or refused.dot(refused) > _MOSTLY**2 * wish.dot(wish))
+            if held or command in (Command.TIMED_OUT, Command.INVALID):
+                return Status.STOPPED
+        if held_back and asks:
             return Status.SLIDING
         if margin < CLOSE:
             return Status.NEAR_OBSTACLE
-        if request.range.cuts_wish:
+        if at_limit:
             return Status.NEAR_LIMIT
         return Status.NEAR_SINGULARITY if singular else Status.OK
 
-    def _brake(self, command: Command, *, moved: bool) -> ServoState:
-        """Brake after a failure, unless the step was taken already."""
+    def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
+        """Brake after a failure, or as nothing else is proven, unless the step was taken already."""
         if not moved:
             self._advance(self._joints.brake(self._state.v), None)
         J, commands = self._tip.jacobian[:3], self._commands
         wish = _ZERO if commands.tip is None else commands.tip
         if commands.joints is not None:
             wish = J.dot(commands.joints)
-        nearest, force = self._nearest(*self._bounds.tightest_of_all()), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
+        pair, margin = self._bounds.tightest_of_all()
+        nearest, force = self._nearest(pair, margin), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
         refused = refused_part(wish, wish - J.dot(self._state.v))
-        return self._state_after(command, Status.STOPPED, nearest, refused, force, proven=False, pace=1.0)
+        status = self._status(command, margin, wish, refused, held_back=True)
+        return self._state_after(
+            command, Status.STOPPED if failed else status, nearest, refused, force, proven=False, pace=1.0
+        )
 
 
 _ZERO = np.zeros(3)

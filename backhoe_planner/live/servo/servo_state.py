@@ -13,7 +13,13 @@ HOLDS_WITHIN = 0.05  # m of margin within which an obstacle is said to hold the 
 
 
 class Status(str, Enum):
-    """What the servo is doing. Where several hold, it is the last of them in this list."""
+    """What the servo is doing. Where several hold, it is the last of them in this list.
+
+    `SLIDING` and `STOPPED` are said of a machine that is asked to move: something is in the way of the command, and it
+    goes where that leaves it to, or stands. A machine that nobody asks to move is not held by anything, and one that
+    begins to move neither. Without a valid command, `TIMED_OUT` or `INVALID`, it is `STOPPED` once it stands, and so it
+    is in every step that failed.
+    """
 
     OK = "ok"
     NEAR_SINGULARITY = "near_singularity"
