@@ -16,7 +16,15 @@ from scipy.spatial import ConvexHull
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine import convex_cover, is_nearly_convex, load_mesh, terrain_columns, voxel_boxes
+from backhoe_planner.machine import (
+    Cluster,
+    MeshSolid,
+    convex_cover,
+    is_nearly_convex,
+    load_mesh,
+    terrain_columns,
+    voxel_boxes,
+)
 from backhoe_planner.machine.shape import shapes
 
 ROUNDING = 1e-9
@@ -370,6 +378,64 @@ def test_a_mesh_that_is_huge_or_encloses_nothing_is_read_in_silence(corner: str,
         else:
             with pytest.raises(InputError, match="the mesh is too large"):
                 is_nearly_convex(mesh)
+
+
+def torn(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The same with corners of its own for every triangle, each with the triangle's normal."""
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    return trimesh.Trimesh(corners, faces, vertex_normals=mesh.face_normals.repeat(3, axis=0), process=False)
+
+
+def is_inside(mesh: trimesh.Trimesh, x: float) -> bool:
+    place = pin.SE3(np.eye(3), np.array([x, 0.01, 0.02]))
+    solid = Cluster(MeshSolid(mesh, most=100), pin.SE3.Identity())
+    return solid.inside_of(shapes.sphere(0.05, pin.SE3.Identity()), place) is not None
+
+
+@pytest.mark.parametrize("suffix", ["obj", "dae", "glb", "ply"])
+def test_a_closed_body_with_normals_by_face_is_solid(suffix: str, tmp_path: Path) -> None:
+    """A block of 6 m^3 around the origin, 1 m along x."""
+    torn(trimesh.creation.box((1.0, 2.0, 3.0))).export(tmp_path / f"block.{suffix}")
+    mesh = load_mesh(tmp_path / f"block.{suffix}")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(6.0)
+    assert [is_inside(mesh, x) for x in (-0.6, -0.4, 0.0, 0.4, 0.6)] == [False, True, True, True, False]
+
+
+def test_closed_bodies_side_by_side_stay_bodies(tmp_path: Path) -> None:
+    """Two such blocks side by side: the triangles of the faces between them coincide, and belong to one block each."""
+    block = trimesh.creation.box((1.0, 2.0, 3.0))
+    other = block.copy().apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0])).apply_translation([1.0, 0.0, 0.0])
+    trimesh.Scene([torn(block), torn(other)]).export(tmp_path / "blocks.glb")
+    mesh = load_mesh(tmp_path / "blocks.glb")
+    assert mesh.volume == pytest.approx(12.0)
+    assert [is_inside(mesh, x) for x in (-0.6, 0.0, 1.0, 1.6)] == [False, True, True, False]
+
+
+def test_a_body_of_which_every_face_has_its_own_material_is_solid(tmp_path: Path) -> None:
+    """A cube in OBJ as six groups with a material each: every group is open, the cube is not."""
+    corners = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+    sides = [(1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6)]
+    lines = ["mtllib cube.mtl", *(f"v {x} {y} {z}" for x, y, z in corners)]
+    for number, (a, b, c, d) in enumerate(sides):
+        lines += [f"usemtl colour_{number}", f"f {a} {b} {c}", f"f {a} {c} {d}"]
+    (tmp_path / "cube.obj").write_text("\n".join(lines) + "\n")
+    colours = (f"newmtl colour_{number}\nKd 0.1 0.{number} 0.5\n" for number in range(6))
+    (tmp_path / "cube.mtl").write_text("".join(colours))
+    mesh = load_mesh(tmp_path / "cube.obj")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(1.0)
+
+
+def test_a_box_without_a_lid_stays_open(tmp_path: Path) -> None:
+    block = trimesh.creation.box((1.0, 2.0, 3.0))
+    open_box = trimesh.Trimesh(block.vertices, block.faces[block.face_normals[:, 2] < 0.5], process=False)
+    torn(open_box).export(tmp_path / "box.obj")
+    mesh = load_mesh(tmp_path / "box.obj")
+    assert not mesh.is_watertight
+    assert len(mesh.faces) == 10
+    assert not MeshSolid(mesh, most=100).is_full
 
 
 def test_missing_mesh_file_and_folder_are_named(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ _CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with
 _EXCESS = 1.08  # volumes of a mesh that its hull may have; chosen
 _HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side with which a point is compared; chosen: wider ones are few
 _SAME_VOLUME = 1.001  # of a mesh, up to which its hull is the mesh; STL files round a convex mesh by far less
+_SAME_PLACE = 8  # decimals in which vertices agree that lie at the same place; that of trimesh, which merges others
 _FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 
 
@@ -64,7 +65,10 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
                 _check_collada(path)
             for part in parts:
                 part.process()
+                part.faces = _welded(part)  # bodies that close stay apart from others that they touch
             mesh = scene.to_mesh()
+            if len(scene.graph.nodes_geometry) > 1:
+                mesh.faces = _welded(mesh)
     except InputError:
         raise
     except Exception as error:  # trimesh raises whatever its format readers run into
@@ -73,6 +77,25 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise InputError("holds no triangles", file=path)
     _check_finite(np.asarray(mesh.vertices, dtype=float).ravel(), path)
     return mesh
+
+
+def _welded(mesh: trimesh.Trimesh) -> Cells:
+    """Faces (m, 3) of a mesh, whose open edges share their vertices where these lie at the same place.
+
+    A file gives a vertex once for each normal, each place in a texture and each material, so that a surface that
+    closes is torn there.
+    """
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    ends, most = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices)
+    edges, count = np.unique(ends.min(axis=1) * most + ends.max(axis=1), return_counts=True)
+    torn = np.unique(np.divmod(edges[count % 2 == 1], most))
+    if not len(torn):
+        return faces
+    places = np.round(np.asarray(mesh.vertices, dtype=float)[torn], _SAME_PLACE)
+    _, first, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    one_of = np.arange(most)
+    one_of[torn] = torn[first[place.reshape(-1)]]
+    return one_of[faces]
 
 
 def _check_part(part: trimesh.Trimesh, path: Path) -> None:
