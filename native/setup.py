@@ -3,7 +3,7 @@
 import numpy as np
 from setuptools import Extension, setup
 
-SOURCES = ("arrays", "kinematics", "pairs", "clusters", "law", "shield", "servo", "boxes", "module")
+SOURCES = ("arrays", "kinematics", "pairs", "clusters", "law", "shield", "servo", "boxes", "rows", "module")
 
 setup(
     ext_modules=[

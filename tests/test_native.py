@@ -61,6 +61,16 @@ def placements(rng: Rng, samples: int, bodies: int) -> Any:
     return T
 
 
+def chain(rng: Rng, n: int) -> tuple[Any, Any]:
+    """Factors (33, n) and which joints slide (n,) of a chain of joints, see `chain_factors`."""
+    factors = np.zeros((33, n))
+    for joint in range(n):
+        R, axis, x = rotation(rng), rotation(rng)[0], rng.normal(size=3)
+        K = np.cross(np.eye(3), axis)
+        factors[:, joint] = np.column_stack((R, R @ K, R @ K @ K, R @ axis, x)).T.ravel()
+    return factors, rng.integers(0, 2, n).astype(float)
+
+
 def bounds_after(rng: Rng) -> Arguments:
     count, n = some(rng), joints(rng)
     travel = np.abs(rng.normal(size=(count, n)))
@@ -245,6 +255,77 @@ def plane_rows(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def binding_corners(rng: Rng) -> Arguments:
+    every, classes, samples, corners = 1 + some(rng), 1 + some(rng, 6), 2 + some(rng, 5), 1 + some(rng, 9)
+    pairs = chosen(rng, every)
+    if not len(pairs):
+        pairs = np.zeros(1, dtype=np.intp)
+    gaps = rng.choice([0.05, 0.5]) + 0.2 * rng.normal(size=(len(pairs), samples, corners))
+    least = gaps.min(axis=2)
+    closely = rng.integers(0, samples, len(pairs)) * (rng.uniform(size=len(pairs)) < 0.2)
+    return (
+        pairs, gaps, gaps.argmin(axis=2), least, least.min(axis=1) - rng.uniform(0.0, 0.1, len(pairs)),
+        closely.astype(np.intp), rng.uniform(0.0, 0.2, every), rng.integers(0, classes, every),
+        rng.uniform(0.0, 0.01, classes), rng.uniform(0.0, 0.2, classes),
+        rng.integers(0, 2, every) > 0 if rng.integers(2) else None, (0.002, 24.0, 16.0),
+    )  # fmt: skip
+
+
+def rows_by_velocity(rng: Rng) -> Arguments:
+    n, count, parts = joints(rng), some(rng), 1 + some(rng, 8)
+    later = rng.integers(2) > 0
+    return (
+        rng.normal(size=(count, n)), 0.1 * rng.normal(size=count), 0.1 * rng.normal(size=count),
+        rng.integers(1, parts + 1, count), parts, rng.normal(size=n), 0.3, int(rng.integers(n)), rng.normal(),
+        0.01 * rng.normal(size=(2, n)) if later else None, 0.01 * rng.normal(size=count) if later else None,
+    )  # fmt: skip
+
+
+def place_on_line(rng: Rng) -> Arguments:
+    n, parts = joints(rng), 1 + some(rng, 8)
+    factors, slides = chain(rng, n)
+    T, J = np.zeros((parts + 2, n + 1, 4, 4)), np.zeros((parts + 2, 6, n))
+    return rng.normal(size=n), rng.normal(size=n), parts, int(rng.integers(1, 3)), factors, slides, T, J
+
+
+def bend_in_parts(rng: Rng) -> Arguments:
+    n = joints(rng)
+    turning = rng.integers(0, 2, n).astype(float)
+    return rng.choice([0.0, 0.1]) * rng.normal(size=n), turning, rng.uniform(1.0, 5.0, n), (0.002, 8.0)
+
+
+def least_over_path(rng: Rng) -> Arguments:
+    every, classes = 1 + some(rng), 1 + some(rng, 6)
+    pairs = chosen(rng, every)
+    least = rng.normal(size=(len(pairs), 1 + some(rng, 6)))
+    return pairs, least, rng.integers(0, classes, every), rng.uniform(0.0, 0.1, classes)
+
+
+def cost_of_tip(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return rng.normal(size=(1 + some(rng, 5), n)), rng.normal(size=n), rng.normal(size=n), 0.005
+
+
+def next_within(rng: Rng) -> Arguments:
+    n, count = joints(rng), some(rng, 8)
+    v, low = rng.normal(size=n), rng.normal(size=n) - rng.choice([0.0, 5.0])
+    changes, fastest = tuple(rng.uniform(0.0, 0.1, n).tolist()), tuple(rng.uniform(0.5, 2.0, n).tolist())
+    h = rng.uniform(0.0, 1.0, count) + rng.choice([0.0, 10.0])
+    high = low + rng.choice([0.5, 10.0])
+    return (
+        rng.normal(size=n),
+        v,
+        low,
+        high,
+        changes,
+        fastest,
+        rng.uniform(0.5, 1.5),
+        rng.normal(size=(count, n)),
+        h,
+        1e-9,
+    )
+
+
 def ways_of_links(rng: Rng) -> Arguments:
     bodies, links = 1 + joints(rng), some(rng, 9)
     T = placements(rng, 1 + some(rng, 4), bodies)
@@ -344,20 +425,18 @@ def damped_steps(rng: Rng) -> Arguments:
 
 def chain_placements(rng: Rng) -> Arguments:
     n, count = joints(rng), some(rng)
-    q, factors, slides = rng.normal(size=(n, count)), np.zeros((33, n)), rng.integers(0, 2, n).astype(float)
-    for joint in range(n):
-        R, axis, x = rotation(rng), rotation(rng)[0], rng.normal(size=3)
-        K = np.cross(np.eye(3), axis)
-        factors[:, joint] = np.column_stack((R, R @ K, R @ K @ K, R @ axis, x)).T.ravel()
+    q = rng.normal(size=(n, count))
+    factors, slides = chain(rng, n)
     return q, np.sin(q), 1.0 - np.cos(q), factors, slides, np.vstack((rotation(rng), rng.normal(size=3)))
 
 
 SOURCES: list[Callable[[Rng], Arguments]] = [
-    approach_rates, blended_points, bounds_after, box_urgency, cells_of_tiles, chain_placements, changes_of_end,
-    corner_gaps, damped_steps, extent_along, force_on_hand, keep_placements, line_ahead, margins_now, near_now,
-    near_rows, nearest_safe_program, not_proven, off_turned_box, pairs_within, place_tip, placed_arrays, plane_rows,
-    quick_terms, reach_of_lead, reachable_velocities, read_results, split_by_plane, stalest_pair,
-    step_conditions, straight_towards, unproven_of_near, ways_of_links,
+    approach_rates, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency, cells_of_tiles,
+    chain_placements, changes_of_end, corner_gaps, cost_of_tip, damped_steps, extent_along, force_on_hand,
+    keep_placements, least_over_path, line_ahead, margins_now, near_now, near_rows, nearest_safe_program,
+    next_within, not_proven, off_turned_box, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
+    quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity,
+    split_by_plane, stalest_pair, step_conditions, straight_towards, unproven_of_near, ways_of_links,
 ]  # fmt: skip
 
 
@@ -395,7 +474,7 @@ def test_compiled_and_plain_versions_agree(source: Callable[[Rng], Arguments]) -
             continue  # the plain one leaves what is near a singularity to the general law
         answered += 1
         assert same(found, expected)
-        if source in (corner_gaps, keep_placements, place_tip):  # which write to what they are given
+        if source in (corner_gaps, keep_placements, place_on_line, place_tip):  # which write to what they are given
             assert same(for_compiled[-2:], for_plain[-2:])
     assert answered > 25
 
@@ -414,7 +493,7 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
         for place, one in enumerate(arguments):
             if isinstance(one, np.ndarray):
                 swapped = one.astype(one.dtype.newbyteorder())  # as on a machine of the other byte order
-                wrong: list[Any] = [one.astype(np.float32), one[None], swapped]
+                wrong: list[Any] = [one.astype(np.float32), one[None], *([swapped] if one.dtype.kind != "b" else [])]
                 if one.dtype.kind == "i" and len(one):
                     wrong += [one - 10**6, one + 10**6] if source not in (pairs_within, cells_of_tiles) else []
                 for other in wrong:

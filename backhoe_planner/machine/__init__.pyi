@@ -46,6 +46,8 @@ from .kinematics.kinematics import BatchKinematics as BatchKinematics
 from .kinematics.kinematics import Configuration as Configuration
 from .kinematics.kinematics import ConfigurationBatch as ConfigurationBatch
 from .kinematics.kinematics import Kinematics as Kinematics
+from .kinematics.kinematics import chain_factors as chain_factors
+from .kinematics.kinematics import chain_placements as chain_placements
 from .kinematics.kinematics import joint_poses as joint_poses
 from .kinematics.kinematics import wrap_angle as wrap_angle
 from .kinematics.target import TargetBatch as TargetBatch

@@ -8,7 +8,7 @@ int is_array(PyObject *object, const char *name, int kind, int axes)
     if (!PyArray_Check(object) || PyArray_TYPE(array) != kind || PyArray_NDIM(array) != axes ||
         !PyArray_ISALIGNED(array) || !PyArray_ISNOTSWAPPED(array)) {
         PyErr_Format(PyExc_TypeError, "%s: an array of %s with %d axes is wanted", name,
-                     kind == NPY_DOUBLE ? "float64" : "intp", axes);
+                     kind == NPY_DOUBLE ? "float64" : kind == NPY_BOOL ? "bool" : "intp", axes);
         return -1;
     }
     return 0;
@@ -57,10 +57,10 @@ int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, 
     return has_length(out->columns, columns, name);
 }
 
-const double *block(PyObject *object, const char *name, int axes, npy_intp *shape)
+static const void *in_one_piece(PyObject *object, const char *name, int kind, int axes, npy_intp *shape)
 {
     PyArrayObject *array = (PyArrayObject *)object;
-    if (is_array(object, name, NPY_DOUBLE, axes) < 0)
+    if (is_array(object, name, kind, axes) < 0)
         return NULL;
     if (!PyArray_IS_C_CONTIGUOUS(array)) {
         PyErr_Format(PyExc_TypeError, "%s: is not in one piece", name);
@@ -68,7 +68,28 @@ const double *block(PyObject *object, const char *name, int axes, npy_intp *shap
     }
     for (int axis = 0; axis < axes; axis++)
         shape[axis] = PyArray_DIM(array, axis);
-    return (const double *)PyArray_DATA(array);
+    return PyArray_DATA(array);
+}
+
+const double *block(PyObject *object, const char *name, int axes, npy_intp *shape)
+{
+    return in_one_piece(object, name, NPY_DOUBLE, axes, shape);
+}
+
+const npy_intp *index_block(PyObject *object, const char *name, int axes, npy_intp *shape)
+{
+    return in_one_piece(object, name, NPY_INTP, axes, shape);
+}
+
+int as_flags(PyObject *object, const char *name, npy_intp length, Flg *out)
+{
+    if (is_array(object, name, NPY_BOOL, 1) < 0)
+        return -1;
+    PyArrayObject *array = (PyArrayObject *)object;
+    out->data = PyArray_BYTES(array);
+    out->n = PyArray_DIM(array, 0);
+    out->step = PyArray_STRIDE(array, 0);
+    return has_length(out->n, length, name);
 }
 
 int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out)

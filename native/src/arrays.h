@@ -35,21 +35,30 @@ typedef struct {
     npy_intp n, step;
 } Ind;
 
+/* (n,) truth values */
+typedef struct {
+    char *data;
+    npy_intp n, step;
+} Flg;
+
 #define AT(v, i) (*(double *)((v).data + (i) * (v).step))
 #define AT2(m, i, j) (*(double *)((m).data + (i) * (m).down + (j) * (m).right))
 #define INDEX(v, i) (*(npy_intp *)((v).data + (i) * (v).step))
+#define FLAG(v, i) (*(npy_bool *)((v).data + (i) * (v).step))
 
 /* Each returns 0, or -1 with an exception where the object is not such an array. A length of -1 is any. */
 int as_vec(PyObject *object, const char *name, npy_intp length, Vec *out);
 int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out);
 int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out); /* one to write to */
 int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out);
+int as_flags(PyObject *object, const char *name, npy_intp length, Flg *out);
 int has_length(npy_intp found, npy_intp wanted, const char *name);
-/* of a type (NPY_DOUBLE, NPY_INTP) and with so many axes, as the processor reads it */
+/* of a type (NPY_DOUBLE, NPY_INTP, NPY_BOOL) and with so many axes, as the processor reads it */
 int is_array(PyObject *object, const char *name, int kind, int axes);
 int is_writeable(PyObject *object, const char *name);
 /* doubles in one piece: the first of them, and in `shape` the length of each axis; or NULL with an exception */
 const double *block(PyObject *object, const char *name, int axes, npy_intp *shape);
+const npy_intp *index_block(PyObject *object, const char *name, int axes, npy_intp *shape); /* the same of indices */
 int as_double(PyObject *object, const char *name, double *out);
 int as_doubles(PyObject *tuple, const char *name, Py_ssize_t count, double *out);
 /* `rows` tuples of as many numbers in a tuple: constants of each joint, as a plain version takes them quickest */
@@ -78,7 +87,7 @@ void solve_cholesky(const double *L, int n, double *b);
 int eigenvectors(double *A, int n, double *U);
 
 /* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo,
- * boxes. */
+ * boxes, rows. */
 #define FUNCTIONS(F) \
     F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
@@ -87,8 +96,10 @@ int eigenvectors(double *A, int n, double *U);
     F(quick_terms) \
     F(step_conditions) F(nearest_safe_program) \
     F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(margins_now) \
-    F(stalest_pair) F(corner_gaps) F(blended_points) F(plane_rows) F(refused_velocity) F(force_on_hand) \
-    F(line_ahead) F(box_urgency) F(ways_of_links)
+    F(stalest_pair) F(corner_gaps) F(blended_points) F(plane_rows) F(force_on_hand) \
+    F(line_ahead) F(box_urgency) F(ways_of_links) \
+    F(binding_corners) F(rows_by_velocity) F(place_on_line) F(bend_in_parts) F(least_over_path) F(cost_of_tip) \
+    F(next_within)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

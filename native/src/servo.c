@@ -96,6 +96,62 @@ PyObject *straight_towards(PyObject *self, PyObject *const *args, Py_ssize_t cou
     return found;
 }
 
+/* Whether G x <= h + tolerance, where x is a part of v (n,). */
+static int keeps(const Mat *G, const Vec *h, const double *v, double part, double tolerance)
+{
+    for (npy_intp i = 0; i < G->rows; i++) {
+        double sum = 0.0;
+        for (npy_intp j = 0; j < G->columns; j++)
+            sum += AT2(*G, i, j) * (part * v[j]);
+        if (sum > AT(*h, i) + tolerance)
+            return 0;
+    }
+    return 1;
+}
+
+PyObject *next_within(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec wish, v, low, high, h;
+    Mat G;
+    double change[MOST_JOINTS], fastest[MOST_JOINTS], aim[MOST_JOINTS], over, tolerance, part = 1.0, off = 0.0;
+    if (count_is(count, 10, "next_within") < 0 || as_vec(args[0], "wish", -1, &wish) < 0 || some_joints(wish.n) < 0 ||
+        as_vec(args[1], "v", wish.n, &v) < 0 || as_vec(args[2], "low", wish.n, &low) < 0 ||
+        as_vec(args[3], "high", wish.n, &high) < 0 || as_doubles(args[4], "changes", wish.n, change) < 0 ||
+        as_doubles(args[5], "fastest", wish.n, fastest) < 0 || as_double(args[6], "load", &over) < 0 ||
+        as_mat(args[7], "G", -1, wish.n, &G) < 0 || as_vec(args[8], "h", G.rows, &h) < 0 ||
+        as_double(args[9], "tolerance", &tolerance) < 0)
+        return NULL;
+    over = over > 1.0 ? over : 1.0;
+    for (npy_intp j = 0; j < wish.n; j++) {
+        aim[j] = AT(wish, j);
+        if (fabs(aim[j]) / fastest[j] > over)
+            over = fabs(aim[j]) / fastest[j];
+    }
+    if (over > 1.0 && keeps(&G, &h, aim, 1.0 / over, tolerance))
+        for (npy_intp j = 0; j < wish.n; j++)
+            aim[j] /= over;
+    double *target, *next;
+    PyObject *targets = new_vec(wish.n, &target), *nexts = new_vec(wish.n, &next);
+    if (!targets || !nexts) {
+        Py_XDECREF(targets), Py_XDECREF(nexts);
+        return NULL;
+    }
+    for (npy_intp j = 0; j < wish.n; j++) {
+        const double amount = fabs(aim[j] - AT(v, j));
+        if (amount * part > change[j])
+            part = change[j] / amount;
+    }
+    for (npy_intp j = 0; j < wish.n; j++) {
+        target[j] = AT(v, j) + part * (aim[j] - AT(v, j));
+        const double up = target[j] < AT(low, j) ? AT(low, j) : target[j];
+        next[j] = up > AT(high, j) ? AT(high, j) : up;
+        const double cut = fabs(next[j] - target[j]);
+        if (!(cut <= off)) /* what is no number is kept */
+            off = cut;
+    }
+    return Py_BuildValue("NNN", targets, nexts, PyBool_FromLong(off <= tolerance && keeps(&G, &h, next, 1.0, tolerance)));
+}
+
 PyObject *changes_of_end(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Vec q, v, end;
@@ -386,35 +442,6 @@ PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
 }
 
 /* --- the hand --------------------------------------------------------------------------- */
-
-PyObject *refused_velocity(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    Vec wish, v, target;
-    double free[MOST_JOINTS], change[MOST_JOINTS], forgets, tolerance, *refused;
-    if (count_is(count, 7, "refused_velocity") < 0 || as_vec(args[1], "wish", -1, &wish) < 0 ||
-        some_joints(wish.n) < 0 || as_doubles(args[0], "free", wish.n, free) < 0 ||
-        as_vec(args[2], "v", wish.n, &v) < 0 || as_vec(args[3], "target", wish.n, &target) < 0 ||
-        as_doubles(args[4], "change", wish.n, change) < 0 || as_double(args[5], "forgets", &forgets) < 0 ||
-        as_double(args[6], "tolerance", &tolerance) < 0)
-        return NULL;
-    PyObject *after = PyTuple_New(wish.n), *found = new_vec(wish.n, &refused);
-    for (npy_intp j = 0; after && found && j < wish.n; j++) {
-        const double rate = AT(v, j), aim = AT(wish, j);
-        const double next = free[j] + (fabs(rate - AT(target, j)) > tolerance ? clipped(aim - free[j], -change[j], change[j])
-                                                                              : forgets * (rate - free[j]));
-        PyObject *one = PyFloat_FromDouble(next);
-        if (!one)
-            Py_CLEAR(after);
-        else
-            PyTuple_SET_ITEM(after, j, one);
-        refused[j] = next - rate - aim;
-    }
-    if (!after || !found) {
-        Py_XDECREF(after), Py_XDECREF(found);
-        return NULL;
-    }
-    return Py_BuildValue("NN", after, found);
-}
 
 enum { DT, DAMPING, LARGEST, SHARPEST, PART, MOST_STORED, SLOW_HAND, SEED, LEAK, SETTINGS };
 enum { FORCE, SMOOTH = 3, STORED = 6, SCALE, STATE };

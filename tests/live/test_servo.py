@@ -76,10 +76,12 @@ def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
             acceleration=[0.5, 1.0, 1.5], furthest=np.ones(3), turning=np.ones(3),
         ).end  # fmt: skip
 
-    D = BrakingPath(
+    path = BrakingPath(
         np.zeros(3), np.array(v), 0.01,
         acceleration=[0.5, 1.0, 1.5], furthest=np.ones(3), turning=np.ones(3),
-    ).D  # fmt: skip
+    )  # fmt: skip
+    slowest, sharper = path.bend_of_end
+    D = path.look * np.eye(3) + sharper * np.outer(v, np.eye(3)[slowest])
     numeric = np.array([(end(np.array(v) + step) - end(np.array(v) - step)) / 2e-6 for step in 1e-6 * np.eye(3)]).T
     np.testing.assert_allclose(D, numeric, atol=1e-8)
 

@@ -356,19 +356,23 @@ def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: 
     assert float(np.min(gauge.distances(state.q) - gauge.clearance)) > -1e-6
 
 
-def slid_along_a_wall(backhoe: Robot) -> Servo:
-    """It has slid along a wall of rough cells until it came to rest, or for 3.3 s; the clearance was kept."""
+def slid_along_a_wall(backhoe: Robot, *, most: int = 330) -> Servo:
+    """It has slid along a wall of rough cells until it came to rest, or for 3.3 s; the clearance was kept.
+
+    most: steps of 10 ms.
+    """
     start = dict(zip(backhoe.joint_names, [0.0, 0.2, -1.3, -0.8], strict=True))
     servo = Servo(backhoe, scene_from_dict({**SCENE, "start": {"joints": start}}), dt=0.01)
     wall = np.random.default_rng(0).uniform([4.3, -3.0, -2.0], [4.4, 3.0, 1.0], (4000, 3))
     servo.add_points("scan", wall, resolution=0.05)
     gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
-    for step in range(330):
+    for step in range(most):
         state = servo.step([0.4, 0.4, 0.0])
         assert servo.last_error is None
         if step % 20 == 0:
             assert float(np.min(gauge.distances(state.q) - gauge.clearance)) > -1e-6
-    assert float(np.min(gauge.distances(state.q) - gauge.clearance)) < 0.05, "it came to the wall"
+    came = float(np.min(gauge.distances(state.q) - gauge.clearance)) < 0.05
+    assert came or most < 330, "it came to the wall"
     return servo
 
 
@@ -384,6 +388,27 @@ def test_boxes_that_are_found_anew_do_not_lock_it_beside_the_cells(
         state = servo.step([-0.3, 0.0, 0.0])
     assert state.proven
     assert np.abs(state.q - before).max() > 0.02
+
+
+def test_boxes_that_proved_too_little_are_not_found_anew_in_every_step_of_braking(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step of braking later they prove as little, and finding them takes ten times as long as a step."""
+    servo = slid_along_a_wall(backhoe, most=20)
+    (one, *_), boxes = servo._separation.counting_clusters, servo._boxes
+    found: list[int] = []
+    step = 0
+    monkeypatch.setattr(servo._bounds, "short", [one])
+    monkeypatch.setattr(servo._bounds, "find_boxes", lambda *_, **__: found.append(step))
+    for step in range(100, 135):
+        boxes._blocking, boxes._due = one, step + 1
+        boxes.renew(servo._state, step)
+    assert found == [100, 110, 120, 130]
+    at_rest = servo._state._replace(v=np.zeros(4))
+    for step in range(200, 203):
+        boxes._due = step + 1
+        boxes.renew(at_rest, step)
+    assert found[4:] == [200, 201, 202]
 
 
 def test_at_rest_beside_a_scan_it_evades_what_comes(backhoe: Robot) -> None:

@@ -32,6 +32,7 @@ class BoxUpkeep:
         self._line = Placements(robot, MOST_PARTS + 1)
         self._due = 0
         self._blocking: ClusterPairs | None = None  # whose boxes may have forbidden the last step
+        self._in_vain_until = 0  # the step before which boxes that just proved too little are not found again
 
     def forget(self, *, blocking: bool = False) -> None:
         """Boxes are looked at in the next step; with `blocking` it is also forgotten which ones forbade a step."""
@@ -62,7 +63,10 @@ class BoxUpkeep:
             self._find(self._bounds.short[0], state)
         elif self._blocking is not None:
             # boxes that were found further away may forbid what the cells allow
-            self._find(self._blocking, state)
+            if self._blocking not in self._bounds.short or step >= self._in_vain_until:
+                self._find(self._blocking, state)
+                # while it brakes, a step later they prove as little
+                self._in_vain_until = step + _EVERY
             self._blocking = None
         elif self._bounds.searches:
             self._bounds.search_on(self._at, self._path(state))

@@ -20,14 +20,14 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.live.braking.gaps import Gaps
-from backhoe_planner.machine import Robot, bend_weights, joint_poses
+from backhoe_planner.machine import Robot, bend_weights, chain_factors, chain_placements, joint_poses
 from backhoe_planner.native import compiled
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
 FINEST_PARTS = 2 * MOST_PARTS  # of one that is looked at in halves of its parts
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
-_PARTS = [np.arange(1, parts + 1)[:, None] / max(parts, 1) for parts in range(FINEST_PARTS + 1)]
 _BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
+_FINE = _BEND, float(MOST_PARTS)
 
 
 class JointState(NamedTuple):
@@ -89,19 +89,24 @@ class Placements:
         self._data = model.createData()
         count, n = model.njoints, robot.n
         self.T = np.zeros((most, count, 4, 4))
-        self.T[..., 3, 3] = 1.0
+        self.T[:] = np.eye(4)
         self.R, self.t = self.T[..., :3, :3], self.T[..., :3, 3]
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which is never allocated anew
         self._poses = joint_poses(self._data)
         self._jacobian = self._data.J.reshape(6, n)
         self._rows = [(self.T[sample, :, :3], self.J[sample]) for sample in range(most)]
+        self._chain = chain_factors(robot), robot.prismatic.astype(float)
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
         T, J = self._rows[sample]
         keep_placements(self._poses, self._jacobian, T, J)
+
+    def place_line(self, q: Vector, delta: Vector, parts: int, *, every: int = 1) -> None:
+        """Fill rows 1, 1 + `every`, ... up to `parts` with the placements that part of the way from q (n,) by delta."""
+        place_on_line(q, delta, parts, every, *self._chain, self.T, self.J)
 
     def spread(self, count: int) -> None:
         """Let rows 1 to `count` become 2, 4, ... to twice that."""
@@ -113,6 +118,40 @@ class Placements:
 def keep_placements(poses: Array, J: Matrix, own_poses: Array, own_J: Matrix, /) -> None:
     """Copy poses (joints, 3, 4) and Jacobians (6, n) to `own_poses` and `own_J`."""
     own_poses[...], own_J[...] = poses, J
+
+
+@compiled
+def bend_in_parts(delta: Vector, turning: Vector, furthest: Vector, fine: tuple[float, ...], /) -> tuple[Vector, int]:
+    """(n,) the `bend_weights` of a motion, and how many equal parts of it are looked at.
+
+    Parameters
+    ----------
+    furthest: (n,) the largest travel radius of any pair: no point bends more than that makes of the weights.
+    fine: how far a point may be off the chord of a part [m], and the greatest number of parts.
+    """
+    bend = bend_weights(delta, turning)
+    parts = math.sqrt(float(bend.dot(furthest)) / (8.0 * fine[0]))
+    return bend, min(max(math.ceil(parts), 1), int(fine[1]))
+
+
+@compiled
+def place_on_line(
+    q: Vector, delta: Vector, parts: int, every: int, factors: Matrix, slides: Vector, T: Array, J: Array, /
+) -> None:
+    """Write the placements at q + i / parts delta (n,) to rows i = 1, 1 + every, ... up to `parts` of T and J.
+
+    Parameters
+    ----------
+    factors, slides: (33, n), (n,) of the chain, see `chain_placements`.
+    T, J: (S, n + 1, 4, 4), (S, 6, n) see `Placements`.
+    """
+    rows = np.arange(1, parts + 1, every)
+    at = q[:, None] + rows / parts * delta[:, None]
+    axes, origins, rotations, *_ = chain_placements(at, np.sin(at), 1.0 - np.cos(at), factors, slides, np.zeros((4, 3)))
+    T[rows, 1:, :3, :3], T[rows, 1:, :3, 3] = rotations.transpose(3, 0, 2, 1), origins.transpose(2, 0, 1)
+    turns = slides == 0.0
+    passing = np.where(turns[:, None, None], np.cross(origins, axes, axis=1), axes)
+    J[rows, :3], J[rows, 3:] = passing.transpose(2, 1, 0), (axes * turns[:, None, None]).transpose(2, 1, 0)
 
 
 class BrakingPath:
@@ -150,14 +189,13 @@ class BrakingPath:
         self._times, self._acceleration = times, acceleration
         self._furthest, self._turning = furthest, turning
         self._parts = 0  # not known yet: most paths have no pair that could come too close
+        self._off: tuple[Matrix, int, Vector] | None = None  # radii, parts, and what follows from them
 
     @property
     def parts(self) -> int:
         """How many parts it has; `parts + 1` rows of the placements belong to it."""
         if self._parts == 0:
-            self._bend = bend_weights(self.delta, self._turning)
-            most = float(self._bend.dot(self._furthest))  # no point of any pair bends more than this
-            self._parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
+            self._bend, self._parts = bend_in_parts(self.delta, self._turning, self._furthest, _FINE)
         return self._parts
 
     def halve(self, placements: Placements | None = None) -> None:
@@ -166,27 +204,24 @@ class BrakingPath:
         self._parts = 2 * parts
         if placements is not None:
             placements.spread(parts)
-            for part, q in enumerate(self.q + _PARTS[2 * parts][::2] * self.delta):
-                placements.place(2 * part + 1, q)
+            placements.place_line(self.q, self.delta, 2 * parts, every=2)
 
     def off_chord(self, travel: Matrix) -> Vector:
-        """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""
+        """(K,) how far points may be off the chord of a part, for radii (K, n) [m]; to be read only."""
         parts = self.parts
-        return np.asarray(travel.dot(self._bend) / (8.0 * parts * parts))
+        if self._off is None or self._off[0] is not travel or self._off[1] != parts:
+            self._off = travel, parts, travel.dot(self._bend) / (8.0 * parts * parts)
+        return self._off[2]
 
     @property
-    def D(self) -> Matrix:
-        """(n, n) derivative of the end by v [s]."""
-        n = len(self.v)
-        D = np.zeros((n, n))
-        D.reshape(-1)[:: n + 1] = self.look
+    def bend_of_end(self) -> tuple[int, float]:
+        """The joint k that takes longest to brake, and c of de/dv = look I + c v e_k^T; c is 0 at rest [s^2/rad]."""
         braking = max(self._times)
-        if braking > 0.0:
-            slowest = self._times.index(braking)
-            D[:, slowest] += self.v * math.copysign(0.5 / self._acceleration[slowest], self.v[slowest])
-        return D
+        slowest = self._times.index(braking)
+        if braking == 0.0:
+            return slowest, 0.0
+        return slowest, math.copysign(0.5 / self._acceleration[slowest], float(self.v[slowest]))
 
     def place(self, placements: Placements) -> None:
         """Fill the placements at the ends of the parts. Row 0, at q, must already be there."""
-        for part, q in enumerate(self.q + _PARTS[self.parts] * self.delta, 1):
-            placements.place(part, q)
+        placements.place_line(self.q, self.delta, self.parts)

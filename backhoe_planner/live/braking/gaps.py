@@ -105,6 +105,20 @@ def corner_gaps(
     return nearest, gaps.reshape(-1).take(place)
 
 
+@compiled
+def least_over_path(pairs: Indices, least: Matrix, classes: Indices, off: Vector, /) -> Vector:
+    """(K,) the least gap of each of `pairs` (K,) over all samples, less how far points may be off the chords [m].
+
+    Parameters
+    ----------
+    least: (K, S) at the samples [m].
+    classes, off: (P,) of all pairs their row of `off` (C,) [m].
+    """
+    found: Vector = np.minimum.reduce(least, axis=1)
+    found -= off.take(classes.take(pairs))
+    return found
+
+
 @lru_cache(maxsize=64)
 def _firsts(pairs: int, samples: int, corners: int) -> Indices:
     """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, to be read only."""

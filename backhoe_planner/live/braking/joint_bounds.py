@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.native import compiled
 
@@ -66,6 +66,7 @@ class JointBounds:
         self.changes: tuple[float, ...] = tuple(self.change.tolist())
         columns = limits.lower, limits.upper, limits.velocity, self.change, self.acceleration, 1.0 / self.acceleration
         self._joints = tuple(zip(*(column.tolist() for column in columns), strict=True))
+        self.fastest: tuple[float, ...] = tuple(limits.velocity.tolist())
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
 
     def brake(self, v: Vector) -> Vector:
@@ -99,6 +100,22 @@ class JointBounds:
         ]
         return max(1.0, *over) if self._load is None else max(1.0, *over, self._load(q.copy(), v.copy()))
 
+    def next_towards(
+        self, wish: Vector, q: Vector, v: Vector, *, low: Vector, high: Vector, G: Matrix, h: Vector
+    ) -> tuple[Vector, Vector, bool]:
+        """(n,), (n,) the next velocity towards the wish, and the same within bounds; whether that keeps the rows.
+
+        The wish is cut back where it exceeds the joints' rates or the load, and what is left keeps the rows, too.
+
+        Parameters
+        ----------
+        wish, q, v: (n,) the wished velocity, where the joints are, and their velocity [rad/s or m/s, rad or m].
+        low, high: (n,) bounds [rad/s or m/s].
+        G, h: (K, n), (K,) of the rows G v <= h.
+        """
+        load = 1.0 if self._load is None else self._load(q.copy(), wish.copy())
+        return next_within(wish, v, low, high, self.changes, self.fastest, load, G, h, TOLERANCE)
+
     def room_for(self, more: Vector, v: Vector) -> float:
         """The largest part, at most 1, of `more` (n,) that fits within the joints' rates beside v (n,)."""
         part = 1.0
@@ -118,6 +135,27 @@ def straight_towards(wish: Vector, v: Vector, changes: tuple[float, ...], /) -> 
         if abs(amount) * part > largest:
             part = largest / abs(amount)
     return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
+
+
+@compiled
+def next_within(
+    wish: Vector, v: Vector, low: Vector, high: Vector, changes: tuple[float, ...], fastest: tuple[float, ...],
+    load: float, G: Matrix, h: Vector, tolerance: float, /,
+) -> tuple[Vector, Vector, bool]:  # fmt: skip
+    """See `JointBounds.next_towards`.
+
+    Parameters
+    ----------
+    changes, fastest: by how much each velocity may change, and the rates of the joints [rad/s or m/s].
+    load: the part of what the joints share that the wish takes.
+    """
+    over = max(1.0, load, *(abs(rate) / most for rate, most in zip(wish.tolist(), fastest, strict=True)))
+    if over > 1.0 and not np.count_nonzero(G.dot(wish / over) > h + tolerance):
+        wish = wish / over
+    target = straight_towards(wish, v, changes)
+    after = np.minimum(np.maximum(target, low), high)
+    off = float(np.abs(after - target).max())
+    return target, after, off <= tolerance and not np.count_nonzero(G.dot(after) > h + tolerance)
 
 
 @compiled

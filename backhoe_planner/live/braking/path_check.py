@@ -15,16 +15,15 @@ them are clear.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
+from backhoe_planner.live.braking.path_rows import binding_corners, rows_by_velocity
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
 
@@ -34,6 +33,7 @@ _LOOKS = 12  # pairs that are measured anew per path at most; chosen
 _MOVING_LOOKS = 3  # the same where only what moves is too near: it does not decide whether a path may be taken
 _RESERVED = CLOSER_LOOK + 1  # distances for the end of a step: of a pair that is clear again, and the oldest plane
 _WHOLE = 3.0  # by so many times more points may be off the chord of a whole part than off that of its halves
+_RULES = BUFFER, float(MOST_CANDIDATES), float(_OF_STANDING)
 _SHARE = 3  # a path may take this part of the distances that a step still has, so that some are left for the next
 
 
@@ -277,121 +277,31 @@ class PathCheck:
         separation, (pairs, budget) = self.separation, awake
         if len(pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
-        stands = self.bounds.stands.take(pairs)
-        classes = separation.classes.take(pairs)
-        wanted = self.bounds.required.take(pairs) + BUFFER
-        needed = path.off_chord(separation.travel).take(classes) + wanted
-        within = needed + 2.0 * budget.take(classes)
-        # where the machine is, the first sample, it is at any velocity
-        all_gaps, nearest, least, _ = found.gaps
-        corners_each = all_gaps.shape[2]
-        gaps = all_gaps.reshape(len(pairs), -1)[:, corners_each:]
-        tight = least[:, 1:].argmin(axis=1)
-        if np.count_nonzero(found.closely):
-            within[(found.closely > 0) & (found.bound >= within - needed + wanted)] = -np.inf
-            # a pair that was measured closely keeps one plane, which is right where it was measured
-            gaps = gaps.copy()
-            for row in found.closely.nonzero()[0].tolist():
-                tight[row] = found.closely[row] - 1
-                gaps[row].reshape(path.parts, -1)[np.arange(path.parts) != tight[row]] = np.inf
-        column = np.arange(1, least.size, least.shape[1]) + tight
-        least = least.reshape(-1).take(column)
-        room = least - needed
-        within[least >= within] = -np.inf
-        columns = corners_each * tight + nearest.reshape(-1).take(column)
-        binding = Candidates(gaps, within, columns, room, (within > -np.inf).nonzero()[0])
-        if len(binding.pairs) == 0:
+        bounds, gaps = self.bounds, found.gaps
+        k, samples, corners, room, short = binding_corners(
+            pairs, gaps.all, gaps.nearest, gaps.least, found.bound, found.closely, bounds.required, separation.classes,
+            path.off_chord(separation.travel), budget, bounds.stands if firm else None, _RULES,
+        )  # fmt: skip
+        if len(k) == 0:
             return (Rows.none("braking", len(path.v)),)
-        chosen = binding.all_of(MOST_CANDIDATES)
-        if chosen is None and firm and np.count_nonzero(stands) < len(pairs):
-            own, other = binding.among(stands).tightest(_OF_STANDING), binding.among(~stands)
-            k, columns = map(np.append, own, other.tightest(MOST_CANDIDATES - _OF_STANDING))
-        else:
-            k, columns = chosen or binding.tightest(MOST_CANDIDATES)
-        samples, corners = np.divmod(columns, corners_each)
-        samples += 1
         pairs = pairs.take(k)
-        G = separation.rows(pairs, samples, corners, self.at)
-        h = binding.gaps[k, columns]
-        h -= needed.take(k)
-        part = samples / path.parts
-        short = wanted.take(k)
-        short -= all_gaps[k, 0, corners]
+        moves = comes = None
         if now is not None:
+            moves = np.array((now.q - path.q, now.end - path.end))
             comes = self.joints.dt * separation.drift.take(pairs)
-            moved = G.dot(np.array((now.q - path.q, now.end - path.end)).T)
-            moved -= comes[:, None]
-            short += moved[:, 0]
-            h -= moved[:, 0] + part * (moved[:, 1] - moved[:, 0])
-            path = now
-        G = G.dot(path.D)
-        G /= path.look
-        h /= part * path.look
-        h += G.dot(path.v)
-        # never ask for more than the start itself is short of
-        np.maximum(short, 0.0, out=short)
-        short *= -2.0
-        np.maximum(h, short, out=h)
+        G = separation.rows(pairs, samples, corners, self.at)
+        of = path if now is None else now
+        G, h = rows_by_velocity(
+            G, room, short, samples, path.parts, of.v, of.look, *of.bend_of_end, moves, comes
+        )  # fmt: skip
         if not firm:
             return (Rows("braking", G, h),)
-        hard = stands[k]
+        hard = bounds.stands.take(pairs)
         soft = ~hard | (h < 0.0)  # a way back to the buffer is wished for, not demanded
         return (
             Rows("braking", G[hard], np.maximum(h[hard], 0.0), Kind.HARD),
             Rows("braking, soft", G[soft], h[soft]),
         )
-
-
-class Candidates(NamedTuple):
-    """The corners that could become rows, of K pairs with M entries each.
-
-    Attributes
-    ----------
-    gaps: (K, M) of every corner [m].
-    within: (K,) gaps below this count [m]; -inf for other pairs.
-    nearest: (K,) the column of the least gap.
-    room: (K,) what is left of a pair's least gap, in the measure by which pairs are compared.
-    pairs: rows of the pairs that are looked at, each with a corner that counts.
-    """
-
-    gaps: Matrix
-    within: Vector
-    nearest: Indices
-    room: Vector
-    pairs: Indices
-
-    def among(self, those: Flags) -> Candidates:
-        """The same without the pairs for which `those` (K,) is false."""
-        return Candidates(self.gaps, self.within, self.nearest, self.room, self.pairs[those[self.pairs]])
-
-    def all_of(self, most: int) -> tuple[Indices, Indices] | None:
-        """Pair and column of every corner that counts; None where there are more than `most`."""
-        if len(self.pairs) > most:
-            return None
-        counts = self.gaps < self.within[:, None]
-        if np.count_nonzero(counts) > most:
-            return None
-        k, columns = counts.nonzero()
-        return k, columns
-
-    def tightest(self, most: int) -> tuple[Indices, Indices]:
-        """Pair and column of the corners with the least gaps of every pair, at most `most` of all pairs together.
-
-        So that a pair with many corners does not crowd out the others. Where there are more pairs
-        than that, those with the least room.
-        """
-        pairs = self.pairs
-        if len(pairs) > most:
-            pairs = pairs[self.room.take(pairs).argpartition(most - 1)[:most]]
-        if 2 * len(pairs) > most:
-            return pairs, self.nearest.take(pairs)
-        gaps = self.gaps[pairs]
-        each = min(most // max(len(pairs), 1), gaps.shape[1])
-        columns = gaps.argpartition(each - 1, axis=1)[:, :each].reshape(-1)
-        k = np.arange(len(pairs)).repeat(each)
-        pairs = pairs.take(k)
-        real = gaps[k, columns] < self.within.take(pairs)
-        return pairs[real], columns[real]
 
 
 _NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), NO_GAPS, np.zeros(0, dtype=np.intp))

@@ -23,7 +23,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.box_places import BoxPlaces
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs
-from backhoe_planner.live.braking.gaps import Gaps, Memory, blended_points, corner_gaps, plane_rows
+from backhoe_planner.live.braking.gaps import Gaps, Memory, blended_points, corner_gaps, least_over_path, plane_rows
 from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
 from backhoe_planner.live.braking.plane_sets import PlaneSets
 from backhoe_planner.machine import (
@@ -425,9 +425,7 @@ class Separation:
         `drift_time` [s] is how long the obstacles move on along the path; 0 where none moves.
         """
         gaps = self.gaps(pairs, at, path.parts + 1, drift_time=drift_time, memory=memory)
-        bound = np.minimum.reduce(gaps.least, axis=1)
-        bound -= path.off_chord(self.travel).take(self.classes.take(pairs))
-        return bound, gaps
+        return least_over_path(pairs, gaps.least, self.classes, path.off_chord(self.travel)), gaps
 
     def proven_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
         """(K,) the same bound, with a closer look where it is below the clearance [m]."""

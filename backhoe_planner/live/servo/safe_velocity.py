@@ -27,8 +27,10 @@ from backhoe_planner.live.braking.joint_bounds import (
     VelocityRange,
 )
 from backhoe_planner.live.braking.pair_bounds import Awake, Near
-from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, Candidates, PathCheck
+from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck
+from backhoe_planner.live.braking.path_rows import Candidates
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
+from backhoe_planner.native import compiled
 
 _BINDING = 1e-5  # rad/s or m/s: a row that is kept by more does not bind; the solver's tolerance is 1e-6
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
@@ -62,27 +64,6 @@ class VelocityWish(NamedTuple):
     range: VelocityRange
 
 
-class Weights(NamedTuple):
-    """How much the velocities of the joints weigh.
-
-    Attributes
-    ----------
-    tip: (n, n) by the velocity of the tip alone, task^T task.
-    all: (n, n) the same, and a little for what the tip does not notice.
-    """
-
-    tip: Matrix
-    all: Matrix
-
-    @classmethod
-    def of(cls, task: Matrix) -> Weights:
-        """Those of a task (m, n)."""
-        tip = task.T.dot(task)
-        everything = tip.copy()
-        everything.reshape(-1)[:: len(tip) + 1] += _FREE
-        return cls(tip, everything)
-
-
 class SafeVelocity(NamedTuple):
     """The velocity of a step.
 
@@ -106,8 +87,6 @@ def velocity_program(
     low: Vector,
     high: Vector,
     rows: tuple[Rows, ...],
-    *,
-    weights: Weights | None = None,
 ) -> QuadraticProgram:
     """The problem whose solution is the velocity nearest to `target` (n,), as the tip notices it.
 
@@ -119,12 +98,20 @@ def velocity_program(
     wish: gives the task and the null space.
     low, high: (n,) bounds of the velocity [rad/s or m/s].
     rows: that it must keep.
-    weights: of the task, where they are known already.
     """
     if wish.task is None:
         return QuadraticProgram(np.eye(len(target)), -target, low, high, rows)
-    serves, H = weights or Weights.of(wish.task)
-    return QuadraticProgram(H, -serves.dot(target) - _FREE * wish.null, low, high, rows)
+    return QuadraticProgram(*cost_of_tip(wish.task, target, wish.null, _FREE), low, high, rows)
+
+
+@compiled
+def cost_of_tip(task: Matrix, target: Vector, null: Vector, free: float, /) -> tuple[Matrix, Vector]:
+    """H (n, n) and f (n,) of the cost 1/2 |task (x - target)|^2 + free/2 |x|^2 - free null^T x, for a task (m, n)."""
+    H = task.T.dot(task)
+    f = -H.dot(target)
+    f -= free * null
+    H.reshape(-1)[:: len(H) + 1] += free
+    return H, f
 
 
 class VelocityFilter:
@@ -279,21 +266,14 @@ class VelocityFilter:
         step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
-        weights = None if wish.task is None else Weights.of(wish.task)
         stacked = StackedRows.of(rows, len(low))
-        program = velocity_program(wish, wish.v, least, most, rows, weights=weights)
-        steady, kept = self._solve(state, program, stacked)
-        over = self._joints.over_rates(state.q, steady)
-        if over > 1.0:
-            slower = steady / over
-            if all(block.are_kept_by(slower, TOLERANCE) for block in rows):
-                steady = slower
-        target = self._joints.towards(steady, state.v)
-        v = np.minimum(np.maximum(target, low), high)
-        if np.abs(v - target).max() <= TOLERANCE and all(block.are_kept_by(v, TOLERANCE) for block in rows):
+        steady, kept = self._solve(state, velocity_program(wish, wish.v, least, most, rows), stacked)
+        target, v, keeps = self._joints.next_towards(
+            steady, state.q, state.v, low=low, high=high, G=stacked.G, h=stacked.high
+        )
+        if keeps:
             return v
-        program = velocity_program(wish, target, low, high, rows, weights=weights)
-        return self._solve(state, program, stacked, first=kept)[0]
+        return self._solve(state, velocity_program(wish, target, low, high, rows), stacked, first=kept)[0]
 
     def _solve(
         self, state: JointState, program: QuadraticProgram, stacked: StackedRows, *, first: Indices | None = None

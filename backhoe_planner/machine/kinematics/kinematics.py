@@ -215,22 +215,30 @@ class ConfigurationBatch:
         return np.where(self.prismatic[None, :], 0.0, rows)
 
 
+def chain_factors(robot: Robot) -> Matrix:
+    """(33, n) of each joint, one below the other the rows of an (11, 3) matrix, which is one of columns transposed.
+
+    A serial chain: joint j hangs on joint j - 1. By Rodrigues its rotation is I + sin K + (1 - cos) K^2, and
+    all that multiplies the rotation before it stands in one (3, 11) matrix: R, R K, R K^2, the axis, the origin [m].
+    """
+    own = []
+    for placement, axis in zip(list(robot.model.jointPlacements)[1:], robot.joint_axes, strict=True):
+        R, skew = placement.rotation, pin.skew(axis)
+        own.append(np.column_stack((R, R @ skew, R @ skew @ skew, R @ axis, placement.translation)).T.ravel())
+    return np.array(own).reshape(-1, 33).T
+
+
 class BatchKinematics:
     """Forward kinematics of one robot for arrays of configurations; keeps no state between calls."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         model = robot.model
-        # A serial chain: joint j hangs on joint j - 1. By Rodrigues its rotation is I + sin K + (1 - cos) K^2, and
-        # all that multiplies the rotation before it stands in one (3, 11) matrix: R, R K, R K^2, the axis, the origin.
-        own = []
+        self._factors, self._slides = chain_factors(robot), robot.prismatic.astype(float)
         self._inward = []  # for a point that a joint carries: (9, 3) R, R K, R K^2 one below the other, axis, origin
-        for placement, axis in zip(list(model.jointPlacements)[1:], robot.joint_axes, strict=True):
-            R, skew = placement.rotation, pin.skew(axis)
-            parts = np.column_stack((R, R @ skew, R @ skew @ skew, R @ axis, placement.translation))
-            own.append(parts.T.ravel())
+        for own in self._factors.T:
+            parts = own.reshape(11, 3).T
             self._inward.append((np.vstack(np.split(parts[:, :9], 3, axis=1)), parts[:, 9:10], parts[:, 10:]))
-        self._factors, self._slides = np.array(own).T, robot.prismatic.astype(float)
         frame = model.frames[robot.tip_frame]
         tip = np.column_stack((frame.placement.rotation, frame.placement.translation))
         self._tip = np.ascontiguousarray(tip.T)
@@ -281,7 +289,7 @@ def chain_placements(
     Parameters
     ----------
     q: (n, B) joint positions [rad or m]; sine, versine: of these.
-    factors: (33, n) of each joint, one below the other the rows of its (11, 3) matrix; see `BatchKinematics`.
+    factors: (33, n) of each joint, one below the other the rows of its (11, 3) matrix; see `chain_factors`.
     slides: (n,) 1 for a joint that slides, 0 for a hinge.
     tip: (4, 3) the columns of the tip's rotation in the last joint, and its position there [m].
     """

@@ -1,0 +1,147 @@
+"""The corners that could bind along a braking path, and the rows that they become."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.native import compiled
+
+
+class Candidates(NamedTuple):
+    """The corners that could become rows, of K pairs with M entries each.
+
+    Attributes
+    ----------
+    gaps: (K, M) of every corner [m].
+    within: (K,) gaps below this count [m]; -inf for other pairs.
+    nearest: (K,) the column of the least gap.
+    room: (K,) what is left of a pair's least gap, in the measure by which pairs are compared.
+    pairs: rows of the pairs that are looked at, each with a corner that counts.
+    """
+
+    gaps: Matrix
+    within: Vector
+    nearest: Indices
+    room: Vector
+    pairs: Indices
+
+    def among(self, those: Flags) -> Candidates:
+        """The same without the pairs for which `those` (K,) is false."""
+        return Candidates(self.gaps, self.within, self.nearest, self.room, self.pairs[those[self.pairs]])
+
+    def all_of(self, most: int) -> tuple[Indices, Indices] | None:
+        """Pair and column of every corner that counts; None where there are more than `most`."""
+        if len(self.pairs) > most:
+            return None
+        counts = self.gaps < self.within[:, None]
+        if np.count_nonzero(counts) > most:
+            return None
+        k, columns = counts.nonzero()
+        return k, columns
+
+    def tightest(self, most: int) -> tuple[Indices, Indices]:
+        """Pair and column of the corners with the least gaps of every pair, at most `most` of all pairs together.
+
+        So that a pair with many corners does not crowd out the others. Where there are more pairs
+        than that, those with the least room. Both ascend.
+        """
+        pairs = self.pairs
+        if len(pairs) > most:
+            pairs = np.sort(pairs[self.room.take(pairs).argpartition(most - 1)[:most]])
+        if 2 * len(pairs) > most:
+            return pairs, self.nearest.take(pairs)
+        gaps = self.gaps[pairs]
+        each = min(most // max(len(pairs), 1), gaps.shape[1])
+        columns = np.sort(gaps.argpartition(each - 1, axis=1)[:, :each], axis=1).reshape(-1)
+        k = np.arange(len(pairs)).repeat(each)
+        pairs = pairs.take(k)
+        real = gaps[k, columns] < self.within.take(pairs)
+        return pairs[real], columns[real]
+
+
+@compiled
+def binding_corners(
+    pairs: Indices, gaps: Array, nearest: Indices, least: Matrix, bound: Vector, closely: Indices, required: Vector,
+    classes: Indices, off: Vector, budget: Vector, stands: Flags | None, rules: tuple[float, ...], /,
+) -> tuple[Indices, Indices, Indices, Vector, Vector]:  # fmt: skip
+    """The corners of `pairs` (K,) that could bind along a path: row of the pair, sample and corner, (R,) each.
+
+    Beside them (R,) by how much the gap there is more than what is needed, and (R,) by how much the gap of the same
+    corner at the first sample is less than what is to be kept [m].
+
+    Parameters
+    ----------
+    gaps, nearest, least: (K, S, V), (K, S), (K, S) see `Gaps`. Where the machine is, the first sample, it is at any
+        velocity.
+    bound, closely: (K,) see `PathClearance`.
+    required, classes: (P,) what must be kept [m], and the row of `off` and `budget` (C,).
+    off: (C,) how far points may be off the chords of the path's parts [m].
+    budget: (C,) how far they may leave the path [m].
+    stands: (P,) whether the obstacle does, where corners of what stands and of what moves are counted apart.
+    rules: what is to be kept beyond that [m], how many corners there may be, and how many of them of what stands.
+    """
+    buffer, most, of_standing = rules[0], int(rules[1]), int(rules[2])
+    each = classes.take(pairs)
+    wanted = required.take(pairs) + buffer
+    needed = off.take(each) + wanted
+    within = needed + 2.0 * budget.take(each)
+    count, samples, corners = gaps.shape
+    on_path = gaps.reshape(count, -1)[:, corners:]
+    tight = least[:, 1:].argmin(axis=1)
+    looked = (closely > 0).nonzero()[0]
+    if len(looked):
+        within[(closely > 0) & (bound >= within - needed + wanted)] = -np.inf
+        # a pair that was measured closely keeps one plane, which is right where it was measured
+        on_path = on_path.copy()
+        for row in looked.tolist():
+            tight[row] = closely[row] - 1
+            on_path[row].reshape(samples - 1, -1)[np.arange(samples - 1) != tight[row]] = np.inf
+    rows = np.arange(count)
+    found = least[rows, 1 + tight]
+    within[found >= within] = -np.inf
+    columns = corners * tight + nearest[rows, 1 + tight]
+    binding = Candidates(on_path, within, columns, found - needed, (within > -np.inf).nonzero()[0])
+    chosen = binding.all_of(most)
+    if chosen is None and stands is not None and np.count_nonzero(standing := stands.take(pairs)) < count:
+        own, other = binding.among(standing).tightest(of_standing), binding.among(~standing)
+        k, columns = map(np.append, own, other.tightest(most - of_standing))
+    else:
+        k, columns = chosen or binding.tightest(most)
+    at, corner = np.divmod(columns, corners)
+    return k, at + 1, corner, on_path[k, columns] - needed.take(k), wanted.take(k) - gaps[k, 0, corner]
+
+
+@compiled
+def rows_by_velocity(
+    G: Matrix, room: Vector, short: Vector, samples: Indices, parts: int, v: Vector, look: float, slowest: int,
+    sharper: float, moves: Matrix | None, comes: Vector | None, /,
+) -> tuple[Matrix, Vector]:  # fmt: skip
+    """G (R, n) and h (R,) of the rows G v <= h that keep gaps along a path [m/s].
+
+    The end of the path moves by D = look I + sharper v e_slowest^T with v, and a sample by its part of that.
+
+    Parameters
+    ----------
+    G: (R, n) how fast the gaps fall with the joints [m/rad]; room: (R,) how much is left of them [m].
+    short: (R,) how much is missing at the path's start [m]. Never more is asked for.
+    samples: (R,) of the `parts` of the path at which they are.
+    v, look: (n,) velocity of the path [rad/s or m/s], and the time that it is worth [s].
+    slowest, sharper: the joint that takes longest to brake, and by how much the path becomes longer with its speed;
+        see `BrakingPath.bend_of_end`.
+    moves: (2, n) how far the start and the end of the path that the rows are to be of are from this one's [rad or m];
+        None where they are the same.
+    comes: (R,) how far the planes move on in the same time [m]; with `moves`.
+    """
+    part = samples / parts
+    if moves is not None and comes is not None:
+        moved = G.dot(moves.T)
+        moved -= comes[:, None]
+        short = short + moved[:, 0]
+        room = room - (moved[:, 0] + part * (moved[:, 1] - moved[:, 0]))
+    rows = look * G
+    rows[:, slowest] += sharper * G.dot(v)
+    rows /= look
+    return rows, np.maximum(room / (part * look) + rows.dot(v), -2.0 * np.maximum(short, 0.0))
