@@ -141,6 +141,19 @@ class Drive:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
+    @property
+    def has_rigid_torques_alone(self) -> bool:
+        """Whether torques against inertia and gravity, within limits that are the same everywhere, are all it has."""
+        return self.hydraulics is None and self._soil is None
+
+    def rigid_effort_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """(K, n) the same at q, v, a (K, n) where `has_rigid_torques_alone`, and (K, n, 3 n) its derivatives.
+
+        Those by q come first along the last axis, then those by v and by a.
+        """
+        torque, slopes = self.rigid_torque_slopes(q, v, a)
+        return self.effort_use(q, torque), np.asarray((np.sign(torque) / self._effort)[:, :, None] * slopes)
+
     def power_use(self, q: Array, v: Array, torque: Array) -> Array:
         """(...) power in the oil over the engine's, at q, v (..., n) with `torque` (..., n) [N m or N]."""
         if self.hydraulics is None:

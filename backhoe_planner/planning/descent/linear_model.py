@@ -7,7 +7,6 @@ The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,7 +138,10 @@ class LinearModel:
             found = drive.use(q, v, a)
             return np.column_stack((found.effort, found.speeds))
 
-        base, slopes = self._derivatives(use)
+        if drive.has_rigid_torques_alone:  # exactly, at a sixth of what differences take
+            base, slopes = drive.rigid_effort_slopes(*self._moments())
+        else:
+            base, slopes = moment_slopes(use, *self._moments())
         place, limit = np.nonzero(base >= 0.0)
         G, by_duration = self._of_moments(place, slopes[place, limit])
         kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
@@ -273,10 +275,10 @@ class LinearModel:
         more = np.column_stack((np.broadcast_to(by_duration, len(h)), np.full(len(h), -1.0 if slack else 0.0)))
         self._rows.append(Rows(name, np.hstack((G, more)), h, kind))
 
-    def _derivatives(self, value: Callable[[Matrix, Matrix, Matrix], Matrix]) -> tuple[Matrix, Array]:
-        """(K, U) values at all places, and (K, U, 3 n) their derivatives by q, v and a."""
+    def _moments(self) -> tuple[Matrix, Matrix, Matrix]:
+        """(K, n) each: q, v and a at all places."""
         q, first, second = self._at
-        return moment_slopes(value, q, first / self._T, second / self._T**2)
+        return q, first / self._T, second / self._T**2
 
     def _of_moments(self, place: Indices, slopes: Matrix) -> tuple[Matrix, Vector]:
         """(R, steps), (R,) by steps and duration: values at `place` (R,), derivatives `slopes` (R, 3 n) by q, v, a."""
