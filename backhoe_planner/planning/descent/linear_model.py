@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
@@ -24,6 +24,9 @@ from backhoe_planner.site import Proximity
 
 PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations are linear on a piece
 _NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step and is left out; chosen
+# the same of the drive at one place, below which it is not even asked how that changes with a step; chosen, no step
+# of a sample of plans was another for it, and four places in five are left out
+_FAR_FROM_LIMIT = 0.3
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
 _SOLUTIONS = 3  # of a program at most; measured, the third adds a fiftieth of the kinks of the second
@@ -138,12 +141,17 @@ class LinearModel:
             found = drive.use(q, v, a)
             return np.column_stack((found.effort, found.speeds))
 
+        moments = self._moments()
+        near = np.flatnonzero((use(*moments) > _FAR_FROM_LIMIT).any(axis=1))
+        if not len(near):
+            return
+        q, v, a = (each[near] for each in moments)
         if drive.has_rigid_torques_alone:  # exactly, at a sixth of what differences take
-            base, slopes = drive.rigid_effort_slopes(*self._moments())
+            base, slopes = drive.rigid_effort_slopes(q, v, a)
         else:
-            base, slopes = moment_slopes(use, *self._moments())
+            base, slopes = moment_slopes(use, q, v, a)
         place, limit = np.nonzero(base >= 0.0)
-        G, by_duration = self._of_moments(place, slopes[place, limit])
+        G, by_duration = self._of_moments(near[place], slopes[place, limit])
         kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
         self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
 
