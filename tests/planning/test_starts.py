@@ -30,24 +30,36 @@ def test_joints_are_early_even_or_late_between_the_same_ends_and_cost_no_more(ba
     proximity = Proximity(backhoe, problem.obstacles)
     descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
     screen = ClearanceScreen(proximity, time=0.0)
-    prices = StartPrices(descent, screen, longest=LONGEST)
+    longest = 6.0  # s: starts are soon far apart
+    prices = StartPrices(descent, screen, longest=longest)
     u = np.linspace(0.0, 1.0, PIECES + 1)
     paces = [part * part * (3.0 - 2.0 * part) for part in (np.minimum(2.0 * u, 1.0), u, np.maximum(2.0 * u - 1.0, 0.0))]
-    rng, cheaper = np.random.default_rng(5), 0
+    rng, cheaper, several = np.random.default_rng(5), 0, 0
     for _ in range(6):
         start, end = backhoe.random_q(rng), backhoe.random_q(rng)
         line = Start(JointCurve.straight(start, end, PIECES), 1.0, problem.goals[0], "straight")
-        for found in (one.start for one in prices.paced(list(prices.in_order([line])))):
+        paced = prices.paced(list(prices.in_order([line])))
+        assert [one.price for one in paced] == sorted(one.price for one in paced)
+        for found in (one.start for one in paced):
             control = found.curve.control
             np.testing.assert_allclose(control[[0, -1]], [start, end], atol=1e-12)
             for joint in range(backhoe.n):
                 parts = (control[:, joint] - start[joint]) / (end[joint] - start[joint])
                 assert any(np.allclose(parts, pace, atol=1e-9) for pace in paces)
-            costs = [descent.estimates([one.curve], np.array([LONGEST]), longest=LONGEST)[0] for one in (found, line)]
-            blocked = [1.0 - np.mean(screen.keeps(one.curve(np.linspace(0.0, 1.0, 25)))) for one in (found, line)]
-            assert costs[0] * (1.0 + blocked[0]) < costs[1] * (1.0 + blocked[1])
-            cheaper += 1
+        controls = [one.start.curve.control / descent.rate for one in paced]
+        for k, one in enumerate(controls):
+            assert all(np.max(np.abs(one - other)) > 0.15 * longest for other in controls[:k])
+        prices_of = []
+        for curve in (line.curve, *(each.start.curve for each in paced)):
+            cost = descent.estimates([curve], np.array([longest]), longest=longest)[0]
+            prices_of.append(cost * (2.0 - np.mean(screen.keeps(curve(np.linspace(0.0, 1.0, 25))))))
+        np.testing.assert_allclose([one.price for one in paced], prices_of[1:])
+        if paced:
+            assert max(prices_of[1:]) <= 1.5 * min(prices_of) * (1.0 + 1e-12)
+            cheaper += prices_of[1] < prices_of[0]
+            several += len(paced) > 1
     assert cheaper >= 3
+    assert several >= 1
 
 
 def test_starts_come_in_the_order_of_their_prices_and_none_that_is_dear_or_near_another_is_chosen(

@@ -43,6 +43,7 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
 _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
+_CLEAR_FIRST = 10.0  # times both, where a curve is to get clear first; chosen, 50 leads further away
 MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
@@ -69,6 +70,7 @@ _ENOUGH_HURRIED = (
     0.01  # the same of a descent in a hurry; chosen: its last round gained less, and is a fifth of its time
 )
 _ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for longer; chosen
+_ENOUGH_ROUGH = 0.01  # the same where a finer curve goes on; chosen, with 0.004 to 0.02 motions cost as much
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
 _MENDED = 0.1  # m: a step that misses by less is followed by another before it is judged; chosen
@@ -133,12 +135,14 @@ class Descent:
         self._nothing = 0.0  # a cost that counts as nothing, in its unit
         self._width = _LEAST_WIDTH  # of kinks of the cost's rate that are rounded off, in its unit per second
         self._longest = np.inf  # s that the motion of this descent may take
+        self._times_missed = 1.0  # the price of what a curve of this descent misses
+        self._rough = False  # whether this descent may end at larger gains
         self.rounds = 0
 
     def run(
         self, curve: JointCurve, duration: float, goal: Goal, *,
         most_rounds: int, spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
-        longest: float = np.inf, unsampled: bool = False,
+        longest: float = np.inf, unsampled: bool = False, rough: bool = False, clear_first: bool = False,
     ) -> Timed | None:  # fmt: skip
         """Bend a curve until its cost falls no more.
 
@@ -154,6 +158,9 @@ class Descent:
         longest: that the motion may take [s], where its time is not the cost; it takes longer where no step helps.
         unsampled: whether the motion need not keep all limits between the places where a step keeps them, nor its cost
             be exact, where the time is not the cost; to make it so takes as long as two rounds.
+        rough: whether the descent ends at larger gains, as a finer curve goes on from where it ends; not for the time.
+        clear_first: whether what a curve misses costs much more than usual, so that it gets out of an obstacle that
+            is cheap to go through.
         is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
 
         Returns
@@ -164,6 +171,7 @@ class Descent:
         ------
         OutOfTime: the budget is used up.
         """
+        self._rough, self._times_missed = rough, _CLEAR_FIRST if clear_first else 1.0
         down = partial(self._down, goal=goal, spare=spare, density=density)
         if self._own_time is None:
             return down(curve, duration, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=longest)
@@ -197,7 +205,7 @@ class Descent:
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
-        price = MISSED_WORTH * here.cost
+        price = self._times_missed * MISSED_WORTH * here.cost
         unit = max(here.cost, _NO_COST)
         bend = None
         if self._own_time is not None:
@@ -333,7 +341,7 @@ class Descent:
     def _enough(self, bend: Bend | None) -> float:
         """Part of the cost: a round that gains less ends the descent."""
         if bend is not None:
-            return _ENOUGH_BENT
+            return _ENOUGH_ROUGH if self._rough else _ENOUGH_BENT
         return _ENOUGH_HURRIED if self._hurried else _ENOUGH
 
     def _mended(self, there: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float) -> Timed | None:
@@ -406,7 +414,8 @@ class Descent:
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
         most = _ITERATIONS if bend is None else _ITERATIONS_BENT
-        x = model.best_step(_MISSED_PRICE, bend=bend, longest=self._longest, most_iterations=most)
+        missed = self._times_missed * _MISSED_PRICE
+        x = model.best_step(missed, bend=bend, longest=self._longest, most_iterations=most)
         if x is None:
             return None
         return self._on_goal(curve, *model.step(x), goal, looks, below=below)

@@ -18,6 +18,7 @@ _PLACES = 25  # of a curve, that are asked whether they are clear; chosen, about
 _PART = 0.5  # of the way, in which an early or a late joint makes all of its own; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
 _DEAR = 1.5  # times the least price, above which no descent is tried; measured, it hardly ever becomes the best
+_BESIDE = 6  # starts with joints early or late, that come beside the cheapest of each line; chosen
 _TOGETHER = 100  # starts that are priced at once, to bound the memory
 
 
@@ -79,15 +80,17 @@ class StartPrices:
         return chosen
 
     def paced(self, lines: Sequence[PricedStart]) -> list[PricedStart]:
-        """Each of `lines`, straight ones, with the joints early or late on the way, so that it costs less; these first.
+        """Each of `lines`, straight ones, with joints early or late, so that it costs less; the cheapest first.
 
         What a motion costs is often decided by which joint moves first: an arm that is unfolded after it was lowered
         needs little of the work of one that is held out on the way, and from an even pace no small step leads there.
-        The joints are looked at one after the other, twice.
+        The joints are looked at one after the other, twice. What was met on the way there comes as well, but for what
+        is dear or near another.
         """
         if not lines:
             return []
         best = list(lines)
+        met: list[PricedStart] = []  # their prices do not count yet what is blocked
         n = lines[0].start.curve.control.shape[1]
         for joint in (*range(n), *range(n)):
             tried = [
@@ -97,12 +100,30 @@ class StartPrices:
             for index, others in enumerate(tried):
                 for other in others:
                     price = next(cost)
+                    met.append(PricedStart(other, price))
                     if price < best[index].price:
                         price *= self._dearer(other)
                     if price < best[index].price:
                         best[index] = PricedStart(other, price)
         changed = [one for one, line in zip(best, lines, strict=True) if one is not line]
-        return sorted(changed, key=lambda one: one.price)
+        return sorted([*changed, *self._beside(best, met)], key=lambda one: one.price)
+
+    def _beside(self, best: Sequence[PricedStart], met: Sequence[PricedStart]) -> list[PricedStart]:
+        """Of the starts that were `met` those that are neither dear nor near one of the `best`, or each other."""
+        found: list[PricedStart] = []
+        dear = _DEAR * min(one.price for one in best)
+        for one in sorted(met, key=lambda one: one.price):
+            if one.price > dear or len(found) >= _BESIDE:
+                break
+            others = (*best, *found)
+            if min(self._apart(one.start.curve.control, other.start.curve.control) for other in others) <= (
+                _APART * self._longest
+            ):
+                continue
+            price = one.price * self._dearer(one.start)
+            if price <= dear:
+                found.append(PricedStart(one.start, price))
+        return found
 
     def _where_clear(self, starts: Sequence[Start]) -> list[float]:
         """About what descents from starts cost, of which nothing is blocked."""

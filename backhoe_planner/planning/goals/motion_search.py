@@ -17,7 +17,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Problem, Trajectory, motion_cost
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
+from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
 from backhoe_planner.planning.goals.allowed_time import (
@@ -26,6 +26,7 @@ from backhoe_planner.planning.goals.allowed_time import (
     fastest_with_room,
     has_room,
 )
+from backhoe_planner.planning.goals.first_rounds import after_first_rounds
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
@@ -51,7 +52,7 @@ _ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no 
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
 _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each of these must gain for the next; chosen
-_FINER = 4  # times more of these for another cost than the time; chosen
+_FINER = 8  # times more of these for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
 _PLACES = 25  # of a line or a motion, by which it is looked at as a whole; chosen, about every 2 to 10 cm of the tip
@@ -87,7 +88,6 @@ _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
 _END_APART = 0.03  # part of the longest time: joint time between two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
-_FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
@@ -256,21 +256,13 @@ class MotionSearch:
             start = chosen[0].start
             self._descend(start.curve, max(start.duration, self._longest), start.goal, start.way)
             return
-        tried: list[tuple[float, Start]] = []
-        for start in (one.start for one in chosen):
-            found = self._bend(
-                start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
-                spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False, unsampled=True,
-            )  # fmt: skip
-            if found is None:
-                continue
-            if found.missed > (_FURTHER_OFF if self.best is None else _FAR_OFF):
-                self._blocked = min(self._blocked, found.cost)
-            else:
-                on = replace(start, curve=found.curve, duration=found.duration)
-                tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
-        tried.sort(key=lambda one: one[0])
+        far_off = _FURTHER_OFF if self.best is None else _FAR_OFF
         ways, clear = work.effort.ways_at_once, 0
+        found = after_first_rounds(
+            (one.start for one in chosen), self._few_rounds, far_off=far_off, pushed=ways // _WAYS_FOR_ONE
+        )
+        self._blocked = min(self._blocked, found.blocked)
+        tried = found.clear
         for index, (cost, start) in enumerate(tried):
             if clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
                 break
@@ -280,6 +272,16 @@ class MotionSearch:
                 self._blocked = min(self._blocked, cost)
             if clear >= ways / _WAYS_FOR_ONE:
                 break
+
+    def _few_rounds(
+        self, start: Start, rounds: int, *, density: int = 1, clear_first: bool = False
+    ) -> Timed | None:  # fmt: skip
+        """See `FewRounds`."""
+        return self._bend(
+            start.curve, max(start.duration, self._longest), start.goal, rounds,
+            spare=_SPARE, density=density, box=_FIRST_BOX, unsampled=True, clear_first=clear_first,
+            is_hopeless=lambda here, rounds: clear_first and here.missed <= KEPT_PART * _SPARE,
+        )  # fmt: skip
 
     def _goes_on(self) -> bool:
         """Whether the search goes on where it has found a motion."""
@@ -479,8 +481,9 @@ class MotionSearch:
 
         for _ in range(_PROOFS):
             found = self._bend(
-                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=is_over
-            )
+                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=is_over,
+                rough=self._world.work.effort.rough,
+            )  # fmt: skip
             if found is None or found.missed > (_NEARLY if self._rounds_left() > 0 else KEPT_PART * spare):
                 return False
             if self._goes_where_another_ended(found):
@@ -530,7 +533,8 @@ class MotionSearch:
 
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
-        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool], unsampled: bool = False,
+        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
+        unsampled: bool = False, rough: bool = False, clear_first: bool = False,
     ) -> Timed | None:  # fmt: skip
         work, descent = self._world.work, self._descent
         before = descent.rounds
@@ -538,7 +542,8 @@ class MotionSearch:
         found = descent.run(
             curve, duration, goal,
             most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
-            longest=self._longest if np.isfinite(self._longest) else _SLOWER * duration, unsampled=unsampled,
+            longest=self._longest if np.isfinite(self._longest) else _SLOWER * duration,
+            unsampled=unsampled, rough=rough, clear_first=clear_first,
         )  # fmt: skip
         work.descent_rounds -= -(-(descent.rounds - before) // self._rounds_in_one)
         return found

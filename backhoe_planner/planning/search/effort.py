@@ -49,6 +49,8 @@ class Effort:
     ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
         are brought down.
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
+    rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve goes
+        on from there, and mostly it costs no more at the end.
     """
 
     motions_per_search: int
@@ -66,6 +68,7 @@ class Effort:
     pieces: int
     ways_at_once: int
     dull_searches: int
+    rough: bool
 
 
 _NORMAL = Effort(
@@ -84,12 +87,14 @@ _NORMAL = Effort(
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
+    rough=True,
 )
 
 
 def _scaled(factor: float) -> Effort:
-    """The normal effort times `factor`."""
-    return Effort(**{name: round(factor * count) for name, count in asdict(_NORMAL).items()})
+    """The counts of the normal effort times `factor`, and nothing rough."""
+    counts = {name: count for name, count in asdict(_NORMAL).items() if not isinstance(count, bool)}
+    return Effort(**{name: round(factor * count) for name, count in counts.items()}, rough=False)
 
 
 EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
