@@ -16,6 +16,7 @@ from typing import Any
 
 import jsonschema
 import pytest
+import trimesh
 import yaml
 from waiting import PATIENCE
 
@@ -290,6 +291,29 @@ def test_inspect_and_plan_warn_of_limits_that_the_urdf_does_not_give(run: Run, t
         (tmp_path / "scene.yaml").write_text(yaml.safe_dump(content))
         status, _, warned = run("plan", urdf, tmp_path / "scene.yaml", *QUICK)
         assert (status, warned.count("no velocity limit")) == (0, count)
+
+
+def test_a_mesh_that_is_open_is_said_once_by_plan_check_and_inspect(run: Run, tmp_path: Path) -> None:
+    """Two crates without a front of one file, and a closed ring; a flat sheet has no inside."""
+    crate = trimesh.creation.box((1.0, 1.0, 1.0))
+    trimesh.creation.annulus(r_min=0.5, r_max=1.0, height=0.2).export(tmp_path / "ring.stl")
+    for _ in range(4):  # fine enough to be no set of hulls
+        crate = crate.subdivide()
+    trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 0] < 0.5]).export(tmp_path / "crate.stl")
+    trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 0] > 0.5]).export(tmp_path / "sheet.stl")
+    files = {"left": "crate.stl", "right": "crate.stl", "ring": "ring.stl", "sheet": "sheet.stl"}
+    meshes = [
+        {"name": name, "shape": "mesh", "file": file, "position": [0.0, 2.0 * place, 9.0]}
+        for place, (name, file) in enumerate(files.items())
+    ]
+    scene = scene_file(tmp_path, {**REACH, "obstacles": meshes})
+    for command in (("plan", PLANAR4, scene, "-o", "plan.json", *QUICK), ("check", "plan.json"),
+                    ("inspect", PLANAR4, scene)):  # fmt: skip
+        status, _, warned = run(*command)
+        assert status == 0
+        assert warned.count("warning") == 1
+        assert "the mesh crate.stl (left, right) is not closed" in warned
+        assert "fill its holes" in warned
 
 
 def test_one_run_as_a_program(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -71,6 +72,31 @@ def test_an_interrupted_job_says_what_is_done_and_goes_on(run: Run, resumed: lis
     assert Path("part.json").read_bytes() == before
     run("job", "job.yaml", "-o", "part.json", "--seed", "3", "--anew")
     assert resumed[2:] == [None]
+
+
+def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine without masses, and a crate without its front on its site."""
+    urdf = bp.load_robot("example:backhoe").urdf.path.read_text()
+    Path("light.urdf").write_text(re.sub("<inertial>.*?</inertial>", "", urdf, flags=re.DOTALL))
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    sides = [(1, 2, 4, 3), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    lines = [*("v {} {} {}".format(*at) for at in corners), *("f {} {} {} {}".format(*side) for side in sides)]
+    Path("crate.obj").write_text("\n".join(lines))
+    crate = {"name": "crate", "shape": "mesh", "file": "crate.obj", "position": [-6.0, 5.0, 0.0]}
+    Path("light.yaml").write_text(yaml.safe_dump(TINY | {"machine": "light.urdf", "site": {"obstacles": [crate]}}))
+
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    for command in ("plan_job", "stand"):
+        monkeypatch.setattr(bp, command, interrupted)
+    for command in ("job", "stand"):
+        _, _, told = run(command, "light.yaml", "-o", "light.json")
+        assert told.count("warning: no link that moves has a mass in the URDF") == 1
+        assert told.count("warning: the mesh crate.obj (crate) is not closed") == 1
+        assert "warning" not in run(command, "job.yaml", "-o", "part.json")[2]
 
 
 def test_a_part_from_a_survey_goes_on_with_the_same_survey_alone(run: Run, resumed: list[bp.JobPlan | None]) -> None:

@@ -35,8 +35,9 @@ def inspect(
     if plot is not None:
         check_ending(plot, show.FIGURE_FORMATS, what="a figure")
         check_writable(plot)
-    robot, limits, warnings = _machine(urdf, None if scene is None else bp.load_scene(scene), tip)
-    print_warnings((*robot.warnings, *warnings))
+    loaded = None if scene is None else bp.load_scene(scene)
+    robot, limits = _machine(urdf, loaded, tip)
+    print_warnings(site.input_warnings(robot, loaded, with_task=False))
     _print_joints(robot, limits)
     _print_held(robot)
     OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
@@ -57,15 +58,15 @@ def schema() -> int:
     return VERIFIED
 
 
-def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Robot, bp.JointLimits, tuple[str, ...]]:
-    """The machine, its limits, and what is assumed of them, within the scene where there is one."""
+def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Robot, bp.JointLimits]:
+    """The machine and its limits, within the scene where there is one."""
     if scene is None:
         robot = bp.load_robot(urdf, tip=tip)
-        return robot, robot.limits, site.limit_warnings(robot)
+        return robot, robot.limits
     if None not in (tip, scene.tip) and tip != scene.tip:
         raise bp.InputError("is not the scene's tip", key="--tip", found=tip, allowed=scene.tip)
     robot = site.machine_on_site(site.load_machine(urdf, scene, tip=tip), scene)
-    return robot, site.scaled_limits(robot, scene), site.limit_warnings(robot, scene)
+    return robot, site.scaled_limits(robot, scene)
 
 
 def _print_held(robot: bp.Robot) -> None:

@@ -15,7 +15,7 @@ from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import job as jobs
-from backhoe_planner import show
+from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_warnings
 from backhoe_planner.files.output_file import check_ending, check_output
 
@@ -60,6 +60,7 @@ def job(
             check_output(target, (*loaded.files, *(() if from_terrain is None else (from_terrain,))))
     if html is not None:
         check_ending(html, show.PAGE_FORMATS, what="a page")
+    print_job_warnings(loaded)
     terrain = None
     if from_terrain is not None:
         survey = jobs.read_ground(loaded, from_terrain)
@@ -227,10 +228,17 @@ def print_figures(plan: bp.JobPlan) -> None:
         OUT.print(f"undug         {one.words}")
 
 
+def print_job_warnings(loaded: bp.Job) -> None:
+    """Print what is assumed of a job's machine and site, before anything is planned."""
+    scene = loaded.site_scene
+    print_warnings(site.input_warnings(site.load_machine(loaded.machine_source, scene), scene, with_task=False))
+
+
 def check_job(file: Path, urdf: str | None) -> int:
     """Prove the plan of a job anew, and print what holds."""
     begun = clock.monotonic()
     found = bp.load_job_plan(file, urdf=urdf)
+    print_warnings(site.input_warnings(found.robot, found.job.site_scene, with_task=False))
     print_figures(found)
     OUT.print(f"{'checked in':<14}{clock.monotonic() - begun:.1f} s")
     return VERIFIED if found.verified else FAILED

@@ -58,7 +58,7 @@ def plan(
             check_output(target, (*robot.files, *loaded.files))
     if html is not None:
         check_ending(html, show.PAGE_FORMATS, what="a page")
-    print_warnings((*robot.warnings, *loaded.warnings(), *site.limit_warnings(robot, loaded)))
+    print_warnings(site.input_warnings(robot, loaded))
     unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of what is shown on the way to a goal
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
@@ -123,6 +123,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     if job.is_job_plan(plan_file):
         return check_job(plan_file, urdf)
     loaded = bp.load_plan(plan_file, urdf=urdf)
+    print_warnings(site.input_warnings(loaded.robot, loaded.scene))
     print_certificate(loaded)
     OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if loaded.verified else FAILED

@@ -15,7 +15,7 @@ from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import show, standing
-from backhoe_planner.cli.job_command import JobFile
+from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED
 from backhoe_planner.files.output_file import check_ending, check_output
 
@@ -58,6 +58,7 @@ def stand(
         check_ending(html, show.PAGE_FORMATS, what="a page")
     if plot is not None:
         check_ending(plot, show.FIGURE_FORMATS, what="a figure")
+    print_job_warnings(loaded)
     with _progress(as_json) as told:
         found = bp.stand(loaded, count=count, effort=effort, seed=seed, watch=told)
     found.save(output)

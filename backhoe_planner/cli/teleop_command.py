@@ -59,7 +59,7 @@ def teleop(
         output=output,
         say=ERR.print,
     ) as station:
-        print_warnings((*robot.warnings, *site.limit_warnings(robot, loaded), *station.warnings))
+        print_warnings((*site.input_warnings(robot, loaded, with_task=False), *station.warnings))
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
         if station.url_from_elsewhere is not None:
             ERR.print(f"from other computers: {station.url_from_elsewhere}")

@@ -12,6 +12,7 @@ from .legs import leg_key as leg_key
 from .legs import leg_of as leg_of
 from .legs import leg_scene as leg_scene
 from .legs import with_carried as with_carried
+from .limits import input_warnings as input_warnings
 from .limits import joints_on_site as joints_on_site
 from .limits import limit_warnings as limit_warnings
 from .limits import load_machine as load_machine

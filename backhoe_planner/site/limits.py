@@ -189,6 +189,28 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
     return tuple(found)
 
 
+def input_warnings(robot: Robot, scene: Scene | None = None, *, with_task: bool = True) -> tuple[str, ...]:
+    """What is assumed of a machine and its site, what of them is not used or proven, in words: for every command.
+
+    Parameters
+    ----------
+    with_task: whether the scene's task is used.
+
+    Raises
+    ------
+    SceneError: a path file is missing, empty, or malformed.
+    """
+    found = [*robot.warnings, *limit_warnings(robot, scene)]
+    if scene is not None:
+        found += scene.warnings() if with_task else ()
+        found += [
+            f"the mesh {file} ({', '.join(names)}) is not closed: nothing touches its triangles, but what lies between "
+            "them may count as free; where it is solid, fill its holes (in MeshLab: Close Holes)"
+            for file, names in scene.open_meshes().items()
+        ]
+    return tuple(found)
+
+
 def _ranges(robot: Robot, scene: Scene) -> tuple[Vector, Vector]:
     """(n,), (n,) where the joints may be, by the scene's own limits [rad or m]."""
     given = scene.limits.position

@@ -7,6 +7,7 @@ whether it fits a machine.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +22,7 @@ from backhoe_planner.machine import shipped_file
 from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.joint_limits import Limits
 from backhoe_planner.site.schema.names import check_name
-from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
+from backhoe_planner.site.schema.obstacle_shapes import Mesh, ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Turn, Vector3
 from backhoe_planner.site.schema.sequence import ObjectiveName, Task
@@ -119,13 +120,18 @@ class Scene(FileRecord):
     @property
     def files(self) -> tuple[Path, ...]:
         """From which it is read: the scene file, the path file, the files of obstacles."""
-        loads = [leg.carries for leg in self.task.sequence or () if leg.carries is not None]
         named = [
             *(path.file for path in self._paths),
-            *(getattr(one, "file", None) for one in (*self.obstacles, *loads)),
+            *(getattr(one, "file", None) for one in self._shapes),
         ]
         own = () if self.file is None else (self.file,)
         return (*own, *(self.folder / name for name in named if name is not None))
+
+    @property
+    def _shapes(self) -> tuple[ObstacleSpec, ...]:
+        """The obstacles, and what the legs of a sequence carry."""
+        loads = (leg.carries for leg in self.task.sequence or () if leg.carries is not None)
+        return (*self.obstacles, *loads)
 
     @property
     def _paths(self) -> tuple[PathTask, ...]:
@@ -171,6 +177,15 @@ class Scene(FileRecord):
         """
         files = dict.fromkeys(path.file for path in self._paths if path.file is not None)
         return tuple(warning for file in files for warning in read_path_file(self.folder / file).warnings)
+
+    def open_meshes(self) -> dict[str, tuple[str, ...]]:
+        """Files of meshes that do not close, and what is made of each; those that cannot be read are left out."""
+        found: dict[str, tuple[str, ...]] = {}
+        for one in self._shapes:
+            with contextlib.suppress(InputError):
+                if isinstance(one, Mesh) and one.is_open(self.folder):
+                    found[one.file] = (*found.get(one.file, ()), one.name)
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain data that `scene_from_dict` reads again."""

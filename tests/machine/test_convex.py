@@ -20,6 +20,7 @@ from backhoe_planner.machine import (
     Cluster,
     MeshSolid,
     convex_cover,
+    is_closed,
     is_nearly_convex,
     load_mesh,
     terrain_columns,
@@ -436,6 +437,26 @@ def test_a_box_without_a_lid_stays_open(tmp_path: Path) -> None:
     assert not mesh.is_watertight
     assert len(mesh.faces) == 10
     assert not MeshSolid(mesh, most=100).is_full
+
+
+def test_a_mesh_closes_where_every_edge_belongs_to_an_even_number_of_triangles() -> None:
+    block = trimesh.creation.box((1.0, 2.0, 3.0))
+    touching = block.copy().apply_translation([1.0, 2.0, 0.0])  # along one edge, where four faces meet
+    both = trimesh.util.concatenate([block, touching])
+    both.merge_vertices()
+    assert len(both.vertices) == 14
+    lid = block.face_normals[:, 2] > 0.5
+    line = np.array([[0, 0, 1]])
+    open_faces = block.faces[~lid]
+    for vertices, faces, closed in (
+        (block.vertices, block.faces, True),
+        (both.vertices, both.faces, True),
+        (block.vertices, np.vstack((block.faces, block.faces[lid][:, ::-1], line)), True),  # a lid of two sides
+        (block.vertices, open_faces, False),
+        (block.vertices, np.vstack((open_faces, open_faces[:, ::-1])), False),  # of two sides all over
+        (both.vertices, both.faces[1:], False),
+    ):
+        assert is_closed(trimesh.Trimesh(vertices, faces, process=False)) == closed
 
 
 def test_missing_mesh_file_and_folder_are_named(tmp_path: Path) -> None:

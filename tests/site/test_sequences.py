@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -115,3 +116,18 @@ def test_each_leg_has_its_own_load_and_obstacles(robot: Robot) -> None:
 def test_a_scene_with_a_sequence_is_written_and_read_again() -> None:
     content = scene(REACH, {"name": "cut", "path": PATH, "speed": 0.2}, {"name": "rest", "wait": 1.0})
     assert scene_from_dict(scene_from_dict(content).to_dict()) == scene_from_dict(content)
+
+
+def test_open_meshes_are_named_by_their_file(tmp_path: Path) -> None:
+    """A cube without its front, on the site and carried; a file that is missing is for others to name."""
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    sides = [(1, 2, 4, 3), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4), (5, 7, 8, 6)]
+    for file, faces in (("crate.obj", sides[:-1]), ("block.obj", sides)):
+        lines = [*("v {} {} {}".format(*at) for at in corners), *("f {} {} {} {}".format(*side) for side in faces)]
+        (tmp_path / file).write_text("\n".join(lines))
+    placed = {"shape": "mesh", "position": [0.0, 0.0, 0.0]}
+    files = {"skip": "crate.obj", "block": "block.obj", "lost": "none.obj"}
+    obstacles = [{"name": name, "file": file, **placed} for name, file in files.items()]
+    load = {"name": "load", "file": "crate.obj", **placed}
+    content = scene(REACH | {"carries": load}, obstacles=obstacles)
+    assert scene_from_dict(content, folder=tmp_path).open_meshes() == {"crate.obj": ("skip", "load")}

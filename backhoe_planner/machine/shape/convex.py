@@ -86,16 +86,31 @@ def _welded(mesh: trimesh.Trimesh) -> Cells:
     closes is torn there.
     """
     faces = np.asarray(mesh.faces, dtype=np.int64)
-    ends, most = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices)
-    edges, count = np.unique(ends.min(axis=1) * most + ends.max(axis=1), return_counts=True)
-    torn = np.unique(np.divmod(edges[count % 2 == 1], most))
+    torn = _ends_of_open_edges(faces)
     if not len(torn):
         return faces
     places = np.round(np.asarray(mesh.vertices, dtype=float)[torn], _SAME_PLACE)
     _, first, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    one_of = np.arange(most)
+    one_of = np.arange(len(mesh.vertices))
     one_of[torn] = torn[first[place.reshape(-1)]]
     return one_of[faces]
+
+
+def is_closed(mesh: trimesh.Trimesh) -> bool:
+    """Whether the surface of a mesh closes everywhere.
+
+    Every edge then belongs to an even number of triangles; one that is there twice, facing both ways, counts once.
+    """
+    faces = np.sort(np.asarray(mesh.faces, dtype=np.int64)[mesh.unique_faces()], axis=1)
+    is_line = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
+    return not len(_ends_of_open_edges(faces[~is_line]))
+
+
+def _ends_of_open_edges(faces: Cells) -> Cells:
+    """The vertices (k,), in order, of edges that belong to an odd number of `faces` (m, 3)."""
+    ends, most = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), int(faces.max(initial=0)) + 1
+    edges, count = np.unique(ends.min(axis=1) * most + ends.max(axis=1), return_counts=True)
+    return np.unique(np.divmod(edges[count % 2 == 1], most))
 
 
 def _check_part(part: trimesh.Trimesh, path: Path) -> None:

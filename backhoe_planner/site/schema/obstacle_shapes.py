@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +21,7 @@ from backhoe_planner.machine import (
     MeshSolid,
     TerrainSolid,
     VoxelSolid,
+    is_closed,
     is_nearly_convex,
     load_mesh,
     mesh_cover,
@@ -43,6 +44,9 @@ from backhoe_planner.site.schema.quantities import (
     unit_quaternion,
 )
 from backhoe_planner.site.schema.survey_files import read_heights, read_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
@@ -219,11 +223,26 @@ class Mesh(PlacedRecord):
         """Hulls, or the triangles of a mesh that is fine, hollowed and stands still."""
         if any(self.velocity):
             return self.pieces(folder)
-        mesh = load_mesh(folder / self.file)
-        mesh.apply_scale(self.scale)
+        mesh = self._loaded(folder)
         if len(mesh.faces) <= _FEW_TRIANGLES or is_nearly_convex(mesh):
             return self.pieces(folder)
         return Cluster(MeshSolid(mesh, most=_MOST_TRIANGLES), self.placement)
+
+    def is_open(self, folder: Path) -> bool:
+        """Whether the mesh does not close, so that what lies between its triangles may be free.
+
+        Raises
+        ------
+        InputError: the file cannot be read.
+        """
+        mesh = self._loaded(folder)
+        return not is_closed(mesh) and not is_nearly_convex(mesh)
+
+    def _loaded(self, folder: Path) -> trimesh.Trimesh:
+        """The mesh [m], in its own frame."""
+        mesh = load_mesh(folder / self.file)
+        mesh.apply_scale(self.scale)
+        return mesh
 
 
 class HeightMap(PlacedRecord):
