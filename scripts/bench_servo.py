@@ -13,7 +13,6 @@ docs/measurements.md.
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import resource
 from pathlib import Path
@@ -21,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import backhoe_planner as bp
-from validation.step_times import ServoDrive, obstacle_course, percentiles, time_in_turn
+from validation.step_times import ServoDrive, collecting_only_new, obstacle_course, percentiles, time_in_turn
 
 
 def resident() -> float:
@@ -46,11 +45,10 @@ def main() -> None:
     servo = bp.Servo(robot, problem.scene)
     drive = ServoDrive(servo, options.moving, rng)
     drive.take(2000)  # warm up
-    gc.collect()
-    gc.freeze()
-    before = resident()
-    timed = time_in_turn(problem, drive, options.steps)
-    after = resident()
+    with collecting_only_new():
+        before = resident()
+        timed = time_in_turn(problem, drive, options.steps)
+        after = resident()
     processor, clock = timed.steps.whole, timed.steps.times["clock"]
     edges = np.concatenate((np.arange(0.0, 1000.0, 10.0), [np.inf]))
     result = {

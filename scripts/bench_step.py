@@ -16,7 +16,6 @@ what else the computer does matters little. The results are in docs/measurements
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from validation.step_times import (
     LawDrive,
     ServoDrive,
     TimesInTurn,
+    collecting_only_new,
     least_of,
     obstacle_course,
     percentiles,
@@ -96,9 +96,8 @@ def time_drives(
     timed: dict[str, TimesInTurn] = {}
     for name, drive in drives.items():
         drive.take(_WARM_UP)
-        gc.collect()
-        gc.freeze()  # as a program that keeps a clock does
-        timed[name] = time_in_turn(problem, drive, steps, pink=name == "reactive step")
+        with collecting_only_new():
+            timed[name] = time_in_turn(problem, drive, steps, pink=name == "reactive step")
     return problem, law, timed
 
 

@@ -7,7 +7,6 @@ the package's distances.
 
 from __future__ import annotations
 
-import gc
 import resource
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +25,7 @@ from backhoe_planner.machine import TipTarget, solve_inverse_kinematics
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import plan_problem
 from backhoe_planner.show import plan_page
-from validation.step_times import ServoDrive
+from validation.step_times import ServoDrive, collecting_only_new
 
 GROUND = -0.45  # m: mean height of the ground around the machine
 FOLDS = 0.06  # m: amplitude of its waves
@@ -222,14 +221,12 @@ def drive_in_turn(
     goal: (3,) of the scene [m]; the servo does not use it.
     """
     servos = [bp.Servo(robot, site_scene(survey, goal, kinds=kinds)) for kinds in sets]
-    gc.collect()
-    gc.freeze()  # as a program that keeps a clock does: else Python looks through all that is loaded now and then
-    drives = [ServoDrive(servo, 0, np.random.default_rng(seed)) for servo in servos]
-    taken: list[list[Vector]] = [[] for _ in drives]
-    for _ in range(max(steps // _BLOCK, 1)):
-        for drive, times in zip(drives, taken, strict=True):
-            times.append(drive.take(_BLOCK).whole)
-    gc.unfreeze()
+    with collecting_only_new():
+        drives = [ServoDrive(servo, 0, np.random.default_rng(seed)) for servo in servos]
+        taken: list[list[Vector]] = [[] for _ in drives]
+        for _ in range(max(steps // _BLOCK, 1)):
+            for drive, times in zip(drives, taken, strict=True):
+                times.append(drive.take(_BLOCK).whole)
     return np.array([np.concatenate(times) for times in taken])
 
 

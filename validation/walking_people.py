@@ -11,7 +11,6 @@ not there each time.
 
 from __future__ import annotations
 
-import gc
 import time
 from typing import Any, NamedTuple
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.live import StepWork
+from validation.step_times import collecting_only_new
 from validation.tables import Row
 
 _PEOPLE, _STANDING = 3, 4
@@ -160,30 +160,29 @@ def _drive(
     work: NDArray[np.int64] = np.zeros((steps, len(StepWork._fields)), dtype=np.int64)
     wish: dict[str, Any] = {}
     evading, unproven, least = 0, 0, np.inf
-    gc.collect()
-    gc.freeze()
-    for step in range(steps):
-        if step % _WISHES_FOR == 0:
-            direction = rng.normal(size=3)
-            wish = {"tip_velocity": 0.2 * direction / np.linalg.norm(direction)}
-            if rng.integers(3) == 0:
-                wish = {"joint_velocity": 0.5 * rng.uniform(-1.0, 1.0, robot.n) * servo.limits.velocity}
-        for number, (name, foot) in enumerate(people.items()):
-            if step == 0 or (step + number * _TURNS_AFTER // walkers) % _TURNS_AFTER == 0:
-                comes[name] = not comes[name]
-                here = foot + servo.shift_of(name)[:2]
-                points = kinematics.at(servo.q).points
-                way = points[rng.integers(len(points)), :2] + rng.normal(size=2) * _MISSES - here
-                way *= (1.0 if comes[name] else -1.0) / np.linalg.norm(way)
-                servo.set_velocity(name, [*(rng.uniform(*_PACE) * way), 0.0])
-        begun = time.thread_time_ns()
-        state = servo.step(**wish)
-        times[step] = (time.thread_time_ns() - begun) * 1e-6
-        work[step] = servo.work
-        unproven += not state.proven
-        evading += state.status is bp.Status.EVADING
-        if check and step % 10 == 0:
-            least = min(least, float(proximity.distances(state.q).min()))
+    with collecting_only_new():
+        for step in range(steps):
+            if step % _WISHES_FOR == 0:
+                direction = rng.normal(size=3)
+                wish = {"tip_velocity": 0.2 * direction / np.linalg.norm(direction)}
+                if rng.integers(3) == 0:
+                    wish = {"joint_velocity": 0.5 * rng.uniform(-1.0, 1.0, robot.n) * servo.limits.velocity}
+            for number, (name, foot) in enumerate(people.items()):
+                if step == 0 or (step + number * _TURNS_AFTER // walkers) % _TURNS_AFTER == 0:
+                    comes[name] = not comes[name]
+                    here = foot + servo.shift_of(name)[:2]
+                    points = kinematics.at(servo.q).points
+                    way = points[rng.integers(len(points)), :2] + rng.normal(size=2) * _MISSES - here
+                    way *= (1.0 if comes[name] else -1.0) / np.linalg.norm(way)
+                    servo.set_velocity(name, [*(rng.uniform(*_PACE) * way), 0.0])
+            begun = time.thread_time_ns()
+            state = servo.step(**wish)
+            times[step] = (time.thread_time_ns() - begun) * 1e-6
+            work[step] = servo.work
+            unproven += not state.proven
+            evading += state.status is bp.Status.EVADING
+            if check and step % 10 == 0:
+                least = min(least, float(proximity.distances(state.q).min()))
     if servo.last_error is not None:
         raise servo.last_error
     return Walk(times, times, work, evading / steps, least, unproven)
