@@ -181,11 +181,6 @@ class JobPlan:
         return 3600.0 * self.bank / digging if digging > 0.0 else float("nan")
 
     @property
-    def energy_per_volume(self) -> float:
-        """Work of the joints per bank m^3 [J/m^3]."""
-        return self.work / self.bank if self.bank > 0.0 else float("nan")
-
-    @property
     def hydraulic(self) -> float:
         """What the pump gives in all cycles [J]; nan of a machine without hydraulics."""
         return sum(cycle.hydraulic for cycle in self.cycles)
