@@ -3,7 +3,19 @@
 import numpy as np
 from setuptools import Extension, setup
 
-SOURCES = ("arrays", "kinematics", "pairs", "clusters", "law", "shield", "servo", "boxes", "rows", "module")
+SOURCES = (
+    "arrays",
+    "kinematics",
+    "pairs",
+    "clusters",
+    "law",
+    "shield",
+    "servo",
+    "boxes",
+    "rows",
+    "odometers",
+    "module",
+)
 
 setup(
     ext_modules=[

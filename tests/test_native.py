@@ -226,11 +226,13 @@ def corner_gaps(rng: Rng) -> Arguments:
     pairs = chosen(rng, every)[: 20 if rng.integers(4) else 0]
     if not len(pairs):
         pairs = np.zeros(1, dtype=np.intp)
-    columns = rng.normal(size=(len(pairs), 4, corners))
+    pieces = 1 + some(rng, 5)
+    columns = rng.normal(size=(pieces, 4, corners))
     columns[:, 3] = 1.0
     return (
         pairs, rng.normal(size=(every, 4)), rng.integers(1, bodies, every) if bodies > 1 else np.zeros(every, np.intp),
-        rng.integers(0, bodies, every) if rng.integers(2) else None, placements(rng, samples, bodies), columns,
+        rng.integers(0, bodies, every) if rng.integers(2) else None, rng.integers(0, pieces, every), columns,
+        placements(rng, samples, bodies),
         rng.normal(size=every) if rng.integers(2) else None, 0.05, np.zeros((len(pairs), samples, corners)),
     )  # fmt: skip
 
@@ -238,9 +240,48 @@ def corner_gaps(rng: Rng) -> Arguments:
 def blended_points(rng: Rng) -> Arguments:
     count, samples, corners = some(rng), 1 + some(rng, 3), 1 + some(rng, 9)
     gaps = 0.1 * rng.normal(size=(count, samples, corners))
-    columns = rng.normal(size=(count, 4, corners))
+    pieces = 1 + some(rng, 5)
+    columns = rng.normal(size=(pieces, 4, corners))
     columns[:, 3] = 1.0
-    return gaps, gaps.min(axis=2), columns, 0.1
+    return gaps, gaps.min(axis=2), rng.integers(0, pieces, count), columns, 0.1
+
+
+def count_travel(rng: Rng) -> Arguments:
+    every, classes, n = 1 + some(rng), 1 + some(rng, 6), joints(rng)
+    pairs = chosen(rng, every)
+    return (
+        rng.uniform(0.0, 5.0, (classes, n)), rng.normal(size=n), rng.normal(size=n) if rng.integers(4) else None,
+        pairs, rng.normal(size=len(pairs)), rng.integers(0, classes, every), rng.uniform(0.0, 9.0, classes),
+        rng.uniform(0.0, 9.0, classes), rng.normal(size=every),
+    )  # fmt: skip
+
+
+def keep_proven(rng: Rng) -> Arguments:
+    every = 1 + some(rng)
+    pairs = chosen(rng, every)
+    stands = rng.integers(0, 2, every).astype(bool)
+    return pairs, rng.normal(size=len(pairs)), rng.uniform(0.0, 0.5, every), stands, rng.normal(size=every)
+
+
+def note_gaps(rng: Rng) -> Arguments:
+    every = 1 + some(rng)
+    pairs = chosen(rng, every)
+    count = len(pairs)
+    return (
+        pairs, rng.normal(size=count), rng.uniform(0.0, 9.0, count), rng.normal(size=(count, 1 + some(rng, 4))),
+        rng.uniform(0.0, 0.5, every), rng.normal(size=every),
+    )  # fmt: skip
+
+
+def braking_line(rng: Rng) -> Arguments:
+    n = joints(rng)
+    v = rng.normal(size=n) * rng.integers(0, 3)
+    return rng.normal(size=n), v, rng.choice([0.0, 0.01]), tuple(rng.uniform(0.2, 2.0, n).tolist())
+
+
+def largest_part(rng: Rng) -> Arguments:
+    n = joints(rng)
+    return rng.normal(size=n), tuple(rng.uniform(0.2, 4.0, n).tolist())
 
 
 def plane_rows(rng: Rng) -> Arguments:
@@ -431,13 +472,20 @@ def chain_placements(rng: Rng) -> Arguments:
 
 
 SOURCES: list[Callable[[Rng], Arguments]] = [
-    approach_rates, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency, cells_of_tiles,
-    chain_placements, changes_of_end, corner_gaps, cost_of_tip, damped_steps, extent_along, force_on_hand,
-    keep_placements, least_over_path, line_ahead, margins_now, near_now, near_rows, nearest_safe_program,
-    next_within, not_proven, off_turned_box, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
+    approach_rates, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency, braking_line,
+    cells_of_tiles, chain_placements, changes_of_end, corner_gaps, cost_of_tip, count_travel, damped_steps,
+    extent_along, force_on_hand, keep_placements, keep_proven, largest_part, least_over_path, line_ahead, margins_now,
+    near_now, near_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_within,
+    place_on_line, place_tip, placed_arrays, plane_rows,
     quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity,
     split_by_plane, stalest_pair, step_conditions, straight_towards, unproven_of_near, ways_of_links,
 ]  # fmt: skip
+
+
+# those that write to what they are given, and how many of the last arguments
+WRITERS: dict[Callable[[Rng], Arguments], int] = {
+    corner_gaps: 1, count_travel: 3, keep_placements: 2, keep_proven: 1, note_gaps: 1, place_on_line: 2, place_tip: 2,
+}  # fmt: skip
 
 
 def copied(arguments: Arguments) -> Arguments:
@@ -474,8 +522,9 @@ def test_compiled_and_plain_versions_agree(source: Callable[[Rng], Arguments]) -
             continue  # the plain one leaves what is near a singularity to the general law
         answered += 1
         assert same(found, expected)
-        if source in (corner_gaps, keep_placements, place_on_line, place_tip):  # which write to what they are given
-            assert same(for_compiled[-2:], for_plain[-2:])
+        if source in WRITERS:
+            written = WRITERS[source]
+            assert same(for_compiled[-written:], for_plain[-written:])
     assert answered > 25
 
 
@@ -528,7 +577,9 @@ def test_with_more_joints_than_there_is_room_for_the_plain_version_answers(
 
 
 @needs_native
-@pytest.mark.parametrize(("source", "outputs"), [(corner_gaps, 1), (keep_placements, 2), (place_tip, 2)])
+@pytest.mark.parametrize(
+    ("source", "outputs"), [(corner_gaps, 1), (keep_placements, 2), (keep_proven, 1), (note_gaps, 1), (place_tip, 2)]
+)
 def test_compiled_versions_write_to_no_array_that_is_read_only(
     source: Callable[[Rng], Arguments], outputs: int
 ) -> None:
@@ -608,9 +659,29 @@ def test_a_gap_is_what_a_plane_leaves_to_the_nearest_corner() -> None:
     columns = np.array([[[1.0, 2.0], [0.0, 0.0], [0.0, 0.0], [1.0, 1.0]]])
     first, link = np.zeros(1, dtype=np.intp), np.ones(1, dtype=np.intp)
     planes = np.array([[-1.0, 0.0, 0.0, 4.0]])
-    nearest, least = plain_versions()["corner_gaps"](first, planes, link, None, T, columns, None, 0.0, gaps)
+    nearest, least = plain_versions()["corner_gaps"](first, planes, link, None, first, columns, T, None, 0.0, gaps)
     assert gaps.tolist() == [[[2.5, 1.5]]]
     assert (nearest.tolist(), least.tolist()) == ([[1]], [[1.5]])
+
+
+def test_what_stands_must_keep_no_less_than_before() -> None:
+    """0.03 m were to be kept of 0.1 m: of 0.02 m proven what stands goes on with 0.03, what moves with 0.02."""
+    required, pairs = np.full(3, 0.03), np.arange(3)
+    bound, stands = np.array([0.02, 0.02, 0.4]), np.array([True, False, True])
+    plain_versions()["keep_proven"](pairs, bound, np.full(3, 0.1), stands, required)
+    assert required.tolist() == [0.03, 0.02, 0.1]
+
+
+def test_points_travel_by_the_way_of_each_joint() -> None:
+    """Radii of 1 and 3 m, joints that turn by 0.1 and -0.2 rad: 0.7 m more, and of the path's end nothing is known."""
+    start, path, proven = np.array([5.0]), np.array([2.0]), np.array([0.4])
+    travel, moved, nobody = np.array([[1.0, 3.0]]), np.array([0.1, -0.2]), np.zeros(1, dtype=np.intp)
+    count = plain_versions()["count_travel"]
+    moved_by, most, on_path = count(travel, moved, None, nobody, np.array([0.3]), nobody, start, path, proven)
+    assert (moved_by[0], most, on_path) == pytest.approx((0.7, 0.7, 0.0))
+    assert (start[0], path[0], proven[0]) == pytest.approx((5.7, 2.0, 0.4))
+    assert count(travel, moved, moved, nobody, np.array([0.3]), nobody, start, path, proven)[2] == pytest.approx(0.7)
+    assert (start[0], path[0], proven[0]) == pytest.approx((6.4, 2.7, 3.0))
 
 
 def test_compiled_functions_of_another_version_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -286,38 +286,40 @@ static void turned(const double *T, const double *n, double *out)
 
 PyObject *corner_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Ind pairs, joint, other = {0};
+    Ind pairs, joint, other = {0}, piece;
     Mat planes;
     Vec drift = {0};
     npy_intp t[4], c[3], g[3];
     double step;
-    if (count_is(count, 9, "corner_gaps") < 0 || as_mat(args[1], "planes", -1, 4, &planes) < 0 ||
-        as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || as_double(args[7], "step", &step) < 0)
+    if (count_is(count, 10, "corner_gaps") < 0 || as_mat(args[1], "planes", -1, 4, &planes) < 0 ||
+        as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || as_double(args[8], "step", &step) < 0)
         return NULL;
-    const double *T = block(args[4], "T", 4, t), *columns = T ? block(args[5], "columns", 3, c) : NULL;
-    double *gaps = columns ? (double *)block(args[8], "gaps", 3, g) : NULL;
-    if (!gaps || is_writeable(args[8], "gaps") < 0 || as_ind(args[2], "joint", t[1], &joint) < 0 || has_length(joint.n, planes.rows, "joint") < 0 ||
+    const double *T = block(args[6], "T", 4, t), *corners = T ? block(args[5], "corners", 3, c) : NULL;
+    double *gaps = corners ? (double *)block(args[9], "gaps", 3, g) : NULL;
+    if (!gaps || is_writeable(args[9], "gaps") < 0 || as_ind(args[4], "piece", c[0], &piece) < 0 ||
+        has_length(piece.n, planes.rows, "piece") < 0 ||
+        as_ind(args[2], "joint", t[1], &joint) < 0 || has_length(joint.n, planes.rows, "joint") < 0 ||
         (args[3] != Py_None &&
          (as_ind(args[3], "other", t[1], &other) < 0 || has_length(other.n, planes.rows, "other") < 0)) ||
-        (args[6] != Py_None && as_vec(args[6], "drift", planes.rows, &drift) < 0))
+        (args[7] != Py_None && as_vec(args[7], "drift", planes.rows, &drift) < 0))
         return NULL;
     const npy_intp K = pairs.n, S = t[0], V = c[2];
-    if (t[2] != 4 || t[3] != 4 || c[0] != K || c[1] != 4 || g[0] != K || g[1] != S || g[2] != V || V < 1) {
-        PyErr_SetString(PyExc_ValueError, "T, columns and gaps do not fit together");
+    if (t[2] != 4 || t[3] != 4 || c[1] != 4 || g[0] != K || g[1] != S || g[2] != V || V < 1) {
+        PyErr_SetString(PyExc_ValueError, "T, corners and gaps do not fit together");
         return NULL;
     }
     npy_intp shape[2] = {K, S}, *nearest;
     double *least;
-    PyObject *corners = PyArray_EMPTY(2, shape, NPY_INTP, 0), *leasts = new_mat(K, S, &least);
-    if (!corners || !leasts) {
-        Py_XDECREF(corners), Py_XDECREF(leasts);
+    PyObject *columns = PyArray_EMPTY(2, shape, NPY_INTP, 0), *leasts = new_mat(K, S, &least);
+    if (!columns || !leasts) {
+        Py_XDECREF(columns), Py_XDECREF(leasts);
         return NULL;
     }
-    nearest = (npy_intp *)PyArray_DATA((PyArrayObject *)corners);
+    nearest = (npy_intp *)PyArray_DATA((PyArrayObject *)columns);
     for (npy_intp k = 0; k < K; k++) {
         const npy_intp pair = INDEX(pairs, k), on = INDEX(joint, pair), body = other.data ? INDEX(other, pair) : 0;
         const double n[3] = {AT2(planes, pair, 0), AT2(planes, pair, 1), AT2(planes, pair, 2)};
-        const double away = AT2(planes, pair, 3), *corner = columns + 4 * V * k;
+        const double away = AT2(planes, pair, 3), *corner = corners + 4 * V * INDEX(piece, pair);
         const double comes = drift.data && AT(drift, pair) < 0.0 ? step * AT(drift, pair) : 0.0;
         for (npy_intp s = 0; s < S; s++, gaps += V) {
             double world[4] = {n[0], n[1], n[2], away}, local[4];
@@ -342,29 +344,31 @@ PyObject *corner_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
             least[S * k + s] = gaps[at];
         }
     }
-    return Py_BuildValue("NN", corners, leasts);
+    return Py_BuildValue("NN", columns, leasts);
 }
 
 PyObject *blended_points(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     npy_intp g[3], c[3];
     Mat least;
+    Ind pieces;
     double width, *point;
-    if (count_is(count, 4, "blended_points") < 0)
+    if (count_is(count, 5, "blended_points") < 0)
         return NULL;
-    const double *gaps = block(args[0], "gaps", 3, g), *columns = gaps ? block(args[2], "columns", 3, c) : NULL;
-    if (!columns || as_mat(args[1], "least", g[0], g[1], &least) < 0 || as_double(args[3], "width", &width) < 0)
+    const double *gaps = block(args[0], "gaps", 3, g), *corners = gaps ? block(args[3], "corners", 3, c) : NULL;
+    if (!corners || as_mat(args[1], "least", g[0], g[1], &least) < 0 || as_ind(args[2], "pieces", c[0], &pieces) < 0 ||
+        has_length(pieces.n, g[0], "pieces") < 0 || as_double(args[4], "width", &width) < 0)
         return NULL;
     const npy_intp K = g[0], V = g[2];
-    if (g[1] < 1 || c[0] != K || c[1] != 4 || c[2] != V) {
-        PyErr_SetString(PyExc_ValueError, "gaps and columns do not fit together");
+    if (g[1] < 1 || c[1] != 4 || c[2] != V) {
+        PyErr_SetString(PyExc_ValueError, "gaps and corners do not fit together");
         return NULL;
     }
     PyObject *found = new_mat(K, 4, &point);
     if (!found)
         return NULL;
     for (npy_intp k = 0; k < K; k++, point += 4) {
-        const double within = AT2(least, k, 0) + width, *gap = gaps + g[1] * V * k, *corner = columns + 4 * V * k;
+        const double within = AT2(least, k, 0) + width, *gap = gaps + g[1] * V * k, *corner = corners + 4 * V * INDEX(pieces, k);
         double sum[4] = {0.0};
         for (npy_intp v = 0; v < V; v++) {
             double part = within - gap[v];

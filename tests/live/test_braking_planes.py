@@ -15,7 +15,8 @@ ROUND = {"name": "round", "shape": "sphere", "radius": 0.4, "position": [4.5, 1.
 def braking(robot: Robot, separation: Separation, q: Vector, v: Vector) -> BrakingPath:
     return BrakingPath(
         q, v, 0.001,
-        acceleration=robot.limits.acceleration.tolist(), furthest=separation.furthest, turning=separation.turning,
+        acceleration=tuple(robot.limits.acceleration.tolist()),
+        furthest=separation.furthest, turning=separation.turning,
     )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ def test_braking_path_by_hand() -> None:
     proportion."""
     path = BrakingPath(
         np.zeros(2), np.array([0.4, -0.2]), 0.1,
-        acceleration=[0.5, 1.0], furthest=np.ones(2), turning=np.ones(2),
+        acceleration=(0.5, 1.0), furthest=np.ones(2), turning=np.ones(2),
     )  # fmt: skip
     np.testing.assert_allclose(path.end, [0.2, -0.1], atol=1e-15)
     assert path.time == pytest.approx(0.9)
@@ -73,12 +73,12 @@ def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
     def end(rates: Vector) -> Vector:
         return BrakingPath(
             np.zeros(3), rates, 0.01,
-            acceleration=[0.5, 1.0, 1.5], furthest=np.ones(3), turning=np.ones(3),
+            acceleration=(0.5, 1.0, 1.5), furthest=np.ones(3), turning=np.ones(3),
         ).end  # fmt: skip
 
     path = BrakingPath(
         np.zeros(3), np.array(v), 0.01,
-        acceleration=[0.5, 1.0, 1.5], furthest=np.ones(3), turning=np.ones(3),
+        acceleration=(0.5, 1.0, 1.5), furthest=np.ones(3), turning=np.ones(3),
     )  # fmt: skip
     slowest, sharper = path.bend_of_end
     D = path.look * np.eye(3) + sharper * np.outer(v, np.eye(3)[slowest])
@@ -92,7 +92,7 @@ def test_braking_stays_on_the_path_that_was_proven() -> None:
     for _ in range(50):
         v, acceleration, dt = rng.normal(size=4), rng.uniform(0.3, 3.0, 4), 0.001
         path = BrakingPath(
-            np.zeros(4), v, 0.0, acceleration=acceleration.tolist(), furthest=np.ones(4), turning=np.ones(4)
+            np.zeros(4), v, 0.0, acceleration=tuple(acceleration.tolist()), furthest=np.ones(4), turning=np.ones(4)
         )
         q, rates = np.zeros(4), v.copy()
         while np.any(rates):
@@ -203,7 +203,8 @@ def test_a_path_is_never_said_to_be_clearer_than_it_is(backhoe: Robot) -> None:
         v = rng.uniform(-1.0, 1.0, 4) * backhoe.limits.velocity
         path = BrakingPath(
             backhoe.random_q(rng), v, 0.001,
-            acceleration=backhoe.limits.acceleration.tolist(), furthest=separation.furthest, turning=separation.turning,
+            acceleration=tuple(backhoe.limits.acceleration.tolist()),
+            furthest=separation.furthest, turning=separation.turning,
         )  # fmt: skip
         at.place(0, path.q)
         path.place(at)

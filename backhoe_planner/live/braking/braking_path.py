@@ -12,7 +12,6 @@ proven clear at one step, the motion can always be ended without touching anythi
 from __future__ import annotations
 
 import math
-from operator import truediv
 from typing import NamedTuple
 
 import numpy as np
@@ -121,6 +120,19 @@ def keep_placements(poses: Array, J: Matrix, own_poses: Array, own_J: Matrix, /)
 
 
 @compiled
+def braking_line(
+    q: Vector, v: Vector, dt: float, acceleration: tuple[float, ...], /
+) -> tuple[Vector, Vector, float, float, int, float]:
+    """`delta` (n,), `end` (n,), `look`, `time` and `bend_of_end` of a `BrakingPath`, with its parameters."""
+    times = [abs(rate) / most for rate, most in zip(v.tolist(), acceleration, strict=True)]
+    braking = max(times)
+    slowest, look = times.index(braking), dt + 0.5 * braking
+    delta = v * look
+    sharper = math.copysign(0.5 / acceleration[slowest], float(v[slowest])) if braking > 0.0 else 0.0
+    return delta, q + delta, look, dt + braking, slowest, sharper
+
+
+@compiled
 def bend_in_parts(delta: Vector, turning: Vector, furthest: Vector, fine: tuple[float, ...], /) -> tuple[Vector, int]:
     """(n,) the `bend_weights` of a motion, and how many equal parts of it are looked at.
 
@@ -172,21 +184,15 @@ class BrakingPath:
     end: (n,) e [rad or m].
     time: until the machine stands [s].
     look: the time that the path is worth at v, dt + T / 2 [s].
+    bend_of_end: the joint k that takes longest to brake, and c of de/dv = look I + c v e_k^T; c is 0 at rest [s^2/rad].
     """
 
     def __init__(
-        self, q: Vector, v: Vector, dt: float, *, acceleration: list[float], furthest: Vector, turning: Vector
+        self, q: Vector, v: Vector, dt: float, *, acceleration: tuple[float, ...], furthest: Vector, turning: Vector
     ) -> None:
-        times: list[float] = list(map(truediv, map(abs, v.tolist()), acceleration))
-        braking = max(times)
-        look = dt + 0.5 * braking
-        self.q = q
-        self.v = v
-        self.delta = v * look
-        self.end = q + self.delta
-        self.look = look
-        self.time = dt + braking
-        self._times, self._acceleration = times, acceleration
+        self.q, self.v = q, v
+        self.delta, self.end, self.look, self.time, slowest, sharper = braking_line(q, v, dt, acceleration)
+        self.bend_of_end = slowest, sharper
         self._furthest, self._turning = furthest, turning
         self._parts = 0  # not known yet: most paths have no pair that could come too close
         self._off: tuple[Matrix, int, Vector] | None = None  # radii, parts, and what follows from them
@@ -212,15 +218,6 @@ class BrakingPath:
         if self._off is None or self._off[0] is not travel or self._off[1] != parts:
             self._off = travel, parts, travel.dot(self._bend) / (8.0 * parts * parts)
         return self._off[2]
-
-    @property
-    def bend_of_end(self) -> tuple[int, float]:
-        """The joint k that takes longest to brake, and c of de/dv = look I + c v e_k^T; c is 0 at rest [s^2/rad]."""
-        braking = max(self._times)
-        slowest = self._times.index(braking)
-        if braking == 0.0:
-            return slowest, 0.0
-        return slowest, math.copysign(0.5 / self._acceleration[slowest], float(self.v[slowest]))
 
     def place(self, placements: Placements) -> None:
         """Fill the placements at the ends of the parts. Row 0, at q, must already be there."""

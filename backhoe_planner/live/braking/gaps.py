@@ -15,27 +15,10 @@ _NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, 
 
 
 class Memory:
-    """Room for the arrays of `Separation.gaps`, which are written anew in every step and change their size."""
+    """Room for `Separation.gaps`, which are written anew in every step and change their size."""
 
     def __init__(self) -> None:
-        self._columns, self._gaps = np.zeros(0), np.zeros(0)
-        self._pieces = b""  # of the columns that are there, as bytes: two of these are compared at once
-
-    def columns(self, corners: Array, pieces: Indices) -> Array:
-        """(K, 4, V) of `corners` (M, 4, V), which never change, those of `pieces` (K,).
-
-        Most steps look at the same pieces as the one before, whose corners are still there.
-        """
-        most = corners.shape[2]
-        size = 4 * len(pieces) * most
-        if size > len(self._columns):
-            self._columns, self._pieces = np.zeros(2 * size), b""
-        columns = self._columns[:size].reshape(len(pieces), 4, most)
-        key = pieces.tobytes()
-        if key != self._pieces:
-            corners.take(pieces, axis=0, out=columns, mode="clip")
-            self._pieces = key
-        return columns
+        self._gaps = np.zeros(0)
 
     def gaps(self, pairs: int, samples: int, corners: int) -> Array:
         """Room for the gaps (pairs, samples, corners); what it held is lost."""
@@ -52,13 +35,11 @@ class Gaps(NamedTuple):
     ----------
     all: (K, S, V) of every corner [m].
     nearest, least: (K, S) which corner has the least gap, and that gap [m].
-    columns: (K, 4, V) the corners in the frames of their links [m], with a 1 below each.
     """
 
     all: Array
     nearest: Indices
     least: Matrix
-    columns: Array
 
     def put(self, rows: Indices, others: Gaps) -> None:
         """Take over those of other pairs' gaps as `rows` (K,)."""
@@ -66,12 +47,12 @@ class Gaps(NamedTuple):
             own[rows] = other
 
 
-NO_GAPS = Gaps(np.zeros((0, 1, 1)), np.zeros((0, 1), dtype=np.intp), np.zeros((0, 1)), np.zeros((0, 4, 1)))
+NO_GAPS = Gaps(np.zeros((0, 1, 1)), np.zeros((0, 1), dtype=np.intp), np.zeros((0, 1)))
 
 
 @compiled
 def corner_gaps(
-    pairs: Indices, planes: Matrix, joint: Indices, other: Indices | None, T: Array, columns: Array,
+    pairs: Indices, planes: Matrix, joint: Indices, other: Indices | None, piece: Indices, corners: Array, T: Array,
     drift: Vector | None, step: float, gaps: Array, /,
 ) -> tuple[Indices, Matrix]:  # fmt: skip
     """Which corner of each of `pairs` (K,) has the least gap at each sample (K, S), and that gap (K, S) [m].
@@ -79,8 +60,8 @@ def corner_gaps(
     Parameters
     ----------
     planes, joint, other: (P, 4), (P,), (P,) of all pairs, see `Separation`; without `other` all stand in the world.
+    piece, corners: (P,) whose corners count, and (M, 4, V) those of all pieces, with a 1 below each [m].
     T: (S, joints, 4, 4) see `Placements`.
-    columns: (K, 4, V) see `Gaps`.
     drift: (P,) rates at which the planes move on along their normals [m/s]; only what comes nearer counts.
     step: the time from sample to sample [s].
     gaps: (K, S, V) all of them, written here [m].
@@ -99,7 +80,7 @@ def corner_gaps(
             seen[..., 3] += (step * np.arange(count))[:, None] * nearer
     # as seen from the links; the 1 below each corner takes the last number
     local = np.matmul(seen[..., None, :], T.take(joint.take(pairs), axis=1))[:, :, 0]
-    np.matmul(local.transpose(1, 0, 2), columns, out=gaps)
+    np.matmul(local.transpose(1, 0, 2), corners.take(piece.take(pairs), axis=0), out=gaps)
     nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
     place = _firsts(*gaps.shape) + nearest
     return nearest, gaps.reshape(-1).take(place)
@@ -126,19 +107,20 @@ def _firsts(pairs: int, samples: int, corners: int) -> Indices:
 
 
 @compiled
-def blended_points(gaps: Array, least: Matrix, columns: Array, width: float, /) -> Matrix:
+def blended_points(gaps: Array, least: Matrix, pieces: Indices, corners: Array, width: float, /) -> Matrix:
     """(K, 4) the nearest point of each pair at the first sample, in its link's frame, with a 1 behind [m].
 
     Corners that are less than `width` [m] further away than the nearest have a part in it.
 
     Parameters
     ----------
-    gaps, least, columns: (K, S, V), (K, S), (K, 4, V), see `Gaps`.
+    gaps, least: (K, S, V), (K, S), see `Gaps`.
+    pieces, corners: (K,), (M, 4, V) whose corners these are, see `corner_gaps`.
     """
     part = (least[:, :1] + width) - gaps[:, 0]
     np.maximum(part, 0.0, out=part)
     part *= part
-    points = np.matmul(columns, part[:, :, None])[..., 0]
+    points = np.matmul(corners.take(pieces, axis=0), part[:, :, None])[..., 0]
     points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
     return np.asarray(points)
 

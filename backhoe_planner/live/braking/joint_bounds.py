@@ -54,14 +54,14 @@ class JointBounds:
     Attributes
     ----------
     limits, dt: as above.
-    acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2]; `braking` the same as a list.
+    acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2]; `braking` the same as numbers.
     change: (n,) by which a velocity can change in a step [rad/s or m/s]; `changes` the same as numbers.
     """
 
     def __init__(self, limits: JointLimits, dt: float, load: Load | None = None) -> None:
         self.limits, self.dt, self._load = limits, dt, load
         self.acceleration = BRAKING * limits.acceleration
-        self.braking: list[float] = self.acceleration.tolist()
+        self.braking: tuple[float, ...] = tuple(self.acceleration.tolist())
         self.change = limits.acceleration * dt * (1.0 - 1e-9)
         self.changes: tuple[float, ...] = tuple(self.change.tolist())
         columns = limits.lower, limits.upper, limits.velocity, self.change, self.acceleration, 1.0 / self.acceleration
@@ -95,10 +95,8 @@ class JointBounds:
 
     def over_rates(self, q: Vector, v: Vector) -> float:
         """By which factor joint velocities v (n,) at q (n,) exceed the joints' rates or the load; at least 1."""
-        over: list[float] = [
-            abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), self._ranges, strict=True)
-        ]
-        return max(1.0, *over) if self._load is None else max(1.0, *over, self._load(q.copy(), v.copy()))
+        over = largest_part(v, self.fastest)
+        return over if self._load is None else max(over, self._load(q.copy(), v.copy()))
 
     def next_towards(
         self, wish: Vector, q: Vector, v: Vector, *, low: Vector, high: Vector, G: Matrix, h: Vector
@@ -123,6 +121,13 @@ class JointBounds:
             if abs(add) * part > 1e-12:
                 part = min(part, max(fastest - math.copysign(1.0, add) * rate, 0.0) / abs(add))
         return part
+
+
+@compiled
+def largest_part(v: Vector, fastest: tuple[float, ...], /) -> float:
+    """The largest of v (n,) over the rates `fastest` of the joints, without signs; at least 1."""
+    rates: list[float] = v.tolist()
+    return max(1.0, *(abs(rate) / most for rate, most in zip(rates, fastest, strict=True)))
 
 
 @compiled

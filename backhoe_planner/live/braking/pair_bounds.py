@@ -22,6 +22,7 @@ from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathC
 from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
+from backhoe_planner.live.braking.odometers import count_travel, keep_proven, note_gaps
 from backhoe_planner.live.braking.pair_choice import margins_now, near_now, not_proven, stalest_pair
 from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.live.braking.step_work import MOST_NEAR
@@ -40,6 +41,9 @@ _ROOM = 0.1  # m that boxes have to keep more than they must before their planes
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 _MOVED = 0.1  # of the margin and that: chosen, planes are renewed after 2 mm at a wall, and 2 cm at 0.2 m from it
 _STALE = CLOSE, _URGENT, _MOVED
+
+
+_NOTHING = np.zeros(0, dtype=np.intp), np.zeros(0)
 
 
 class Near(NamedTuple):
@@ -133,7 +137,7 @@ class PairBounds:
         self._seen: tuple[Near | None, float] = None, 0.0
         # the boxes that are being found, and what the odometer of their link had counted when that began
         self._search: tuple[BoxSearch, float] | None = None
-        self._accepted: tuple[Indices, Vector, Indices] | None = None
+        self._accepted: tuple[Indices, Vector] = _NOTHING
         self.short: list[ClusterPairs] = []
 
     # --- which pairs there are -----------------------------------------------------------
@@ -152,6 +156,7 @@ class PairBounds:
         """Forget the pairs for which `kept` (P,) is false."""
         for name in ("_proven", "_distance", "required", "_renewed_at", "_reach", "_slow_from"):
             setattr(self, name, getattr(self, name)[kept])
+        self._accepted = _NOTHING
 
     def sort(self, stands: Flags, per_step: Vector, per_step_on_path: Vector) -> None:
         """Take over which pairs' obstacles stand still.
@@ -389,10 +394,8 @@ class PairBounds:
             kept, left_out = self._tightest_of(pairs, lower - separation.clearance.take(pairs))
             pairs, lower, counted = pairs[kept], lower[kept], counted[kept]
         gaps = separation.gaps(pairs, at, 1, memory=self._memory)
-        distance = np.maximum(lower, gaps.least[:, 0], out=lower)
-        counted += distance
-        self._distance[pairs] = counted
-        return Near(q, pairs, gaps, distance, distance - separation.clearance.take(pairs), *left_out)
+        distance, margin = note_gaps(pairs, lower, counted, gaps.least, separation.clearance, self._distance)
+        return Near(q, pairs, gaps, distance, margin, *left_out)
 
     def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
         """Which of `pairs` (K,) are the tightest or slow the machine down; of the others the tightest, and its margin.
@@ -432,32 +435,21 @@ class PairBounds:
 
     def accept(self, awake: Indices, clearance: PathClearance) -> None:
         """A braking path is about to be taken; `clearance` is what was proven of it for the pairs `awake` (K,)."""
-        if len(awake) == 0:
-            self._accepted = None
-            return
-        separation = self._separation
-        self._accepted = (awake, clearance.bound, separation.classes.take(awake))
-        kept = np.maximum(self.required.take(awake), clearance.bound)
-        lowest = np.where(self.stands.take(awake), kept, clearance.bound)
-        self.required[awake] = np.minimum(separation.clearance.take(awake), lowest)
+        self._accepted = awake, clearance.bound
+        keep_proven(awake, clearance.bound, self._separation.clearance, self.stands, self.required)
 
     def advance(self, moved: Vector, end_moved: Vector | None) -> None:
         """The joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,) [rad or m].
 
         `end_moved` is None where the machine goes on along the braking path that was accepted before.
         """
-        travel = self._separation.travel
-        if end_moved is not None:
-            came = travel.dot(np.abs(end_moved))
-            self._path_odometer += came
-            self._around_path.until -= float(came[came.argmax()])
-            if self._accepted is not None:
-                awake, bound, classes = self._accepted
-                self._proven[awake] = bound + self._path_odometer.take(classes)
-        self._moved_by = moved_by = travel.dot(np.abs(moved))
-        self._start_odometer += moved_by
-        most = float(moved_by[moved_by.argmax()])
+        separation = self._separation
+        self._moved_by, most, most_on_path = count_travel(
+            separation.travel, moved, end_moved, *self._accepted, separation.classes,
+            self._start_odometer, self._path_odometer, self._proven,
+        )  # fmt: skip
         self._around.until -= most
+        self._around_path.until -= most_on_path
         self._seen = self._seen[0], self._seen[1] - most
 
     def renew(self, near: Near, at: Placements, step: int) -> None:

@@ -409,12 +409,13 @@ class Separation:
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         count = len(T)
         memory = Memory() if memory is None else memory
-        columns = memory.columns(self._columns4, self.piece.take(pairs))
-        gaps = memory.gaps(len(pairs), count, columns.shape[2])
+        gaps = memory.gaps(len(pairs), count, self._columns4.shape[2])
         other, drift = self.other if self.some_relative else None, self.drift if drift_time > 0.0 else None
         step = drift_time / max(count - 1, 1)
-        nearest, least = corner_gaps(pairs, self.planes, self.joint, other, T, columns, drift, step, gaps)
-        return Gaps(gaps, nearest, least, columns)
+        nearest, least = corner_gaps(
+            pairs, self.planes, self.joint, other, self.piece, self._columns4, T, drift, step, gaps
+        )
+        return Gaps(gaps, nearest, least)
 
     def least_on(
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float, *, memory: Memory | None = None
@@ -521,7 +522,8 @@ class Separation:
         The point is blended from the corners by their `gaps` there: corners that are almost as near have
         a part in it, so that it does not jump from edge to edge where a flat end passes a wall.
         """
-        return self._rows_of(pairs, 0, blended_points(gaps.all, gaps.least, gaps.columns, _BLENDED), at)
+        points = blended_points(gaps.all, gaps.least, self.piece.take(pairs), self._columns4, _BLENDED)
+        return self._rows_of(pairs, 0, points, at)
 
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
