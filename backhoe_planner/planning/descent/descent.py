@@ -69,6 +69,9 @@ _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
 _ENOUGH_HURRIED = (
     0.01  # the same of a descent in a hurry; chosen: its last round gained less, and is a fifth of its time
 )
+# the same of what the program promises a clear curve in a hurry, which then is not bent any more; chosen, with 0.01
+# motions take longer, and no less work
+_ENOUGH_PROMISED = 0.005
 _ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for longer; chosen
 _ENOUGH_ROUGH = 0.01  # the same where a finer curve goes on; chosen, with 0.004 to 0.02 motions cost as much
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
@@ -231,6 +234,8 @@ class Descent:
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = here.cost + price * here.missed, looks.known
             tried = there = self._step(here, free, looks, box, bend, below=worst)
+            if there is here:
+                break
             part, noticed = 1.0, False
             if there is not None and bend is None and worst <= there.cost + price * there.missed:
                 there = self._mended(there, free, looks, box, below=worst)
@@ -400,7 +405,7 @@ class Descent:
         self, here: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend | None, *, below: float,
         beyond: Timed | None = None,
     ) -> Timed | None:  # fmt: skip
-        """The curve after the best small step, see `_timed`; None where there is none.
+        """The curve after the best small step, see `_timed`; None where there is none, and `here` where that is enough.
 
         The clearances are linearised at `here` and, where it is given, at the curve `beyond` as well.
         """
@@ -418,7 +423,11 @@ class Descent:
         x = model.best_step(missed, bend=bend, longest=self._longest, most_iterations=most)
         if x is None:
             return None
-        return self._on_goal(curve, *model.step(x), goal, looks, below=below)
+        control, duration = model.step(x)
+        may_end = bend is None and self._hurried and here.missed <= looks.allowed
+        if may_end and duration > (1.0 - _ENOUGH_PROMISED) * here.cost:
+            return here
+        return self._on_goal(curve, control, duration, goal, looks, below=below)
 
     def _on_goal(
         self, here: JointCurve, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float
