@@ -164,6 +164,30 @@ def test_the_objective_of_a_motion_to_a_goal_is_told_with_its_unit(
     assert said.count("objective") == 1
 
 
+@pytest.mark.parametrize(
+    ("given", "legs", "line"),
+    [
+        ({}, ({}, {}), r"duration +\d+\.\d\d s \(\d+ samples\), the objective\n"),
+        ({"objective": "work"}, ({}, {}), r"work +[\d.]+ J \(gravity and inertia\), the objective\n"),
+        ({}, ({"objective": "kinetic"}, {"objective": "kinetic"}), r"objective +kinetic [\d.]+ J s\n"),
+        ({}, ({"objective": "work"}, {}), None),
+    ],
+)
+def test_the_objective_that_all_legs_of_a_sequence_have_is_told_as_of_one_motion(
+    run: Run, tmp_path: Path, given: Data, legs: tuple[Data, Data], line: str | None
+) -> None:
+    goals = [{**JOINTS, "joint1": angle} for angle in (0.2, 0.4)]
+    there, on = ({"goal": {"joints": goal}} | leg for goal, leg in zip(goals, legs, strict=True))
+    sequence = [{"name": "there"} | there, {"name": "rest", "wait": 0.5}, {"name": "on"} | on]
+    content = {key: REACH[key] for key in ("version", "start")} | given | {"task": {"sequence": sequence}}
+    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path, content), *QUICK)
+    assert status == 0
+    assert said.count("objective") == (line is not None)
+    assert line is None or re.search(line, said), said
+    cost = json.loads((tmp_path / "plan.json").read_text())["metrics"]["cost"]
+    assert line is None or (legs[0] | given).get("objective", "time") == cost["objective"]
+
+
 def test_plan_check_export(run: Run, tmp_path: Path) -> None:
     chosen = ("--seed", "3", *QUICK)
     status, said, _ = run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json", *chosen)

@@ -211,15 +211,14 @@ def _print_bound(found: bp.Plan) -> None:
 
 
 def _minimised(found: bp.Plan, name: str) -> str:
-    """End of the line of a figure to a goal, where that is the objective."""
-    cost = found.metrics.cost
-    return ", the objective" if found.problem.goals and cost is not None and cost.objective == name else ""
+    """End of the line of a figure of the whole motion, where that is the objective."""
+    return ", the objective" if found.minimised == name else ""
 
 
 def _print_cost(found: bp.Plan) -> None:
-    """The objective of a motion to a goal; nothing where its line is there already, or along a path."""
+    """The objective of the whole motion; nothing where its line is there already, or there is none."""
     cost = found.metrics.cost
-    if found.problem.goals and cost is not None and cost.objective not in ("time", "work"):
+    if cost is not None and found.minimised not in ("", "time", "work"):
         OUT.print(f"objective     {cost.objective} {planning.describe_quantity(cost.value, cost.unit)}")
 
 

@@ -46,7 +46,7 @@ class Problem:
     robot: the machine, with the scene's tip.
     scene: as it was given.
     limits: the machine's limits within the scene.
-    objective: what the motion is to make small.
+    objective: what the motion is to make small; of a sequence that of its legs, where all that move have the same.
     obstacles: the site, as convex pieces.
     start_q: (n,) where the joints stand; None where the start is given by the tip, or
         left to the planner.
@@ -122,7 +122,12 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     obstacles = build_obstacles(scene, robot)
     check_standing(robot, scene, obstacles)
     whole = _build(robot, scene, obstacles)
-    return whole if scene.task.sequence is None else replace(whole, legs=_legs(whole))
+    if scene.task.sequence is None:
+        return whole
+    legs = _legs(whole)
+    objectives = {leg.objective.name: leg.objective for leg in legs if leg.wait is None}
+    one = next(iter(objectives.values())) if len(objectives) == 1 else whole.objective
+    return replace(whole, legs=legs, objective=one)
 
 
 def _legs(whole: Problem) -> tuple[Problem, ...]:

@@ -154,6 +154,19 @@ class Plan:
         return self.note or "; ".join(self.certificate.problems)
 
     @property
+    def minimised(self) -> str:
+        """The name of the objective that was made small for the whole motion, of which `metrics.cost` is.
+
+        That of a motion to a goal, or of all legs of a sequence that move. Empty along a path, where only the part
+        along it counts, where legs have different objectives, of a motion driven by hand and of an older file.
+        """
+        if self.method == "teleop" or self.metrics.cost is None:
+            return ""
+        parts = [leg for leg in self.problem.legs if leg.wait is None] or [self.problem] * bool(self.problem.goals)
+        name = self.metrics.cost.objective
+        return name if {part.objective.name for part in parts} == {name} else ""
+
+    @property
     def settings(self) -> str:
         """With what it was made, in words: ``method auto, seed 0, effort normal``."""
         if self.method == "teleop":

@@ -63,7 +63,7 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
 
 def _about_duration(plan: Plan) -> str:
     """Whether it is the objective, how long it was allowed to be, and how far above the least possible it is."""
-    words = ["the objective"] if _minimised(plan) == "time" else []
+    words = ["the objective"] if plan.minimised == "time" else []
     if plan.findings.allowed_time is not None:
         words.append(f"at most {plan.findings.allowed_time:.2f} s was allowed")
     if plan.bound is not None:
@@ -72,15 +72,9 @@ def _about_duration(plan: Plan) -> str:
     return "; ".join(words)
 
 
-def _minimised(plan: Plan) -> str:
-    """The objective of a motion to a goal by its name; empty along a path, and of a motion driven by hand."""
-    cost = plan.metrics.cost
-    return "" if cost is None or not plan.problem.goals or is_recording(plan) else cost.objective
-
-
 def _costs(plan: Plan) -> list[tuple[str, str, str]]:
     """The work, and the objective where that is something else, with what is proven to be needed."""
-    facts, metrics, minimised = [], plan.metrics, _minimised(plan)
+    facts, metrics, minimised = [], plan.metrics, plan.minimised
     work, cost, compared = metrics.energy.get("work"), metrics.cost, metrics.objective
     least = None
     if cost is not None and minimised and plan.bound is not None:
