@@ -211,7 +211,10 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
         middle = 0.5 * (before + wait)
         before, wait = (before, middle) if clear(middle) else (middle, wait)
     motion = _delay(direct.trajectory, stepper.time, wait)
-    return replace(direct, trajectory=motion).adding(waits=wait)
+    allowed = direct.findings.allowed_time
+    return replace(direct, trajectory=motion).adding(
+        waits=wait, allowed_time=None if allowed is None else allowed + wait
+    )
 
 
 def _swept_world(known: World, since: float, horizon: float) -> World:

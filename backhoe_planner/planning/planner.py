@@ -81,7 +81,8 @@ def plan_motion(
 def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     """The motion, slower where the machine could not drive it, and what is proven of it.
 
-    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was.
+    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was. One that takes
+    longer than the search allowed, as the tip is to be slow, is no longer said to be allowed that.
     """
     drive = drive_of(problem)
     slower = retime(outcome.trajectory, problem.limits, drive=drive)
@@ -89,6 +90,9 @@ def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
         slower = slow_tip(slower, problem.limits, speed=problem.tip_speed, robot=problem.robot, drive=drive)
     certificate = certify_motion(problem, slower)
     if slower is outcome.trajectory or not problem.is_dynamic or certificate.verified:
+        longest = outcome.findings.allowed_time
+        if longest is not None and slower.duration > longest:
+            outcome = outcome.adding(allowed_time=None)
         return replace(outcome, trajectory=slower), certificate
     return outcome, certify_motion(problem, outcome.trajectory)
 

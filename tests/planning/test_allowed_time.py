@@ -106,6 +106,60 @@ def test_a_motion_whose_samples_take_longer_than_it_may_is_made_shorter(
     assert 0.96 * longest < found.motion.duration <= longest
 
 
+def swung(robot: bp.Robot, *obstacles: dict[str, Any], **keys: Any) -> bp.Plan:
+    """A plan in which an arm of 4 m swings by 1.2 rad, among `obstacles`."""
+    joints = dict(zip(robot.joint_names, (0.0, 0.3, 0.3, 0.3), strict=True))
+    goal = {"goal": {"joints": joints | {"joint1": 1.2}}}
+    content = {"version": 1, "objective": "velocity_norm", "start": {"joints": joints}, "task": goal} | keys
+    plan = bp.plan(robot, bp.scene_from_dict(content | {"obstacles": list(obstacles)}), effort="quick")
+    assert plan.verified, plan.message
+    return plan
+
+
+MIDDLE = np.array([1.88, 3.28, 0.0])  # m: the tip half way
+OUTWARDS = MIDDLE / np.linalg.norm(MIDDLE)
+
+
+def test_a_wait_is_added_to_what_a_motion_may_take(planar4: bp.Robot) -> None:
+    """A box in the way goes outwards: the arm waits, and then moves as it does without the box."""
+    box = {
+        "name": "box", "shape": "box", "size": [0.6, 0.6, 2.0], "position": (0.5 * MIDDLE).tolist(),
+        "velocity": (0.8 * OUTWARDS).tolist(),
+    }  # fmt: skip
+    alone, waiting = swung(planar4), swung(planar4, box)
+    wait, longest = waiting.findings.waits, alone.findings.allowed_time
+    assert longest is not None
+    assert wait > 0.5
+    assert waiting.metrics.duration == pytest.approx(alone.metrics.duration + wait)
+    assert waiting.findings.allowed_time == pytest.approx(longest + wait)
+    assert alone.metrics.duration <= longest
+
+
+def test_what_passes_until_the_machine_sets_out_anew_is_added_to_what_it_may_take(planar4: bp.Robot) -> None:
+    """A ball that appears in the way after 1 s: the arm stops, waits, and goes on, and slow motions cost little."""
+    ball = {
+        "name": "ball", "shape": "sphere", "radius": 0.3, "position": MIDDLE.tolist(), "appears_at": 1.0,
+        "velocity": (0.3 * OUTWARDS).tolist(),
+    }  # fmt: skip
+    plan = swung(planar4, ball)
+    (reaction,) = plan.findings.reactions
+    longest = plan.findings.allowed_time
+    assert reaction.stopped_at is not None
+    assert longest is not None
+    assert max(reaction.stopped_at + plan.findings.waits, 0.99 * longest) < plan.metrics.duration <= longest
+
+
+def test_where_the_tip_is_to_be_slow_no_time_is_said_to_be_allowed(planar4: bp.Robot) -> None:
+    """At 0.5 m/s 1.2 rad take longer than without: 4 m x 1.2 rad / 0.5 m/s is 9.6 s where the arm is stretched out."""
+    goals = [dict(zip(planar4.joint_names, (angle, 0.3, 0.3, 0.3), strict=True)) for angle in (1.2, 1.6)]
+    there, on = ({"name": f"{k}", "goal": {"joints": goal}} for k, goal in enumerate(goals))
+    slow, free = swung(planar4, task={"sequence": [there | {"speed": 0.5}, on]}).legs
+    assert slow.metrics.duration > 8.0
+    assert slow.findings.allowed_time is None
+    assert free.findings.allowed_time is not None
+    assert free.metrics.duration <= free.findings.allowed_time
+
+
 @pytest.mark.long
 def test_a_plan_says_what_it_was_allowed_and_two_seeds_are_allowed_the_same(planar4: bp.Robot) -> None:
     joints = [f"joint{k}" for k in (1, 2, 3, 4)]

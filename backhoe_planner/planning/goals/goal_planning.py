@@ -47,7 +47,8 @@ class ToGoal:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             branch.play(search.best.motion)
             message = f"{ended}; a better motion was not looked for any more" if ended else ""
-            findings = Findings(way=search.best.way, allowed_time=search.allowed_time)
+            allowed = None if search.allowed_time is None else stepper.time + search.allowed_time
+            findings = Findings(way=search.best.way, allowed_time=allowed)
             return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = f"of {search.looked_at:,} motions that sampling looked at none led there"
         if self.search_alone or ended:

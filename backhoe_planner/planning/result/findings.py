@@ -55,7 +55,10 @@ class Findings(Record):
     way: str = ""
     """How the goal was reached: ``straight``, ``sampled`` and so on."""
     allowed_time: Figure | None = None
-    """How long the motion might take [s], of a motion to a goal for another objective than the time."""
+    """How long a motion to a goal for another objective than the time might take, with all waits before it [s].
+
+    None also where it takes longer as the tip is to be slow, and where the machine swerved.
+    """
     attempts: int = 0
     """How many attempts the local law made."""
     closest_distance: float | None = None

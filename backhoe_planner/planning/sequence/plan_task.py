@@ -176,7 +176,7 @@ def _plan_sequence(
         trajectory=motion,
         certificate=certificate,
         metrics=measure_motion(problem, motion, certificate, planning_time=planning_time),
-        findings=NOTHING if failed is None else failed.outcome.findings,
+        findings=NOTHING if failed is None else failed.outcome.adding(allowed_time=None).findings,  # that is the leg's
         failure="" if failed is None else failed.outcome.reason,
         note="; ".join(notes),
         effort=effort,
