@@ -95,6 +95,7 @@ def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
     for command in ("job", "stand"):
         _, _, told = run(command, "light.yaml", "-o", "light.json")
         assert told.count("warning: no link that moves has a mass in the URDF") == 1
+        assert "those of payload and soil alone" in told  # cuts take work all the same
         assert told.count("warning: the mesh crate.obj (crate) is not closed") == 1
         assert "warning" not in run(command, "job.yaml", "-o", "part.json")[2]
 

@@ -183,8 +183,8 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
         )
     if not any(inertia.mass for inertia in robot.model.inertias.tolist()[1:]):
         found.append(
-            "no link that moves has a mass in the URDF: torque, work and energy are those of the payload alone, "
-            "0 without one"
+            "no link that moves has a mass in the URDF: torque, work and energy are those of payload and soil alone, "
+            "0 without them"
         )
     return tuple(found)
 
