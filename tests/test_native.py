@@ -273,6 +273,17 @@ def note_gaps(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def left_over_path(rng: Rng) -> Arguments:
+    every = 1 + some(rng)
+    pairs = chosen(rng, every)
+    return pairs, rng.normal(size=len(pairs)), rng.normal(size=every), rng.choice([1e-9, -0.3])
+
+
+def keeps_rows(rng: Rng) -> Arguments:
+    count, n = some(rng, 8), joints(rng)
+    return rng.normal(size=(count, n)), 3.0 * rng.uniform(size=count), rng.normal(size=n), rng.choice([0.0, 0.5])
+
+
 def braking_line(rng: Rng) -> Arguments:
     n = joints(rng)
     v = rng.normal(size=n) * rng.integers(0, 3)
@@ -474,7 +485,8 @@ def chain_placements(rng: Rng) -> Arguments:
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency, braking_line,
     cells_of_tiles, chain_placements, changes_of_end, corner_gaps, cost_of_tip, count_travel, damped_steps,
-    extent_along, force_on_hand, keep_placements, keep_proven, largest_part, least_over_path, line_ahead, margins_now,
+    extent_along, force_on_hand, keep_placements, keep_proven, keeps_rows, largest_part, least_over_path,
+    left_over_path, line_ahead, margins_now,
     near_now, near_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_within,
     place_on_line, place_tip, placed_arrays, plane_rows,
     quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity,

@@ -24,6 +24,7 @@ import daqp
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.native import compiled
 
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
 UNBOUNDED = 1e30  # daqp takes a bound of this size for none
@@ -62,9 +63,13 @@ class Rows(NamedTuple):
 
     def are_kept_by(self, x: Vector, tolerance: float = 0.0) -> bool:
         """Whether G x <= h + tolerance at x (n,)."""
-        if len(self.h) == 0:
-            return True
-        return not np.count_nonzero(self.G.dot(x) > (self.h + tolerance if tolerance else self.h))
+        return len(self.h) == 0 or keeps_rows(self.G, self.h, x, tolerance)
+
+
+@compiled
+def keeps_rows(G: Matrix, h: Vector, x: Vector, tolerance: float, /) -> bool:
+    """Whether G x <= h + tolerance for rows G (K, n), h (K,) at x (n,)."""
+    return not np.count_nonzero(G.dot(x) > (h + tolerance if tolerance else h))
 
 
 class QuadraticProgram(NamedTuple):

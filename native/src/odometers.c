@@ -136,3 +136,31 @@ PyObject *largest_part(PyObject *self, PyObject *const *args, Py_ssize_t count)
             most = fabs(AT(v, j)) / fastest[j];
     return PyFloat_FromDouble(most);
 }
+
+PyObject *left_over_path(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind pairs;
+    Vec bound, required;
+    double tolerance, *left;
+    if (count_is(count, 4, "left_over_path") < 0 || as_vec(args[2], "required", -1, &required) < 0 ||
+        as_ind(args[0], "pairs", required.n, &pairs) < 0 || as_vec(args[1], "bound", pairs.n, &bound) < 0 ||
+        as_double(args[3], "tolerance", &tolerance) < 0)
+        return NULL;
+    Room room;
+    npy_intp *rows = room_for(&room, pairs.n * sizeof(npy_intp)), some = 0;
+    if (!rows)
+        return NULL;
+    PyObject *lefts = new_vec(pairs.n, &left);
+    for (npy_intp k = 0; lefts && k < pairs.n; k++) {
+        left[k] = AT(bound, k) - AT(required, INDEX(pairs, k));
+        if (left[k] < -tolerance)
+            rows[some++] = k;
+    }
+    PyObject *shorts = lefts ? ind_of(rows, some) : NULL;
+    release(&room);
+    if (!shorts) {
+        Py_XDECREF(lefts);
+        return NULL;
+    }
+    return Py_BuildValue("NN", lefts, shorts);
+}

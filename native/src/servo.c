@@ -109,6 +109,20 @@ static int keeps(const Mat *G, const Vec *h, const double *v, double part, doubl
     return 1;
 }
 
+PyObject *keeps_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat G;
+    Vec h, x;
+    double at[MOST_JOINTS], tolerance;
+    if (count_is(count, 4, "keeps_rows") < 0 || as_mat(args[0], "G", -1, -1, &G) < 0 || some_joints(G.columns) < 0 ||
+        as_vec(args[1], "h", G.rows, &h) < 0 || as_vec(args[2], "x", G.columns, &x) < 0 ||
+        as_double(args[3], "tolerance", &tolerance) < 0)
+        return NULL;
+    for (npy_intp j = 0; j < x.n; j++)
+        at[j] = AT(x, j);
+    return PyBool_FromLong(keeps(&G, &h, at, 1.0, tolerance));
+}
+
 PyObject *next_within(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Vec wish, v, low, high, h;

@@ -100,6 +100,18 @@ def least_over_path(pairs: Indices, least: Matrix, classes: Indices, off: Vector
     return found
 
 
+@compiled
+def left_over_path(
+    pairs: Indices, bound: Vector, required: Vector, tolerance: float, /
+) -> tuple[Vector, Indices]:  # fmt: skip
+    """(K,) by how much `bound` (K,) is more than what `pairs` (K,) must keep [m], and where that is below -tolerance.
+
+    required: (P,) of all pairs [m].
+    """
+    left = bound - required.take(pairs)
+    return left, (left < -tolerance).nonzero()[0]
+
+
 @lru_cache(maxsize=64)
 def _firsts(pairs: int, samples: int, corners: int) -> Indices:
     """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, to be read only."""

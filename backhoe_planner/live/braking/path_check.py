@@ -20,7 +20,7 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
-from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
+from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_path
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
 from backhoe_planner.live.braking.path_rows import binding_corners, rows_by_velocity
@@ -133,19 +133,17 @@ class PathCheck:
     def _look_along(self, pairs: Indices, path: BrakingPath, *, by_rows: bool, in_halves: bool) -> PathClearance:
         """The same for pairs (K,) of all kinds, where the placements hold the path, with its parts or their halves."""
         separation, at = self.separation, self.at
-        required, stands = self.bounds.required.take(pairs), self.bounds.stands
+        required, stands = self.bounds.required, self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
         bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
         closely = np.zeros(len(pairs), dtype=np.intp)
-        left = bound - required
-        short = (left < -TOLERANCE).nonzero()[0]
+        left, short = left_over_path(pairs, bound, required, TOLERANCE)
         if not in_halves and len(short) and self._may_be_bent(pairs, short, left, path, by_rows=by_rows):
             path.halve(at)
             in_halves = True
             bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
-            left = bound - required
             # a plane that was kept until it fell short is old: it would hold the machine back without need
-            short = (left < BUFFER).nonzero()[0]
+            left, short = left_over_path(pairs, bound, required, -BUFFER)
         if len(short):
             # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes
             # longest
@@ -153,8 +151,7 @@ class PathCheck:
             again = short[decides if by_rows else decides | (bound[short] > 0.0)]
             if len(again):
                 self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
-                left = bound - required
-            short = (left < -TOLERANCE).nonzero()[0]
+            left, short = left_over_path(pairs, bound, required, TOLERANCE)
         self._in_halves = in_halves and self._needs_halves(pairs, left, path)
         stands_clear = len(short) == 0 or not np.count_nonzero(stands[pairs[short]])
         free = len(short) == 0 and bool(left[left.argmin()] >= BUFFER)

@@ -403,8 +403,10 @@ class Servo:
 
     def _pace_of_sectors(self) -> float:
         """The part of the wished speed that the slow distances of swing sectors leave."""
+        if not self._sectors:
+            return 1.0
         swing = float(self._state.q[0])
-        return min((pace(min(swing - low, high - swing), room) for low, high, room in self._sectors), default=1.0)
+        return min(pace(min(swing - low, high - swing), room) for low, high, room in self._sectors)
 
     def _advance(self, v: Vector, end: Vector | None) -> None:
         """Take the step at v (n,). Without `end` (n,) the braking path stays the one that was proven before."""
