@@ -2,7 +2,8 @@
 """What a survey costs: a scan of a million points, a terrain of a million cells, a mesh of 100,000 triangles.
 
 The same yard is taken in, planned in and driven in without them, with each of them and with
-all, in one run; times are those on the processor, and what counts are the ratios. Each goal is
+all, in one run, and driven in with primitives in the scan's place, which tells what being near
+something costs by itself; times are those on the processor, and what counts are the ratios. Each goal is
 planned to with all of them in turn, and steps are taken in turn, too. Every verified plan is checked against the raw
 points, and so is every goal that is not reached: where no posture with the tip there keeps its clearance from them, it
 is not counted. The results are in docs/measurements.md.
@@ -19,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import backhoe_planner as bp
-from validation.scans import KINDS, drive_in_turn, goals, measure, plan_in_turn, write_survey
+from validation.scans import KINDS, SCAN, SOLIDS, drive_in_turn, goals, measure, plan_in_turn, write_survey
 
 
 def main() -> None:
@@ -40,7 +41,9 @@ def main() -> None:
         sets: list[tuple[str, ...]] = [(), *((kind,) for kind in KINDS), KINDS]
         goal = next(goals(robot, np.random.default_rng(options.seed)))
         costs = [measure(robot, survey, kinds, goal=goal) for kinds in [(), *sets]][1:]  # the first run warms up
-        taken = drive_in_turn(robot, survey, sets, goal=goal, steps=options.steps, seed=options.seed)
+        *taken, solid = drive_in_turn(
+            robot, survey, [*sets, (SOLIDS,)], goal=goal, steps=options.steps, seed=options.seed
+        )
         plans = plan_in_turn(robot, survey, sets, count=options.goals, seed=options.seed)
     plain = costs[0]
     ratios = plans.seconds / plans.seconds[:, :1]
@@ -63,6 +66,12 @@ def main() -> None:
             f"{plans.least_gap[number]:.3f}",
         )  # fmt: skip
         print("".join(f"{value:>15}" for value in row))
+    by_scan = taken[sets.index((SCAN,))].mean() / solid.mean()
+    print(
+        f"with primitives in place of the scan a step takes {solid.mean():.0f} us "
+        f"({solid.mean() / taken[0].mean():.2f}), 99th percentile {np.percentile(solid, 99):.0f}: "
+        f"beside the scan {by_scan:.2f} times that"
+    )
     print(f"plans without surveys take {', '.join(f'{taken:.2f}' for taken in plans.seconds[:, 0])} s")
 
 

@@ -31,6 +31,7 @@ GROUND = -0.45  # m: mean height of the ground around the machine
 FOLDS = 0.06  # m: amplitude of its waves
 SCAN, TERRAIN, MESH = "scan", "terrain", "rock"
 KINDS = (SCAN, TERRAIN, MESH)
+SOLIDS = "solids"  # primitives where the scan's points lie: what a scan costs more than these is of the scan
 START = {"swing": 0.0, "boom": 0.7, "stick": -1.2, "bucket": -1.2}
 ROCK = (2.6, -4.2, 0.4)  # m: where the mesh stands
 _CLEARANCE = 0.1  # m
@@ -45,6 +46,13 @@ _PLAIN: tuple[dict[str, Any], ...] = (
     {"name": "truck", "shape": "box", "size": [2.4, 2.4, 1.2], "position": [1.0, 4.6, 0.9]},
     {"name": "pole", "shape": "cylinder", "radius": 0.15, "length": 5.0, "position": [4.4, -2.6, 2.5]},
     {"name": "pipe", "shape": "capsule", "from": [3.0, 1.6, -0.2], "to": [6.0, 1.8, -0.2], "radius": 0.1},
+)
+# the ground at its mean height, the wall, the heap and the bush of `scan_points`
+_SOLIDS: tuple[dict[str, Any], ...] = (
+    {"name": "ground", "shape": "halfspace", "point": [0, 0, GROUND], "normal": [0, 0, 1]},
+    {"name": "wall", "shape": "box", "position": [2.0, -5.4, 1.025], "size": [8.0, 0.06, 2.95]},
+    {"name": "heap", "shape": "mesh", "file": "heap.stl", "position": [4.6, 1.4, GROUND]},
+    {"name": "bush", "shape": "sphere", "position": [3.4, 3.4, 0.4], "radius": 0.5},
 )
 
 
@@ -75,7 +83,8 @@ class Survey:
             TERRAIN: {"shape": "heightmap", "file": "terrain.csv", "size": [_SIZE, _SIZE]},
             MESH: {"shape": "mesh", "file": "rock.stl", "position": list(ROCK)},
         }
-        return [{"name": kind, **known[kind]} for kind in kinds]
+        solids = [dict(one) for one in _SOLIDS] if SOLIDS in kinds else []
+        return [*solids, *({"name": kind, **known[kind]} for kind in kinds if kind != SOLIDS)]
 
 
 def ground_height(x: Matrix, y: Matrix) -> Matrix:
@@ -100,6 +109,7 @@ def write_survey(folder: Path, rng: np.random.Generator, *, points: int, cells: 
     sections = max(round(np.sqrt(triangles / 2.0 / 0.3)), 8)
     rock = trimesh.creation.torus(0.9, 0.3, major_sections=sections, minor_sections=max(round(0.3 * sections), 6))
     rock.export(folder / "rock.stl")
+    trimesh.creation.cone(radius=1.1, height=0.9, sections=16).export(folder / "heap.stl")
     return Survey(folder, np.asarray(trimesh.load(folder / "scan.ply").vertices, dtype=float))
 
 
