@@ -19,11 +19,11 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.machine.clusters.closed_bodies import winding
 from backhoe_planner.machine.description.link_shapes import LinkPiece
 from backhoe_planner.machine.proven_apart import proven_apart
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.machine.shape.closed_bodies import winding
 from backhoe_planner.machine.shape.shapes import Piece, convex, hull, surface_of
 
 _SAME_PLACE = 1e-7  # m: corners that are nearer to each other are one; the rounding of an STL file's numbers

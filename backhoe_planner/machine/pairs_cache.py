@@ -25,7 +25,7 @@ from backhoe_planner.machine.shape.shapes import Piece
 
 _MAKERS = (
     "self_collision.py", "finer_pairs.py", "marks_outside.py", "proven_apart.py", "collision_model.py",
-    "pairs_cache.py", "robot.py", "shape/shapes.py", "shape/overlap.py", "clusters/closed_bodies.py",
+    "pairs_cache.py", "robot.py", "shape/shapes.py", "shape/overlap.py", "shape/closed_bodies.py",
 )  # fmt: skip
 _LIBRARIES = ("coal", "pin", "numpy")
 

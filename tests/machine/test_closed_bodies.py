@@ -9,6 +9,7 @@ import trimesh
 
 from backhoe_planner.machine import Cluster, MeshSolid
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.machine.shape.convex import is_closed
 
 HERE = pin.SE3.Identity()
 
@@ -42,6 +43,11 @@ SHEET = trimesh.Trimesh([[-5, -5, -3], [5, -5, -3], [0, 5, -3]], [[0, 1, 2]])
 ONE, TWO, HOLED = ball(1.0), [ball(1.0), ball(1.0, 0.8)], trimesh.Trimesh(ball(1.0).vertices, ball(1.0).faces[1:])
 EDGE = trimesh.util.concatenate([block(0.0, 0.0), block(1.0, 1.0)])
 EDGE.merge_vertices()
+MIRRORED = block(0.0, 0.0)
+MIRRORED.apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))  # its faces at the sides have the same diagonals
+MIRRORED.apply_translation([1.0, 0.0, 0.0])
+FACE = trimesh.util.concatenate([block(0.0, 0.0), MIRRORED])
+FACE.merge_vertices()
 MESHES = {  # mesh, places along x that are inside, and outside
     "a ball": (ONE, [0.0, 0.8], [1.3]),
     "inside out": (ball(1.0, inwards=True), [0.0, 0.8], [1.3]),
@@ -57,6 +63,8 @@ MESHES = {  # mesh, places along x that are inside, and outside
     "a shell inside out": (trimesh.util.concatenate([ball(1.0, inwards=True), ball(0.5)]), [0.75], [0.0, 1.3]),
     "with an open sheet": (trimesh.util.concatenate([ONE, SHEET]), [0.0, 0.8], [1.3]),
     "two that share an edge": (EDGE, [0.1, -0.3], [1.3]),
+    "two that share a face": (FACE, [0.1, 0.9], [1.7]),
+    "two that share a face, with an open sheet": (trimesh.util.concatenate([FACE, SHEET]), [0.1, 0.9], [1.7]),
 }  # fmt: skip
 
 
@@ -73,6 +81,13 @@ def test_what_is_inside(name: str) -> None:
         assert (cluster.inside_of(shapes.sphere(0.05, HERE), place) is not None) == (x in inside)
         bound = float(grid.lower(place.translation[:, None])[0])
         assert bound <= max(found.distance + 0.05, 0.0)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_whether_all_of_a_mesh_closes(name: str) -> None:
+    assert is_closed(MESHES[name][0]) == (name != "one that is open" and "sheet" not in name)
+    assert not is_closed(two_sided(SHEET))
+    assert not is_closed(trimesh.util.concatenate([FACE, two_sided(SHEET)]))
 
 
 def test_a_coarse_body_with_a_fine_detail_is_solid_right_below_its_surface() -> None:

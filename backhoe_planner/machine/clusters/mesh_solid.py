@@ -10,12 +10,12 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
-from backhoe_planner.machine.clusters.closed_bodies import ClosedBodies
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed, clustered
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, surface_tree
+from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
 
 if TYPE_CHECKING:
     import trimesh

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shape.closed_bodies import find_closed
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
 
 if TYPE_CHECKING:
@@ -97,13 +98,8 @@ def _welded(mesh: trimesh.Trimesh) -> Cells:
 
 
 def is_closed(mesh: trimesh.Trimesh) -> bool:
-    """Whether the surface of a mesh closes everywhere.
-
-    Every edge then belongs to an even number of triangles; one that is there twice, facing both ways, counts once.
-    """
-    faces = np.sort(np.asarray(mesh.faces, dtype=np.int64)[mesh.unique_faces()], axis=1)
-    is_line = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
-    return not len(_ends_of_open_edges(faces[~is_line]))
+    """Whether the surface of a mesh closes everywhere; see `find_closed`."""
+    return find_closed(np.asarray(mesh.faces, dtype=np.intp))[1]
 
 
 def _ends_of_open_edges(faces: Cells) -> Cells:

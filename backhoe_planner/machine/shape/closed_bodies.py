@@ -24,12 +24,15 @@ class ClosedBodies:
     Parameters
     ----------
     vertices: (k, 3) [m]. faces: (m, 3), with vertices that are shared.
+
+    Attributes
+    ----------
+    triangles: (m, 3, 3) [m] of the bodies.
+    are_all: whether no body is open.
     """
 
     def __init__(self, vertices: Matrix, faces: Indices) -> None:
-        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]  # each once, if it has two sides
-        faces = _closed(faces, len(vertices))
+        faces, self.are_all = find_closed(faces)
         flipped, body = _facing_alike(faces)
         faces = np.where(flipped[:, None], faces[:, ::-1], faces)
         self.triangles = vertices[faces]
@@ -75,17 +78,40 @@ def _edges(faces: Indices) -> tuple[Indices, Indices, Indices]:
     return number, np.repeat(np.arange(len(faces)), 3), (ends[:, 0] < ends[:, 1]).astype(np.intp)
 
 
-def _closed(faces: Indices, vertices: int) -> Indices:
-    """The faces of those connected parts in which every edge belongs to an even number of faces."""
+def find_closed(faces: Indices) -> tuple[Indices, bool]:
+    """The faces (c, 3) of those bodies of `faces` (m, 3) that close, and whether these are all bodies.
+
+    In a body that closes every edge belongs to an even number of faces. A face that is given with both of its sides
+    counts once; where that leaves a body open, it counts as two, of bodies that touch there, and both are left out.
+    """
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    faces = faces[first]
+    part = _parts(faces)
+    closed = ~np.isin(part, part[_has_open_edge(faces)])
+    outer = np.flatnonzero(~closed & (count % 2 == 1))
+    touching = _parts(faces[outer])
+    closes = ~np.isin(touching, touching[_has_open_edge(faces[outer])])
+    is_open = np.setdiff1d(part[~closed], part[outer])  # nothing is left of such a body
+    return np.vstack((faces[closed], faces[outer[closes]])), bool(closes.all()) and not len(is_open)
+
+
+def _parts(faces: Indices) -> Indices:
+    """(m,) to which connected part each of `faces` (m, 3) belongs."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
+    pairs, count = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T, int(faces.max(initial=0)) + 1
+    graph = coo_array((np.ones(pairs.shape[1], dtype=bool), (pairs[0], pairs[1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1][faces[:, 0]], dtype=np.intp)
+
+
+def _has_open_edge(faces: Indices) -> Flags:
+    """(m,) which of `faces` (m, 3) have an edge that belongs to an odd number of them."""
     number, face, _ = _edges(faces)
-    pairs = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
-    graph = coo_array((np.ones(pairs.shape[1], dtype=bool), (pairs[0], pairs[1])), shape=(vertices, vertices))
-    part = connected_components(graph, directed=False)[1][faces[:, 0]]
-    is_open = (np.bincount(number) % 2 == 1)[number]
-    return faces[~np.isin(part, part[face[is_open]])]
+    found = np.zeros(len(faces), dtype=bool)
+    found[face[(np.bincount(number) % 2 == 1)[number]]] = True
+    return found
 
 
 def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:
