@@ -337,28 +337,6 @@ def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robo
     assert found.cost + 20.0 * costs[0] * found.missed <= costs[0] * (1.0 + 1e-6)
 
 
-def test_a_descent_in_a_hurry_ends_where_nothing_is_promised(planar4: bp.Robot) -> None:
-    """No motion is quicker than the straight line, on which the slowest joint is as quick as it can be."""
-    problem = build_problem(planar4, planar([0.8, 0.4, 0.4, 0.4]))
-    world = World(problem, seed=0, work=Work(EFFORTS["quick"]))
-    assert problem.start_q is not None
-    assert problem.goals[0].q is not None
-    line = JointCurve.straight(problem.start_q, problem.goals[0].q, 8)
-    rounds = []
-    for hurried in (True, False):
-        descent = Descent(
-            problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake, hurried=hurried
-        )  # fmt: skip
-        found = descent.run(
-            line, 2.0, problem.goals[0], most_rounds=20, spare=0.003, density=2, box=0.25,
-            is_hopeless=lambda here, rounds: False,
-        )  # fmt: skip
-        assert found is not None
-        assert found.curve is line or not hurried
-        rounds.append(descent.rounds)
-    assert rounds[0] == 1 < rounds[1]
-
-
 @pytest.mark.parametrize("objective", ["time", "work"])
 @pytest.mark.parametrize("way", [0.0, 1e-9, 5e-4, 2e-3])
 def test_a_goal_that_is_nearer_than_one_sample(planar4: bp.Robot, way: float, objective: str) -> None:

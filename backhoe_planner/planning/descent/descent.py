@@ -424,7 +424,8 @@ class Descent:
         if x is None:
             return None
         control, duration = model.step(x)
-        may_end = bend is None and self._hurried and here.missed <= looks.allowed
+        # to an end that is held the motion may become much shorter all the same: its own time is another than T
+        may_end = bend is None and self._hurried and goal is not None and here.missed <= looks.allowed
         if may_end and duration > (1.0 - _ENOUGH_PROMISED) * here.cost:
             return here
         return self._on_goal(curve, control, duration, goal, looks, below=below)
