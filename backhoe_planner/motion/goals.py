@@ -97,7 +97,7 @@ class Goal:
         allowed = ANGLE_TOLERANCE if self.rotation_tolerance is None else self.rotation_tolerance
         missing = []
         if position > (GOAL_TOLERANCE if self.tolerance is None else self.tolerance):
-            missing.append(f"the tip ends {position:.3f} m from the {self.name}")
+            missing.append(f"{position:.3f} m from the {self.name}")
         if angle > allowed:
-            missing.append(f"the bucket ends {np.degrees(angle):.1f} deg from the asked angle")
-        return " and ".join(missing)
+            missing.append(f"{np.degrees(angle):.1f} deg from the asked angle")
+        return f"the tip ends {' and '.join(missing)}" if missing else ""

@@ -9,6 +9,7 @@ from .clearances import path_segment_is_clear as path_segment_is_clear
 from .clearances import segment_is_clear as segment_is_clear
 from .keeping import KeepUse as KeepUse
 from .least_duration import least_duration as least_duration
+from .least_duration import least_duration_of_all as least_duration_of_all
 from .least_times import LeastTimes as LeastTimes
 from .least_work import least_work as least_work
 from .limits import LimitUse as LimitUse

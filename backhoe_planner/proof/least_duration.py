@@ -23,6 +23,9 @@ from backhoe_planner.proof.least_times import LeastTimes
 
 _NEAR = 0.01  # part of a known duration: a bound nearer to it is near enough; chosen
 _AT_ONCE = 64  # boxes that are halved together; chosen: more are cheaper each, but fewer have the lowest bound
+_SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound of all motions is sought, first and last; chosen
+_FURTHER = 2.0  # times as far, where no motion is that short: the less far, the finer the bound is; chosen
+_REACHED = 0.98  # part of what it is sought up to, from which on the bound may be more; a search ends at 0.99
 _LEVELS = 256  # of the time, at which boxes are tested; chosen: they are two fifths of a percent apart
 _INNERMOST = 26  # of these levels: the least that the first box reaches to; chosen, a tenth
 _NEXT_SHELL = 1.25  # times the level at which a shell begins: where it ends; chosen among 1.1 to 3 on random sites
@@ -74,6 +77,23 @@ def least_duration(
         looked += lowest.looked - before
     least = min((search.least for search in searches), default=(1.0 - _NEAR) * known)
     return LeastDuration(least, not any(len(search.open) for search in searches), looked)
+
+
+def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> float:
+    """What no motion from rest at `start` (n,) to the goal takes less than [s], where none is known.
+
+    It is the finer the less far it is sought: slow motions that are known make a bound of `least_duration` weaker.
+
+    Parameters
+    ----------
+    boxes: how many may be looked at each time that it is sought.
+    """
+    most = _SHORTEST
+    while True:
+        bound = least_duration(problem, start, known=most, boxes=boxes).duration
+        if bound < _REACHED * most or most >= _LONGEST:
+            return bound
+        most *= _FURTHER
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,6 +36,16 @@ def test_a_plan_at_its_joints_limits_is_bounded_within_2_percent(to_a_posture: b
     assert bound.longer_percent == pytest.approx(100.0 * longer)
 
 
+def test_a_slow_motion_does_not_make_the_bound_weak() -> None:
+    """The time that a motion for the least work is allowed, here three times a bound, follows from the bound shown."""
+    scene = bp.scene_from_dict(FREE | {"task": {"goal": BENT}, "objective": "work"})
+    plan = bp.plan(load_robot("example:planar4"), scene)
+    assert plan.bound is not None
+    assert plan.findings.allowed_time is not None
+    assert 0.97 * 2.1 < plan.bound.duration < 2.1
+    assert 3.0 * plan.bound.duration >= plan.findings.allowed_time * (1.0 - 1e-9)
+
+
 def test_a_start_on_the_goal_is_not_compared_with_nothing(to_a_posture: bp.Plan) -> None:
     """Percentages of a time of 0 say nothing."""
     standing = bp.scene_from_dict(FREE | {"task": {"goal": FREE["start"]}})

@@ -23,6 +23,8 @@ from backhoe_planner import (
 )
 from backhoe_planner.motion import overlap
 from backhoe_planner.planning import EFFORTS, Leg, plan_legs
+from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.sequence.plan_task import plan_problem
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
@@ -202,6 +204,24 @@ def test_a_leg_ends_where_the_next_one_is_near(backhoe: Robot) -> None:
     assert alone.done[0].certificate.goal == 1
     assert ahead.done[0].certificate.goal == 2
     assert cost(ahead) < 0.95 * cost(alone)
+
+
+def test_a_sequence_that_time_cuts_short_says_so(backhoe: Robot) -> None:
+    """Its legs are planned one by one, and then no time is left for other ends."""
+
+    class UsedUp(Brake):
+        def is_used_up(self) -> bool:
+            return True
+
+        def check(self) -> None:
+            return None
+
+    problem = build_problem(backhoe, scene_of(*LEGS[:2]))
+    for brake, said in ((UsedUp(5.0), "time ran out after 5 s"), (Brake(), "")):
+        plan = plan_problem(problem, "auto", seed=0, effort="quick", brake=brake)
+        assert plan.verified
+        assert plan.note.startswith(said)
+        assert bool(plan.note) == bool(said)
 
 
 def test_where_a_later_leg_fails_other_ends_are_tried(backhoe: Robot) -> None:

@@ -12,25 +12,16 @@ import math
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import EFFORTS
-from backhoe_planner.proof import least_duration
+from backhoe_planner.proof import least_duration_of_all
 
 _TIMES_BOUND = 3.0  # times the bound, that a motion may take; of 83 random sites it decides on 79, twice it on 70
 _ROOM = 1.2  # times the fastest motion known, that a motion may take at least; chosen
 _LONGER = 1.5  # times as long, where that is too little room; chosen, two seeds mostly agree on so large a step
 
-_SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound is sought, first and last; chosen
-_FURTHER = 2.0  # times as far, where no motion is that short: the less far, the finer the bound is; chosen
-_REACHED = 0.98  # part of what it is sought up to, from which on the bound may be more; least_duration stops at 0.99
-
 
 def bound_for_allowed_time(problem: Problem, start: Vector) -> float:
     """What no motion from rest at `start` (n,) takes less than [s], the same whatever is known of the motions."""
-    most = _SHORTEST
-    while True:
-        bound = least_duration(problem, start, known=most, boxes=EFFORTS["normal"].boxes).duration
-        if bound < _REACHED * most or most >= _LONGEST:
-            return bound
-        most *= _FURTHER
+    return least_duration_of_all(problem, start, boxes=EFFORTS["normal"].boxes)
 
 
 def allowed_time(bound: float, fastest: float) -> float:

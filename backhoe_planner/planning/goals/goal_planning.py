@@ -51,6 +51,8 @@ class ToGoal:
             findings = Findings(way=search.best.way, allowed_time=allowed)
             return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = f"of {search.looked_at:,} motions that sampling looked at none led there"
+        if not search.looked_at:
+            sampled = "no motions were sampled"
         if self.search_alone or ended:
             reason: Reason = "budget" if ended else "blocked"
             return Outcome(stepper.trajectory(), reason, f"{ended}; {sampled}" if ended else sampled)
@@ -129,7 +131,8 @@ def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:
     held = ""
     if nearest.obstruction is not None:
         held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
-    message = f"of {len(attempts)} attempts the closest came to {nearest.distance:.3f} m of the goal{held}"
+    which = "the only attempt" if len(attempts) == 1 else f"of {len(attempts)} attempts the closest"
+    message = f"{which} came to {nearest.distance:.3f} m of the goal{held}"
     if brake.is_used_up():
         return Outcome(nearest.stepper.trajectory(), "budget", f"{brake.message}; {message}", findings)
     return Outcome(nearest.stepper.trajectory(), "blocked", message, findings)

@@ -19,7 +19,7 @@ from backhoe_planner.machine import (
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
-_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm that a motion that ends there keeps
+POSTURE_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm that a motion that ends there keeps
 _ITERATIONS = 20  # of the inverse kinematics from one starting point; chosen, one in fifty arrives later
 _ITERATIONS_HURRIED = 14  # the same in a hurry; chosen among 12 to 20, some ends are then missed
 _SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
@@ -93,7 +93,7 @@ class Postures:
             best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
             ends = best.q[None, :] if best.reached else ends
         apart = ends[find_distinct(ends, _SAME)]
-        keeps = ClearanceScreen(self._proximity, time=time, spare=_SPARE).keeps(apart)
+        keeps = ClearanceScreen(self._proximity, time=time, spare=POSTURE_SPARE).keeps(apart)
         clear = [q for q, kept in zip(apart, keeps, strict=True) if kept]
         contacts = () if clear else (self._proximity.tightest(q, time=time) for q in apart)
         mildest = max((found for found in contacts if found), key=lambda found: found.margin, default=None)

@@ -169,6 +169,8 @@ def _plan_sequence(
     notes = [f"leg {leg.problem.name!r}: {leg.outcome.message}" for leg in found.done if leg.outcome.message]
     if notes and failed is not None and not failed.outcome.reason:
         notes += certificate.problems
+    if not notes and failed is None and brake.is_used_up():
+        notes.append(f"{brake.message}; better motions were not looked for any more")
     return Plan(
         problem=problem,
         method=method,

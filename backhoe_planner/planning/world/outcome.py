@@ -13,7 +13,7 @@ from backhoe_planner.motion import TipPath, Trajectory
 from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.search.postures import PostureResult
+from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
@@ -124,6 +124,8 @@ def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Re
         return out_of_reach(world, found.best, target, what)
     contact = found.contact
     message = f"no configuration for the {what} is free" if contact is None else f"at the {what} {contact.describe()}"
+    if contact is not None and contact.margin >= 0.0:  # it counts as blocked all the same
+        message += f", but the planner keeps {1e3 * POSTURE_SPARE:.0f} mm more at the end of a motion"
     return Outcome(rest_at_start(world, found.best.q), reason, message, Findings(obstruction=contact))
 
 
