@@ -122,6 +122,17 @@ def test_pressed_against_a_wall_the_whole_command_is_refused_and_never_more(back
     np.testing.assert_allclose(back[-1].refused, 0.0, atol=0.001)
 
 
+def test_a_machine_that_follows_little_of_its_wish_near_a_box_slides_along_it_or_stands(backhoe: Robot) -> None:
+    """The last of the way the wish itself gives way to the box, and the step is as wished."""
+    box: dict[str, object] = {"name": "box", "shape": "box", "size": [0.6, 3.0, 3.0], "position": [5.2, 0.0, 1.0]}
+    servo = standing(backhoe, [0.0, 0.4, -1.6, -0.9], obstacles=[box], clearance=0.05)
+    pressed = [state for state in driven(servo, [0.3, 0.0, 0.0], 9.6) if np.linalg.norm(state.refused) > 0.05]
+    near = [state for state in pressed if state.margin < 0.09]
+    assert len(near) > 300
+    assert {state.status for state in near} <= {Status.SLIDING, Status.STOPPED}
+    assert min(state.margin for state in near) >= 0.0
+
+
 def test_nobody_who_asks_for_nothing_is_told_that_it_is_stopped(backhoe: Robot) -> None:
     """Driven to a wall and let go of: at rest beside it, where the null space would lead away, nothing is held."""
     wall = {"name": "wall", "shape": "box", "size": [0.1, 5.0, 2.5], "position": [4.95, 0.0, -1.5], "clearance": 0.1}

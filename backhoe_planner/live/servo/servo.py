@@ -61,6 +61,7 @@ from backhoe_planner.site import (
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
+_PARTLY = 0.1  # part of the wish that is refused, from which on a machine near an obstacle slides along it; chosen
 _MOSTLY = 0.5  # part of a wish that is refused from which on a machine at rest counts as held; chosen
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, beyond them it is a slip
 
@@ -127,7 +128,8 @@ class Servo:
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
-        self._refusal, self._held_back = Refusal(dt, self._joints.changes), Recently(dt)
+        self._refusal = Refusal(dt, self._joints.changes)
+        self._held_back, self._gives_way = Recently(dt), Recently(dt)
         self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, FINEST_PARTS + 2)
@@ -475,7 +477,9 @@ class Servo:
             held = asks and (held_back or at_limit or refused.dot(refused) > _MOSTLY**2 * wish.dot(wish))
             if held or command in (Command.TIMED_OUT, Command.INVALID):
                 return Status.STOPPED
-        if held_back and asks:
+        # what was chosen may be as wished while the wish itself already gave way to what is near
+        gives_way = margin < CLOSE and refused.dot(refused) > _PARTLY**2 * wish.dot(wish)
+        if asks and (held_back or self._gives_way.next(holds=bool(gives_way))):
             return Status.SLIDING
         if margin < CLOSE:
             return Status.NEAR_OBSTACLE
