@@ -337,6 +337,31 @@ def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robo
     assert found.cost + 20.0 * costs[0] * found.missed <= costs[0] * (1.0 + 1e-6)
 
 
+def test_a_descent_in_a_hurry_ends_where_little_is_promised(backhoe: bp.Robot) -> None:
+    """From where descents have ended nothing is left to gain: one in a hurry sees that from its first program alone."""
+    problem = build_problem(backhoe, digger({"position": [3.5, 3.5, 0.2]}))
+    world = World(problem, seed=0, work=Work(EFFORTS["quick"]))
+    assert problem.start_q is not None
+    goal = problem.goals[0]
+    end = world.postures.at(goal.target, near=problem.start_q, count=24).clear[0]
+    curve, T = JointCurve.straight(problem.start_q, end, 8), 4.0
+    rounds = {}
+    for hurried in (False, True):
+        descent = Descent(
+            problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake, hurried=hurried
+        )  # fmt: skip
+        for _ in range(3):
+            before = descent.rounds
+            found = descent.run(
+                curve, T, goal, most_rounds=40, spare=0.003, density=2, box=0.1, is_hopeless=lambda here, rounds: False
+            )
+            assert found is not None
+            rounds[hurried] = descent.rounds - before
+            assert found.curve is curve or not (hurried and rounds[hurried] == 1)
+            curve, T = found.curve, found.duration
+    assert rounds[True] == 1 < rounds[False]
+
+
 @pytest.mark.parametrize("objective", ["time", "work"])
 @pytest.mark.parametrize("way", [0.0, 1e-9, 5e-4, 2e-3])
 def test_a_goal_that_is_nearer_than_one_sample(planar4: bp.Robot, way: float, objective: str) -> None:
