@@ -8,12 +8,10 @@ from __future__ import annotations
 import reprlib
 import time as clock
 
-import numpy as np
-
 from backhoe_planner.arrays import as_count, as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem, limit_usage
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem
 from backhoe_planner.planning.planner import plan_motion
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.findings import NOTHING
@@ -21,6 +19,7 @@ from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, EFFORTS, Brake, EffortName
+from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Scene
 
 _LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
@@ -117,7 +116,7 @@ def plan_problem(
     if note and not outcome.reason and not certificate.verified:
         note = "; ".join((note, *certificate.problems))
     if certificate.verified and not outcome.reason:
-        note = "; ".join(filter(None, (note, _describe_unused_limits(problem, outcome.trajectory))))
+        note = "; ".join(filter(None, (note, _describe_unused_limits(problem, outcome.trajectory, certificate))))
     return Plan(
         problem=problem,
         method=method,
@@ -141,14 +140,15 @@ def plan_problem(
     )
 
 
-def _describe_unused_limits(problem: Problem, motion: Trajectory) -> str:
+def _describe_unused_limits(problem: Problem, motion: Trajectory, certificate: Certificate) -> str:
     """That a motion to a goal comes near no limit at any time, so that a faster one exists; empty where it does.
 
     Motions for another cost than the time need not be fast.
     """
     if not problem.goals or problem.is_dynamic or motion.duration < _SHORT or not problem.objective.is_time:
         return ""
-    used = float(np.max(limit_usage(problem, motion).ratio))
+    joints, drive = (certificate.velocity, certificate.acceleration), (certificate.effort, certificate.hydraulics)
+    used = max(use.ratio for use in (*joints, *drive, certificate.tip_speed) if use is not None)
     return "" if used >= _BINDS else f"the motion uses at most {100.0 * used:.0f} % of any limit: it could be faster"
 
 
