@@ -24,15 +24,10 @@ class ClosedBodies:
     Parameters
     ----------
     vertices: (k, 3) [m]. faces: (m, 3), with vertices that are shared.
-
-    Attributes
-    ----------
-    triangles: (m, 3, 3) [m] of the bodies.
-    are_all: whether no body is open.
     """
 
     def __init__(self, vertices: Matrix, faces: Indices) -> None:
-        faces, self.are_all = find_closed(faces)
+        faces, _ = find_closed(faces)
         flipped, body = _facing_alike(faces)
         faces = np.where(flipped[:, None], faces[:, ::-1], faces)
         self.triangles = vertices[faces]
@@ -107,11 +102,14 @@ def _parts(faces: Indices) -> Indices:
 
 
 def _has_open_edge(faces: Indices) -> Flags:
-    """(m,) which of `faces` (m, 3) have an edge that belongs to an odd number of them."""
-    number, face, _ = _edges(faces)
-    found = np.zeros(len(faces), dtype=bool)
-    found[face[(np.bincount(number) % 2 == 1)[number]]] = True
-    return found
+    """(m,) which of `faces` (m, 3) have an edge that is open; see `open_edges`."""
+    return np.asarray(open_edges(faces).reshape(-1, 3).any(axis=1))
+
+
+def open_edges(faces: Indices) -> Flags:
+    """(3 m,) which edges of `faces` (m, 3), three of each, belong to an odd number of them."""
+    number, _, _ = _edges(faces)
+    return np.asarray((np.bincount(number) % 2 == 1)[number])
 
 
 def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.shape.closed_bodies import find_closed
+from backhoe_planner.machine.shape.closed_bodies import find_closed, open_edges
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _welded(mesh: trimesh.Trimesh) -> Cells:
     closes is torn there.
     """
     faces = np.asarray(mesh.faces, dtype=np.int64)
-    torn = _ends_of_open_edges(faces)
+    torn = np.unique(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)[open_edges(faces)])
     if not len(torn):
         return faces
     places = np.round(np.asarray(mesh.vertices, dtype=float)[torn], _SAME_PLACE)
@@ -100,13 +100,6 @@ def _welded(mesh: trimesh.Trimesh) -> Cells:
 def is_closed(mesh: trimesh.Trimesh) -> bool:
     """Whether the surface of a mesh closes everywhere; see `find_closed`."""
     return find_closed(np.asarray(mesh.faces, dtype=np.intp))[1]
-
-
-def _ends_of_open_edges(faces: Cells) -> Cells:
-    """The vertices (k,), in order, of edges that belong to an odd number of `faces` (m, 3)."""
-    ends, most = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), int(faces.max(initial=0)) + 1
-    edges, count = np.unique(ends.min(axis=1) * most + ends.max(axis=1), return_counts=True)
-    return np.unique(np.divmod(edges[count % 2 == 1], most))
 
 
 def _check_part(part: trimesh.Trimesh, path: Path) -> None:
