@@ -24,9 +24,8 @@ def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
     found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
     found[0], found[-1] = since, path.length
-    # where a turn begins or ends the joints change their direction: a layer of its own, instead of one near it
-    marks = path.stations[path.turned_waypoints]
-    marks = marks[np.isin(marks, path.corners(SHARP))]
+    # a layer of its own, instead of one near it
+    marks = _sharp_turns(path)
     marks = marks[(marks > since) & (marks < path.length)]
     if len(marks):
         near = 0.5 * (path.length - since) / count
@@ -38,9 +37,15 @@ def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
 def waypoint_stations(path: TipPath, since: float, spacing: float) -> Vector:
     """(L,) arc lengths [m] from `since` to the end at waypoints, of near ones only some."""
     marks = np.unique(path.stations[path.stations > since + _SAME])
-    kept, must = [since], set(path.stations[path.turned_waypoints].tolist())
+    kept, must = [since], set(_sharp_turns(path).tolist())
     spacing = max(spacing, (path.length - since) / _MANY_LAYERS)
     for mark in marks[:-1].tolist():
         if mark in must or mark - kept[-1] > spacing - _SAME:
             kept.append(mark)
     return np.array([*kept, marks[-1]])
+
+
+def _sharp_turns(path: TipPath) -> Vector:
+    """(M,) arc lengths at which a turn begins or ends and the joints change their direction [m]."""
+    marks = path.stations[path.turned_waypoints]
+    return np.asarray(marks[np.isin(marks, path.corners(SHARP))])

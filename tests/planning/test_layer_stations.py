@@ -1,0 +1,36 @@
+"""Where the layers stand: as far apart as they may, except where the tip begins to turn another way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from backhoe_planner.motion import TURN_LEVER, TipPath
+from backhoe_planner.planning.paths.layer_stations import waypoint_stations  # no motion tells where they stand
+from backhoe_planner.site import Waypoint
+
+
+def turning_path(*turns: tuple[float, float, float]) -> TipPath:
+    """The tip stands, and turns by each of some rotation vectors in turn, each in ten steps."""
+    rotations = [np.eye(3)]
+    for turn in turns:
+        rotations += [rotations[-1] @ pin.exp3(part * np.array(turn)) for part in np.linspace(0.1, 1.0, 10)]
+    waypoints = []
+    for rotation in rotations:
+        turned = pin.Quaternion(rotation)
+        waypoints.append(Waypoint(position=(1.0, 0.0, 0.0), quaternion=(turned.w, turned.x, turned.y, turned.z)))
+    return TipPath(waypoints)
+
+
+def test_on_a_path_of_many_small_turns_layers_stand_as_far_apart_as_on_any_other() -> None:
+    path = turning_path((0.0, 0.0, 2.0))  # of 0.25 m for each radian
+    assert path.length == pytest.approx(2.0 * TURN_LEVER)
+    found = waypoint_stations(path, 0.0, 0.1)  # waypoints are 0.05 m apart
+    np.testing.assert_allclose(found, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5], atol=1e-9)
+
+
+def test_where_the_tip_begins_to_turn_another_way_there_is_a_layer() -> None:
+    path = turning_path((0.0, 0.0, 2.0), (2.0, 0.0, 0.0))
+    found = waypoint_stations(path, 0.0, 0.3)
+    np.testing.assert_allclose(found, [0.0, 0.3, 0.5, 0.8, 1.0], atol=1e-9)
