@@ -39,7 +39,7 @@ from backhoe_planner.planning.world.outcome import (
     no_posture,
 )
 from backhoe_planner.planning.world.world import World
-from backhoe_planner.proof import TOUCH, describe_step
+from backhoe_planner.proof import AT_CLEARANCE, describe_step
 from backhoe_planner.site import ClearanceScreen
 
 _ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about what chords are off the curve
@@ -106,6 +106,7 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
             cost=cost.step_costs,
             **({"grid": _GRID, "layer": _LAYER} if one_free else {}),
             joint_steps=joint_steps,
+            apart=np.array([world.apart.get((pair.link, pair.name), 0.0) for pair in world.proximity.pairs]),
             find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
         )
 
@@ -263,7 +264,8 @@ class _Along:
                 if last == 0 and resolved.obstruction is None and self._path.target(0.0).rotation is None:
                     low = float(cheap.stations[0])
                     way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
-                    pieces[index] = self._cheaper_than_law(cheap, way, free_start=free_start)
+                    if not self._world.apart:  # of which the law knows nothing
+                        pieces[index] = self._cheaper_than_law(cheap, way, free_start=free_start)
                     law = LawWay(self._path, way) if low == 0.0 and not self._world.problem.is_dynamic else None
         return pieces, law
 
@@ -331,7 +333,7 @@ class _Along:
         out. Where that is too near to something, samples are put between them, which halves it.
         """
         world, brake = self._world, self._world.work.brake
-        screen = ClearanceScreen(world.proximity, time=time, spare=-TOUCH)
+        screen = ClearanceScreen(world.proximity, time=time, spare=-AT_CLEARANCE)
         for denser in range(_MOST_DENSER + 1):
             period = _FINE_PERIOD if self._is_tight(stretch.q, time) else SAMPLE_PERIOD
             motions = time_stretch(world.problem, self._path, stretch, period=period, stops=stops, brake=brake)

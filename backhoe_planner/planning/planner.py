@@ -9,6 +9,7 @@ What can fail in normal use is a reason with its numbers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 _SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen, slower joints are not tried for what is so far beyond it
+_APART = (5e-4, 3e-3)  # m more than the clearance, tried in turn; chosen: a curve swings out by some tenths of a mm
 _LONG_SEARCH = 4  # times the usual starting points, for a start that is given by the tip; chosen: all else hangs on it
 
 
@@ -62,8 +64,7 @@ def plan_motion(
         return Outcome(rest), certify_motion(problem, rest)
     slowed = narrow_path(problem)
     for _ in range(_SLOWER):
-        outcome = _find_motion(World(slowed, seed=seed, work=Work(effort, brake), watch=watch), method)
-        outcome, certificate = _retime(problem, outcome)
+        outcome, certificate = _find_proven(problem, slowed, method, seed=seed, effort=effort, brake=brake, watch=watch)
         loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
         if not loads or not problem.is_dynamic or outcome.reason:
             break
@@ -76,6 +77,29 @@ def plan_motion(
             limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
         )
     return outcome, certificate
+
+
+def _find_proven(
+    problem: Problem, slowed: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
+) -> tuple[Outcome, Certificate]:
+    """A motion for `slowed`, and what is proven of it for `problem`.
+
+    The motion along a path is a smooth curve near the configurations that were found for it. Where it comes too near
+    to something, which the certificate says, the path is planned anew with more room between the two.
+    """
+
+    def planned(apart: Mapping[tuple[str, str], float]) -> tuple[Outcome, Certificate]:
+        world = World(slowed, seed=seed, work=Work(effort, brake), watch=watch, apart=apart)
+        return _retime(problem, _find_motion(world, method))
+
+    first = outcome, certificate = planned({})
+    apart: dict[tuple[str, str], float] = {}
+    for more in () if problem.path is None or problem.is_dynamic or method == "reactive" else _APART:
+        if outcome.reason or not certificate.too_near:
+            break
+        apart |= {(near.link, near.name): more for near in certificate.too_near}
+        outcome, certificate = planned(apart)
+    return first if outcome.reason or certificate.too_near else (outcome, certificate)
 
 
 def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:

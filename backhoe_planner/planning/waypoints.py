@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import TipPath
+from backhoe_planner.planning.paths.stretch import NEARER
 from backhoe_planner.planning.world.outcome import Outcome, blocked_path, out_of_reach, rest_at_start
 from backhoe_planner.planning.world.world import World
-from backhoe_planner.proof import TOUCH
 from backhoe_planner.site import ClearanceScreen
 
 _MOST_WAYPOINTS = 32  # that are tried from `_GUESSES` before a path is planned; chosen: the others hang on them
@@ -60,7 +60,7 @@ class _Waypoints:
         # a tip that stands while it turns stays where it is
         self._stays_put = set(path.standing_waypoints.tolist())
         self._most = 0.0 if task is None else _MOVED * task.tolerance
-        self._screen = None if stays else ClearanceScreen(world.proximity, spare=-TOUCH)
+        self._screen = None if stays else ClearanceScreen(world.proximity, spare=-NEARER)
 
     def first_impossible(self) -> Outcome | None:
         """The first waypoint that is impossible, and would be if it were moved; None where there is none."""

@@ -76,8 +76,12 @@ class Certificate:
     @property
     def safe(self) -> bool:
         """Whether every clearance and limit holds, whether or not the task is done."""
-        tightest = self.min_clearance
-        return (tightest is None or tightest.margin >= -KEPT_WITHIN) and self.limits_kept
+        return not self.too_near and self.limits_kept
+
+    @property
+    def too_near(self) -> tuple[Obstruction, ...]:
+        """Of the clearances those that are not kept; tightest margin first."""
+        return tuple(near for near in self.clearances if near.margin < -KEPT_WITHIN)
 
     @property
     def limits_kept(self) -> bool:

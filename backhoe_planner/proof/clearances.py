@@ -20,12 +20,13 @@ from backhoe_planner.site import Obstruction, Proximity
 
 RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance; chosen, a tenth of a millimetre
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more; chosen
-KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it
+AT_CLEARANCE = 1e-5  # m: what is measured to be too near by no more is at its clearance; chosen, far above rounding
+KEPT_WITHIN = RESOLUTION + AT_CLEARANCE  # m: a motion at exactly its clearance counts as keeping it
 _EFFORT = (
     200_000  # measurements per obstacle; chosen, so that the search ends on a motion along a wall at its clearance
 )
 _EFFORT_REFUTED = 2_000  # the same where the motion is already known not to keep its clearance; chosen
-TOUCH = 0.5 * RESOLUTION  # m: a path at exactly its clearance is clear to within this
+TOUCH = 0.5 * RESOLUTION  # m: between samples at exactly its clearance, a path is clear to within this
 STEP_ROUNDING = (
     2e-5  # m by which the proof of a motion may fall short; chosen: far below a clearance, far above rounding
 )

@@ -85,6 +85,11 @@ class Pair:
     clearance: float
     tracking: float = 0.0
 
+    @property
+    def name(self) -> str:
+        """What the link must keep away from, for a sentence; see `Obstruction`."""
+        return self.at(0.0).name
+
     def at(self, distance: float, *, time: float = 0.0) -> Obstruction:
         """The pair where it is `distance` apart [m], at `time` [s]."""
         margin = distance - self.clearance

@@ -23,7 +23,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths, targets_along
 from backhoe_planner.planning.paths.corners import SHARP
-from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, null_bases, strict_targets
+from backhoe_planner.planning.paths.smoothing import ENOUGH, margins_to_keep, null_bases, strict_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Work
@@ -125,7 +125,7 @@ class _Descent:
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._distances(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
-        self._floor = np.minimum(margin, ROOM) - TOUCH
+        self._floor = margins_to_keep(margin)
 
     def tie(self, spacing: float, *, added: bool, free_start: bool, free_end: bool) -> None:
         """Choose the knots, `spacing` [m] apart, and which of them move.

@@ -20,9 +20,9 @@ from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step,
 from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost, step_ratios
 from backhoe_planner.planning.paths.path_layers import PathLayers
-from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
+from backhoe_planner.planning.paths.stretch import BENT, JUMP, NEARER, STRAIGHT_STEP, Stretch
 from backhoe_planner.planning.search.effort import Work
-from backhoe_planner.proof import TOUCH, path_segment_is_clear
+from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
@@ -108,6 +108,7 @@ class PathResolver:
     layer: arc length between layers [m].
     joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; then the layers
         stand at waypoints. None where all may freely.
+    apart: (P,) how much more than its clearance each pair of `proximity` keeps, wherever it can [m]; by default none.
     """
 
     def __init__(
@@ -125,6 +126,7 @@ class PathResolver:
         grid: float = _GRID,
         layer: float = _LAYER,
         joint_steps: Vector | None = None,
+        apart: Vector | None = None,
     ) -> None:
         self._problem = problem
         self._path = path
@@ -144,11 +146,14 @@ class PathResolver:
         longest = np.inf if problem.joint_steps is None else float(np.min(problem.joint_steps))
         self._finder = PathLayers(problem.robot, grid=grid, longest=longest, brake=self._work.brake)
         self._all = self._finder.at(self._stations, self._targets, begin=begin)
-        self._screen = screen = ClearanceScreen(proximity, time=time, spare=-TOUCH)
+        self._screen = ClearanceScreen(proximity, time=time, spare=-NEARER)
+        self._apart = None
+        if apart is not None and np.count_nonzero(apart):
+            self._apart = ClearanceScreen(proximity, time=time, spare=np.maximum(apart, -NEARER))
         self._layers = []
         for nodes in self._all:
             self._work.brake.check()
-            self._layers.append(nodes[screen.keeps(nodes)])
+            self._layers.append(self._clear(nodes))
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Bypass, Stretch]] = {}
         self._too_long: dict[int, WaypointStep] = {}
@@ -295,7 +300,7 @@ class PathResolver:
         self._splits += 1
         targets = [self._path.target(float(s)) for s in stations]
         found = self._finder.between(targets, np.vstack(self._all[own : own + 2]))
-        clear = [nodes[self._screen.keeps(nodes)] for nodes in found]
+        clear = [self._clear(nodes) for nodes in found]
         behind = slice(own + 1, own + 1)
         self._all[behind], self._layers[behind], self._targets[behind] = found, clear, targets
         self._stations = np.insert(self._stations, own + 1, stations)
@@ -407,7 +412,20 @@ class PathResolver:
         ]
         return WaypointStep(joint, ends[0], ends[1], float(moved[joint]), float(longest[joint]))
 
+    def _clear(self, nodes: Matrix) -> Matrix:
+        """Of the nodes (N, n) of a layer those that are clear; where any keeps further off, those that do."""
+        clear = nodes[self._screen.keeps(nodes)]
+        if self._apart is None:
+            return clear
+        further = self._apart.keeps(clear)
+        return clear[further] if further.any() else clear
+
     def _is_clear(self, q: Matrix) -> bool:
+        screen = self._screen
+        if self._apart is not None and self._apart.keeps_all_unchecked(q[[0, -1]]):
+            screen = self._apart
+        if not screen.keeps_all_unchecked(q):
+            return False
         return all(path_segment_is_clear(self._proximity, a, b, time=self._time) for a, b in pairwise(q))
 
     # --- detours -------------------------------------------------------------------

@@ -23,9 +23,9 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths, targets_along
 from backhoe_planner.planning.paths.step_bounds import StepBounds
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.paths.stretch import NEARER, Stretch
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.proof import TOUCH, path_segment_is_clear
+from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
 Mask = NDArray[np.bool_]
@@ -68,7 +68,7 @@ def smooth_stretch(
     held = np.zeros(len(q), dtype=bool)
     held[0], held[-1] = not free_start, not free_end
     price = np.zeros(len(q))
-    floor = np.minimum(_margins(proximity, q, time), ROOM) - TOUCH
+    floor = margins_to_keep(_margins(proximity, q, time))
     cost = _cost(weights, q)
     bounds = StepBounds(path, stretch, problem.joint_steps)
     for _ in range(_ROUNDS):
@@ -87,7 +87,7 @@ def smooth_stretch(
             bad[1:] |= ~np.array(clear)
             if not bad.any():
                 before, q, cost = cost, moved, _cost(weights, moved)
-                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), ROOM) - TOUCH)
+                floor = np.maximum(floor, margins_to_keep(_margins(proximity, q, time)))
                 price *= 0.3
                 if before - cost < ENOUGH * cost:
                     break
@@ -99,6 +99,14 @@ def smooth_stretch(
         rises = near if bad.any() else np.ones(len(q), dtype=bool)
         price = np.where(rises, np.maximum(10.0 * price, 0.1 * scale), price)
     return Stretch(stretch.stations, q)
+
+
+def margins_to_keep(margins: Vector) -> Vector:
+    """(K,) what samples keep of their `margins` (K,) where they are moved [m]: of small ones all but rounding.
+
+    However often they are moved, the certificate takes them for clear.
+    """
+    return np.asarray(np.minimum(margins, np.clip(margins, 0.0, ROOM) - NEARER))
 
 
 def _cost(weights: Vector, q: Matrix) -> float:

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import TipPath
+from backhoe_planner.proof import AT_CLEARANCE
 from backhoe_planner.site import Obstruction
 
 STRAIGHT_STEP = 0.03  # rad or m of a joint from sample to sample on the straight way between two nodes; chosen
 BENT = 3.0  # times that a step on the way that the tip's path bends may be as long; chosen
+NEARER = 0.5 * AT_CLEARANCE  # m that a sample may be too near; half, as the curve through samples comes nearer still
 JUMP = 0.02  # rad or m that it may be longer still, where the straight way is short; chosen
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,14 +32,25 @@ class World:
     proximity: to the obstacles that count here.
     kinematics: of the machine.
     postures: finds configurations for the tip among these obstacles.
+    apart: by the names of a link and of what it came too near to, as `Obstruction` has them: how much more than its
+        clearance such a pair keeps along a path, wherever it can [m].
     """
 
-    def __init__(self, problem: Problem, *, seed: int, work: Work, watch: Watcher | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        seed: int,
+        work: Work,
+        watch: Watcher | None = None,
+        apart: Mapping[tuple[str, str], float] | None = None,
+    ) -> None:
         self.problem = problem
         self.seed = seed
         self.work = work
         self.kinematics = Kinematics(problem.robot)
         self._watch = watch
+        self.apart = dict(apart or {})
         self._put(problem.obstacles)
 
     def among(self, obstacles: Sequence[Obstacle]) -> World:
