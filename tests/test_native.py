@@ -399,13 +399,27 @@ def line_ahead(rng: Rng) -> Arguments:
 
 
 def box_urgency(rng: Rng) -> Arguments:
-    links, classes, every = 1 + some(rng, 8), 1 + some(rng, 5), 1 + some(rng)
+    links, classes = 1 + some(rng, 8), 1 + some(rng, 5)
     return (
         rng.uniform(0.0, 0.3, (1 + some(rng, 4), links)), rng.uniform(0.1, 1.0, links), rng.uniform(-0.1, 1.0, links),
         rng.uniform(0.0, 0.2, links), rng.uniform(0.0, 0.5, links), rng.integers(0, 2, links).astype(float),
-        rng.integers(0, classes, links), *rng.uniform(0.0, 0.1, (3, classes)), 0.3,
-        rng.integers(0, every, 3 * links), rng.uniform(0.0, 1.0, every), rng.uniform(0.0, 0.2, classes),
-        rng.uniform(0.0, 1.0, every), rng.uniform(0.0, 0.2, classes), (0.05, 0.2, 0.02),
+        rng.integers(0, classes, links), rng.uniform(0.0, 0.1, classes), 0.3,
+        rng.integers(0, 2, links).astype(float), (0.2, 0.02),
+    )  # fmt: skip
+
+
+def inexact_boxes(rng: Rng) -> Arguments:
+    links, bodies, classes, every = 1 + some(rng, 6), 1 + some(rng, 5), 1 + some(rng, 5), 5 + some(rng)
+    columns = np.ones((links, 4, 1 + some(rng, 9)))
+    columns[:, :3] = rng.normal(size=(links, 3, columns.shape[2]))
+    witnesses = rng.normal(size=(links, 3, 6))
+    witnesses[rng.random((links, 3)) < 0.3] = np.nan
+    return (
+        placements(rng, 1 + some(rng, 4), bodies), rng.integers(0, bodies, links), columns, witnesses,
+        rng.normal(size=(every, 4)) + np.array([0.0, 0.0, 0.0, 3.0]), rng.integers(0, every, 3 * links),
+        rng.integers(0, classes, links), rng.uniform(0.0, 0.2, links), *rng.uniform(0.0, 0.3, (3, classes)),
+        rng.uniform(0.0, 2.0, every), rng.uniform(0.0, 0.2, classes), rng.uniform(-2.0, 1.0, every),
+        rng.uniform(0.0, 0.2, classes), (0.05, 0.85),
     )  # fmt: skip
 
 
@@ -485,7 +499,7 @@ def chain_placements(rng: Rng) -> Arguments:
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency, braking_line,
     cells_of_tiles, chain_placements, changes_of_end, corner_gaps, cost_of_tip, count_travel, damped_steps,
-    extent_along, force_on_hand, keep_placements, keep_proven, keeps_rows, largest_part, least_over_path,
+    extent_along, force_on_hand, inexact_boxes, keep_placements, keep_proven, keeps_rows, largest_part, least_over_path,
     left_over_path, line_ahead, margins_now,
     near_now, near_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_within,
     place_on_line, place_tip, placed_arrays, plane_rows,

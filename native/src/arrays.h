@@ -97,7 +97,7 @@ int eigenvectors(double *A, int n, double *U);
     F(step_conditions) F(nearest_safe_program) \
     F(reachable_velocities) F(straight_towards) F(changes_of_end) F(near_now) F(not_proven) F(margins_now) \
     F(stalest_pair) F(corner_gaps) F(blended_points) F(plane_rows) F(force_on_hand) \
-    F(line_ahead) F(box_urgency) F(ways_of_links) \
+    F(line_ahead) F(inexact_boxes) F(box_urgency) F(ways_of_links) \
     F(binding_corners) F(rows_by_velocity) F(place_on_line) F(bend_in_parts) F(least_over_path) F(cost_of_tip) \
     F(next_within) \
     F(count_travel) F(keep_proven) F(note_gaps) F(braking_line) F(largest_part) F(left_over_path) F(keeps_rows)

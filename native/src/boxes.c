@@ -57,52 +57,110 @@ PyObject *line_ahead(PyObject *self, PyObject *const *args, Py_ssize_t count)
     return Py_BuildValue("NNNNd", ends, besides, ways, changes, begins + braking);
 }
 
+/* the least gap between a plane and the corners (4, V) of a link, placed by T row by row */
+static double least_gap(const Mat *planes, npy_intp pair, const double *T, const double *corners, npy_intp V)
+{
+    double local[4], least = INFINITY;
+    for (int c = 0; c < 4; c++)
+        local[c] = AT2(*planes, pair, 0) * T[c] + AT2(*planes, pair, 1) * T[4 + c] + AT2(*planes, pair, 2) * T[8 + c];
+    local[3] += AT2(*planes, pair, 3);
+    for (npy_intp v = 0; v < V; v++) {
+        const double gap = local[0] * corners[v] + local[1] * corners[V + v] + local[2] * corners[2 * V + v] +
+                           local[3] * corners[3 * V + v];
+        if (!(gap >= least)) /* what is no number is kept */
+            least = gap;
+    }
+    return least;
+}
+
+PyObject *inexact_boxes(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind joint, pairs, classes;
+    Mat planes;
+    Vec clearance, beside, way, change, distance, odometer, proven, path;
+    npy_intp t[4], c[3], w[3];
+    double rules[2], *inexact;
+    if (count_is(count, 16, "inexact_boxes") < 0)
+        return NULL;
+    const double *T = block(args[0], "T", 4, t), *columns = T ? block(args[2], "columns", 3, c) : NULL;
+    const double *witnesses = columns ? block(args[3], "witnesses", 3, w) : NULL;
+    if (!witnesses || as_ind(args[1], "joint", t[1], &joint) < 0 || as_mat(args[4], "planes", -1, 4, &planes) < 0 ||
+        as_ind(args[5], "pairs", planes.rows, &pairs) < 0 || as_vec(args[8], "beside", -1, &beside) < 0 ||
+        as_ind(args[6], "classes", beside.n, &classes) < 0 || has_length(classes.n, joint.n, "classes") < 0 ||
+        as_vec(args[7], "clearance", joint.n, &clearance) < 0 || as_vec(args[9], "way", beside.n, &way) < 0 ||
+        as_vec(args[10], "change", beside.n, &change) < 0 || as_vec(args[11], "distance", planes.rows, &distance) < 0 ||
+        as_vec(args[12], "odometer", beside.n, &odometer) < 0 || as_vec(args[13], "proven", planes.rows, &proven) < 0 ||
+        as_vec(args[14], "path_odometer", beside.n, &path) < 0 || as_doubles(args[15], "rules", 2, rules) < 0)
+        return NULL;
+    const npy_intp S = t[0], K = joint.n, V = c[2], B = w[1];
+    if (S < 1 || t[2] != 4 || t[3] != 4 || c[0] != K || c[1] != 4 || V < 1 || w[0] != K || w[2] != 6 || pairs.n != K * B) {
+        PyErr_SetString(PyExc_ValueError, "T, columns, witnesses and pairs do not fit together");
+        return NULL;
+    }
+    PyObject *found = new_vec(K, &inexact);
+    for (npy_intp k = 0; found && k < K; k++) {
+        const npy_intp row = INDEX(classes, k);
+        const double *corners = columns + 4 * V * k, *now = T + 16 * INDEX(joint, k);
+        const double needed = AT(clearance, k) + rules[0];
+        inexact[k] = 0.0;
+        for (npy_intp i = B * k; i < B * (k + 1) && inexact[k] == 0.0; i++) {
+            const npy_intp pair = INDEX(pairs, i);
+            const double here = AT(distance, pair) - AT(odometer, row), *witness = witnesses + 6 * i;
+            double off = 0.0, along = INFINITY;
+            if (here - AT(way, row) >= needed || AT(proven, pair) - (AT(path, row) + AT(change, row)) >= needed)
+                continue;
+            const double gap = least_gap(&planes, pair, now, corners, V);
+            for (int r = 0; r < 3; r++) {
+                const double *m = now + 4 * r;
+                const double away = m[0] * witness[0] + m[1] * witness[1] + m[2] * witness[2] + m[3] - witness[3 + r];
+                off += away * away;
+            }
+            if ((gap > here ? gap : here) >= rules[1] * sqrt(off))
+                continue;
+            for (npy_intp s = 0; s < S; s++) {
+                const double later = s ? least_gap(&planes, pair, now + 16 * t[1] * s, corners, V) : gap;
+                along = later < along ? later : along;
+            }
+            if (along - AT(beside, row) < needed)
+                inexact[k] = 1.0;
+        }
+    }
+    return found;
+}
+
 PyObject *box_urgency(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Mat moved;
-    Vec covered, nearest, clearance, speed, counts, beside, way, change, distance, odometer, proven, path;
-    Ind classes, pairs;
-    double time, rules[3], *urgency;
-    if (count_is(count, 17, "box_urgency") < 0 || as_vec(args[1], "covered", -1, &covered) < 0 ||
+    Vec covered, nearest, clearance, speed, counts, beside, inexact;
+    Ind classes;
+    double time, rules[2], *urgency;
+    if (count_is(count, 11, "box_urgency") < 0 || as_vec(args[1], "covered", -1, &covered) < 0 ||
         as_mat(args[0], "moved", -1, covered.n, &moved) < 0 || as_vec(args[2], "nearest", covered.n, &nearest) < 0 ||
         as_vec(args[3], "clearance", covered.n, &clearance) < 0 || as_vec(args[4], "speed", covered.n, &speed) < 0 ||
         as_vec(args[5], "counts", covered.n, &counts) < 0 || as_vec(args[7], "beside", -1, &beside) < 0 ||
         as_ind(args[6], "classes", beside.n, &classes) < 0 || has_length(classes.n, covered.n, "classes") < 0 ||
-        as_vec(args[8], "way", beside.n, &way) < 0 || as_vec(args[9], "change", beside.n, &change) < 0 ||
-        as_double(args[10], "time", &time) < 0 || as_vec(args[12], "distance", -1, &distance) < 0 ||
-        as_ind(args[11], "pairs", distance.n, &pairs) < 0 || as_vec(args[13], "odometer", beside.n, &odometer) < 0 ||
-        as_vec(args[14], "proven", distance.n, &proven) < 0 ||
-        as_vec(args[15], "path_odometer", beside.n, &path) < 0 || as_doubles(args[16], "rules", 3, rules) < 0)
+        as_double(args[8], "time", &time) < 0 || as_vec(args[9], "inexact", covered.n, &inexact) < 0 ||
+        as_doubles(args[10], "rules", 2, rules) < 0)
         return NULL;
-    const npy_intp K = covered.n, each = K ? pairs.n / K : 0;
-    if (K && (moved.rows < 1 || each < 1 || each * K != pairs.n)) {
-        PyErr_SetString(PyExc_ValueError, "moved, pairs: some of each link are wanted, as many of all");
+    if (covered.n && moved.rows < 1) {
+        PyErr_SetString(PyExc_ValueError, "moved: at least one row is wanted");
         return NULL;
     }
-    PyObject *found = new_vec(K, &urgency);
-    if (!found)
-        return NULL;
-    const double near = rules[0], close = rules[1], least = rules[2];
-    for (npy_intp k = 0; k < K; k++) {
-        const npy_intp row = INDEX(classes, k);
-        double furthest = AT2(moved, 0, k), here = INFINITY, over = INFINITY;
+    PyObject *found = new_vec(covered.n, &urgency);
+    const double close = rules[0], least = rules[1];
+    for (npy_intp k = 0; found && k < covered.n; k++) {
+        double furthest = AT2(moved, 0, k);
         for (npy_intp s = 1; s < moved.rows; s++)
             if (!(AT2(moved, s, k) <= furthest))
                 furthest = AT2(moved, s, k);
-        for (npy_intp i = each * k; i < each * (k + 1); i++) {
-            const npy_intp pair = INDEX(pairs, i);
-            here = AT(distance, pair) < here ? AT(distance, pair) : here;
-            over = AT(proven, pair) < over ? AT(proven, pair) : over;
-        }
-        here -= AT(odometer, row) + AT(way, row);
-        over -= AT(path, row) + AT(change, row);
-        const double left = AT(covered, k) - AT(clearance, k) - AT(speed, k) * time - furthest - AT(beside, row);
+        const double left = AT(covered, k) - AT(clearance, k) - AT(speed, k) * time - furthest -
+                            AT(beside, INDEX(classes, k));
         const double part = close * AT(nearest, k);
         urgency[k] = INFINITY;
         if (left > 0.0) {
             const double aside = AT2(moved, 0, k) / (part > least ? part : least);
             urgency[k] = least / left;
-            if ((here > over ? here : over) < AT(clearance, k) + near && aside > urgency[k])
+            if (AT(inexact, k) > 0.0 && aside > urgency[k])
                 urgency[k] = aside;
         }
         if (!(AT(counts, k) > 0.0))

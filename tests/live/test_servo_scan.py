@@ -14,7 +14,7 @@ from backhoe_planner.live import Placements
 
 # opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
 from backhoe_planner.live.braking import cluster_pairs, pair_bounds
-from backhoe_planner.live.braking.box_places import MOST_PARTS, Line, box_urgency
+from backhoe_planner.live.braking.box_places import MOST_PARTS, Line, box_urgency, inexact_boxes
 from backhoe_planner.live.braking.braking_path import JointState
 from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.pair_choice import stalest_pair
@@ -216,16 +216,41 @@ def placed_corners(separation: Separation, one: ClusterPairs, at: Placements, q:
 
 
 def test_how_urgent_it_is_to_find_boxes_anew_by_hand() -> None:
-    """Of links with 25 cm left, near by and moved, with nothing left, and not there."""
-    rules, pairs = (0.05, 0.2, 0.02), np.arange(4)
+    """Of links with 25 cm left, inexact and moved, with nothing left, and not there."""
     found = box_urgency(
-        np.array([[0.05, 0.05, 0.05, 0.05], [0.1, 0.1, 0.4, 0.4]]), np.full(4, 0.5), np.array([0.5, 0.1, 0.1, 0.1]),
+        np.array([[0.05, 0.05, 0.05, 0.05], [0.1, 0.1, 0.4, 0.4]]), np.full(4, 0.5), np.array([0.1, 0.1, 0.1, 0.1]),
         np.full(4, 0.1), np.zeros(4), np.array([1.0, 1.0, 1.0, 0.0]), np.zeros(4, dtype=np.intp),
-        np.array([0.05]), np.array([0.1]), np.array([0.1]), 0.3, pairs, np.array([1.0, 0.2, 1.0, 1.0]),
-        np.zeros(1), np.array([1.0, 0.2, 1.0, 1.0]), np.zeros(1), rules,
+        np.array([0.05]), 0.3, np.array([0.0, 1.0, 1.0, 1.0]), (0.2, 0.02),
     )  # fmt: skip
     # left: 0.5 - 0.1 - 0.1 - 0.05; moved: 0.05 of the 0.02 that is a fifth of 0.1
     np.testing.assert_allclose(found, [0.02 / 0.25, 2.5, np.inf, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("aside", "height", "ahead", "expected"),
+    [
+        (0.0, 0.1, 0.0, 0.0),  # over the cell
+        (0.06, 0.1, 0.0, 0.0),  # the cell is 0.1166 away, and 0.85 of that is 0.0991
+        (0.07, 0.1, 0.0, 1.0),  # 0.85 of 0.1221 is 0.1038
+        (0.2, 0.2, 0.0, 0.0),  # further away than what is to be exact
+        (0.2, 0.2, -0.06, 1.0),  # but it goes down
+    ],
+)
+def test_boxes_are_still_exact_where_their_cell_is_hardly_further_away_by_hand(
+    aside: float, height: float, ahead: float, expected: float
+) -> None:
+    """A corner over a box with its face at z = 0, whose cell lies at the origin, and one of no known cell."""
+    T = np.tile(np.eye(4), (2, 2, 1, 1))
+    T[0, 1, :3, 3] = aside, 0.0, height
+    T[1, 1, :3, 3] = aside, 0.0, height + ahead
+    corner, nothing, unknown = np.array([[[0.0], [0.0], [0.0], [1.0]]]), np.zeros(1), np.full(1, -1.0)
+    link, pair = np.ones(1, dtype=np.intp), np.zeros(1, dtype=np.intp)
+    for witness, found in ((0.0, expected), (np.nan, float(height + ahead < 0.15))):
+        inexact = inexact_boxes(
+            T, link, corner, np.full((1, 1, 6), witness), np.array([[0.0, 0.0, 1.0, 0.0]]), pair, pair,
+            np.full(1, 0.1), nothing, nothing, nothing, unknown, nothing, unknown, nothing, (0.05, 0.85),
+        )  # fmt: skip
+        assert inexact.tolist() == [found]
 
 
 def test_which_plane_is_measured_anew_by_hand() -> None:

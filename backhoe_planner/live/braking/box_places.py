@@ -27,10 +27,11 @@ from backhoe_planner.native import compiled
 
 _OFF = 0.02  # m that points may be off their chords; chosen, small beside the ways of links in motion
 MOST_PARTS = 4  # of the line; chosen, to bound the work
+SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
 _NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
 _CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
-_RULES = _NEAR, _CLOSE, _LEAST
+_RULES = _CLOSE, _LEAST
 
 
 class Line(NamedTuple):
@@ -90,6 +91,7 @@ class BoxPlaces:
         self._clearance = np.array([one.clearance for one in clusters], dtype=float)
         self._covered, self._nearest, self._speed = np.zeros((3, len(pieces)))
         self._found_at = np.zeros((len(pieces), 3, 4))
+        self._witnesses = np.full((len(pieces), len(self._pairs) // max(len(pieces), 1), 6), np.nan)
         for one in clusters:
             self.note(one)
 
@@ -98,6 +100,7 @@ class BoxPlaces:
         row = self.clusters.index(one)
         self._found_at[row], self._covered[row], self._nearest[row] = one.found_at, one.covered, one.nearest
         self._speed[row] = one.speed
+        self._witnesses[row] = one.witnesses if one.speed == 0.0 else np.nan
 
     def moved(self, T: Array) -> Matrix:
         """(S, K) how far any point of the link is at most from where it was when its boxes were found [m].
@@ -106,18 +109,27 @@ class BoxPlaces:
         """
         return ways_of_links(T, self._joint, self._found_at, self._columns, self._fat)
 
-    def most_urgent(self, T: Array, line: Line, known: KnownDistances) -> tuple[ClusterPairs | None, float]:
+    def most_urgent(
+        self, T: Array, line: Line, known: KnownDistances, planes: Matrix
+    ) -> tuple[ClusterPairs | None, float]:
         """Whose boxes are to be found anew before all others if all are to hold for the line, and how urgent that is.
 
         None where none are. It is urgent from 1 on, and infinitely so where boxes do not hold.
 
+        Parameters
+        ----------
         T: (S, joints, 4, 4) placements of the line's ends.
+        planes: (P, 4) of all pairs, see `Separation`.
         """
         if not self.clusters:
             return None, 0.0
+        inexact = inexact_boxes(
+            T, self._joint, self._columns, self._witnesses, planes, self._pairs, self.classes,
+            self._clearance, line.beside, line.way, line.change, *known, (_NEAR, 1.0 - SLACK),
+        )  # fmt: skip
         urgency = box_urgency(
             self.moved(T), self._covered, self._nearest, self._clearance, self._speed, self.counts, self.classes,
-            line.beside, line.way, line.change, line.time, self._pairs, *known, _RULES,
+            line.beside, line.time, inexact, _RULES,
         )  # fmt: skip
         row = int(urgency.argmax())
         most = float(urgency[row])
@@ -179,34 +191,66 @@ def line_ahead(
 
 
 @compiled
+def inexact_boxes(
+    T: Array, joint: Indices, columns: Array, witnesses: Array, planes: Matrix, pairs: Indices, classes: Indices,
+    clearance: Vector, beside: Vector, way: Vector, change: Vector, distance: Vector, odometer: Vector, proven: Vector,
+    path_odometer: Vector, rules: tuple[float, ...], /,
+) -> Vector:  # fmt: skip
+    """(K,) 1 for links one of whose boxes comes near on the line and may be less exact than if it was found anew.
+
+    A box is still exact if the point of the link that was nearest to the cell at its face is hardly further away from
+    that cell than the link is from the box: the cells are no further than that.
+
+    Parameters
+    ----------
+    T: (S, joints, 4, 4) placements of the line's ends, of which the first is where the machine is.
+    joint, columns, classes, clearance: (K,), (K, 4, V), (K,), (K,) see `BoxPlaces`.
+    witnesses: (K, B, 6) see `ClusterPairs`.
+    planes: (P, 4) of all pairs, see `Separation`; those of clusters are in the world.
+    pairs: (K B,) the pairs of the links.
+    beside, way, change: see `Line`.
+    distance, odometer, proven, path_odometer: see `KnownDistances`.
+    rules: `_NEAR`, and the part of a cell's distance that its box has to have at least.
+    """
+    near, exact = rules
+    each = pairs.reshape(len(joint), -1)
+    at = T.take(joint, axis=1)[:, :, :3]
+    seen = planes.take(each, axis=0)
+    gaps = (np.matmul(seen[..., :3], np.matmul(at, columns)) + seen[..., 3:]).min(axis=3)
+    here = distance.take(each) - odometer.take(classes)[:, None]
+    over = proven.take(each) - (path_odometer + change).take(classes)[:, None]
+    least = np.maximum(gaps.min(axis=0) - beside.take(classes)[:, None], here - way.take(classes)[:, None])
+    comes_near = np.maximum(least, over) < (clearance + near)[:, None]
+    points = np.matmul(witnesses[..., :3], at[0, :, :, :3].transpose(0, 2, 1)) + at[0, :, None, :, 3]
+    points -= witnesses[..., 3:]
+    points *= points
+    is_exact = np.maximum(gaps[0], here) >= exact * np.sqrt(np.add.reduce(points, axis=2))
+    return np.asarray((comes_near & ~is_exact).any(axis=1), dtype=float)
+
+
+@compiled
 def box_urgency(
     moved: Matrix, covered: Vector, nearest: Vector, clearance: Vector, speed: Vector, counts: Vector, classes: Indices,
-    beside: Vector, way: Vector, change: Vector, time: float, pairs: Indices, distance: Vector, odometer: Vector,
-    proven: Vector, path_odometer: Vector, rules: tuple[float, ...], /,
+    beside: Vector, time: float, inexact: Vector, rules: tuple[float, ...], /,
 ) -> Vector:  # fmt: skip
     """(K,) how much the boxes of K links have to be found anew; infinite where they do not hold what a line needs.
 
     They should be where little is left of what they hold, and where the link has moved a part of the distance that it
-    had, and one of them comes near by what is known of its distance here and over the braking path.
+    had, and one of them comes near and may be less exact than if it was found anew.
 
     Parameters
     ----------
     moved: (S, K) how far each link is from where they were found, at the ends of the line's parts [m].
     covered, nearest, clearance, speed, counts, classes: (K,) see `BoxPlaces`.
-    beside, way, change, time: see `Line`.
-    pairs: their pairs, as many of each link.
-    distance, odometer, proven, path_odometer: see `KnownDistances`.
-    rules: `_NEAR`, `_CLOSE` and `_LEAST`.
+    beside, time: see `Line`.
+    inexact: (K,) see `inexact_boxes`.
+    rules: `_CLOSE` and `_LEAST`.
     """
-    near, close, least = rules
+    close, least = rules
     left = covered - clearance - speed * time
     left -= moved.max(axis=0)
     left -= beside.take(classes)
-    each = pairs.reshape(len(classes), -1)
-    here = distance.take(each).min(axis=1) - (odometer + way).take(classes)
-    over = proven.take(each).min(axis=1) - (path_odometer + change).take(classes)
-    comes_near = np.maximum(here, over) < clearance + near
-    aside = np.where(comes_near, moved[0] / np.maximum(least, close * nearest), 0.0)
+    aside = np.where(inexact > 0.0, moved[0] / np.maximum(least, close * nearest), 0.0)
     holds = left > 0.0
     found = np.where(holds, np.maximum(aside, least / np.where(holds, left, 1.0)), np.inf)
     return np.asarray(np.where(counts > 0.0, found, 0.0))

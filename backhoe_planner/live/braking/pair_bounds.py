@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Vector
-from backhoe_planner.live.braking.box_places import KnownDistances
+from backhoe_planner.live.braking.box_places import SLACK, KnownDistances
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
@@ -36,7 +36,6 @@ _PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured 
 _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
 _SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` are looked at anew; chosen, 5 % of that
 _SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
-_SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
 _ROOM = 0.1  # m that boxes have to keep more than they must before their planes are not looked at; chosen
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 _MOVED = 0.1  # of the margin and that: chosen, planes are renewed after 2 mm at a wall, and 2 cm at 0.2 m from it
@@ -258,7 +257,7 @@ class PairBounds:
     def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
         """Begin to find the same boxes bit by bit in the steps to come; False where that has to be done at once."""
         search = self._separation.search_boxes(
-            one, at, 0, reach=reach, exact=one.clearance + self._influence, slack=_SLACK
+            one, at, 0, reach=reach, exact=one.clearance + self._influence, slack=SLACK
         )
         self._search = None if search is None else (search, float(self._start_odometer[one.classes]))
         return search is not None
@@ -321,7 +320,7 @@ class PairBounds:
         self.find_inside()
 
     def _put_boxes(
-        self, one: ClusterPairs, at: Placements, reach: float, *, is_new: bool = False, slack: float = _SLACK
+        self, one: ClusterPairs, at: Placements, reach: float, *, is_new: bool = False, slack: float = SLACK
     ) -> None:
         """Let the boxes of a cluster around a link be those that are found now, and note their distances."""
         found = self._separation.find_boxes(

@@ -304,8 +304,13 @@ class Separation:
                 stands.remove(stand)
         for pair in one.pairs.tolist():
             self._body[pair] = None
-        for pair, part in zip(one.pairs.tolist(), parts, strict=False):
+        one.witnesses = np.full((len(one.pairs), 6), np.nan)
+        R, t = one.found_at[:, :3], one.found_at[:, 3]
+        for slot, (pair, part) in enumerate(zip(one.pairs.tolist(), parts, strict=False)):
             stand = _Stand(part.piece)
+            if part.at_cell:
+                one.witnesses[slot, :3] = (part.reading.point + shift - t).dot(R)
+                one.witnesses[slot, 3:] = part.reading.other_point + shift
             stand.shift = shift
             stands.append(stand)
             self._body[pair] = stand

@@ -91,6 +91,10 @@ class CellSet:
         """
         return split_by_plane(n, nearest, slack, self.middle, self.half, self.corners)
 
+    def is_cell(self, index: int, finest: float) -> bool:
+        """Whether one of them is no larger cube that stands for some with the edge `finest` [m]."""
+        return index >= len(self.half) or bool(self.half[index] < 0.75 * finest)
+
     def measure(self, index: int, gauge: Gauge, shape: object, T: object) -> tuple[float, Vector, Vector, Vector]:
         """The distance of one of them from a convex `shape` at `T`, as `Gauge.measure` gives it."""
         if index < len(self.half):

@@ -191,7 +191,8 @@ class Cluster:
             part = cells if len(own) == len(off) else cells.only(own)
             distance += before
             box_of = self._box(part, _frame_along(n, link.R), shift)
-            parts.append(Part(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift)))
+            at_cell = cells.is_cell(nearest, self.solid.finest)
+            parts.append(Part(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift), at_cell))
             if part is cells:
                 off = off[:0]
                 break
@@ -367,10 +368,16 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a cluster beside a link: a box that contains it, and the distance from the link as it is there."""
+    """A part of a cluster beside a link: a box that contains it, and the distance from the link as it is there.
+
+    Attributes
+    ----------
+    at_cell: whether the witness point is on one of the cells, and not on what stands for several of them.
+    """
 
     piece: Piece
     reading: Reading
+    at_cell: bool = False
 
 
 @dataclass(frozen=True)
