@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Flags, Matrix, Vector, as_count, as_number, as_vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_count, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Configuration, TargetBatch, TipTarget, rotation_matrices, wrap_angle
 from backhoe_planner.site import Waypoint
@@ -29,6 +29,7 @@ TURN_LEVER = 0.25
 _JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion goes on where the tip stands; chosen
 _NO_LENGTH = 1e-9  # m: a shorter leg has none
 _EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more of it is one angle
+_ANGLE_ROUNDING = 1e-6  # rad: an angle that is found from its cosine is off by less
 _NO_METRES, _NO_DEGREES = 0.005, 0.05  # what is printed as 0
 _BESIDE = 1e-6  # m before and behind a waypoint, where the direction of travel is taken
 
@@ -196,8 +197,7 @@ class TipPath:
         check_kind(at, Configuration, key="at")
         low, high = as_number(low, key="low"), as_number(high, key="high")
         slack = as_number(slack, key="slack", least=0.0)
-        tip, spans = at.tip_position, np.diff(self.stations)
-        nearest = self._distances_to_legs(tip, 0, len(self.points) - 1)
+        spans, nearest = np.diff(self.stations), self._least_costs(at)
         legs = np.flatnonzero((spans > 0.0) & (self.stations[1:] >= low) & (self.stations[:-1] <= high))
         if not len(legs):
             return (low, *self.target(low).distances(at))
@@ -326,6 +326,24 @@ class TipPath:
         off, along = tip - self.points[:-1][legs], steps[legs]
         part = np.clip(np.einsum("ki,ki->k", off, along) / squares[legs], 0.0, 1.0)
         return np.asarray(np.linalg.norm(off - part[:, None] * along, axis=1))
+
+    def _least_costs(self, at: Configuration) -> Vector:
+        """(W - 1,) how far the tip is off each leg at least [m], a radian as 0.25 m."""
+        away, (rotations, turning) = self._distances_to_legs(at.tip_position, 0, len(self.points) - 1), self._rotations
+        if not turning.any():
+            return away
+        traces = np.einsum("wij,ij->w", rotations, at.tip_rotation)
+        angles = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
+        # what lies an angle t behind the first end is off by angles[0] - t at least, and as far before the other end
+        least = 0.5 * (angles[:-1] + angles[1:] - self._angles) - _ANGLE_ROUNDING
+        return np.hypot(away, TURN_LEVER * np.where(turning, np.maximum(least, 0.0), 0.0))
+
+    @cached_property
+    def _rotations(self) -> tuple[Array, Flags]:
+        """(W, 3, 3) the asked orientations, and (W - 1,) whether both ends of a leg ask for one."""
+        asked = np.array([target.rotation is not None for target in self._targets])
+        rotations = [np.eye(3) if target.rotation is None else target.rotation for target in self._targets]
+        return np.array(rotations), asked[:-1] & asked[1:]
 
     def _locate(self, s: float) -> tuple[int, float]:
         marks = self._marks

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -204,3 +206,42 @@ def test_where_the_tip_is_on_a_turn(backhoe: bp.Robot, pitch: float, station: fl
     s, off, angle = path.place(at, low=0.0, high=path.length, slack=1e-4)
     assert s == pytest.approx(station, abs=1e-6)
     assert (off, angle) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_the_legs_that_are_not_looked_at_could_not_be_where_the_tip_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tip that turns to and fro where it stands and moves on, and one that is beside such a path."""
+    robot, rng = bp.load_robot("example:panda", tip="panda_hand_tcp"), np.random.default_rng(5)
+    kinematics = bp.Kinematics(robot)
+    looked_at = 0
+    part, plain = TipPath._nearest_part, lambda path, at: np.zeros(len(path.points) - 1)
+
+    def counted(*args: Any) -> float:
+        nonlocal looked_at
+        looked_at += 1
+        return part(*args)
+
+    monkeypatch.setattr(TipPath, "_nearest_part", counted)
+    counts = [0, 0]
+    for _ in range(3):
+        q = robot.random_q(rng)
+        begin = kinematics.at(q)
+        position, rotation, waypoints = begin.tip_position.copy(), begin.tip_rotation.copy(), []
+        for number in range(24):
+            turned = pin.Quaternion(rotation)
+            quaternion = (turned.w, turned.x, turned.y, turned.z)
+            waypoints.append(Waypoint(position=tuple(position.tolist()), quaternion=quaternion))
+            position = position + (0.02 * rng.standard_normal(3) if number % 6 == 0 else 0.0)
+            rotation = rotation @ pin.exp3(0.2 * rng.standard_normal(3))
+        path = TipPath(waypoints)
+        for _ in range(10):
+            at = kinematics.at(q + 0.15 * rng.standard_normal(robot.n))
+            found = []
+            for kind in (0, 1):
+                before = looked_at
+                with monkeypatch.context() as patch:
+                    if kind:
+                        patch.setattr(TipPath, "_least_costs", plain)
+                    found.append(path.place(at, low=0.0, high=path.length, slack=1e-4))
+                counts[kind] += looked_at - before
+            assert found[0] == found[1]
+    assert counts[0] < 0.5 * counts[1]
