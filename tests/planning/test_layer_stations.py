@@ -1,4 +1,4 @@
-"""Where the layers stand: as far apart as they may, except where the tip begins to turn another way."""
+"""Where layers stand on a path, and where the law looks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 
 from backhoe_planner.motion import TURN_LEVER, TipPath
 from backhoe_planner.planning.paths.layer_stations import waypoint_stations  # no motion tells where they stand
+from backhoe_planner.planning.paths.local_resolution import sample_stations
 from backhoe_planner.site import Waypoint
 
 
@@ -34,3 +35,11 @@ def test_where_the_tip_begins_to_turn_another_way_there_is_a_layer() -> None:
     path = turning_path((0.0, 0.0, 2.0), (2.0, 0.0, 0.0))
     found = waypoint_stations(path, 0.0, 0.3)
     np.testing.assert_allclose(found, [0.0, 0.3, 0.5, 0.8, 1.0], atol=1e-9)
+
+
+def test_the_law_looks_at_the_middle_of_a_leg_unless_the_leg_is_short() -> None:
+    """Legs of 1, 15 and 50 mm: one step, two steps, and steps of at most 20 mm."""
+    corners = np.cumsum([0.0, 0.001, 0.015, 0.05])
+    path = TipPath([Waypoint(position=(x, 0.0, 0.0)) for x in corners.tolist()])
+    within = [0.0, 0.001, 0.0085, 0.016, 0.016 + 0.05 / 3.0, 0.016 + 0.1 / 3.0, 0.066]
+    np.testing.assert_allclose(sample_stations(path, 0.0), within, atol=1e-12)

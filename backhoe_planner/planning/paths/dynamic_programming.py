@@ -14,8 +14,6 @@ Only a stretch that is cheaper over all samples, clear, and within the limits is
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +21,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths, targets_along
 from backhoe_planner.planning.paths.corners import SHARP
+from backhoe_planner.planning.paths.monotone_curve import monotone_curve
 from backhoe_planner.planning.paths.smoothing import ENOUGH, margins_to_keep, null_bases, strict_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
 from backhoe_planner.planning.paths.stretch import Stretch
@@ -230,11 +229,8 @@ class _Descent:
     def _between_knots(self, at_knots: Matrix) -> Matrix | None:
         """(K, n) samples of a smooth curve through the knots, put on the path; None where that fails."""
         at = self._measure[self._knots]
-        guess = np.empty_like(self.q)
         through = at_knots - self.q[self._knots] if self._added else at_knots
-        for first, last in pairwise(self._legs.tolist()):
-            rows = slice(self._knots[first], self._knots[last] + 1)
-            guess[rows] = monotone_curve(at[first : last + 1], through[first : last + 1], self._measure[rows])
+        guess = monotone_curve(at, through, self._measure, legs=self._legs)
         if self._added:
             guess += self.q
         moved, reached = solve_batch(self._kinematics, self._targets, guess, iterations=6)
@@ -267,14 +263,6 @@ class _Descent:
         """(P,) lower bounds of the distances at q (n,), exact where they are below `floor` (P,) [m]."""
         lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
         return lower if self._there is None else np.where(self._there, lower, np.inf)
-
-
-def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
-    """(K, n) a smooth curve through y (M, n) at x (M,), read at `at` (K,); it overshoots nowhere."""
-    from scipy.interpolate import PchipInterpolator
-
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # where y hardly changes
-        return np.asarray(PchipInterpolator(x, y)(at))
 
 
 def _knots(stations: Vector, q: Matrix, corners: Mask, spacing: float) -> NDArray[np.intp]:

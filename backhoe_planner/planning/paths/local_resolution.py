@@ -37,7 +37,8 @@ def sample_stations(path: TipPath, s: float) -> Vector:
     """(K,) arc lengths from `s` to the end, every waypoint among them [m]."""
     marks = np.concatenate(([s], path.stations[path.stations > s + 1e-9]))
     parts = [
-        np.linspace(a, b, max(int(np.ceil((b - a) / _SPACING)), 2), endpoint=False) for a, b in pairwise(marks.tolist())
+        np.linspace(a, b, max(int(np.ceil((b - a) / _SPACING)), 1 if b - a < 0.5 * _SPACING else 2), endpoint=False)
+        for a, b in pairwise(marks.tolist())
     ]
     return np.concatenate([*parts, marks[-1:]])
 

@@ -6,11 +6,9 @@ where all the others gain more.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.motion import TipPath
 from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
 
@@ -30,19 +28,26 @@ class StepBounds:
         q = stretch.q
         # what a resolved path's steps may be at most
         self._longest = max(BENT * STRAIGHT_STEP + JUMP, float(np.max(np.abs(np.diff(q, axis=0)), initial=0.0)))
-        self._legs: list[tuple[slice, Vector]] = []
+        self._ends: Indices = np.zeros((0, 2), dtype=int)  # of every leg, its first sample and the one behind its last
         if allowed is not None:
-            for low, high in pairwise(np.unique(path.stations).tolist()):
-                first, last = np.searchsorted(stretch.stations, (low - _SAME, high + _SAME))
-                if last > first + 1:
-                    rows = slice(int(first), int(last))
-                    self._legs.append((rows, np.maximum(allowed, np.ptp(q[rows], axis=0))))
+            marks = np.unique(path.stations)
+            ends = np.searchsorted(stretch.stations, np.column_stack((marks[:-1] - _SAME, marks[1:] + _SAME)))
+            self._ends = ends[ends[:, 1] > ends[:, 0] + 1]
+            self._most = np.maximum(allowed, self._spans(q))
 
     def broken(self, q: Matrix) -> Flags:
         """(K,) the samples of q (K, n) beside a step that is too long, or on a leg on which a joint goes too far."""
         torn = np.max(np.abs(np.diff(q, axis=0)), axis=1) > self._longest
         found = np.append(torn, False) | np.append(False, torn)
-        for rows, most in self._legs:
-            if np.any(np.ptp(q[rows], axis=0) > most):
-                found[rows] = True
+        if len(self._ends):
+            for first, behind in self._ends[np.any(self._spans(q) > self._most, axis=1)].tolist():
+                found[first:behind] = True
         return np.asarray(found)
+
+    def _spans(self, q: Matrix) -> Matrix:
+        """(L, n) how far each joint goes on each leg [rad or m]."""
+        if not len(self._ends):
+            return np.zeros((0, q.shape[1]))
+        padded, ends = np.vstack((q, q[-1:])), self._ends.ravel()  # as an end may be behind the last sample
+        highest, lowest = np.maximum.reduceat(padded, ends), np.minimum.reduceat(padded, ends)
+        return np.asarray(highest[::2] - lowest[::2])

@@ -27,8 +27,8 @@ from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import Problem, TipPath, Trajectory, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
-from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
+from backhoe_planner.planning.paths.monotone_curve import monotone_curve
 from backhoe_planner.planning.paths.stretch import LawWay, Stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
@@ -228,7 +228,8 @@ def law_motion(path: TipPath, law: Stretch, motion: Trajectory, *, kinematics: K
         low, high = law.stations[first], law.stations[last]
         rows = (stations >= low - 1e-9) & (stations <= high + 1e-9)
         leg = slice(first, last + 1)
-        q[rows] = monotone_curve(law.stations[leg], law.q[leg], np.clip(stations[rows], low, high))
+        at, ends = np.clip(stations[rows], low, high), np.array([0, last - first])
+        q[rows] = monotone_curve(law.stations[leg], law.q[leg], at, legs=ends)
     return Trajectory.from_steps(motion.time, q)
 
 
