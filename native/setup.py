@@ -14,6 +14,8 @@ SOURCES = (
     "boxes",
     "rows",
     "odometers",
+    "screen",
+    "timing",
     "module",
 )
 

@@ -1,19 +1,27 @@
 """Which of many configurations keep every clearance: yes or no, without the distances.
 
-Pinocchio's broad phase asks coal only about pairs whose boxes meet, all pairs of a configuration in
-one call. Each pair has its clearance as the margin within which it counts as touching. Clusters are
-asked afterwards, where their lower bounds do not decide.
+Most that do are told at once (`CertainlyClear`). Of the others, Pinocchio's broad phase asks coal only about
+pairs whose boxes meet, all pairs of a configuration in one call. Each pair has its clearance as the margin within
+which it counts as touching. Clusters are asked afterwards, where their lower bounds do not decide.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import self_pieces
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.pairs.certainly_clear import CertainlyClear
 from backhoe_planner.site.proximity import Proximity
 
+_MOST_PAIRS = 3_000  # that are looked at one by one before coal is asked; chosen
+# configurations in a row in doubt, after which so many more are not looked at before coal is asked; chosen
+_STREAK, _UNASKED = 6, 30
 _ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
 
 
@@ -62,13 +70,43 @@ class ClearanceScreen:
         self._least = least[proximity.plain :]
         # what no posture brings near enough needs no look
         asked = least[: proximity.plain] > proximity.floor[: proximity.plain]
-        self._parts: list[_Part] = []
-        for pairs, model in proximity.geometry_parts_unchecked(asked):
-            self._parts.append(_Part(proximity, model, pairs, asked, least, time))
+        self._proximity, self._asked, self._plain_least = proximity, asked, least
+
+    @cached_property
+    def _parts(self) -> list[_Part]:
+        proximity, asked = self._proximity, self._asked
+        return [
+            _Part(proximity, model, pairs, asked, self._plain_least, self._time)
+            for pairs, model in proximity.geometry_parts_unchecked(asked)
+        ]
+
+    @cached_property
+    def _certainly(self) -> CertainlyClear | None:
+        """None where there are no pairs, or too many to look at each of them."""
+        proximity, asked = self._proximity, np.flatnonzero(self._asked)
+        if not 0 < len(asked) <= _MOST_PAIRS:
+            return None
+        own = len(self_pieces(proximity.robot))
+        bodies: list[shapes.Piece] = []
+        shifts, firsts = [], []
+        for index, obstacle in enumerate(proximity.obstacles):
+            firsts.append(own + len(bodies))
+            bodies += obstacle.pieces
+            shifts += [proximity.obstacle_offset(index, self._time)] * len(obstacle.pieces)
+        owner = proximity.owner[asked]
+        second = np.array(proximity.second, dtype=np.intp)[asked]
+        second += np.where(owner < 0, 0, np.array([*firsts, 0])[owner])
+        return CertainlyClear(
+            proximity.robot, bodies, np.array(shifts).reshape(-1, 3),
+            first=np.array([proximity.pairs[pair].piece for pair in asked.tolist()], dtype=np.intp), second=second,
+            least=self._plain_least[asked],
+        )  # fmt: skip
 
     def keeps(self, q: Matrix) -> Flags:
         """(N,) whether each of `q` (N, n) keeps every clearance and its spare."""
-        plain = np.array([self._keeps_plain(joints) for joints in q], dtype=bool)
+        plain = np.ones(len(q), dtype=bool)
+        for row in self._plain_in_doubt(q):
+            plain[row] = self._keeps_plain(q[row])
         if len(self._clusters) and plain.any():
             plain[plain] = list(self._clusters.keep_each(self._least, q[plain], self._time))
         return plain
@@ -80,18 +118,43 @@ class ClearanceScreen:
 
     def keeps_all_unchecked(self, q: Matrix) -> bool:
         """Whether all of `q` (N, n) do; for callers in a loop, whose arguments are right as they are made."""
-        if not all(self._keeps_plain(joints) for joints in q):
+        if not all(self._keeps_plain(q[row]) for row in self._plain_in_doubt(q)):
             return False
         return not len(self._clusters) or all(self._clusters.keep_each(self._least, q, self._time))
 
+    def in_doubt_unchecked(self, q: Matrix) -> Iterator[int]:
+        """The rows of `q` (N, n) of which it is not known at once that they keep every clearance, for such callers."""
+        return iter(range(len(q))) if len(self._clusters) else self._plain_in_doubt(q)
+
+    def pairs_in_doubt_unchecked(self, q: Vector) -> Indices:
+        """The pairs of `proximity` that do not certainly keep clearance and spare at q (n,), for such callers."""
+        asked = np.flatnonzero(self._asked)
+        if self._certainly is not None:
+            asked = asked[self._certainly.pairs_in_doubt(q)]
+        clusters = np.arange(len(self._asked), len(self._asked) + len(self._least))
+        return np.concatenate((asked, clusters[self._least > -np.inf]))
+
     def keeps_unchecked(self, q: Vector) -> bool:
         """Whether one configuration (n,) does, for such callers."""
-        if not self._keeps_plain(q):
+        if not all(self._keeps_plain(q) for _ in self._plain_in_doubt(q[None])):
             return False
         if not len(self._clusters):
             return True
         pin.forwardKinematics(self._robot, self._data, q)
         return self._clusters.keep(self._least, self._data, self._time, q=q)
+
+    def _plain_in_doubt(self, q: Matrix) -> Iterator[int]:
+        """The rows of `q` (N, n) that do not certainly keep their clearances from all that is no cluster."""
+        if self._certainly is None:
+            yield from range(len(q))
+            return
+        row = streak = 0
+        while row < len(q):
+            certain = self._certainly.first_in_doubt(q[row:])
+            row, streak = row + certain, 0 if certain else streak + 1
+            together = _UNASKED if streak >= _STREAK else 1
+            yield from range(row, min(row + together, len(q)))
+            row += together
 
     def _keeps_plain(self, q: Vector) -> bool:
         """Whether one configuration (n,) keeps its clearances from all that is no cluster."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine import Cluster, TerrainSolid, VoxelSolid
+from backhoe_planner.native import find_compiled
 from backhoe_planner.site import ClearanceScreen, build_obstacles, sweep
 
 TASK = {"path": {"waypoints": [{"position": [1.0, 0.0, 0.0]}, {"position": [1.0, 0.1, 0.0]}]}}
@@ -39,6 +41,28 @@ def test_agrees_with_measuring_everything(any_robot: bp.Robot, time: float) -> N
     assert 0.05 < np.mean(expected) < 0.95
     screen = ClearanceScreen(proximity, time=time, spare=0.01)
     np.testing.assert_array_equal(screen.keeps(q), expected)
+
+
+@pytest.mark.parametrize("time", [0.0, 3.0])
+def test_pairs_that_are_not_in_doubt_are_as_far_apart_as_they_are_to_be(any_robot: bp.Robot, time: float) -> None:
+    """As coal measures them, in postures near each other too, where what is known of the last one goes on."""
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES})
+    proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
+    screen, rng = ClearanceScreen(proximity, time=time, spare=0.01), np.random.default_rng(3)
+    ends = [any_robot.random_q(rng) for _ in range(12)]
+    certain = 0
+    for a, b in itertools.pairwise(ends):
+        for q in np.linspace(a, b, 8):
+            apart = proximity.distances(q, time=time) >= proximity.clearance + 0.01
+            apart[screen.pairs_in_doubt_unchecked(q)] = True
+            assert apart.all()
+            certain += len(apart) - len(screen.pairs_in_doubt_unchecked(q))
+        rows = list(screen.in_doubt_unchecked(np.linspace(a, b, 8)))
+        kept = screen.keeps(np.linspace(a, b, 8))
+        assert rows == sorted(set(rows))
+        assert kept[np.setdiff1d(np.arange(8), rows)].all()
+    every = np.count_nonzero(proximity.appears_at <= time)
+    assert certain > (0.5 * 88 * every if find_compiled() else -1)
 
 
 def test_says_so_right_beside_the_clearance(any_robot: bp.Robot) -> None:

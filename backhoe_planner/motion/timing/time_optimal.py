@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
+from backhoe_planner.native import compiled
 
 _STEPS = 60  # of Newton's method at most; on a concave piecewise linear function it ends by itself
 _ROUNDING = 1e-10  # relative: coefficients and room below this are rounding
@@ -88,12 +89,24 @@ def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool 
     -------
     None where the path cannot be run from end to end.
     """
+    found = fastest_run(
+        grid, caps, before.alpha, before.beta, before.gamma, after.alpha, after.beta, after.gamma, rests
+    )
+    return None if found is None else TimeLaw(grid, *found)
+
+
+@compiled
+def fastest_run(
+    grid: Array, caps: Array, alpha_before: Array, beta_before: Array, gamma_before: Array,
+    alpha_after: Array, beta_after: Array, gamma_after: Array, rests: bool, /,
+) -> tuple[Array, Array] | None:  # fmt: skip
+    """The squared speeds (N + 1,) and times (N + 1,) [s] of a `TimeLaw`, as `fastest`; the rows one by one."""
     steps = np.diff(grid)
     # at the end of an interval x has become x + 2 step u
     rows = Rows(
-        np.hstack((before.alpha, after.alpha + 2.0 * steps[:, None] * after.beta)),
-        np.hstack((before.beta, after.beta)),
-        np.hstack((before.gamma, after.gamma)),
+        np.hstack((alpha_before, alpha_after + 2.0 * steps[:, None] * beta_after)),
+        np.hstack((beta_before, beta_after)),
+        np.hstack((gamma_before, gamma_after)),
     )
     highest = np.array(caps, dtype=float)
     highest[:-1] = np.minimum(highest[:-1], _level_caps(rows, steps))
@@ -114,7 +127,7 @@ def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool 
     mean = 0.5 * (speed[:-1] + speed[1:])
     if not np.all(mean > 0.0) or not np.all(np.isfinite(mean)):
         return None
-    return TimeLaw(grid, x, np.concatenate(([0.0], np.cumsum(steps / mean))))
+    return x, np.concatenate(([0.0], np.cumsum(steps / mean)))
 
 
 def _flat(rows: Rows, steps: Array) -> NDArray[np.bool_]:

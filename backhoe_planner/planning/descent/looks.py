@@ -106,7 +106,7 @@ class Looks:
         if not asked:
             return np.zeros(0, dtype=np.intp)
         found_at = curve.at(self._u[asked])
-        if self._screen.has_clusters and self._screen.keeps_all_unchecked(found_at):
+        if self._screen.keeps_all_unchecked(found_at):
             return np.zeros(0, dtype=np.intp)
         q_at = dict(zip(asked, found_at, strict=True))
         noticed = [next((k for k in places if not self._screen.keeps_unchecked(q_at[k])), -1) for places in between]

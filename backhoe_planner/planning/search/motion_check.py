@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
 Condition = Callable[[Matrix], bool]  # whether all configurations (B, n) fulfil it
+Point = Callable[[Any], Vector]  # the configuration (n,) at a part 0..1 of a motion; (K, n) at a column of parts (K, 1)
 
 _SLOPE = 0.05  # m of spare per metre of travel away from a tight end; chosen small, since B grows by it
 _ROUNDING = 5e-7  # m: chosen far below every clearance, and far above the rounding of a distance
@@ -102,6 +104,9 @@ class MotionCheck:
         self._anchors: list[tuple[Vector, Vector]] = []
         self._tight = np.zeros(len(self._pairs), dtype=bool)
         self._tight_ends: list[tuple[Vector, Vector]] = []
+        twice = np.zeros(len(proximity.pairs))
+        twice[self._pairs] = 2.0 * self._spare + _ROUNDING
+        self._wide_screen = ClearanceScreen(proximity, time=time, spare=twice)
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
         self._screen = ClearanceScreen(proximity, time=time, spare=self._least_spare())
         self._known.clear()  # the spare at a configuration depends on all ends
@@ -139,7 +144,7 @@ class MotionCheck:
         first, second = corner - q_a, q_b - corner
         turn = second - first
 
-        def point(t: float) -> Vector:
+        def point(t: Any) -> Vector:
             return np.asarray(q_a + t * (2.0 * first + t * turn))
 
         rate = 2.0 * np.maximum(np.abs(first), np.abs(second))  # dq/dt is linear in t
@@ -151,7 +156,7 @@ class MotionCheck:
 
     # --- the proof ---------------------------------------------------------------
 
-    def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
+    def _is_clear(self, q_a: Vector, q_b: Vector, point: Point, rate: Vector, more: Vector) -> bool:
         """Whether the curve `point` from `q_a` to `q_b` is clear.
 
         Parameters
@@ -190,7 +195,7 @@ class MotionCheck:
 
     def _halve(
         self,
-        point: Callable[[float], Vector],
+        point: Point,
         rows: NDArray[np.intp],
         margin_a: Vector,
         margin_b: Vector,
@@ -220,7 +225,7 @@ class MotionCheck:
                 parts.append((middle, b, rows[right], margin[right], margin_b[right]))
         return True
 
-    def _stays_near(self, point: Callable[[float], Vector], rate: Vector) -> bool:
+    def _stays_near(self, point: Point, rate: Vector) -> bool:
         assert self._near is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _NEAR_EVERY)) + 1
         at = places(steps)  # most of what is too far off is so at an end or in the middle
@@ -304,7 +309,11 @@ class MotionCheck:
             return False
         if not len(self._pairs):
             return True
-        margin = self.proximity.distances_of_unchecked(self._pairs, q, time=self._time) - self._clearance
+        # all others have twice the spare
+        rows = np.searchsorted(self._pairs, self._wide_screen.pairs_in_doubt_unchecked(q))
+        margin = np.full(len(self._pairs), np.inf)
+        near = self.proximity.distances_of_unchecked(self._pairs[rows], q, time=self._time)
+        margin[rows] = near - self._clearance[rows]
         if margin.min() < -0.5 * _ROUNDING:
             return False
         allowed = np.minimum(0.5 * margin, margin - _ROUNDING)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.planning.search.motion_check import MotionCheck, places
+from backhoe_planner.planning.search.motion_check import MotionCheck, Point, places
 from backhoe_planner.site import ClearanceScreen, Proximity
 
 _TOGETHER = 16  # places asked about at once where there are clusters; chosen
@@ -37,6 +37,7 @@ class SampledCheck(MotionCheck):
     ) -> None:  # fmt: skip
         super().__init__(problem, proximity, ends, spare=spare, time=time, brake=brake)
         self._apart = _APART_HURRIED if hurried else _APART
+        self._full_first = True  # whether the spare of all pairs is asked about first
 
     def keeps(self, q: Matrix) -> Flags:
         """(N,) which of `q` (N, n) keep what is to be kept and every clearance, with the least spare of any end."""
@@ -45,40 +46,33 @@ class SampledCheck(MotionCheck):
         found[found] = self._screen.keeps(q[found])
         return found
 
-    def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
+    def _is_clear(self, q_a: Vector, q_b: Vector, point: Point, rate: Vector, more: Vector) -> bool:
         self._brake.check()
         if self._near is not None and not self._stays_near(point, rate):
             return False
         if not len(self._pairs):
             return True
-        steps = int(np.max(rate @ self._transposed) / self._apart) + 1
-        parts = places(steps)
+        q = point(_column_of_places(int(np.max(rate @ self._transposed) / self._apart) + 1))
         if not self._screen.has_clusters:
-            return all(self._is_clear_at(point(part)) for part in parts)
-        return all(
-            self._are_clear_at(np.array([point(part) for part in parts[first : first + _TOGETHER]]))
-            for first in range(0, len(parts), _TOGETHER)
-        )
+            return self._are_clear_at(q)
+        return all(self._are_clear_at(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER))
 
     def _are_clear_at(self, q: Matrix) -> bool:
-        """The same as `_is_clear_at` of all of `q` (N, n)."""
-        if not self._screen.keeps_all_unchecked(q):
-            return False
-        tight = self._tight_rows
-        if not len(tight) or self._full_screen.keeps_all_unchecked(q):
-            return True
-        return all(
-            self._full_screen.keeps_unchecked(joints) or self._measure(tight, joints).min() >= 0.0 for joints in q
-        )
+        """Whether all of `q` (N, n) keep every clearance and its spare."""
+        if not len(self._tight_rows):
+            return self._screen.keeps_all_unchecked(q)
+        # most configurations that are asked about certainly keep the spare of all pairs
+        return all(self._is_clear_at(q[row]) for row in self._full_screen.in_doubt_unchecked(q))
 
     def _is_clear_at(self, q: Vector) -> bool:
-        """Whether `q` keeps every clearance and its spare."""
-        tight = self._tight_rows
-        if not len(tight):
-            return self._screen.keeps_unchecked(q)
-        if self._full_screen.keeps_unchecked(q):  # most configurations that are asked about are clear
+        """The same of one configuration (n,); the screen that decided about the last one is asked first."""
+        if self._full_first and self._full_screen.keeps_unchecked(q):
             return True
-        return self._screen.keeps_unchecked(q) and bool(self._measure(tight, q).min() >= 0.0)
+        if not self._screen.keeps_unchecked(q):
+            self._full_first = False
+            return False
+        self._full_first = not self._full_first and self._full_screen.keeps_unchecked(q)
+        return self._full_first or bool(self._measure(self._tight_rows, q).min() >= 0.0)
 
     @cached_property
     def _tight_rows(self) -> Indices:
@@ -91,3 +85,11 @@ class SampledCheck(MotionCheck):
         spare = np.zeros(len(self.proximity.pairs))
         spare[self._pairs] = self._spare
         return ClearanceScreen(self.proximity, time=self._time, spare=spare)
+
+
+@lru_cache(maxsize=1024)
+def _column_of_places(steps: int) -> Matrix:
+    """(K, 1) the same as `places`."""
+    found = np.array(places(steps))[:, None]
+    found.setflags(write=False)
+    return found

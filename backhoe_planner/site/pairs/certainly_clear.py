@@ -1,0 +1,140 @@
+"""Which configurations certainly keep every distance, found in one compiled call, so that coal is asked about few.
+
+Every piece of a link lies within one ball, and within a few smaller ones; what stands around lies within a box in
+its own axes, or behind a face. Where no ball reaches as far as the distance that is asked for, the pair keeps it. Where
+one does, a plane between the corners of both pieces may still prove it: its normal begins where the nearest ball is,
+and for two pieces of the machine where it was last, as these mostly turn little against each other. Nothing is
+said of other pairs: they count as in doubt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine import Robot, box_around, chain_factors, covering_balls, self_pieces
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.native import compiled
+
+_MOST_BALLS = 4  # for one piece; chosen, with 16 of them no fewer configurations are in doubt
+_ROUNDING = 1e-9  # m: chosen far above what sums of a few products are off, and far below any clearance
+_HALF_SPACE = -1.0  # in place of the half edges of a box
+
+
+class _Links(NamedTuple):
+    """The pieces of a machine, as `first_in_doubt` takes them."""
+
+    factors: Matrix
+    slides: Vector
+    joint: Indices
+    coarse: Matrix
+    starts: Indices
+    fine: Matrix
+    corners: list[Matrix]
+    radius: list[float]
+
+
+@lru_cache(maxsize=8)
+def _links_of(robot: Robot) -> _Links:
+    pieces = [own.piece for own in self_pieces(robot)]
+    balls = [[covering_balls(piece, most=most) for piece in pieces] for most in (1, _MOST_BALLS)]
+    coarse, fine = ([np.column_stack((x, np.full(len(x), radius))) for x, radius in level] for level in balls)
+    return _Links(
+        chain_factors(robot), robot.prismatic.astype(float),
+        np.array([own.joint for own in self_pieces(robot)], dtype=np.intp),
+        np.vstack(coarse), _starts(fine), np.vstack(fine), [piece.hull for piece in pieces],
+        [piece.radius for piece in pieces],
+    )  # fmt: skip
+
+
+def _starts(parts: Sequence[Matrix]) -> Indices:
+    """(K + 1,) where each part begins among the rows of all, and where the last ends."""
+    return np.concatenate(([0], np.cumsum([len(part) for part in parts]))).astype(np.intp)
+
+
+class CertainlyClear:
+    """Says of configurations that pairs of convex pieces certainly are so far apart.
+
+    Parameters
+    ----------
+    bodies: what stands around, each moved by its own row of `shifts` (B, 3) [m].
+    first, second: (P,) the numbers of the pieces of each pair among `self_pieces`; bodies are numbered after these.
+    least: (P,) the distance that each is to keep [m].
+    """
+
+    def __init__(
+        self, robot: Robot, bodies: Sequence[shapes.Piece], shifts: Matrix,
+        *, first: Indices, second: Indices, least: Vector,
+    ) -> None:  # fmt: skip
+        links = _links_of(robot)
+        corners = links.corners + [piece.hull + shift for piece, shift in zip(bodies, shifts, strict=True)]
+        self._arguments = (
+            links.factors, links.slides, links.joint, links.coarse, links.starts, links.fine, _starts(corners),
+            np.ascontiguousarray(np.vstack(corners).T), np.array(links.radius + [body.radius for body in bodies]),
+            np.array([_box(body, shift) for body, shift in zip(bodies, shifts, strict=True)]).reshape(-1, 15),
+            first, second, least + _ROUNDING, np.zeros((len(first), 3)),
+        )  # fmt: skip
+
+    def first_in_doubt(self, q: Matrix) -> int:
+        """The first of the configurations `q` (N, n) that is in doubt; N where none is."""
+        return first_in_doubt(q, *self._arguments)
+
+    def pairs_in_doubt(self, q: Vector) -> Indices:
+        """Which of the pairs are in doubt in one configuration (n,), ascending."""
+        return pairs_in_doubt(q[None], *self._arguments)
+
+
+def _box(body: shapes.Piece, shift: Vector) -> Vector:
+    """(15,) the axes of the box around a body row by row, its middle along them, half edges; see `first_in_doubt`."""
+    box = box_around(body)
+    if box is None:
+        normal = body.placement.rotation @ body.shape.n
+        face = float(normal @ (body.placement.translation + shift)) + float(body.shape.d)
+        return np.concatenate((normal, np.zeros(6), [face, 0.0, 0.0], np.full(3, _HALF_SPACE)))
+    R, middle, half, _ = box
+    return np.concatenate((R.T.ravel(), R.T @ (middle + shift), half))
+
+
+@compiled
+def first_in_doubt(
+    q: Matrix, factors: Matrix, slides: Vector, joint: Indices, coarse: Matrix, starts: Indices, fine: Matrix,
+    corner_starts: Indices, corners: Matrix, radius: Vector, boxes: Matrix, first: Indices, second: Indices,
+    least: Vector, normals: Matrix, /,
+) -> int:  # fmt: skip
+    """The first of `q` (N, n) in which a pair is not certainly as far apart as it is to be; N where there is none.
+
+    Here that is the very first: the compiled version alone is quicker than asking coal.
+
+    Parameters
+    ----------
+    factors, slides: of the chain, see `chain_placements`.
+    joint: (K,) that carries each of the machine's pieces; 0 for the base.
+    coarse: (K, 4) the centre and radius of a ball around each, in the joint's frame [m].
+    starts, fine: (K + 1,), (S, 4) where the smaller balls of each begin, and these.
+    corner_starts, corners: (K + B + 1,), (3, C) the same of the corners of all pieces; of bodies in the world's frame.
+    radius: (K + B,) within which of its corners' hull a piece lies [m].
+    boxes: (B, 15) around bodies: axes, middle along them, half edges [m]; with half edges below 0 a half-space, whose
+        normal is the first axis, and its face so far along it.
+    first, second: (P,) the pieces of each pair.
+    least: (P,) the distance that it is to keep [m].
+    normals: (P, 3) of planes between two of the machine's pieces, in the frame of the second; 0 where none is known.
+        Written to.
+    """
+    return 0
+
+
+@compiled
+def pairs_in_doubt(
+    q: Matrix, factors: Matrix, slides: Vector, joint: Indices, coarse: Matrix, starts: Indices, fine: Matrix,
+    corner_starts: Indices, corners: Matrix, radius: Vector, boxes: Matrix, first: Indices, second: Indices,
+    least: Vector, normals: Matrix, /,
+) -> Indices:  # fmt: skip
+    """The pairs that are not certainly as far apart as they are to be in the one row of `q` (1, n), ascending.
+
+    Here these are all. The other arguments are those of `first_in_doubt`.
+    """
+    return np.arange(len(least))

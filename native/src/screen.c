@@ -1,0 +1,341 @@
+/* Which configurations certainly keep their clearances: by balls around links, then by a plane between two pieces. */
+#include "arrays.h"
+
+#include <math.h>
+
+#define TURNS 8      /* of a plane's normal before the pair counts as in doubt; chosen, most pairs take one */
+#define TURNS_KEPT 3 /* the same of a normal that was kept, before it begins anew */
+
+/* R row by row, then t: T_world_joint */
+typedef struct {
+    double R[9], t[3];
+} Pose;
+
+/* The poses 1 to n of the joints of one configuration; pose 0 is that of the base. */
+static void place(Pose *pose, const double (*f)[33], const double *slides, const Mat *q, npy_intp row, npy_intp n)
+{
+    for (npy_intp j = 0; j < n; j++) {
+        const Pose *from = pose + j;
+        Pose *to = pose + j + 1;
+        const double angle = AT2(*q, row, j), *g = f[j];
+        double own[9]; /* column by column */
+        if (slides[j] != 0.0)
+            for (int k = 0; k < 9; k++)
+                own[k] = g[k];
+        else {
+            const double sine = sin(angle), versine = 1.0 - cos(angle);
+            for (int k = 0; k < 9; k++)
+                own[k] = g[k] + sine * g[9 + k] + versine * g[18 + k];
+        }
+        const double run = slides[j] != 0.0 ? angle : 0.0;
+        for (int r = 0; r < 3; r++) {
+            const double *R = from->R + 3 * r;
+            for (int c = 0; c < 3; c++)
+                to->R[3 * r + c] = R[0] * own[3 * c] + R[1] * own[3 * c + 1] + R[2] * own[3 * c + 2];
+            to->t[r] = from->t[r] + R[0] * (g[30] + run * g[27]) + R[1] * (g[31] + run * g[28]) +
+                       R[2] * (g[32] + run * g[29]);
+        }
+    }
+}
+
+static void moved(const Pose *pose, const double *x, double *into)
+{
+    for (int r = 0; r < 3; r++)
+        into[r] = pose->t[r] + pose->R[3 * r] * x[0] + pose->R[3 * r + 1] * x[1] + pose->R[3 * r + 2] * x[2];
+}
+
+/* The squared distance of a point from a box: its axes row by row (9), its middle along them (3), half edges (3). */
+static double off_box(const double *box, const double *x)
+{
+    double square = 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double along = box[3 * k] * x[0] + box[3 * k + 1] * x[1] + box[3 * k + 2] * x[2];
+        const double out = fabs(along - box[9 + k]) - box[12 + k];
+        if (out > 0.0)
+            square += out * out;
+    }
+    return square;
+}
+
+/* Some corners: columns first to last of (3, all), in a frame */
+typedef struct {
+    const double *x, *y, *z;
+    npy_intp count;
+    double radius;
+    const Pose *pose;
+} Hull;
+
+/* The most of sign * n . x over a hull's corners, world; and the corner if `at` is given. */
+static double furthest(const Hull *hull, const double *n, double sign, double *at)
+{
+    const double *R = hull->pose->R, *t = hull->pose->t;
+    double local[3];
+    for (int k = 0; k < 3; k++)
+        local[k] = sign * (R[k] * n[0] + R[3 + k] * n[1] + R[6 + k] * n[2]);
+    double most[4] = {-INFINITY, -INFINITY, -INFINITY, -INFINITY};
+    npy_intp i = 0;
+    for (; i + 4 <= hull->count; i += 4)
+        for (int l = 0; l < 4; l++) {
+            const double along = local[0] * hull->x[i + l] + local[1] * hull->y[i + l] + local[2] * hull->z[i + l];
+            most[l] = along > most[l] ? along : most[l];
+        }
+    double best = fmax(fmax(most[0], most[1]), fmax(most[2], most[3]));
+    for (; i < hull->count; i++)
+        best = fmax(best, local[0] * hull->x[i] + local[1] * hull->y[i] + local[2] * hull->z[i]);
+    if (at) {
+        npy_intp found = 0;
+        double nearest = -INFINITY;
+        for (i = 0; i < hull->count; i++) {
+            const double along = local[0] * hull->x[i] + local[1] * hull->y[i] + local[2] * hull->z[i];
+            if (along > nearest)
+                nearest = along, found = i;
+        }
+        moved(hull->pose, (double[]){hull->x[found], hull->y[found], hull->z[found]}, at);
+    }
+    return best + sign * (n[0] * t[0] + n[1] * t[1] + n[2] * t[2]);
+}
+
+static int normalise(double *n)
+{
+    const double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    if (!(length > 1e-12))
+        return -1;
+    for (int k = 0; k < 3; k++)
+        n[k] /= length;
+    return 0;
+}
+
+/* Whether a plane with a normal like `kept`, in the frame of `to`, proves two hulls to be `least` apart; the normal
+ * that does is kept. */
+static int plane_between(const Hull *from, const Hull *to, double least, int turns, double *kept)
+{
+    double n[3] = {0.0, 0.0, 0.0}, near[3], far[3];
+    const double *R = to->pose->R;
+    for (int r = 0; r < 3; r++)
+        n[r] = R[3 * r] * kept[0] + R[3 * r + 1] * kept[1] + R[3 * r + 2] * kept[2];
+    if (normalise(n) < 0)
+        return 0;
+    for (int turn = 0; turn < turns; turn++) {
+        const double gap =
+            -furthest(to, n, -1.0, NULL) - furthest(from, n, 1.0, NULL) - from->radius - to->radius;
+        if (gap >= least) {
+            for (int k = 0; k < 3; k++)
+                kept[k] = R[k] * n[0] + R[3 + k] * n[1] + R[6 + k] * n[2];
+            return 1;
+        }
+        furthest(from, n, 1.0, near), furthest(to, n, -1.0, far);
+        double way[3] = {far[0] - near[0], far[1] - near[1], far[2] - near[2]};
+        if (normalise(way) < 0)
+            return 0;
+        const double along = n[0] * way[0] + n[1] * way[1] + n[2] * way[2];
+        for (int k = 0; k < 3; k++)
+            n[k] = along > 0.0 ? n[k] + way[k] : n[k] - 2.0 * along * way[k];
+        if (normalise(n) < 0)
+            return 0;
+    }
+    return 0;
+}
+
+/* What a screen is made of; see `first_in_doubt`. */
+typedef struct {
+    Mat q, factors, normals;
+    Vec slides, least;
+    Ind joint, starts, corner_starts, first, second;
+    npy_intp own, every, corners, balls;
+    const double *coarse, *fine, *corner, *radius, *box;
+} Screen;
+
+static int read_screen(PyObject *const *args, Screen *s)
+{
+    npy_intp coarse[2], fine[2], corner[2], radius[1], box[2];
+    if (as_mat(args[1], "factors", 33, -1, &s->factors) < 0 || some_joints(s->factors.columns) < 0 ||
+        as_mat(args[0], "q", -1, s->factors.columns, &s->q) < 0 ||
+        as_vec(args[2], "slides", s->factors.columns, &s->slides) < 0 ||
+        as_ind(args[3], "joint", s->factors.columns + 1, &s->joint) < 0 ||
+        !(s->coarse = block(args[4], "coarse", 2, coarse)) || !(s->fine = block(args[6], "fine", 2, fine)) ||
+        !(s->corner = block(args[8], "corners", 2, corner)) || !(s->radius = block(args[9], "radius", 1, radius)) ||
+        !(s->box = block(args[10], "boxes", 2, box)))
+        return -1;
+    s->own = s->joint.n, s->every = radius[0], s->corners = corner[1], s->balls = fine[0];
+    if (has_length(coarse[0], s->own, "coarse") < 0 || has_length(coarse[1], 4, "coarse") < 0 ||
+        has_length(fine[1], 4, "fine") < 0 || has_length(corner[0], 3, "corners") < 0 ||
+        has_length(box[0], s->every - s->own, "boxes") < 0 || has_length(box[1], 15, "boxes") < 0 ||
+        as_ind(args[5], "starts", fine[0] + 1, &s->starts) < 0 || has_length(s->starts.n, s->own + 1, "starts") < 0 ||
+        as_ind(args[7], "corner_starts", s->corners + 1, &s->corner_starts) < 0 ||
+        has_length(s->corner_starts.n, s->every + 1, "corner_starts") < 0 ||
+        as_vec(args[13], "least", -1, &s->least) < 0 || as_ind(args[11], "first", s->own, &s->first) < 0 ||
+        has_length(s->first.n, s->least.n, "first") < 0 || as_ind(args[12], "second", s->every, &s->second) < 0 ||
+        has_length(s->second.n, s->least.n, "second") < 0)
+        return -1;
+    return as_out(args[14], "normals", s->least.n, 3, &s->normals);
+}
+
+static Hull hull_of(const Screen *s, npy_intp piece, const Pose *pose)
+{
+    const npy_intp begin = INDEX(s->corner_starts, piece), end = INDEX(s->corner_starts, piece + 1);
+    const double *x = s->corner + begin;
+    return (Hull){x, x + s->corners, x + 2 * s->corners, end - begin, s->radius[piece],
+                  pose + (piece < s->own ? INDEX(s->joint, piece) : 0)};
+}
+
+/* Whether piece `a`, with its coarse ball at `centre`, is certainly `least` from a half-space. */
+static int off_halfspace(const Screen *s, npy_intp a, const double *box, const double *centre, double least,
+                         const Pose *pose)
+{
+    if (box[0] * centre[0] + box[1] * centre[1] + box[2] * centre[2] - box[9] - s->coarse[4 * a + 3] >= least)
+        return 1;
+    const Hull hull = hull_of(s, a, pose);
+    return -furthest(&hull, box, -1.0, NULL) - box[9] - hull.radius >= least;
+}
+
+/* The same of a box around another piece `b`. */
+static int off_body(const Screen *s, npy_intp a, npy_intp b, const double *box, const double *centre, double least,
+                    const double (*ball)[3], const Pose *pose)
+{
+    double reach = least + s->radius[b] + s->coarse[4 * a + 3];
+    if (reach <= 0.0 || off_box(box, centre) >= reach * reach)
+        return reach > 0.0;
+    const Hull from = hull_of(s, a, pose), to = hull_of(s, b, pose);
+    double lowest = INFINITY;
+    const double *deepest = centre;
+    int apart = 1;
+    for (npy_intp i = INDEX(s->starts, a); i < INDEX(s->starts, a + 1); i++) {
+        const double square = off_box(box, ball[i]);
+        reach = least + s->radius[b] + s->fine[4 * i + 3];
+        apart = apart && reach > 0.0 && square >= reach * reach;
+        if (square < lowest)
+            lowest = square, deepest = ball[i];
+    }
+    if (apart || lowest == 0.0)
+        return apart;
+    double normal[3] = {0.0, 0.0, 0.0}; /* from that ball straight to the box */
+    for (int k = 0; k < 3; k++) {
+        const double along = box[3 * k] * deepest[0] + box[3 * k + 1] * deepest[1] + box[3 * k + 2] * deepest[2];
+        const double off = along - box[9 + k], out = fabs(off) - box[12 + k];
+        for (int r = 0; out > 0.0 && r < 3; r++)
+            normal[r] -= (off > 0.0 ? out : -out) * box[3 * k + r];
+    }
+    return plane_between(&from, &to, least, TURNS, normal);
+}
+
+/* Whether all smaller balls of two of the machine's pieces are `least` apart; `ball` are their centres. */
+static int fine_apart(const Screen *s, npy_intp a, npy_intp b, double least, const double (*ball)[3])
+{
+    for (npy_intp i = INDEX(s->starts, a); i < INDEX(s->starts, a + 1); i++)
+        for (npy_intp k = INDEX(s->starts, b); k < INDEX(s->starts, b + 1); k++) {
+            const double x = ball[i][0] - ball[k][0], y = ball[i][1] - ball[k][1], z = ball[i][2] - ball[k][2];
+            const double reach = least + s->fine[4 * i + 3] + s->fine[4 * k + 3];
+            if (!(reach > 0.0 && x * x + y * y + z * z >= reach * reach))
+                return 0;
+        }
+    return 1;
+}
+
+/* The same of another piece `b` of the machine; the normal that proves it is kept for the next configuration. */
+static int off_own(const Screen *s, npy_intp pair, npy_intp a, npy_intp b, const double (*centre)[3],
+                   const double (*ball)[3], double least, const Pose *pose)
+{
+    double way[3], kept[3], square = 0.0;
+    const double reach = least + s->coarse[4 * a + 3] + s->coarse[4 * b + 3];
+    for (int k = 0; k < 3; k++)
+        way[k] = centre[b][k] - centre[a][k], square += way[k] * way[k], kept[k] = AT2(s->normals, pair, k);
+    if (reach <= 0.0 || square >= reach * reach)
+        return reach > 0.0;
+    const Hull from = hull_of(s, a, pose), to = hull_of(s, b, pose);
+    if (fine_apart(s, a, b, least, ball))
+        return 1;
+    if (!plane_between(&from, &to, least, TURNS_KEPT, kept)) {
+        for (int k = 0; k < 3; k++)
+            kept[k] = to.pose->R[k] * way[0] + to.pose->R[3 + k] * way[1] + to.pose->R[6 + k] * way[2];
+        if (!plane_between(&from, &to, least, TURNS, kept))
+            return 0;
+    }
+    for (int k = 0; k < 3; k++)
+        AT2(s->normals, pair, k) = kept[k];
+    return 1;
+}
+
+/* A configuration of the machine with its balls. */
+typedef struct {
+    double factors[MOST_JOINTS][33], slides[MOST_JOINTS];
+    Pose pose[MOST_JOINTS + 1];
+    double (*centre)[3], (*ball)[3];
+    Room room;
+} Machine;
+
+static int machine_of(const Screen *s, Machine *m)
+{
+    m->pose[0] = (Pose){{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, {0.0, 0.0, 0.0}};
+    for (npy_intp j = 0; j < s->factors.columns; j++) {
+        m->slides[j] = AT(s->slides, j);
+        for (int k = 0; k < 33; k++)
+            m->factors[j][k] = AT2(s->factors, k, j);
+    }
+    m->centre = room_for(&m->room, (s->own + s->balls + 1) * sizeof *m->centre);
+    m->ball = m->centre + s->own;
+    return m->centre ? 0 : -1;
+}
+
+static void place_at(const Screen *s, Machine *m, npy_intp row)
+{
+    place(m->pose, m->factors, m->slides, &s->q, row, s->factors.columns);
+    for (npy_intp a = 0; a < s->own; a++) {
+        const Pose *of = m->pose + INDEX(s->joint, a);
+        moved(of, s->coarse + 4 * a, m->centre[a]);
+        for (npy_intp i = INDEX(s->starts, a); i < INDEX(s->starts, a + 1); i++)
+            moved(of, s->fine + 4 * i, m->ball[i]);
+    }
+}
+
+static int is_apart(const Screen *s, const Machine *m, npy_intp pair)
+{
+    const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
+    const double least = AT(s->least, pair), (*centre)[3] = m->centre, (*ball)[3] = m->ball;
+    if (b < s->own)
+        return off_own(s, pair, a, b, centre, ball, least, m->pose);
+    const double *box = s->box + 15 * (b - s->own);
+    if (box[12] < 0.0)
+        return off_halfspace(s, a, box, centre[a], least, m->pose);
+    return off_body(s, a, b, box, centre[a], least, ball, m->pose);
+}
+
+PyObject *first_in_doubt(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Screen s;
+    Machine m;
+    if (count_is(count, 15, "first_in_doubt") < 0 || read_screen(args, &s) < 0 || machine_of(&s, &m) < 0)
+        return NULL;
+    npy_intp row = 0, pair = 0;
+    for (; row < s.q.rows; row++) {
+        place_at(&s, &m, row);
+        for (pair = 0; pair < s.least.n && is_apart(&s, &m, pair);)
+            pair++;
+        if (pair < s.least.n)
+            break;
+    }
+    release(&m.room);
+    return PyLong_FromSsize_t(row);
+}
+
+PyObject *pairs_in_doubt(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Screen s;
+    Machine m;
+    npy_intp *found;
+    if (count_is(count, 15, "pairs_in_doubt") < 0 || read_screen(args, &s) < 0 ||
+        has_length(s.q.rows, 1, "q") < 0 || machine_of(&s, &m) < 0)
+        return NULL;
+    Room room;
+    if (!(found = room_for(&room, (s.least.n + 1) * sizeof *found))) {
+        release(&m.room);
+        return NULL;
+    }
+    npy_intp some = 0;
+    place_at(&s, &m, 0);
+    for (npy_intp pair = 0; pair < s.least.n; pair++)
+        if (!is_apart(&s, &m, pair))
+            found[some++] = pair;
+    PyObject *pairs = ind_of(found, some);
+    release(&room), release(&m.room);
+    return pairs;
+}
