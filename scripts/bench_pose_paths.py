@@ -3,7 +3,8 @@
 
 The problems are those of validation/pose_paths.py: words, circles, squares, turns on the spot,
 ways around cubes and between poles, on arms of seven and eight joints with and without
-continuous ones, and paths on which a waypoint is impossible. Each is planned in a process of
+continuous ones, and paths on which a waypoint is impossible. Of the others that are not verified,
+dense samples say whether there is any way (validation/dense_layers.py). Each is planned in a process of
 its own, so that its memory is its own; time is of the processor. The results are in
 docs/measurements.md.
 
@@ -54,7 +55,8 @@ def main() -> None:
     print("\n" + markdown(pose_paths.summarise(results)))
     for result in results:
         if result.message and result.verdict != "verified":
-            print(f"{result.kind}, {result.machine}: {result.message}")
+            no_way = " (its configurations do not hang together: there is no way)" if result.together is False else ""
+            print(f"{result.kind}, {result.machine}: {result.message}{no_way}")
     if options.csv:
         write_csv(rows, options.csv)
 

@@ -23,6 +23,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import TURN_LEVER
+from validation.dense_layers import DenseLayers
 from validation.obstacles import Record
 from validation.pose_arms import ARMS, write_arm
 from validation.scenes import scene_of
@@ -85,6 +86,7 @@ class Result:
     step: the largest change of a joint between successive waypoints [rad or m].
     off: greatest distance of a waypoint from the motion [m], a radian as 0.25 m.
     duration: of the motion [s].
+    together: of one that is not verified, although no waypoint is impossible: whether its configurations hang together.
     """
 
     kind: str
@@ -98,6 +100,7 @@ class Result:
     step: float
     off: float
     duration: float
+    together: bool | None = None
 
     @property
     def row(self) -> Row:
@@ -339,13 +342,16 @@ def solve(problem: Problem, *, seed: int = 0) -> Result:
     path = problem.scene.task.path
     assert path is not None
     assert path.waypoints is not None
-    step, off, duration = float("nan"), float("nan"), float("nan")
+    step, off, duration, together = float("nan"), float("nan"), float("nan"), None
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     if plan.verified:
         step, off = waypoint_steps(problem, plan.trajectory.q)
         duration = plan.metrics.duration
+    elif problem.kind not in IMPOSSIBLE:
+        together = DenseLayers(problem.robot, problem.scene).hang_together
     return Result(
         problem.kind, problem.machine, len(path.waypoints), plan.verdict, plan.reason, plan.message, seconds,
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, step, off, duration,
+        memory, step, off, duration, together,
     )  # fmt: skip
 
 
@@ -399,7 +405,8 @@ def summarise(results: Sequence[Result]) -> list[Row]:
                 seconds = [r.seconds for r in own]
                 rows.append({
                     "machine": machine, "problems": "impossible" if impossible else "possible", "number": len(own),
-                    "verified": sum(r.verdict == "verified" for r in own), "median [s]": float(np.median(seconds)),
+                    "verified": sum(r.verdict == "verified" for r in own),
+                    "no way": sum(r.together is False for r in own), "median [s]": float(np.median(seconds)),
                     "most [s]": max(seconds), "memory [MB]": max(r.memory for r in own),
                 })  # fmt: skip
     return rows
