@@ -16,6 +16,7 @@ SOURCES = (
     "odometers",
     "screen",
     "timing",
+    "programs",
     "module",
 )
 

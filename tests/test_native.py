@@ -24,6 +24,7 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Rows  # noqa: F401  the same
 from backhoe_planner.native import find_compiled, native_version, plain_versions
 from backhoe_planner.planning import Stepper  # noqa: F401  the same
+from backhoe_planner.site import ClearanceScreen  # noqa: F401  the same
 
 Rng: TypeAlias = np.random.Generator
 Arguments: TypeAlias = tuple[Any, ...]
@@ -158,6 +159,16 @@ def quick_terms(rng: Rng) -> Arguments:
     return (
         rng.uniform(-2.1, 2.1, 4), 2.0 * rng.normal(size=(3, 4)), rng.normal(size=3), rng.uniform(-0.05, 0.8, count),
         rng.normal(size=(count, 4)), 0.1 * rng.normal(size=count), ranges, settings,
+    )  # fmt: skip
+
+
+def soft_solution(rng: Rng) -> Arguments:
+    """Some of whose rows cannot all be kept within the bounds."""
+    n, rows = joints(rng), some(rng, 30)
+    A = rng.normal(size=(n, n))
+    return (
+        A.dot(A.T) + 0.1 * np.eye(n), rng.normal(size=n), -rng.uniform(0.0, 1.0, n), rng.uniform(0.0, 1.0, n),
+        rng.normal(size=(rows, n)), rng.normal(0.3, 0.5, rows), 150,
     )  # fmt: skip
 
 
@@ -536,7 +547,7 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     pairs_within,
     place_on_line, place_tip, placed_arrays, plane_rows,
     quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity,
-    split_by_plane, stalest_pair, step_conditions, straight_towards, unproven_of_near, ways_of_links,
+    soft_solution, split_by_plane, stalest_pair, step_conditions, straight_towards, unproven_of_near, ways_of_links,
 ]  # fmt: skip
 
 
@@ -567,6 +578,13 @@ def same(found: Any, plain: Any) -> bool:
     return math.isclose(found, plain, rel_tol=1e-9, abs_tol=1e-11)
 
 
+def agree(source: Callable[[Rng], Arguments], found: Any, plain: Any) -> bool:
+    """The same; of two solvers the solutions alone, to the tolerance of the general one."""
+    if source is not soft_solution:
+        return same(found, plain)
+    return isinstance(found[1], int) and bool(np.allclose(found[0], plain[0], rtol=0.0, atol=2e-6))
+
+
 def test_every_marked_function_has_random_arguments() -> None:
     assert sorted(plain_versions()) == [source.__name__ for source in SOURCES]
 
@@ -584,7 +602,7 @@ def test_compiled_and_plain_versions_agree(source: Callable[[Rng], Arguments]) -
         if leaves_open(source, expected):
             continue
         answered += 1
-        assert same(found, expected)
+        assert agree(source, found, expected)
         if source in WRITERS:
             written = WRITERS[source]
             assert same(for_compiled[-written:], for_plain[-written:])
@@ -620,7 +638,7 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
                         refused += 1
                     else:  # there may be one less of it
                         expected = plain(*copied(shorter))
-                        assert same(found, expected) or leaves_open(source, expected)
+                        assert agree(source, found, expected) or leaves_open(source, expected)
     assert refused > 5
 
 
@@ -636,7 +654,7 @@ def test_with_more_joints_than_there_is_room_for_the_plain_version_answers(
     for _ in range(5):
         arguments = source(rng)
         found, expected = compiled(*copied(arguments)), plain(*copied(arguments))
-        assert same(found, expected) or leaves_open(source, expected)
+        assert agree(source, found, expected) or leaves_open(source, expected)
 
 
 @needs_native

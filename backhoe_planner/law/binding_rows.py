@@ -20,6 +20,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, StackedRows, solve_program
+from backhoe_planner.native import compiled
 
 MOST_SOFT_ROWS = 48  # in a problem that is solved; an ordinary step has up to 25 (scripts/bench_servo.py)
 _ROUNDS = 4  # chosen; where all rows can be kept, 2 or 3 are enough
@@ -61,6 +62,9 @@ def solve_with_binding_rows(
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
     count = stacked.total
+    if stacked.soft == count <= MOST_SOFT_ROWS:
+        solved = soft_solution(*program[:4], stacked.G, stacked.high, MOST_ITERATIONS)
+        return None if solved is None else BindingSolution(solved[0], _NONE, count, 1, solved[1])
     if stacked.soft <= MOST_SOFT_ROWS:
         solution = solve_program(program, most_iterations=MOST_ITERATIONS, stacked=stacked)
         return None if solution is None else BindingSolution(solution.x, _NONE, count, 1, solution.iterations)
@@ -89,6 +93,17 @@ def solve_with_binding_rows(
             break
         kept = np.append(kept, _most_missed(direction, missed, beyond=worst, count=room))
     return found
+
+
+@compiled
+def soft_solution(
+    H: Matrix, f: Vector, low: Vector, high: Vector, G: Matrix, h: Vector, most_iterations: int, /
+) -> tuple[Vector, int] | None:
+    """The x (n,) of a program with soft rows G x <= h alone, and the solver's iterations; None where it needs more."""
+    stacked = StackedRows.of((Rows("soft", G, h),), len(f))
+    program = QuadraticProgram(H, f, low, high)
+    solution = solve_program(program, most_iterations=most_iterations, stacked=stacked)
+    return None if solution is None else (solution.x, solution.iterations)
 
 
 def _most_missed(direction: Matrix, missed: Vector, *, beyond: float, count: int) -> Indices:

@@ -57,6 +57,39 @@ def test_a_soft_row_is_missed_by_its_force_over_its_price() -> None:
     assert nearest([3.0, 2.0], soft).sum() - 1.0 == pytest.approx(4.0 / PRICE, rel=1e-3)
 
 
+def test_soft_rows_alone_by_hand() -> None:
+    """As above: from (3, 2) to the edge and beyond it by 4 / PRICE, and where x, y >= 2 the corner."""
+    soft, eye = half_plane(Kind.SOFT), np.eye(2)
+    found = solve_with_binding_rows(QuadraticProgram(eye, -np.array([3.0, 2.0]), -WIDE, WIDE, (soft,)))
+    assert found is not None
+    np.testing.assert_allclose(found.x, [1.0 + 2.0 / PRICE, 2.0 / PRICE], atol=1e-9)
+    stuck = solve_with_binding_rows(QuadraticProgram(eye, np.zeros(2), np.full(2, 2.0), WIDE, (soft,)))
+    assert stuck is not None
+    np.testing.assert_allclose(stuck.x, [2.0, 2.0], atol=1e-9)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_with_soft_rows_alone_nothing_beside_the_solution_costs_less(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, count = 4, 8
+    A, G, h = rng.normal(size=(n, n)), rng.normal(size=(count, n)), rng.normal(0.3, 0.5, count)
+    H, f, low, high = A @ A.T + 0.1 * np.eye(n), rng.normal(size=n), -rng.uniform(0.0, 1.0, n), rng.uniform(0.0, 1.0, n)
+    found = solve_with_binding_rows(QuadraticProgram(H, f, low, high, (Rows("test", G, h),)))
+    assert found is not None
+    size = np.einsum("kn,nk->k", G, np.linalg.solve(H, G.T))
+
+    def cost(x: np.ndarray) -> float:
+        missed = np.maximum(G @ x - h, 0.0)
+        return float(0.5 * x @ H @ x + f @ x + 0.5 * PRICE * (missed**2 / size).sum())
+
+    assert np.all(found.x >= low - 1e-6)
+    assert np.all(found.x <= high + 1e-6)
+    x = np.clip(found.x, low, high)
+    for scale in (1e-1, 1e-2, 1e-3):
+        beside = np.clip(x + scale * rng.normal(size=(20, n)), low, high)
+        assert min(map(cost, beside)) >= cost(x) - 1e-6 * max(abs(cost(x)), 1.0)
+
+
 def test_what_is_impossible_has_no_solution() -> None:
     hard = half_plane(Kind.HARD)
     assert solve_program(QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, 2.0), WIDE, (hard,))) is None

@@ -75,3 +75,36 @@ def test_planes_that_were_kept_bound_other_paths_until_the_obstacle_moves(backho
     before = separation.measured
     separation.look_closely(int(pairs[0]), path, at, 0.0, enough=-1.0)
     assert separation.measured > before
+
+
+def test_a_bound_is_exact_where_the_points_of_before_are_hardly_further_apart(backhoe: Robot) -> None:
+    """Exact is said of bounds that miss no more than asked, by another measurement, and of most after small moves."""
+    joints = dict(zip(backhoe.joint_names, [0.0, 0.3, -0.9, -0.5], strict=True))
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": joints},
+            "task": {"goal": {"position": [4.0, 2.0, 0.5]}},
+            "obstacles": [ROUND],
+        }
+    )
+    separation, at = Separation(backhoe), Placements(backhoe, 1)
+    separation.add(0, build_obstacles(scene, backhoe)[0])
+    separation.place_at(0, np.zeros(3))
+    rng, said = np.random.default_rng(12), []
+    for turn in range(40):
+        q, small = rng.uniform(-0.4, 0.4, 4) + np.array([0.2, 0.3, -0.9, -0.5]), turn < 20
+        at.place(0, q)
+        pairs = range(len(separation))
+        before = [separation.renew(pair, at, 0) for pair in pairs]
+        assert all(separation.is_exact(pair, at, 0, before[pair], 1e-6) for pair in pairs if before[pair] > 0.0)
+        at.place(0, q + (0.003 if small else 0.1) * rng.normal(size=4))
+        for pair, bound in zip(pairs, separation.least_gaps(np.array(pairs), at, 0).tolist(), strict=True):
+            true, *_ = separation.measure(pair, at, 0)
+            exact = separation.is_exact(pair, at, 0, bound, 1e-3)
+            assert not exact or bound >= true - 1e-3 - 2e-6
+            if small and true > 0.0:
+                said.append(exact)
+    assert np.mean(said) > 0.5
+    separation.velocity[:] = 0.1
+    assert not any(separation.is_exact(pair, at, 0, np.inf, 1e-3) for pair in pairs)

@@ -40,6 +40,9 @@ _ROOM = 0.1  # m that boxes have to keep more than they must before their planes
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 _MOVED = 0.1  # of the margin and that: chosen, planes are renewed after 2 mm at a wall, and 2 cm at 0.2 m from it
 _STALE = CLOSE, _URGENT, _MOVED
+_EXACT = (
+    0.1 * BUFFER
+)  # m by which a bound may be less than the distance without being measured; chosen, hardly anything
 
 
 _NOTHING = np.zeros(0, dtype=np.intp), np.zeros(0)
@@ -375,7 +378,7 @@ class PairBounds:
             return seen
         found = self._near(q, at)
         if len(found.pairs) > 0 and found.next < 0 and not (self.anything_moves or self._slows):
-            self._seen = found, _SEEN_ANEW if float(found.margin.min()) > CLOSE + _SEEN_ANEW else 0.0
+            self._seen = found, _SEEN_ANEW if found.margin[found.margin.argmin()] > CLOSE + _SEEN_ANEW else 0.0
         return found
 
     def _near(self, q: Vector, at: Placements) -> Near:
@@ -467,9 +470,13 @@ class PairBounds:
         )  # fmt: skip
         if pair < 0:
             return
-        self._distance[pair] = separation.renew(pair, at, 0) + self._start_odometer[separation.classes[pair]]
+        counted = float(self._start_odometer[separation.classes[pair]])
+        if self._renewed_at[pair] == -math.inf or not separation.is_exact(
+            pair, at, 0, float(self._distance[pair]) - counted, _EXACT
+        ):
+            self._distance[pair] = separation.renew(pair, at, 0) + counted
+            self._seen = None, 0.0
         self._note_renewed(pair)
-        self._seen = None, 0.0
 
     def _note_renewed(self, pairs: Indices | int) -> None:
         """Pairs (K,) were measured in this step."""

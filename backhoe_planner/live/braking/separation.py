@@ -155,6 +155,7 @@ class Separation:
         self.planes = _no_planes(len(pairs))
         self.velocity = np.zeros((len(pairs), 3))
         self.drift = np.zeros(len(pairs))
+        self._points = np.full((len(pairs), 6), np.nan)  # between which it was renewed, each in its body's frame
         self.clusters: list[ClusterPairs] = []
         self._shifts: dict[int, Vector] = {}
         self._planes_of = PlaneSets()
@@ -197,6 +198,7 @@ class Separation:
         self.other_piece = np.append(self.other_piece, np.full(added, -1, dtype=np.intp))
         self.planes = np.concatenate((self.planes, _no_planes(added)))
         self.drift = np.append(self.drift, np.zeros(added))
+        self._points = np.concatenate((self._points, np.full((added, 6), np.nan)))
         self._refresh()
         return np.arange(first, first + added, dtype=np.intp)
 
@@ -205,6 +207,7 @@ class Separation:
         kept = self.owner != number
         for name in (
             "owner", "full_clearance", "load", "classes", "piece", "other_piece", "planes", "velocity", "drift",
+            "_points",
         ):  # fmt: skip
             setattr(self, name, getattr(self, name)[kept])
         del self._stands_of[number]
@@ -297,7 +300,7 @@ class Separation:
         shift = self._shifts[one.number]
         self.measured += len(parts)
         distance = np.full(len(one.pairs), FAR)
-        self.planes[one.pairs], self.drift[one.pairs] = _FAR_AWAY, 0.0
+        self.planes[one.pairs], self.drift[one.pairs], self._points[one.pairs] = _FAR_AWAY, 0.0, np.nan
         stands = self._stands_of[one.number]
         for stand in [self._body[pair] for pair in one.pairs.tolist()]:
             if stand is not None:
@@ -364,9 +367,30 @@ class Separation:
 
     def renew(self, pair: int, at: Placements, sample: int) -> float:
         """Measure a pair, keep its plane, and return the signed distance [m]."""
-        distance, n, offset, _ = self.measure(pair, at, sample)
+        distance, n, offset, x = self.measure(pair, at, sample)
         self._keep_plane(pair, n, offset)
+        T, other = at.T[sample], int(self.other[pair])
+        own, there = T[self.joint[pair]], x
+        if other:
+            there = (x - T[other, :3, 3]).dot(T[other, :3, :3])
+        points = self._points[pair]
+        points[:3], points[3:] = (x - own[:3, 3]).dot(own[:3, :3]), there + distance * n
         return distance
+
+    def is_exact(self, pair: int, at: Placements, sample: int, distance: float, tolerance: float) -> bool:
+        """Whether a lower bound of a pair's `distance` is less than the true one by no more than a tolerance [m].
+
+        By the points between which it was renewed last: the true distance is not more than theirs. False where these
+        say less, and where the obstacle moves.
+        """
+        if self.velocity[pair].any():
+            return False
+        T, points, other = at.T[sample], self._points[pair], int(self.other[pair])
+        own, there = T[self.joint[pair]], points[3:]
+        if other:
+            there = T[other, :3, :3].dot(there) + T[other, :3, 3]
+        apart = own[:3, :3].dot(points[:3]) + own[:3, 3] - there
+        return math.sqrt(apart.dot(apart)) <= distance + tolerance
 
     def gradients(self, pairs: Indices, at: Placements, sample: int, *, keep: bool = False) -> tuple[Vector, Matrix]:
         """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad].

@@ -12,6 +12,7 @@ still reach:
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -100,8 +101,14 @@ def velocity_program(
     rows: that it must keep.
     """
     if wish.task is None:
-        return QuadraticProgram(np.eye(len(target)), -target, low, high, rows)
+        return QuadraticProgram(_identity(len(target)), -target, low, high, rows)
     return QuadraticProgram(*cost_of_tip(wish.task, target, wish.null, _FREE), low, high, rows)
+
+
+@lru_cache(maxsize=8)
+def _identity(n: int) -> Matrix:
+    """(n, n) to be read only."""
+    return np.eye(n)
 
 
 @compiled
