@@ -55,8 +55,8 @@ def main() -> None:
     print("\n" + markdown(pose_paths.summarise(results)))
     for result in results:
         if result.message and result.verdict != "verified":
-            no_way = " (its configurations do not hang together: there is no way)" if result.together is False else ""
-            print(f"{result.kind}, {result.machine}: {result.message}{no_way}")
+            apart = " (there seems to be no way: its configurations do not hang together)"
+            print(f"{result.kind}, {result.machine}: {result.message}{apart if result.together is False else ''}")
     if options.csv:
         write_csv(rows, options.csv)
 
