@@ -28,6 +28,7 @@ from backhoe_planner.planning.goals.allowed_time import (
 )
 from backhoe_planner.planning.goals.first_rounds import after_first_rounds
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.straight_lines import STRAIGHT, StraightLines
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -55,9 +56,7 @@ _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each of these must 
 _FINER = 8  # times more of these for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
-_PLACES = 25  # of a line or a motion, by which it is looked at as a whole; chosen, about every 2 to 10 cm of the tip
-_SOONEST = 4  # postures of which one is then chosen
-_MOST_BLOCKED = 0.3  # part of the line that may then not be clear; chosen
+_PLACES = 25  # of a motion, by which it is looked at as a whole; chosen, about every 2 to 10 cm of the tip
 _TRIED = 4  # rounds after which a descent is judged
 _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
 _LATER_LOOKS = (8, 16)  # the same for another cost than the time; chosen
@@ -86,7 +85,6 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # and how many of both have a few rounds, for another cost than the time; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
-_END_APART = 0.03  # part of the longest time: joint time between two postures to which lines are drawn at all; chosen
 _WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
@@ -95,7 +93,6 @@ _END_GAIN = 0.15  # part of the least time to a posture that may be won where th
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
 # for a motion whose time says how long one may take that costs little; where it finds none soon, a longer search does
 _FIRST_SEARCH = replace(EFFORTS["quick"], motions_per_search=1_000, motions=2_000)
-_STRAIGHT = "straight for the joints"
 
 
 class MotionSearch:
@@ -124,6 +121,7 @@ class MotionSearch:
         self._screen = ClearanceScreen(world.proximity, time=time)
         self._ends = GoalEnds(world.problem, start)
         self._ends.take(found.clear, found.goals)
+        self._lines = StraightLines(start, self._ends, self._screen, pieces=world.work.effort.pieces)
         self._ways = Ways(world, start, self._ends, time=time, hurried=not self._goes_on())
         known = KnownCurves(
             world.problem.limits,
@@ -158,7 +156,7 @@ class MotionSearch:
             if not self._problem.objective.is_time:
                 self._go_fast()
             if not np.isfinite(self._longest):
-                self._go_straight(self._ends.order if self._goes_on() else self._least_blocked())
+                self._go_straight(self._ends.order if self._goes_on() else self._lines.least_blocked())
                 if self._goes_on() and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
             if self.best is None or not self._goes_straight(self.best):
@@ -209,7 +207,7 @@ class MotionSearch:
         self._reserved = work.descent_rounds // 3
         ways = work.effort.ways_at_once
         prices = StartPrices(self._descent, self._screen, longest=self._longest)
-        straight = prices.in_order(self._straight_starts() if self._goes_on() else [])
+        straight = prices.in_order(self._lines.within(self._longest) if self._goes_on() else [])
         lines = prices.cheapest(straight, _LINES_FOR_ONE * ways)
         both = sorted([*lines, *prices.paced(lines)], key=lambda one: one.price)
         known = prices.in_order([self._fitted(one) for one in ended])
@@ -234,20 +232,7 @@ class MotionSearch:
 
         False where one is blocked that is cheaper as early, or none got clear: a way round may be cheaper too.
         """
-        return found.curve is not None and found.way == _STRAIGHT and self._early <= self._blocked
-
-    def _straight_starts(self) -> list[Start]:
-        """Straight lines to postures that can be reached in the longest time, the soonest of those near each other."""
-        pieces, ends = self._world.work.effort.pieces, self._ends
-        return [
-            Start(
-                JointCurve.straight(self._start, ends.postures[index], pieces),
-                ends.least[index],
-                ends.goals[index],
-                _STRAIGHT,
-            )
-            for index in ends.within(self._longest, _END_APART * self._longest)
-        ]
+        return found.curve is not None and found.way == STRAIGHT and self._early <= self._blocked
 
     def _descend_cheapest(self, chosen: Sequence[PricedStart]) -> None:
         """A few rounds of descents from these starts, then all rounds of the best."""
@@ -287,18 +272,6 @@ class MotionSearch:
         """Whether the search goes on where it has found a motion."""
         return self._world.work.effort.dull_searches > 0
 
-    def _least_blocked(self) -> list[int]:
-        """The one of the soonest postures to which the straight line is most nearly clear, if that is enough."""
-        part = np.linspace(0.0, 1.0, _PLACES)[:, None]
-        blocked: list[float] = []
-        for index in self._ends.order[:_SOONEST]:
-            line = self._start + part * (self._ends.postures[index] - self._start)
-            blocked.append(1.0 - float(np.mean(self._screen.keeps(line))))
-            if not blocked[-1]:
-                break
-        best = int(np.argmin(blocked))
-        return [self._ends.order[best]] if blocked[best] <= _MOST_BLOCKED else []
-
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, in so much time [s] or anywhere; which they are, the soonest first."""
         self._looked_within = np.inf if within is None else within
@@ -317,8 +290,8 @@ class MotionSearch:
                 return
             if not self._is_open(index):
                 continue
-            line = JointCurve.straight(self._start, self._ends.postures[index], work.effort.pieces)
-            if not self._descend(line, self._ends.least[index], self._ends.goals[index], _STRAIGHT):
+            line = self._lines.to(index)
+            if not self._descend(line.curve, line.duration, line.goal, line.way):
                 return
 
     def _go_round(self) -> None:
