@@ -7,6 +7,7 @@ The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,8 @@ _NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step a
 # the same of the drive at one place, below which it is not even asked how that changes with a step; chosen, no step
 # of a sample of plans was another for it, and four places in five are left out
 _FAR_FROM_LIMIT = 0.3
+_MOST_TURNING = 3  # joints at one place that count as turning round in one step; chosen, each doubles the rows
+_LEAST_FLOW = 0.01  # part of the pump's that a joint takes then, below which it counts as going on; chosen
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
 _SOLUTIONS = 3  # of a program at most; measured, the third adds a fiftieth of the kinks of the second
@@ -154,6 +157,38 @@ class LinearModel:
         G, by_duration = self._of_moments(near[place], slopes[place, limit])
         kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
         self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
+        if drive.hydraulics is not None:
+            flow = 2 * self._n  # beside efforts and rod speeds
+            self._keep_flow_where_joints_turn(drive, near, base[:, flow], slopes[:, flow])
+
+    def _keep_flow_where_joints_turn(self, drive: Drive, near: Indices, flow: Vector, slopes: Matrix) -> None:
+        """Rows of the flow with joints that turn round: the oil that a joint takes has a kink where it stands.
+
+        Parameters
+        ----------
+        near: (K,) places.
+        flow: (K,) over the pump's there.
+        slopes: (K, 3 n) its derivatives by q, v and a, as long as all joints go on the way they go.
+        """
+        n, place = self._n, np.arange(len(near))[:, None]
+        q, v = self._at[0][near], self._at[1][near] / self._T
+        back = np.where(v < 0.0, 1.0, -1.0)  # the other way
+        each = np.eye(n) * back[:, :, None]
+        by_rate = drive.flow_use(np.broadcast_to(q[:, None, :], each.shape), each)  # (K, n) that way
+        kink = by_rate - back * slopes[:, n : 2 * n]  # (K, n) by how much the slope changes there
+        change = (np.abs(self._lift(self._weights[1][near])) @ self._box).reshape(-1, n) / self._T
+        more = kink * (change - np.abs(v))  # (K, n) that a joint takes at most where a step turns it round
+        most = np.argsort(-more, axis=1)[:, :_MOST_TURNING]
+        for some in itertools.product((False, True), repeat=most.shape[1]):
+            turns = np.zeros_like(kink, dtype=bool)
+            turns[place, most] = some
+            asked = turns.any(axis=1) & np.all(~turns | (more > _LEAST_FLOW), axis=1)
+            turned = slopes[asked]
+            turned[:, n : 2 * n] += np.where(turns, back * kink, 0.0)[asked]
+            without = (flow - np.sum(np.where(turns, kink * np.abs(v), 0.0), axis=1))[asked]
+            G, by_duration = self._of_moments(near[asked], turned)
+            kept = without + np.abs(G) @ self._box > _NEAR_LIMIT
+            self._add("drive", G[kept], 1.0 - without[kept], by_duration=by_duration[kept])
 
     def keep_clear(self, margins: list[Margin], places: int, *, after: Vector | None = None) -> None:
         """Rows of margins at some of `places` equally spaced u; all may be missed by the slack.
