@@ -17,7 +17,7 @@ from backhoe_planner.site import ClearanceScreen
 _PLACES = 25  # of a curve, that are asked whether they are clear; chosen, about every 2 to 10 cm of the tip
 _PART = 0.5  # of the way, in which an early or a late joint makes all of its own; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
-_DEAR = 1.5  # times the least price, above which no descent is tried; measured, it hardly ever becomes the best
+_DEAR = 3.0  # times the least price, above which no descent is tried; measured, above it hardly any becomes the best
 _BESIDE = 6  # starts with joints early or late, that come beside the cheapest of each line; chosen
 _TOGETHER = 100  # starts that are priced at once, to bound the memory
 

@@ -79,13 +79,14 @@ _PATIENCE = ((2.0, 4), (1.4, 3), (1.1, 2))
 _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
 _NEAR = 1.1  # times the least time to any posture, up to which a motion is near the best there is; chosen
 _MORE_POSTURES = 4  # times the usual starting points, where more of them are looked for; chosen
+_MORE_FOR_COST = 12  # the same for another cost than the time, of which the end decides most; measured
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 # the cheapest straight lines for each of `Effort.ways_at_once`, of which some joints are made early or late as well,
 # and how many of both have a few rounds, for another cost than the time; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
-_WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
+_WORTH_ROUNDS = 2.0  # times the least cost after some rounds, up to which more are made; chosen
 _SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
@@ -275,8 +276,9 @@ class MotionSearch:
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, in so much time [s] or anywhere; which they are, the soonest first."""
         self._looked_within = np.inf if within is None else within
+        more = _MORE_POSTURES if self._problem.objective.is_time else _MORE_FOR_COST
         found = find_goal_postures(
-            self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES,
+            self._world, self._problem.goals, near=self._start, time=self._time, more=more,
             travel=None if within is None else travel_within(self._problem.limits, within),
         )  # fmt: skip
         return [] if isinstance(found, Outcome) else self._ends.take(found.clear, found.goals)
@@ -295,9 +297,13 @@ class MotionSearch:
                 return
 
     def _go_round(self) -> None:
-        """Descents from a sampled way, then from ways through roadmaps, until several times nothing was gained."""
-        work = self._world.work
-        turn = dull = 0
+        """Descents from a sampled way, then from ways through roadmaps, until several times nothing was gained.
+
+        For another cost than the time every other time sampled ways: what one costs says little of what a descent
+        makes of it, and they differ more from each other than the cheapest through roadmaps.
+        """
+        work, is_time = self._world.work, self._problem.objective.is_time
+        turn, dull = (0 if is_time else 1), 0  # the search for the fastest had the first ways
         self._reserved = _FINE_ROUNDS if work.effort.descent_rounds > 2 * _FINE_ROUNDS else 0
         while self.best is None and self._ways.may_sample and turn < max(work.effort.ways_at_once, _FEWEST_WAYS):
             self._follow(self._sampled(turn))
@@ -309,7 +315,8 @@ class MotionSearch:
             if work.descent_rounds <= self._reserved:
                 return
             before = self.best.cost
-            found = self._follow(self._mapped(turn, dull) if mapped else self._sampled(turn))
+            sampled = not mapped or (not is_time and turn % 2 == 1)
+            found = self._follow(self._sampled(turn) if sampled else self._mapped(turn, dull))
             turn += 1
             gained = self.best.cost < (1.0 - _GAIN) * before
             dull = 0 if gained else dull + (1 if found or mapped else _VAIN)
@@ -375,7 +382,8 @@ class MotionSearch:
 
     def _sampled(self, turn: int) -> Iterator[FoundMotion]:
         """Motions along sampled ways to postures that can still be better."""
-        for number in range(turn, turn + (1 if self.best is None else self._world.work.effort.ways_at_once)):
+        ways = self._world.work.effort.ways_at_once
+        for number in (turn,) if self.best is None else range(ways * turn, ways * (turn + 1)):
             which = [index for index in self._ends.order if self._is_open(index)]
             if number % 2:
                 which = self._elsewhere(which) or which
