@@ -28,7 +28,6 @@ from backhoe_planner.native import compiled
 _OFF = 0.02  # m that points may be off their chords; chosen, small beside the ways of links in motion
 MOST_PARTS = 4  # of the line; chosen, to bound the work
 SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
-_NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
 _CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
 _RULES = _CLOSE, _LEAST
@@ -110,7 +109,7 @@ class BoxPlaces:
         return ways_of_links(T, self._joint, self._found_at, self._columns, self._fat)
 
     def most_urgent(
-        self, T: Array, line: Line, known: KnownDistances, planes: Matrix
+        self, T: Array, line: Line, known: KnownDistances, planes: Matrix, *, near: float
     ) -> tuple[ClusterPairs | None, float]:
         """Whose boxes are to be found anew before all others if all are to hold for the line, and how urgent that is.
 
@@ -120,12 +119,13 @@ class BoxPlaces:
         ----------
         T: (S, joints, 4, 4) placements of the line's ends.
         planes: (P, 4) of all pairs, see `Separation`.
+        near: margin within which boxes are to be exact [m].
         """
         if not self.clusters:
             return None, 0.0
         inexact = inexact_boxes(
             T, self._joint, self._columns, self._witnesses, planes, self._pairs, self.classes,
-            self._clearance, line.beside, line.way, line.change, *known, (_NEAR, 1.0 - SLACK),
+            self._clearance, line.beside, line.way, line.change, *known, (near, 1.0 - SLACK),
         )  # fmt: skip
         urgency = box_urgency(
             self.moved(T), self._covered, self._nearest, self._clearance, self._speed, self.counts, self.classes,
@@ -210,7 +210,7 @@ def inexact_boxes(
     pairs: (K B,) the pairs of the links.
     beside, way, change: see `Line`.
     distance, odometer, proven, path_odometer: see `KnownDistances`.
-    rules: `_NEAR`, and the part of a cell's distance that its box has to have at least.
+    rules: margin within which a box is near [m], and the part of a cell's distance that its box has to have at least.
     """
     near, exact = rules
     each = pairs.reshape(len(joint), -1)

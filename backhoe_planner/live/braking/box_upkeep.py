@@ -121,4 +121,6 @@ class BoxUpkeep:
     def _most_urgent(self, state: JointState, steps: int) -> tuple[ClusterPairs | None, float]:
         """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
         line, T = self._ahead(state, steps)
-        return self._separation.places.most_urgent(T, line, self._bounds.known, self._separation.planes)
+        return self._separation.places.most_urgent(
+            T, line, self._bounds.known, self._separation.planes, near=self._influence
+        )
