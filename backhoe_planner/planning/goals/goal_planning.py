@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,12 +10,13 @@ from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.motion_search import MotionSearch
+from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.search.effort import EFFORTS, Brake
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 
@@ -44,11 +46,14 @@ class ToGoal:
         search = MotionSearch(world, stepper.q, found, time=stepper.time)
         ended = search.run()
         if search.best is not None:
+            best = search.best
+            if not ended:
+                best, ended = self._after_restarts(world, stepper, best, search.allowed_time)
             branch = stepper.branch(attempt=stepper.attempt + 1)
-            branch.play(search.best.motion)
+            branch.play(best.motion)
             message = f"{ended}; a better motion was not looked for any more" if ended else ""
             allowed = None if search.allowed_time is None else stepper.time + search.allowed_time
-            findings = Findings(way=search.best.way, allowed_time=allowed)
+            findings = Findings(way=best.way, allowed_time=allowed)
             return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = f"of {search.looked_at:,} motions that sampling looked at none led there"
         if not search.looked_at:
@@ -80,6 +85,29 @@ class ToGoal:
         steps = run_iteration(world.problem, stepper.q, target, proximity=world.proximity, kinematics=world.kinematics)
         motion = time_iterates(world.problem, steps, proximity=world.proximity)
         return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
+
+    def _after_restarts(
+        self, world: World, stepper: Stepper, best: FoundMotion, allowed_time: float | None
+    ) -> tuple[FoundMotion, str]:
+        """The best motion of this and of further searches, none longer than `allowed_time` [s]; and see `run`.
+
+        Which motions of least work a search comes upon depends on the postures and ways that it draws.
+        """
+        longest = math.inf if allowed_time is None else allowed_time
+        restarts = 0 if world.problem.objective.is_time else world.work.effort.restarts
+        for number in range(1, restarts + 1):
+            again = world.anew(number, EFFORTS["normal"])
+            found = find_goal_postures(again, self.goals, near=stepper.q, time=stepper.time)
+            if isinstance(found, Outcome):
+                continue
+            search = MotionSearch(again, stepper.q, found, time=stepper.time)
+            ended, other = search.run(), search.best
+            if other is not None and other.motion.duration <= longest and other.cost < best.cost:
+                best = other
+                world.show(best.motion, attempt=number, best=best.cost)
+            if ended:
+                return best, ended
+        return best, ""
 
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
         """The law straight to the first of `goals` at which that arrives, else the attempt that came nearest."""

@@ -49,6 +49,8 @@ class Effort:
     ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
         are brought down.
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
+    restarts: further searches for another cost than the time, each with the normal effort and random choices of
+        its own.
     rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve goes
         on from there, and mostly it costs no more at the end.
     """
@@ -68,6 +70,7 @@ class Effort:
     pieces: int
     ways_at_once: int
     dull_searches: int
+    restarts: int
     rough: bool
 
 
@@ -87,6 +90,7 @@ _NORMAL = Effort(
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
+    restarts=0,
     rough=True,
 )
 
@@ -112,7 +116,9 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             dull_searches=0,
         ),
         "normal": _NORMAL,
-        "thorough": replace(_scaled(4.0), descent_rounds=500, pieces=_NORMAL.pieces, ways_at_once=6, dull_searches=3),
+        "thorough": replace(
+            _scaled(4.0), descent_rounds=500, pieces=_NORMAL.pieces, ways_at_once=6, dull_searches=3, restarts=8
+        ),
     }
 )
 

@@ -18,6 +18,9 @@ from backhoe_planner.planning.search.effort import Effort, Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
 
+_SEEDS_APART = (
+    7_368_787  # a prime, so that searches begun anew draw nothing that ways of this one or of the next seed draw
+)
 _SHOWN = 5  # samples of a motion that is shown, of which one is; ten a second
 
 
@@ -63,6 +66,14 @@ class World:
         """The same problem, to be solved in the least time with this effort; nobody watches."""
         other = copy.copy(self)
         other.problem = replace(self.problem, objective=OBJECTIVES["time"])
+        other.work, other._watch = Work(effort, self.work.brake), None
+        other._put(self._obstacles)
+        return other
+
+    def anew(self, number: int, effort: Effort) -> World:
+        """The same problem with random choices of its own by `number` (from 1), and this effort; nobody watches."""
+        other = copy.copy(self)
+        other.seed = (self.seed + number * _SEEDS_APART) % 2**32
         other.work, other._watch = Work(effort, self.work.brake), None
         other._put(self._obstacles)
         return other

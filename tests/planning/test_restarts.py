@@ -1,0 +1,88 @@
+"""Further searches for the least work with `thorough`, each with random choices of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion import Goal, build_problem, time_evenly
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.goals import goal_planning
+from backhoe_planner.planning.goals.goal_planning import ToGoal
+from backhoe_planner.planning.goals.ways import FoundMotion
+from backhoe_planner.planning.search.effort import EFFORTS, Work
+from backhoe_planner.planning.world.world import World
+
+START, END = np.full(4, 0.1), np.array([0.5, 0.1, 0.1, 0.1])
+DURATION = 4.0  # s of the first motion, which may take 5 s
+
+
+def scene(robot: bp.Robot, objective: str) -> bp.Scene:
+    joints = {name: dict(zip(robot.joint_names, q.tolist(), strict=True)) for name, q in (("s", START), ("e", END))}
+    content = {"version": 1, "start": {"joints": joints["s"]}, "task": {"goal": {"joints": joints["e"]}}}
+    return bp.scene_from_dict(content | {"objective": objective})
+
+
+class Searches:
+    """Searches that find what they are told to, and remember the seeds of their worlds."""
+
+    def __init__(self, goal: Goal, found: list[tuple[float, float]]) -> None:
+        self._goal, self._left = goal, iter(found)
+        self.seeds: list[int] = []
+        self.efforts: list[Any] = []
+        self.allowed_time = 5.0
+        self.looked_at = 0
+        self.best: FoundMotion | None = None
+
+    def __call__(self, world: World, *_: Any, **__: Any) -> Searches:
+        self.seeds.append(world.seed)
+        self.efforts.append(world.work.effort)
+        return self
+
+    def run(self) -> str:
+        cost, duration = next(self._left)
+        motion = time_evenly(JointCurve.straight(START, END, 12), duration)
+        self.best = FoundMotion(motion, cost, self._goal, f"search {len(self.seeds)}")
+        return ""
+
+
+def way_of(robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any) -> tuple[str, Searches]:
+    effort = replace(EFFORTS["thorough"], restarts=3)
+    world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
+    searches = Searches(world.problem.goals[0], list(found))
+    patch.setattr(goal_planning, "MotionSearch", searches)
+    outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
+    assert not outcome.reason
+    return outcome.findings.way or "", searches
+
+
+@pytest.mark.parametrize(
+    ("others", "best"),
+    [
+        ([(9.0, 4.0), (7.0, 4.5), (8.0, 4.0)], "search 3"),
+        ([(9.0, 4.0), (7.0, 5.5), (9.5, 4.0)], "search 2"),  # the cheapest takes longer than it may
+        ([(12.0, 4.0), (11.0, 4.0), (10.0, 4.0)], "search 1"),
+    ],
+)
+def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, others: list[tuple[float, float]], best: str
+) -> None:
+    way, searches = way_of(planar4, "work", iter([(10.0, DURATION), *others]), monkeypatch)
+    assert way == best
+    assert len(set(searches.seeds)) == 4
+    assert searches.seeds[0] == 5
+    assert searches.efforts[1:] == [EFFORTS["normal"]] * 3
+
+
+def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    way, searches = way_of(planar4, "time", iter([(10.0, DURATION)]), monkeypatch)
+    assert (way, searches.seeds) == ("search 1", [5])
+
+
+def test_no_other_effort_searches_again() -> None:
+    assert [EFFORTS[name].restarts for name in ("quick", "normal")] == [0, 0]
