@@ -516,6 +516,11 @@ def first_in_doubt(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def ball_bounds(rng: Rng) -> Arguments:
+    q, factors, slides, joint, _, starts, fine, _, _, radius, boxes, first, second, _, _ = first_in_doubt(rng)
+    return q, factors, slides, joint, starts, fine, boxes, radius[len(joint) :], first, second
+
+
 def pairs_in_doubt(rng: Rng) -> Arguments:
     q, *rest = first_in_doubt(rng)
     return rng.normal(size=(1, q.shape[1])), *rest
@@ -539,9 +544,9 @@ def chain_placements(rng: Rng) -> Arguments:
 
 
 SOURCES: list[Callable[[Rng], Arguments]] = [
-    approach_rates, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency, braking_line,
-    cells_of_tiles, chain_placements, changes_of_end, corner_gaps, cost_of_tip, count_travel, damped_steps,
-    extent_along, fastest_run, first_in_doubt, force_on_hand, inexact_boxes, keep_placements, keep_proven,
+    approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
+    braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps, cost_of_tip, count_travel,
+    damped_steps, extent_along, fastest_run, first_in_doubt, force_on_hand, inexact_boxes, keep_placements, keep_proven,
     keeps_rows, largest_part, least_over_path, left_over_path, line_ahead, margins_now,
     near_now, near_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_in_doubt,
     pairs_within,

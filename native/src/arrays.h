@@ -101,7 +101,7 @@ int eigenvectors(double *A, int n, double *U);
     F(binding_corners) F(rows_by_velocity) F(place_on_line) F(bend_in_parts) F(least_over_path) F(cost_of_tip) \
     F(next_within) \
     F(count_travel) F(keep_proven) F(note_gaps) F(braking_line) F(largest_part) F(left_over_path) F(keeps_rows) \
-    F(first_in_doubt) F(pairs_in_doubt) F(fastest_run) F(soft_solution)
+    F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

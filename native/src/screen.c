@@ -281,7 +281,8 @@ static void place_at(const Screen *s, Machine *m, npy_intp row)
     place(m->pose, m->factors, m->slides, &s->q, row, s->factors.columns);
     for (npy_intp a = 0; a < s->own; a++) {
         const Pose *of = m->pose + INDEX(s->joint, a);
-        moved(of, s->coarse + 4 * a, m->centre[a]);
+        if (s->coarse)
+            moved(of, s->coarse + 4 * a, m->centre[a]);
         for (npy_intp i = INDEX(s->starts, a); i < INDEX(s->starts, a + 1); i++)
             moved(of, s->fine + 4 * i, m->ball[i]);
     }
@@ -338,4 +339,59 @@ PyObject *pairs_in_doubt(PyObject *self, PyObject *const *args, Py_ssize_t count
     PyObject *pairs = ind_of(found, some);
     release(&room), release(&m.room);
     return pairs;
+}
+
+/* The least distance between the smaller balls of two pieces, or of one and a body. */
+static double balls_apart(const Screen *s, npy_intp a, npy_intp b, const double (*ball)[3])
+{
+    const double *box = b < s->own ? NULL : s->box + 15 * (b - s->own);
+    double least = INFINITY;
+    for (npy_intp i = INDEX(s->starts, a); i < INDEX(s->starts, a + 1); i++) {
+        double off = INFINITY;
+        if (!box) {
+            for (npy_intp k = INDEX(s->starts, b); k < INDEX(s->starts, b + 1); k++) {
+                const double x = ball[i][0] - ball[k][0], y = ball[i][1] - ball[k][1], z = ball[i][2] - ball[k][2];
+                off = fmin(off, sqrt(x * x + y * y + z * z) - s->fine[4 * k + 3]);
+            }
+        } else if (box[12] < 0.0)
+            off = box[0] * ball[i][0] + box[1] * ball[i][1] + box[2] * ball[i][2] - box[9];
+        else
+            off = sqrt(off_box(box, ball[i])) - s->radius[b - s->own];
+        least = fmin(least, off - s->fine[4 * i + 3]);
+    }
+    return least;
+}
+
+PyObject *ball_bounds(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Screen s = {0};
+    Machine m;
+    npy_intp fine[2], box[2], radius[1];
+    if (count_is(count, 10, "ball_bounds") < 0 || as_mat(args[1], "factors", 33, -1, &s.factors) < 0 ||
+        some_joints(s.factors.columns) < 0 || as_mat(args[0], "q", -1, s.factors.columns, &s.q) < 0 ||
+        as_vec(args[2], "slides", s.factors.columns, &s.slides) < 0 ||
+        as_ind(args[3], "joint", s.factors.columns + 1, &s.joint) < 0 || !(s.fine = block(args[5], "fine", 2, fine)) ||
+        !(s.box = block(args[6], "boxes", 2, box)) || !(s.radius = block(args[7], "radius", 1, radius)) ||
+        has_length(fine[1], 4, "fine") < 0 || has_length(box[1], 15, "boxes") < 0 ||
+        has_length(radius[0], box[0], "radius") < 0 || as_ind(args[4], "starts", fine[0] + 1, &s.starts) < 0 ||
+        has_length(s.starts.n, s.joint.n + 1, "starts") < 0 || as_ind(args[8], "first", s.joint.n, &s.first) < 0 ||
+        as_ind(args[9], "second", s.joint.n + box[0], &s.second) < 0 ||
+        has_length(s.second.n, s.first.n, "second") < 0)
+        return NULL;
+    s.own = s.joint.n, s.balls = fine[0];
+    double *found;
+    PyObject *bounds = new_mat(s.q.rows, s.first.n, &found);
+    if (!bounds)
+        return NULL;
+    if (machine_of(&s, &m) < 0) {
+        Py_DECREF(bounds);
+        return NULL;
+    }
+    for (npy_intp row = 0; row < s.q.rows; row++) {
+        place_at(&s, &m, row);
+        for (npy_intp pair = 0; pair < s.first.n; pair++)
+            *found++ = balls_apart(&s, INDEX(s.first, pair), INDEX(s.second, pair), (const double (*)[3])m.ball);
+    }
+    release(&m.room);
+    return bounds;
 }

@@ -1,22 +1,23 @@
-"""Lower bounds of the distances from what stands around, in many configurations at once, without asking coal.
+"""Lower bounds of the distances of pairs, in many configurations at once, without asking coal.
 
 Every piece of a link lies within a few balls. What stands around lies within a box in its own axes,
 made rounder by its radius; the distance of a ball from that is exact, and of a link's piece it is at
-least the least over its balls. Of a half-space it is that of the balls from its face. Where a ball may
-touch, nothing is known. Nor is anything said of two pieces of the machine: to bound their distances in
-the same way took as long as it saved.
+least the least over its balls. Of a half-space it is that of the balls from its face, of two pieces of the machine the
+least between their balls. Where balls may touch, nothing is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Robot, box_around, self_pieces
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import BatchKinematics, Robot, chain_placements, self_pieces
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.native import compiled, find_compiled
+from backhoe_planner.site.pairs.certainly_clear import box_of, covered_links
 from backhoe_planner.site.pairs.link_balls import LinkBalls
 
 _MOST_BALLS = 4  # for one piece; chosen among 2 to 24: more leave fewer pairs to be measured, and take longer
@@ -39,12 +40,17 @@ class BallBounds:
         self, robot: Robot, own: int, bodies: Sequence[shapes.Piece],
         *, first: Indices, second: Indices, asked: Flags,
     ) -> None:  # fmt: skip
-        self._kinematics, self._balls = balls_of(robot)
-        self._pairs = len(first)
-        self._around: list[tuple[Callable[[Matrix], Vector], Indices, Indices]] = []
-        for body in np.unique(second[asked & (second >= own)]).tolist():
-            pairs = np.flatnonzero(asked & (second == body))
-            self._around.append((_distance_from(bodies[body - own]), pairs, first[pairs]))
+        links, shift = covered_links(robot), np.zeros(3)
+        if find_compiled() is None:  # the plain version takes as long for the machine's own pairs as that saves
+            asked = asked & (second >= own)
+        self._columns, self._count = np.flatnonzero(asked), len(asked)
+        second = second[self._columns].astype(np.intp)
+        second[second >= own] += len(links.joint) - own
+        self._arguments = (
+            links.factors, links.slides, links.joint, links.starts, links.fine,
+            np.array([box_of(body, shift) for body in bodies]).reshape(-1, 15),
+            np.array([body.radius for body in bodies], dtype=float), first[self._columns].astype(np.intp), second,
+        )  # fmt: skip
 
     def of(self, q: Matrix) -> Iterator[Vector]:
         """(P,) lower bounds [m] for each of `q` (N, n), or minus infinity; obstacles stand where they did at first."""
@@ -52,14 +58,13 @@ class BallBounds:
             yield from self._of(q[start : start + TOGETHER])
 
     def _of(self, q: Matrix) -> Matrix:
-        (level,) = self._balls.levels
-        points = level.centres(self._balls.poses_of(self._kinematics.at(q))).reshape(3, -1)
-        found = np.full((len(q), self._pairs), -np.inf)
-        for distance, pairs, pieces in self._around:
-            away = distance(points).reshape(len(q), -1)
-            found[:, pairs] = level.least(away)[:, pieces]
-        found -= _ROUNDING
-        found[found <= 0.0] = -np.inf
+        bounds = ball_bounds(q, *self._arguments)
+        bounds -= _ROUNDING
+        bounds[bounds <= 0.0] = -np.inf
+        if len(self._columns) == self._count:
+            return bounds
+        found = np.full((len(q), self._count), -np.inf)
+        found[:, self._columns] = bounds
         return found
 
 
@@ -69,21 +74,60 @@ def balls_of(robot: Robot) -> tuple[BatchKinematics, LinkBalls]:
     return BatchKinematics(robot), LinkBalls(self_pieces(robot), most=[_MOST_BALLS])
 
 
-def _distance_from(body: shapes.Piece) -> Callable[[Matrix], Vector]:
-    """Gives (M,) lower bounds of the distances of points (3, M) from a convex piece [m], world; inside 0 or less."""
-    box = box_around(body)
-    if box is None:
-        normal = body.placement.rotation @ body.shape.n
-        face = float(normal @ body.placement.translation) + float(body.shape.d)
-        return lambda points: normal @ points - face
-    R, middle, half, radius = box
-    centre = (R.T @ middle)[:, None]
+@compiled
+def ball_bounds(
+    q: Matrix, factors: Matrix, slides: Vector, joint: Indices, starts: Indices, fine: Matrix, boxes: Matrix,
+    radius: Vector, first: Indices, second: Indices, /,
+) -> Matrix:  # fmt: skip
+    """(N, M) the least distances [m] of the balls around pieces `first` (M,) from what is around `second` (M,).
 
-    def distance(points: Matrix) -> Vector:
-        away = np.abs(R.T @ points - centre)
-        away -= half[:, None]
-        np.maximum(away, 0.0, out=away)
-        away *= away
-        return np.asarray(np.sqrt(away[0] + away[1] + away[2]) - radius)
+    Parameters
+    ----------
+    q: (N, n) joint positions [rad or m]; factors, slides: see `chain_placements`.
+    joint: (K,) that carries each of the machine's pieces; 0 for the base.
+    starts, fine: (K + 1,), (S, 4) where the balls of each begin, and their centres and radii in the joint's frame [m].
+    boxes, radius: (B, 15), (B,) around bodies, see `first_in_doubt`, and how much rounder they are than these [m].
+    second: one of the K pieces, or of the bodies, which are numbered after these.
+    """
+    balls = _placed_balls(q, factors, slides, joint, starts, fine)
+    found = np.zeros((len(q), len(first)))
+    for other in np.unique(second).tolist():
+        columns = np.flatnonzero(second == other)
+        if other >= len(joint):
+            away = _off_body(balls, boxes[other - len(joint)], float(radius[other - len(joint)]))
+        else:
+            own = slice(int(starts[other]), int(starts[other + 1]))
+            away = np.linalg.norm(balls[..., None] - balls[:, :, None, own], axis=0) - fine[own, 3]
+            away = away.min(axis=-1)
+        least = np.minimum.reduceat(away - fine[:, 3], starts[:-1], axis=1)
+        found[:, columns] = least[:, first[columns]]
+    return found
 
-    return distance
+
+def _placed_balls(
+    q: Matrix, factors: Matrix, slides: Vector, joint: Indices, starts: Indices, fine: Matrix
+) -> Array:  # fmt: skip
+    """(3, N, S) the centres of all balls [m], world."""
+    joints = np.ascontiguousarray(q.T)
+    _, origins, rotations, _, _ = chain_placements(
+        joints, np.sin(joints), 1.0 - np.cos(joints), factors, slides, np.zeros((4, 3))
+    )
+    found = np.empty((3, len(q), len(fine)))
+    of_balls = joint.repeat(np.diff(starts))
+    for carrier in np.unique(joint).tolist():
+        balls = np.flatnonzero(of_balls == carrier)
+        if carrier:
+            at = rotations[carrier - 1].transpose(1, 2, 0) @ fine[balls, :3].T + origins[carrier - 1][:, :, None]
+        else:
+            at = np.repeat(fine[balls, :3].T[:, None], len(q), axis=1)
+        found[:, :, balls] = at
+    return found
+
+
+def _off_body(points: Array, box: Vector, radius: float) -> Matrix:
+    """(N, S) distances of points (3, N, S) from a body's box made rounder, or from a half-space's face [m], world."""
+    axes, middle, half = box[:9].reshape(3, 3), box[9:12, None, None], box[12:, None, None]
+    along = np.tensordot(axes, points, axes=1) - middle
+    if half[0] < 0.0:
+        return np.asarray(along[0])
+    return np.asarray(np.linalg.norm(np.maximum(np.abs(along) - half, 0.0), axis=0) - radius)

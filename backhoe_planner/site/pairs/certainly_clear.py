@@ -25,8 +25,8 @@ _ROUNDING = 1e-9  # m: chosen far above what sums of a few products are off, and
 _HALF_SPACE = -1.0  # in place of the half edges of a box
 
 
-class _Links(NamedTuple):
-    """The pieces of a machine, as `first_in_doubt` takes them."""
+class CoveredLinks(NamedTuple):
+    """The pieces of a machine, as `first_in_doubt` takes them, and of each its corners and radius."""
 
     factors: Matrix
     slides: Vector
@@ -39,11 +39,12 @@ class _Links(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _links_of(robot: Robot) -> _Links:
+def covered_links(robot: Robot) -> CoveredLinks:
+    """The pieces of `self_pieces` with their balls; worked out once for a machine."""
     pieces = [own.piece for own in self_pieces(robot)]
     balls = [[covering_balls(piece, most=most) for piece in pieces] for most in (1, _MOST_BALLS)]
     coarse, fine = ([np.column_stack((x, np.full(len(x), radius))) for x, radius in level] for level in balls)
-    return _Links(
+    return CoveredLinks(
         chain_factors(robot), robot.prismatic.astype(float),
         np.array([own.joint for own in self_pieces(robot)], dtype=np.intp),
         np.vstack(coarse), _starts(fine), np.vstack(fine), [piece.hull for piece in pieces],
@@ -70,12 +71,12 @@ class CertainlyClear:
         self, robot: Robot, bodies: Sequence[shapes.Piece], shifts: Matrix,
         *, first: Indices, second: Indices, least: Vector,
     ) -> None:  # fmt: skip
-        links = _links_of(robot)
+        links = covered_links(robot)
         corners = links.corners + [piece.hull + shift for piece, shift in zip(bodies, shifts, strict=True)]
         self._arguments = (
             links.factors, links.slides, links.joint, links.coarse, links.starts, links.fine, _starts(corners),
             np.ascontiguousarray(np.vstack(corners).T), np.array(links.radius + [body.radius for body in bodies]),
-            np.array([_box(body, shift) for body, shift in zip(bodies, shifts, strict=True)]).reshape(-1, 15),
+            np.array([box_of(body, shift) for body, shift in zip(bodies, shifts, strict=True)]).reshape(-1, 15),
             first, second, least + _ROUNDING, np.zeros((len(first), 3)),
         )  # fmt: skip
 
@@ -88,7 +89,7 @@ class CertainlyClear:
         return pairs_in_doubt(q[None], *self._arguments)
 
 
-def _box(body: shapes.Piece, shift: Vector) -> Vector:
+def box_of(body: shapes.Piece, shift: Vector) -> Vector:
     """(15,) the axes of the box around a body row by row, its middle along them, half edges; see `first_in_doubt`."""
     box = box_around(body)
     if box is None:
