@@ -636,6 +636,15 @@ def test_a_machine_with_one_joint_is_inspected(run: Run, tmp_path: Path) -> None
     assert run("inspect", "one.urdf")[0] == 0
 
 
+@pytest.mark.parametrize(("given", "shown"), [("0.3", "0.3 N m"), ("87.5", "87.5 N m"), ("25000", "25,000 N m")])
+def test_inspect_shows_small_limits_of_torques(run: Run, tmp_path: Path, given: str, shown: str) -> None:
+    (tmp_path / "arm.obj").write_text(WEDGE, encoding="utf-8")
+    (tmp_path / "one.urdf").write_text(ONE_JOINT.replace('effort="1"', f'effort="{given}"'), encoding="utf-8")
+    status, said, _ = run("inspect", "one.urdf")
+    assert status == 0
+    assert f" {shown}" in said
+
+
 def test_the_page_does_not_overwrite_the_plan(run: Run, tmp_path: Path) -> None:
     assert "where the plan goes" in refused(
         run, tmp_path, "plan", PLANAR4, scene_file(tmp_path), "-o", "both.json", "--html", "both.json"

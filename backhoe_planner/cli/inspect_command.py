@@ -16,6 +16,8 @@ from backhoe_planner import machine, show, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings, table_of
 from backhoe_planner.files.output_file import check_ending, check_writable
 
+_WHOLE = 100.0  # N or N m from which efforts are shown without decimals: less would have fewer than three digits
+
 
 def inspect(
     urdf: Urdf,
@@ -105,7 +107,7 @@ def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
             _or_none(scale * limits.upper[j], ".1f", unit),
             f"{limits.velocity[j]:.3g} {'m' if slides else 'rad'}/s",
             f"{limits.acceleration[j]:.3g} {'m' if slides else 'rad'}/s2",
-            _or_none(limits.effort[j], ",.0f", "N" if slides else "N m"),
+            _or_none(limits.effort[j], ",.0f" if limits.effort[j] >= _WHOLE else ".3g", "N" if slides else "N m"),
         )
     OUT.print(table)
 
