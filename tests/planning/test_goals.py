@@ -28,6 +28,34 @@ def ball(x: float, y: float, radius: float) -> Data:
     return {"name": "ball", "shape": "sphere", "radius": radius, "position": [x, y, 0.0]}
 
 
+@pytest.mark.parametrize("objective", ["time", "work"])
+@pytest.mark.parametrize("method", ["auto", "optimal"])
+@pytest.mark.parametrize("margin", [0.0005, 1.0])
+def test_a_machine_that_stands_on_its_goal_stays(planar4: bp.Robot, objective: str, method: str, margin: float) -> None:
+    """Nothing costs less than 0 in 0 s, also where other postures would have to keep 3 mm more than the clearance."""
+    aside = {
+        "name": "wall",
+        "shape": "halfspace",
+        "point": [0.0, 0.0, 0.0],
+        "normal": [0.0, 1.0, 0.0],
+        "clearance": 0.0,
+    }
+    probe = site(STRETCHED, obstacles=({**aside, "point": [0.0, -3.0, 0.0]},))
+    room = bp.plan(planar4, probe, effort="quick").certificate.clearances
+    wall = next(one for one in room if one.name == "wall")
+    near = {**aside, "point": [0.0, -3.0 + wall.distance - margin, 0.0]}
+    tip = bp.Kinematics(planar4).at(np.zeros(4)).tip_position.tolist()
+    for goal in (STRETCHED, {"position": tip}, [{"position": [0.5, 0.9, tip[2]]}, STRETCHED]):
+        plan = bp.plan(planar4, site(goal, obstacles=(near,), objective=objective), method=method, effort="quick")
+        assert plan.verified, plan.message
+        assert plan.message == ""
+        np.testing.assert_array_equal(plan.trajectory.q, np.zeros((1, 4)))
+        assert plan.metrics.cost is not None
+        assert plan.metrics.cost.value == 0.0
+        assert plan.bound is not None
+        assert plan.bound.duration == 0.0
+
+
 # --- the joints --------------------------------------------------------------------
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
@@ -17,9 +19,10 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.effort import EFFORTS, Brake
-from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.outcome import Outcome, bad_posture
 from backhoe_planner.planning.world.world import World
 
+_STANDS_ON = 1e-6  # rad or m that a machine is off a goal on which it stands: what inverse kinematics leaves
 _MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
 
 
@@ -39,7 +42,12 @@ class ToGoal:
     search_alone: bool = False
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """The least-cost motion from rest that the search finds; where it finds none, by the law."""
+        """The least-cost motion from rest that the search finds; where it finds none, by the law.
+
+        Where the machine already stands on a goal it stays: nothing costs less, however near it is to something.
+        """
+        if self._is_there(world, stepper):
+            return Outcome(stepper.trajectory())
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
@@ -108,6 +116,13 @@ class ToGoal:
             if ended:
                 return best, ended
         return best, ""
+
+    def _is_there(self, world: World, stepper: Stepper) -> bool:
+        """Whether the joints already stand on a goal, where they may stand."""
+        here = world.kinematics.at(stepper.q)
+        if all(np.max(np.abs(goal.error(here)), initial=0.0) > _STANDS_ON for goal in self.goals):
+            return False
+        return bad_posture(world, stepper.q, "start", time=stepper.time) is None
 
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
         """The law straight to the first of `goals` at which that arrives, else the attempt that came nearest."""

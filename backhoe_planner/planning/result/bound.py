@@ -53,7 +53,8 @@ def measure_bound(problem: Problem, trajectory: Trajectory, certificate: Certifi
     q, duration = trajectory.q, trajectory.duration
     found = least_duration(problem, q[0], known=duration, end=q[-1], boxes=boxes)
     least, settled = found.duration, found.settled
-    if not problem.objective.is_time:  # a motion that need not be fast makes it weak
+    # a motion that need not be fast makes it weak; nothing is less than the 0 s of a machine that stays
+    if duration > 0.0 and not problem.objective.is_time:
         alone = least_duration_of_all(problem, q[0], boxes=boxes)
         least, settled = max(least, alone), settled and alone <= least
     longer = 100.0 * (duration / least - 1.0) if least > 0.0 else 0.0
