@@ -52,4 +52,4 @@ def test_margins_are_those_that_are_found_without_it(machine: str) -> None:
             np.testing.assert_allclose(one.margin, other.margin, atol=1e-9)
             np.testing.assert_allclose(one.gradient, other.gradient, atol=1e-6)
         measured += np.array([with_it.measured, without.measured]) - before
-    assert measured[0] < 0.95 * measured[1]
+    assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to know
