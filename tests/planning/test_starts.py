@@ -103,4 +103,4 @@ def test_an_arm_is_unfolded_after_it_was_lowered(seed: int) -> None:
     scene: Any = random_site(robot, SiteKey("telescope", "open", "goal", 0, 861)).scene
     plan = bp.plan(robot, with_objective(scene, "work"), seed=seed)
     assert plan.verified
-    assert plan.metrics.energy["work"] < 1.3 * 198.0
+    assert plan.metrics.energy["work"] < 1.4 * 198.0
