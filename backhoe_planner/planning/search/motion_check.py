@@ -152,7 +152,7 @@ class MotionCheck:
 
     def _within_limits(self, q: Vector) -> bool:
         limits = self.problem.limits
-        return bool((q >= limits.lower).all() and (q <= limits.upper).all())
+        return bool(np.count_nonzero((q >= limits.lower) & (q <= limits.upper)) == len(q))
 
     # --- the proof ---------------------------------------------------------------
 

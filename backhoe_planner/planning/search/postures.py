@@ -76,7 +76,7 @@ class Postures:
         """
         robot = self._problem.robot
         near = robot.middle if near is None else near
-        anywhere = np.array([robot.random_q(self._rng) for _ in range(count - 1)]).reshape(-1, robot.n)
+        anywhere = self._rng.uniform(*robot.finite_range, (count - 1, robot.n))
         # every other one on the way there: postures near the present one are few, and soonest reached
         part = np.ones(count - 1)
         part[::2] = self._rng.random(len(part[::2]))

@@ -52,7 +52,7 @@ class SampledCheck(MotionCheck):
             return False
         if not len(self._pairs):
             return True
-        q = point(_column_of_places(int(np.max(rate @ self._transposed) / self._apart) + 1))
+        q = point(_column_of_places(int((rate @ self._transposed).max() / self._apart) + 1))
         if not self._screen.has_clusters:
             return self._are_clear_at(q)
         return all(self._are_clear_at(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER))

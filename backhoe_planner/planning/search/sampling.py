@@ -215,7 +215,9 @@ class _Search:
             return False
         try:
             q = self._chart.joints(np.array(b))
-            return self._reach.holds(q[None])[0] and self._check.segment_is_clear(self._chart.joints(np.array(a)), q)
+            if self._longest < np.inf and not self._reach.holds(q[None])[0]:
+                return False
+            return self._check.segment_is_clear(self._chart.joints(np.array(a)), q)
         except BaseException as raised:  # noqa: BLE001 - raised again after OMPL has stopped
             self._raised = raised
             return False
