@@ -1,7 +1,8 @@
-"""Further searches for the least work with `thorough`, each with random choices of its own."""
+"""Further searches for the least work, each with random choices of its own."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -15,7 +16,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals import goal_planning
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.goals.ways import FoundMotion
-from backhoe_planner.planning.search.effort import EFFORTS, Work
+from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.world.world import World
 
 START, END = np.full(4, 0.1), np.array([0.5, 0.1, 0.1, 0.1])
@@ -31,16 +32,18 @@ def scene(robot: bp.Robot, objective: str) -> bp.Scene:
 class Searches:
     """Searches that find what they are told to, and remember the seeds of their worlds."""
 
-    def __init__(self, goal: Goal, found: list[tuple[float, float]]) -> None:
-        self._goal, self._left = goal, iter(found)
+    def __init__(self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False) -> None:
+        self._goal, self._left, self.leads_round = goal, iter(found), leads_round
         self.seeds: list[int] = []
         self.efforts: list[Any] = []
+        self.longest: list[float] = []
         self.allowed_time = 5.0
         self.looked_at = 0
         self.best: FoundMotion | None = None
 
-    def __call__(self, world: World, *_: Any, **__: Any) -> Searches:
+    def __call__(self, world: World, *_: Any, longest: float = math.inf, **__: Any) -> Searches:
         self.seeds.append(world.seed)
+        self.longest.append(longest)
         self.efforts.append(world.work.effort)
         return self
 
@@ -51,10 +54,13 @@ class Searches:
         return ""
 
 
-def way_of(robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any) -> tuple[str, Searches]:
-    effort = replace(EFFORTS["thorough"], restarts=3)
+def way_of(
+    robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
+    effort: Effort | None = None, leads_round: bool = False,
+) -> tuple[str, Searches]:  # fmt: skip
+    effort = effort or replace(EFFORTS["thorough"], restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
-    searches = Searches(world.problem.goals[0], list(found))
+    searches = Searches(world.problem.goals[0], list(found), leads_round=leads_round)
     patch.setattr(goal_planning, "MotionSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
     assert not outcome.reason
@@ -77,6 +83,7 @@ def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
     assert len(set(searches.seeds)) == 4
     assert searches.seeds[0] == 5
     assert searches.efforts[1:] == [EFFORTS["normal"]] * 3
+    assert searches.longest == [math.inf, 5.0, 5.0, 5.0]
 
 
 def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,5 +91,16 @@ def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkey
     assert (way, searches.seeds) == ("search 1", [5])
 
 
-def test_no_other_effort_searches_again() -> None:
-    assert [EFFORTS[name].restarts for name in ("quick", "normal")] == [0, 0]
+@pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 3)])
+def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, leads_round: bool, count: int
+) -> None:
+    found = iter([(10.0, DURATION), (9.0, 4.0), (8.0, 4.0)])
+    way, searches = way_of(
+        planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], leads_round=leads_round
+    )  # fmt: skip
+    assert (way, len(searches.seeds)) == (f"search {count}", count)
+
+
+def test_a_quick_plan_never_searches_again() -> None:
+    assert (EFFORTS["quick"].restarts, EFFORTS["quick"].restarts_round) == (0, 0)

@@ -56,7 +56,7 @@ class ToGoal:
         if search.best is not None:
             best = search.best
             if not ended:
-                best, ended = self._after_restarts(world, stepper, best, search.allowed_time)
+                best, ended = self._after_restarts(world, stepper, best, search)
             branch = stepper.branch(attempt=stepper.attempt + 1)
             branch.play(best.motion)
             message = f"{ended}; a better motion was not looked for any more" if ended else ""
@@ -95,20 +95,22 @@ class ToGoal:
         return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
 
     def _after_restarts(
-        self, world: World, stepper: Stepper, best: FoundMotion, allowed_time: float | None
+        self, world: World, stepper: Stepper, best: FoundMotion, first: MotionSearch
     ) -> tuple[FoundMotion, str]:
-        """The best motion of this and of further searches, none longer than `allowed_time` [s]; and see `run`.
+        """The best motion of the `first` and of further searches, none longer than that allows; and see `run`.
 
         Which motions of least work a search comes upon depends on the postures and ways that it draws.
         """
-        longest = math.inf if allowed_time is None else allowed_time
-        restarts = 0 if world.problem.objective.is_time else world.work.effort.restarts
-        for number in range(1, restarts + 1):
+        longest = math.inf if first.allowed_time is None else first.allowed_time
+        effort, count = world.work.effort, 0
+        if not world.problem.objective.is_time:
+            count = effort.restarts_round if first.leads_round else effort.restarts
+        for number in range(1, count + 1):
             again = world.anew(number, EFFORTS["normal"])
             found = find_goal_postures(again, self.goals, near=stepper.q, time=stepper.time)
             if isinstance(found, Outcome):
                 continue
-            search = MotionSearch(again, stepper.q, found, time=stepper.time)
+            search = MotionSearch(again, stepper.q, found, time=stepper.time, longest=longest)
             ended, other = search.run(), search.best
             if other is not None and other.motion.duration <= longest and other.cost < best.cost:
                 best = other

@@ -22,6 +22,7 @@ from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
+    bound_behind,
     bound_for_allowed_time,
     fastest_with_room,
     has_room,
@@ -105,6 +106,7 @@ class MotionSearch:
     found: postures on the goals.
     time: the obstacles stand where they are at this time [s].
     enough: a motion as fast as this ends the search, where the time is the cost [s].
+    longest: that a motion may take, where the time is not the cost [s]; found out where it is infinite.
 
     Attributes
     ----------
@@ -112,7 +114,10 @@ class MotionSearch:
     ended: where descents ended, among them motions that are not proven.
     """
 
-    def __init__(self, world: World, start: Vector, found: GoalPostures, *, time: float, enough: float = 0.0) -> None:
+    def __init__(
+        self, world: World, start: Vector, found: GoalPostures, *, time: float, enough: float = 0.0,
+        longest: float = np.inf,
+    ) -> None:  # fmt: skip
         self._world, self._start, self._time, self._enough = world, start, time, enough
         self._problem = world.problem
         self._descent = Descent(
@@ -132,7 +137,7 @@ class MotionSearch:
         self._tried = known.anew()  # ways from which descents began
         self._bound = 0.0  # no motion is shorter [s]; worked out where the best is not near the least time
         self._looked_within = np.inf  # s, in which further postures can be reached that were looked for last
-        self._longest = np.inf  # s that a motion may then take
+        self._longest = longest  # s that a motion may then take
         # cost after its first rounds of the cheapest start that stays in an obstacle, and of the cheapest that does not
         self._blocked = self._early = np.inf
         self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
@@ -173,6 +178,11 @@ class MotionSearch:
         """How long a motion may take [s]; None where its time is the cost, or no motion is known."""
         return self._longest if np.isfinite(self._longest) else None
 
+    @property
+    def leads_round(self) -> bool:
+        """Whether the best leads round something, or may cost more than one that does, see `_goes_straight`."""
+        return self.best is not None and not self._goes_straight(self.best)
+
     def _bound_above(self, known: Trajectory) -> float:
         """What no motion is shorter than [s], from fewer boxes than the plan's bound; `known` is one."""
         boxes = self._world.work.effort.boxes // _FEWER_BOXES
@@ -183,12 +193,19 @@ class MotionSearch:
     def _go_fast(self) -> None:
         """How long a motion may take; where the searches for that end, and lines to many postures, brought down.
 
+        Where it is given how long, one short search for a fast motion is enough.
+
         Nothing of that where none of the searches has a motion that is proven.
         """
         work = self._world.work
         ended: list[FoundMotion] = []
-        bound = bound_for_allowed_time(self._problem, self._start) if self._goes_on() else 0.0
-        for effort in (_FIRST_SEARCH, work.effort) if self._goes_on() else (work.effort,):
+        efforts: tuple[Effort, ...] = (work.effort,)
+        bound = 0.0
+        if np.isfinite(self._longest):
+            efforts, bound = (_FIRST_SEARCH,), bound_behind(self._longest)
+        elif self._goes_on():
+            efforts, bound = (_FIRST_SEARCH, work.effort), bound_for_allowed_time(self._problem, self._start)
+        for effort in efforts:
             search = self._search_fastest(effort, enough=fastest_with_room(bound))
             if search is None:
                 return

@@ -51,6 +51,8 @@ class Effort:
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
     restarts: further searches for another cost than the time, each with the normal effort and random choices of
         its own.
+    restarts_round: the same where the best motion leads round something: which ways a search comes upon then decides
+        much.
     rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve goes
         on from there, and mostly it costs no more at the end.
     """
@@ -71,6 +73,7 @@ class Effort:
     ways_at_once: int
     dull_searches: int
     restarts: int
+    restarts_round: int
     rough: bool
 
 
@@ -91,6 +94,7 @@ _NORMAL = Effort(
     ways_at_once=3,
     dull_searches=1,
     restarts=0,
+    restarts_round=2,
     rough=True,
 )
 
@@ -114,10 +118,17 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             pieces=8,
             ways_at_once=1,
             dull_searches=0,
+            restarts_round=0,
         ),
         "normal": _NORMAL,
         "thorough": replace(
-            _scaled(4.0), descent_rounds=500, pieces=_NORMAL.pieces, ways_at_once=6, dull_searches=3, restarts=8
+            _scaled(4.0),
+            descent_rounds=500,
+            pieces=_NORMAL.pieces,
+            ways_at_once=6,
+            dull_searches=3,
+            restarts=8,
+            restarts_round=8,
         ),
     }
 )
