@@ -515,6 +515,13 @@ def test_without_a_motion_the_plan_file_says_why(run: Run, tmp_path: Path, keys:
     assert word in content["message"]
 
 
+def test_a_machine_that_already_stands_on_its_goal_has_a_duration_and_a_bound(run: Run, tmp_path: Path) -> None:
+    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path, REACH | {"task": {"goal": {"joints": JOINTS}}}))
+    assert status == 0
+    assert re.search(r"^duration +0\.00 s \(the machine already stands there\)", said, re.MULTILINE)
+    assert re.search(r"^bound +no motion can take less than 0\.00 s$", said, re.MULTILINE)
+
+
 # --- bad input: exit 2, one message, no file ----------------------------------------------
 
 

@@ -40,7 +40,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
             f"and {tightest.name} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
     _print_tracking_error(found)
-    if len(found.trajectory) > 1:
+    if len(found.trajectory) > 1 or found.verified:  # a machine that stands on its goal stays, for 0 s
         _print_motion(found)
     _print_legs(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
@@ -110,7 +110,8 @@ def _print_motion(found: bp.Plan) -> None:
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         OUT.print(f"zones         {visits[0]}{more}")
-    samples, longest = f"{len(found.trajectory)} samples", found.findings.allowed_time
+    count, longest = len(found.trajectory), found.findings.allowed_time
+    samples = "the machine already stands there" if count == 1 else f"{count} samples"
     allowed = "" if longest is None else f", at most {longest:.2f} s was allowed"
     OUT.print(f"duration      {metrics.duration:.2f} s ({samples}){_minimised(found, 'time')}{allowed}")
     _print_bound(found)

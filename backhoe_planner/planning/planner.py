@@ -76,6 +76,8 @@ def plan_motion(
             slowed,
             limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
         )
+    if certificate.verified and outcome.reason:  # it stands where it is to go, within what the goal allows
+        outcome = replace(outcome, reason="", message="")
     return outcome, certificate
 
 

@@ -59,9 +59,14 @@ class Obstruction:
         if self.kind == "joint":
             return f"{self.obstacle} is {'beyond' if self.margin < 0.0 else 'at'} its limit"
         if self.distance < 0.0:
-            return f"{self.link} is {-self.distance:.3f} m inside {self.name}"
+            return f"{self.link} is {_metres(-self.distance)} inside {self.name}"
         than = "closer than allowed" if self.margin < 0.0 else "more than the least allowed"
-        return f"{self.link} is {self.distance:.3f} m from {self.name}, {abs(self.margin):.3f} m {than}"
+        return f"{self.link} is {_metres(self.distance)} from {self.name}, {_metres(abs(self.margin))} {than}"
+
+
+def _metres(length: float) -> str:
+    """A length of 0 or more [m] in words, below a millimetre in hundredths of one."""
+    return f"{length:.3f} m" if length == 0.0 or length >= 1e-3 else f"{1e3 * length:.2g} mm"
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,13 @@ def test_a_machine_that_stands_on_its_goal_stays(planar4: bp.Robot, objective: s
         assert plan.bound.duration == 0.0
 
 
+def test_a_machine_that_stands_within_the_tolerance_of_a_goal_that_nothing_reaches_is_there(planar4: bp.Robot) -> None:
+    beyond = bp.Kinematics(planar4).at(np.zeros(4)).tip_position + np.array([0.0005, 0.0, 0.0])
+    plan = bp.plan(planar4, site({"position": beyond.tolist()}), effort="quick")
+    assert (plan.verified, plan.reason, plan.message) == (True, "", "")
+    np.testing.assert_array_equal(plan.trajectory.q, np.zeros((1, 4)))
+
+
 # --- the joints --------------------------------------------------------------------
 
 

@@ -40,6 +40,18 @@ def balls(robot: bp.Robot, *records: dict[str, Any]) -> tuple[Obstacle, ...]:
             "bucket is 0.250 m from the machine itself (boom), 0.250 m more than the least allowed",
         ),
         (
+            Obstruction("obstacle", "floor", "bucket", 0.0002, -0.003),
+            "floor",
+            "floor (at bucket)",
+            "bucket is 0.2 mm from floor, 0.003 m closer than allowed",
+        ),
+        (
+            Obstruction("obstacle", "floor", "bucket", 0.0, 0.0),
+            "floor",
+            "floor (at bucket)",
+            "bucket is 0.000 m from floor, 0.000 m more than the least allowed",
+        ),
+        (
             Obstruction.joint_limit("swing"),
             "the limit of joint swing",
             "the limit of joint swing",
