@@ -14,8 +14,9 @@ import heapq
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Trajectory
+from backhoe_planner.proof.sample_bounds import bound_samples, measure_below
 from backhoe_planner.site import Obstruction, Proximity
 
 RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance; chosen, a tenth of a millimetre
@@ -32,7 +33,7 @@ STEP_ROUNDING = (
 )
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
 _FIRST_LOOKS = 16  # samples from one first look to the next; chosen
-_TOGETHER = 128  # samples that are bounded together; chosen
+_Ends = tuple[float | None, float | None]  # margins at the ends of a segment, None where not measured [m]
 _NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
 
@@ -53,82 +54,58 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
     searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
     least = np.full(len(searches), _NEVER)
+    enough = least[owners]
 
-    def look(row: int, beyond: Vector | float, known: Vector) -> tuple[Vector, Flags]:
-        """(P,) margins at a sample, or lower bounds that are more by `beyond` (P,) than what is to be proven.
-
-        And (P,) which are margins.
-
-        The distances are known to be at least `known` (P,) [m].
-        """
-        here = proximity.appears_at <= time[row]
-        enough = np.where(least < _NEVER, _to_prove(least), least)
-        floor = np.where(here, enough[owners] + proximity.clearance + beyond, -np.inf)
-        lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor, known=known)
-        margins = np.where(here, lower - proximity.clearance, np.inf)
-        pairs = np.flatnonzero(measured & here)
-        for pair in pairs[margins[pairs] < least[owners[pairs]]].tolist():
-            searches[owners[pair]].note(float(margins[pair]), float(time[row]), pair)
-            least[owners[pair]] = searches[owners[pair]].least
-        return margins, measured
-
-    def measure(row: int, pairs: Indices) -> None:
-        """Measure some pairs at a sample, as far as each may be the nearest of its obstacle so far."""
-        floor = least[owners[pairs]] + proximity.clearance[pairs]
-        moment = float(time[row])
-        margins = proximity.distances_below_unchecked(pairs, floor, q[row], time=moment) - proximity.clearance[pairs]
-        for pair, margin in zip(pairs.tolist(), margins.tolist(), strict=True):
-            owner = owners[pair]
-            if proximity.appears_at[pair] <= moment and margin < least[owner]:
-                searches[owner].note(margin, moment, pair)
-                least[owner] = searches[owner].least
+    def note(row: int, pairs: Indices, margins: Vector) -> Vector:
+        """(P,) the margins to be proven after those (K,) of `pairs` (K,) at a sample."""
+        nonlocal enough
+        nearer = (margins < least[owners[pairs]]).nonzero()[0].tolist()
+        for k in nearer:
+            search = searches[owners[pairs[k]]]
+            search.note(float(margins[k]), float(time[row]), int(pairs[k]))
+            least[owners[pairs[k]]] = search.least
+        if nearer:
+            enough = np.where(least < _NEVER, _to_prove(least), least)[owners]
+        return enough
 
     # where an obstacle is nearest is known about after a few looks; what is further away is then hardly measured
     firsts = np.arange(0, len(time), _FIRST_LOOKS)
-    nearest = _nearest_clusters(proximity, q[firsts], time[firsts])
-    for row, bounds, pairs in zip(firsts.tolist(), proximity.bounds_unchecked(q[firsts]), nearest, strict=True):
-        measure(row, pairs)
-        look(row, 0.0, bounds)
-    # row by row: samples times pairs may be more than a machine's memory holds
-    steps, spans, ways = np.abs(np.diff(q, axis=0, append=q[-1:])), np.diff(time), proximity.ways_unchecked(q)
-    clusters = slice(proximity.plain, None)
-
-    def expect(first: int) -> None:
-        """Bound the distances from clusters at the next samples together."""
-        rows, moves = slice(first, first + _TOGETHER), slice(max(first - 1, 0), first + _TOGETHER)
-        furthest = proximity.travel[clusters].dot(steps[moves].max(axis=0))
-        furthest += spans[moves].max(initial=0.0) * proximity.speed[clusters]
-        needed = least[owners[clusters]] + proximity.clearance[clusters] + 0.5 * furthest
-        proximity.clusters.expect(q[rows], time[rows], needed=needed)
-
-    expect(0)
-    still = np.zeros(len(owners))
-    travel = still if len(time) == 1 else next(ways) + spans[0] * proximity.speed
-    every = proximity.bounds_unchecked(q)
-    before, known_before = look(0, 0.5 * travel, next(every))
-    for row, known_here in enumerate(every, start=1):
-        if row % _TOGETHER == 0:
-            expect(row)
-        came = travel
-        travel = next(ways) + spans[row] * proximity.speed if row < len(spans) else still
-        margins, known = look(row, 0.5 * np.maximum(came, travel), known_here)
-        bounds = 0.5 * (before + margins - came)
-        for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])).tolist():
-            ends = (float(before[pair]), float(margins[pair])) if known_before[pair] and known[pair] else None
-            searches[owners[pair]].open(float(bounds[pair]), row - 1, pair, float(came[pair]), ends)
-        before, known_before = margins, known
+    bounds = _bounds_at(proximity, q[firsts], time[firsts])
+    for row, known, pairs in zip(firsts.tolist(), bounds, _nearest(owners, bounds), strict=True):
+        moment = float(time[row])
+        pairs = pairs[proximity.appears_at[pairs] <= moment]
+        floor = least[owners[pairs]] + proximity.clearance[pairs]
+        distances = proximity.distances_below_unchecked(pairs, floor, q[row], time=moment)
+        note(row, pairs, distances - proximity.clearance[pairs])
+        floor = np.where(proximity.appears_at <= moment, enough + proximity.clearance, -np.inf)
+        pairs = measure_below(proximity, q[row], moment, known, floor)
+        note(row, pairs, known[pairs] - proximity.clearance[pairs])
+    for stretch in bound_samples(proximity, time, q, enough, note, until=time):
+        margins, measured = stretch.margins, stretch.measured
+        lowest = 0.5 * (margins[:-1] + margins[1:] - stretch.ways)
+        for row, pair in np.argwhere(~(lowest >= enough)).tolist():
+            a, b = (float(margins[k, pair]) if measured[k, pair] else None for k in (row, row + 1))
+            way = float(stretch.ways[row, pair])
+            searches[owners[pair]].open(float(lowest[row, pair]), stretch.first + row, pair, way, (a, b))
     found = [clearance for search in searches if (clearance := search.finish()) is not None]
     return tuple(sorted(found, key=lambda clearance: clearance.margin))
 
 
-def _nearest_clusters(proximity: Proximity, q: Matrix, time: Vector) -> Indices:
-    """(N, C) of each obstacle that is a cluster the pair that seems nearest in postures q (N, n) at `time` (N,)."""
-    clusters, found = proximity.clusters, []
-    lower = clusters.lower_each(q, time) if len(clusters) else np.zeros((len(q), 0))
-    for owner in np.unique(clusters.owner).tolist():
-        pairs = np.flatnonzero(clusters.owner == owner)
-        found.append(proximity.plain + pairs[np.argmin(lower[:, pairs], axis=1)])
-    return np.array(found, dtype=np.intp).reshape(-1, len(q)).T
+def _bounds_at(proximity: Proximity, q: Matrix, time: Vector) -> Matrix:
+    """(N, P) what is known of all distances in postures q (N, n) at `time` (N,) without measuring [m]."""
+    found = np.fmax(list(proximity.bounds_unchecked(q)), proximity.floor)
+    if len(proximity.clusters):
+        found[:, proximity.plain :] = proximity.clusters.lower_each(q, time)
+    return np.asarray(found)
+
+
+def _nearest(owners: Indices, bounds: Matrix) -> Indices:
+    """(N, C) of each obstacle the pair that seems nearest by bounds (N, P) [m]."""
+    found = []
+    for owner in np.unique(owners).tolist():
+        pairs = np.flatnonzero(owners == owner)
+        found.append(pairs[np.argmin(bounds[:, pairs], axis=1)])
+    return np.array(found, dtype=np.intp).T
 
 
 def _to_prove(least: Vector) -> Vector:
@@ -155,7 +132,7 @@ class _Search:
         self._where = (0.0, 0)  # moment and pair of the least margin
         # (bound, tie-breaker, segment, pair, how much the margin can change on the segment, from, to, margins there):
         # parts 0..1 of a segment
-        self._open: list[tuple[float, int, int, int, float, float, float, tuple[float, float] | None]] = []
+        self._open: list[tuple[float, int, int, int, float, float, float, _Ends]] = []
         self._measured = 0
 
     def note(self, margin: float, moment: float, pair: int) -> None:
@@ -163,10 +140,10 @@ class _Search:
         if margin < self.least:
             self.least, self._where = margin, (moment, pair)
 
-    def open(self, bound: float, segment: int, pair: int, way: float, ends: tuple[float, float] | None) -> None:
+    def open(self, bound: float, segment: int, pair: int, way: float, ends: _Ends) -> None:
         """On this segment the margin may be as low as `bound`, and changes by `way` at most [m].
 
-        `ends` are the margins at its ends, where measured.
+        `ends` are the margins at its ends, None where not measured.
         """
         heapq.heappush(self._open, (bound, len(self._open), segment, pair, way, 0.0, 1.0, ends))
 
@@ -180,9 +157,14 @@ class _Search:
         while self._open and self._open[0][0] < _to_prove_of_one(self.least):
             if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
                 break
-            _, _, segment, pair, way, a, b, known = heapq.heappop(self._open)
+            _, _, segment, pair, way, a, b, (m_a, m_b) = heapq.heappop(self._open)
+            if m_a is None or m_b is None:
+                m_a = self._measure(segment, pair, a) if m_a is None else m_a
+                m_b = self._measure(segment, pair, b) if m_b is None else m_b
+                tie += 1
+                heapq.heappush(self._open, (0.5 * (m_a + m_b - way), tie, segment, pair, way, a, b, (m_a, m_b)))
+                continue
             middle = 0.5 * (a + b)
-            m_a, m_b = known or (self._measure(segment, pair, a), self._measure(segment, pair, b))
             m_m = self._measure(segment, pair, middle)
             half = 0.5 * (b - a) * way
             for start, m_1, m_2 in ((a, m_a, m_m), (middle, m_m, m_b)):
@@ -220,7 +202,7 @@ def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vec
 
 def segment_is_clear(
     proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0, dt: float = 0.0, depth: int = 6,
-    spare: float = 0.0, known: Vector | None = None, way: Vector | None = None,
+    spare: float = 0.0,
 ) -> bool:  # fmt: skip
     """Whether every clearance provably holds on one segment.
 
@@ -231,11 +213,8 @@ def segment_is_clear(
     time, dt: when the segment begins, and how long it takes [s].
     depth: how often it may be halved.
     spare: distance to be kept in addition to every clearance [m]; negative to allow less.
-    known: (P,) what the distances at `q_a` are known to be at least [m].
-    way: (P,) how much the distances can change on the segment, obstacles' own motions apart, see
-        `Proximity.ways_unchecked`; by default it is bounded anew.
     """
-    if way is None and proximity.is_at_unchecked(q_a, time=time):
+    if proximity.is_at_unchecked(q_a, time=time):
         # one step of many: all but a few pairs are mostly far away
         proximity.cover_unchecked(q_a)
         pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare)
@@ -246,12 +225,9 @@ def segment_is_clear(
             return True
         way = proximity.travel[pairs].dot(np.abs(q_b - q_a)) + dt * proximity.speed[pairs]
     else:
-        if way is None:
-            proximity.cover_unchecked(np.array([q_a, q_b]))
-            way = proximity.travel.dot(np.abs(q_b - q_a))
-        way = way + dt * proximity.speed
-        if not proximity.is_at_unchecked(q_a, time=time):
-            proximity.lower_bounds(q_a, time=time, floor=proximity.clearance + spare + way, known=known)
+        proximity.cover_unchecked(np.array([q_a, q_b]))
+        way = proximity.travel.dot(np.abs(q_b - q_a)) + dt * proximity.speed
+        proximity.lower_bounds(q_a, time=time, floor=proximity.clearance + spare + way)
         pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare, way=way)
         if not len(pairs):
             return True
@@ -303,17 +279,29 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
     time: (T,) of the samples, not decreasing [s]; where all are equal, obstacles stand as they are then.
     q: (T, n) joints there [rad or m].
     """
-    if len(proximity.clusters):
-        own = slice(proximity.plain, None)
-        reach = np.abs(np.diff(q, axis=0, append=q[-1:])) @ proximity.travel[own].T
-        reach += np.diff(time, append=time[-1])[:, None] * proximity.speed[own]
-        proximity.clusters.expect(q, time, needed=reach + proximity.clearance[own] - STEP_ROUNDING)
-    return all(
-        segment_is_clear(
-            proximity, q[k], q[k + 1], time=float(time[k]), dt=float(time[k + 1] - time[k]),
-            depth=_TOUCHING_DEPTH, spare=-STEP_ROUNDING, known=known, way=way,
-        )
-        for k, (known, way) in enumerate(
-            zip(proximity.bounds_unchecked(q[:-1]), proximity.ways_unchecked(q), strict=True)
-        )
-    )  # fmt: skip
+    owed = np.full(len(proximity.pairs), -STEP_ROUNDING)
+    refuted = False
+
+    def note(row: int, pairs: Indices, margins: Vector) -> Vector | None:
+        nonlocal refuted
+        refuted = bool((margins < -STEP_ROUNDING).any())
+        return None if refuted else owed
+
+    proximity.cover_unchecked(q)
+    # an obstacle that appears on the way to the next sample counts on all of that way
+    for stretch in bound_samples(proximity, time, q, owed, note, until=np.append(time[1:], time[-1])):
+        lowest = 0.5 * (stretch.margins[:-1] + stretch.margins[1:] - stretch.ways)
+        doubtful = ~(lowest >= owed)
+        for row in np.flatnonzero(doubtful.any(axis=1)).tolist():
+            pairs, k = doubtful[row].nonzero()[0], stretch.first + row
+            way, dt = stretch.ways[row, pairs], float(time[k + 1] - time[k])
+            floor = proximity.clearance[pairs] - STEP_ROUNDING + way
+            d_a, d_b = (
+                proximity.distances_below_unchecked(pairs, floor, q[end], time=float(time[end])) for end in (k, k + 1)
+            )
+            if not _keep(
+                proximity, pairs, q[k], q[k + 1], d_a, d_b, way, time=float(time[k]), dt=dt,
+                depth=_TOUCHING_DEPTH, spare=-STEP_ROUNDING,
+            ):  # fmt: skip
+                return False
+    return not refuted

@@ -10,6 +10,8 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import SAMPLE_PERIOD, build_problem, limit_usage
+from backhoe_planner.proof import motion_is_clear
+from backhoe_planner.proof.clearances import find_clearances
 from backhoe_planner.site.cluster_distances import ClusterDistances
 
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"/>
@@ -249,3 +251,61 @@ def test_what_may_be_nearest_is_measured_first(
     true = min(proximity.distance_of(pair, row) for row in q[::5] for pair in range(len(proximity.pairs))) - 0.1
     assert 0.97 * true <= found.margin <= true
     assert far == 1
+
+
+# --- motions of many samples --------------------------------------------------------------
+
+SLIDE = """<robot name="slide"><link name="base"/>
+<link name="ball"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="ball"/><axis xyz="1 0 0"/>
+  <limit lower="-2" upper="2" effort="1" velocity="1"/></joint></robot>"""
+
+
+def passing(folder: Path, clearance: float, **obstacle: object) -> tuple[bp.Proximity, bp.Trajectory]:
+    """A ball passes a sphere in 201 samples; they are 0.06 - 0.01 - 0.03 = 0.02 m apart at 0.7 of the time."""
+    path = folder / "slide.urdf"
+    path.write_text(SLIDE)
+    robot = bp.load_robot(path, tip="ball")
+    sphere = {"name": "post", "shape": "sphere", "radius": 0.03, "position": [0.4, 0.06, 0.0], "clearance": clearance}
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"slide": 0}},
+            "task": {"goal": {"joints": {"slide": 0}}},
+            "obstacles": [sphere | obstacle],
+        }
+    )
+    q = np.linspace(-1.0, 1.0, 201)[:, None]
+    return bp.Proximity(robot, bp.build_obstacles(scene, robot)), bp.Trajectory.from_steps(
+        np.linspace(0.0, 10.0, 201), q
+    )
+
+
+@pytest.mark.parametrize("clearance", [0.019, 0.021])
+def test_the_nearest_of_many_samples_is_found_and_decides(tmp_path: Path, clearance: float) -> None:
+    proximity, motion = passing(tmp_path, clearance)
+    (nearest,) = find_clearances(proximity, motion)
+    assert nearest.distance == pytest.approx(0.02, abs=1.1e-4)
+    assert nearest.distance <= 0.02
+    assert nearest.time == pytest.approx(7.0, abs=0.05)
+    assert motion_is_clear(proximity, motion.time, motion.q) == (clearance < 0.02)
+
+
+@pytest.mark.parametrize(("appears", "distance"), [(6.0, 0.02), (7.53, np.hypot(0.106, 0.06) - 0.04)])
+def test_what_appears_between_two_samples_counts_from_then_on(tmp_path: Path, appears: float, distance: float) -> None:
+    """At 7.53 s the ball is at 0.506, 0.106 m past the sphere, from which it goes away."""
+    for clearance, clear in ((distance + 1e-3, False), (0.9 * distance, True)):
+        proximity, motion = passing(tmp_path, clearance, appears_at=appears)
+        (nearest,) = find_clearances(proximity, motion)
+        assert nearest.distance == pytest.approx(distance, abs=2e-4)
+        assert motion_is_clear(proximity, motion.time, motion.q) == clear
+
+
+def test_what_comes_nearer_is_met_where_it_is_then(tmp_path: Path) -> None:
+    """From y = 0.16 at 0.01 m/s it is at 0.09 at 7 s, where the ball passes it."""
+    proximity, motion = passing(tmp_path, 0.01, position=[0.4, 0.16, 0.0], velocity=[0.0, -0.01, 0.0])
+    (nearest,) = find_clearances(proximity, motion)
+    y = 0.16 - 0.01 * motion.time
+    dense = np.hypot(motion.q[:, 0] - 0.4, y).min() - 0.04
+    assert dense - 1e-3 <= nearest.distance <= dense
+    assert motion_is_clear(proximity, motion.time, motion.q)
