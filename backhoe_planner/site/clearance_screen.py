@@ -22,6 +22,9 @@ from backhoe_planner.site.proximity import Proximity
 _MOST_PAIRS = 3_000  # that are looked at one by one before coal is asked; chosen
 # configurations in a row in doubt, after which so many more are not looked at before coal is asked; chosen
 _STREAK, _UNASKED = 6, 30
+# configurations that are looked at pair by pair first, and pairs in doubt in one of them at most; measured: a broad
+# phase takes 1 ms to be made, and then 30 us less for each
+_FIRST, _FEW_PAIRS = 20, 12
 _ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
 
 
@@ -71,6 +74,7 @@ class ClearanceScreen:
         # what no posture brings near enough needs no look
         asked = least[: proximity.plain] > proximity.floor[: proximity.plain]
         self._proximity, self._asked, self._plain_least = proximity, asked, least
+        self._looked_at = 0  # configurations, pair by pair
 
     @cached_property
     def _parts(self) -> list[_Part]:
@@ -158,4 +162,11 @@ class ClearanceScreen:
 
     def _keeps_plain(self, q: Vector) -> bool:
         """Whether one configuration (n,) keeps its clearances from all that is no cluster."""
+        if self._looked_at < _FIRST and self._certainly is not None:
+            pairs = np.flatnonzero(self._asked)[self._certainly.pairs_in_doubt(q)]
+            if len(pairs) <= _FEW_PAIRS:
+                self._looked_at += 1
+                distances = self._proximity.distances_of_unchecked(pairs, q, time=self._time)
+                return not np.count_nonzero(distances < self._plain_least[pairs])
+            self._looked_at = _FIRST
         return not any(pin.computeCollisions(self._robot, self._data, part.manager, q, True) for part in self._parts)
