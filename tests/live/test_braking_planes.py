@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 import backhoe_planner as bp
 from backhoe_planner import Proximity, Robot, build_obstacles
@@ -108,3 +109,37 @@ def test_a_bound_is_exact_where_the_points_of_before_are_hardly_further_apart(ba
     assert np.mean(said) > 0.5
     separation.velocity[:] = 0.1
     assert not any(separation.is_exact(pair, at, 0, np.inf, 1e-3) for pair in pairs)
+
+
+@pytest.mark.parametrize(
+    "flat",
+    [
+        {"name": "ground", "shape": "halfspace", "point": [0, 0, -2.0], "normal": [0, 0, 1]},
+        {"name": "slab", "shape": "box", "size": [40.0, 40.0, 1.0], "position": [0, 0, -2.5]},
+    ],
+    ids=["halfspace", "box"],
+)
+def test_a_link_that_turns_over_level_ground_is_as_far_from_it_as_its_plane_says(
+    backhoe: Robot, flat: dict[str, object]
+) -> None:
+    """However far it turns: its points keep their heights, and none has to be measured anew. Lower ground is not so."""
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": 0.0, "boom": 0.5, "stick": -1.2, "bucket": -0.6}},
+            "task": {"goal": {"position": [4.0, 2.0, 0.5]}},
+            "obstacles": [flat],
+        }
+    )
+    separation, at = Separation(backhoe), Placements(backhoe, 1)
+    pairs = separation.add(0, build_obstacles(scene, backhoe)[0])
+    separation.place_at(0, np.zeros(3))
+    q = np.array([0.0, 0.5, -1.2, -0.6])
+    at.place(0, q)
+    before = [separation.renew(pair, at, 0) for pair in pairs.tolist()]
+    q[0] = 0.8
+    at.place(0, q)
+    for pair, distance in zip(pairs.tolist(), before, strict=True):
+        assert separation.measure(pair, at, 0)[0] == pytest.approx(distance, abs=1e-6)
+        assert separation.is_exact(pair, at, 0, distance, 1e-5)
+        assert not separation.is_exact(pair, at, 0, distance - 0.01, 1e-5)

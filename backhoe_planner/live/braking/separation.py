@@ -15,7 +15,8 @@ for a plane that moves with the link, and the corners of the obstacle.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -58,6 +59,14 @@ class _Stand:
         self.corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
         self._R, self._t = np.array(piece.placement.rotation), np.array(piece.placement.translation)
         self._placed: tuple[list[float], object] = ([0.0, 0.0, 0.0], shapes.transform(self._R, self._t))
+
+    def off(self, point: Vector) -> float:
+        """How far a point (3,) in the world is off the piece at most [m]."""
+        return self._off(point - self.shift)
+
+    @cached_property
+    def _off(self) -> Callable[[Vector], float]:
+        return shapes.distance_of_points(self.piece)
 
     def place(self) -> object:
         """Coal's transform; it is made anew only after a shift."""
@@ -380,8 +389,8 @@ class Separation:
     def is_exact(self, pair: int, at: Placements, sample: int, distance: float, tolerance: float) -> bool:
         """Whether a lower bound of a pair's `distance` is less than the true one by no more than a tolerance [m].
 
-        By the points between which it was renewed last: the true distance is not more than theirs. False where these
-        say less, and where the obstacle moves.
+        By the points between which it was renewed last: the true distance is not more than theirs, and not more than
+        that of the link's point from a box or a half-space. False where these say less, and where the obstacle moves.
         """
         if self.velocity[pair].any():
             return False
@@ -389,8 +398,11 @@ class Separation:
         own, there = T[self.joint[pair]], points[3:]
         if other:
             there = T[other, :3, :3].dot(there) + T[other, :3, 3]
-        apart = own[:3, :3].dot(points[:3]) + own[:3, 3] - there
-        return math.sqrt(apart.dot(apart)) <= distance + tolerance
+        point = own[:3, :3].dot(points[:3]) + own[:3, 3]
+        apart, stand = point - there, self._body[pair]
+        if math.sqrt(apart.dot(apart)) <= distance + tolerance:
+            return True
+        return stand is not None and stand.off(point) <= distance + tolerance
 
     def gradients(self, pairs: Indices, at: Placements, sample: int, *, keep: bool = False) -> tuple[Vector, Matrix]:
         """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad].

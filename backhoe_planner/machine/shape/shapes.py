@@ -7,6 +7,7 @@ bound it, so that how far it can travel is computed without asking coal.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -323,6 +324,26 @@ def within(first: Piece, T_first: pin.SE3, second: Piece, T_second: pin.SE3, mar
     request.security_margin = margin
     T_1, T_2 = (transform(T.rotation, T.translation) for T in (T_first, T_second))
     return bool(coal.collide(first.inner, T_1, second.inner, T_2, request, result))
+
+
+def distance_of_points(piece: Piece) -> Callable[[Vector], float]:
+    """How far a point (3,) in the body's frame is off a piece that is a box or a half-space, 0 inside [m].
+
+    Infinite for pieces of other shapes: there it takes coal.
+    """
+    shape = piece.shape
+    if isinstance(shape, coal.Halfspace):
+        normal, level = np.array(shape.n), float(shape.d)
+        return lambda point: max(float(normal.dot(point)) - level, 0.0)
+    if not isinstance(shape, coal.Box):
+        return lambda _: math.inf
+    (R, t), half = piece.pose, shape.halfSide.tolist()
+
+    def off_box(point: Vector) -> float:
+        along = (point - t).dot(R).tolist()
+        return math.hypot(*[max(abs(at) - most, 0.0) for at, most in zip(along, half, strict=True)])
+
+    return off_box
 
 
 def in_doubt(distance: Any) -> Any:
