@@ -79,7 +79,7 @@ PyObject *inexact_boxes(PyObject *self, PyObject *const *args, Py_ssize_t count)
     Mat planes;
     Vec clearance, beside, way, change, distance, odometer, proven, path;
     npy_intp t[4], c[3], w[3];
-    double rules[2], *inexact;
+    double rules[3], *inexact;
     if (count_is(count, 16, "inexact_boxes") < 0)
         return NULL;
     const double *T = block(args[0], "T", 4, t), *columns = T ? block(args[2], "columns", 3, c) : NULL;
@@ -90,7 +90,7 @@ PyObject *inexact_boxes(PyObject *self, PyObject *const *args, Py_ssize_t count)
         as_vec(args[7], "clearance", joint.n, &clearance) < 0 || as_vec(args[9], "way", beside.n, &way) < 0 ||
         as_vec(args[10], "change", beside.n, &change) < 0 || as_vec(args[11], "distance", planes.rows, &distance) < 0 ||
         as_vec(args[12], "odometer", beside.n, &odometer) < 0 || as_vec(args[13], "proven", planes.rows, &proven) < 0 ||
-        as_vec(args[14], "path_odometer", beside.n, &path) < 0 || as_doubles(args[15], "rules", 2, rules) < 0)
+        as_vec(args[14], "path_odometer", beside.n, &path) < 0 || as_doubles(args[15], "rules", 3, rules) < 0)
         return NULL;
     const npy_intp S = t[0], K = joint.n, V = c[2], B = w[1];
     if (S < 1 || t[2] != 4 || t[3] != 4 || c[0] != K || c[1] != 4 || V < 1 || w[0] != K || w[2] != 6 || pairs.n != K * B) {
@@ -101,13 +101,14 @@ PyObject *inexact_boxes(PyObject *self, PyObject *const *args, Py_ssize_t count)
     for (npy_intp k = 0; found && k < K; k++) {
         const npy_intp row = INDEX(classes, k);
         const double *corners = columns + 4 * V * k, *now = T + 16 * INDEX(joint, k);
-        const double needed = AT(clearance, k) + rules[0];
+        const double acts = AT(clearance, k) + rules[0], needed = AT(clearance, k) + rules[1];
         inexact[k] = 0.0;
         for (npy_intp i = B * k; i < B * (k + 1) && inexact[k] == 0.0; i++) {
             const npy_intp pair = INDEX(pairs, i);
             const double here = AT(distance, pair) - AT(odometer, row), *witness = witnesses + 6 * i;
             double off = 0.0, along = INFINITY;
-            if (here - AT(way, row) >= needed || AT(proven, pair) - (AT(path, row) + AT(change, row)) >= needed)
+            const int stays = here - AT(way, row) >= needed || AT(proven, pair) - (AT(path, row) + AT(change, row)) >= needed;
+            if (stays && here >= acts)
                 continue;
             const double gap = least_gap(&planes, pair, now, corners, V);
             for (int r = 0; r < 3; r++) {
@@ -115,7 +116,12 @@ PyObject *inexact_boxes(PyObject *self, PyObject *const *args, Py_ssize_t count)
                 const double away = m[0] * witness[0] + m[1] * witness[1] + m[2] * witness[2] + m[3] - witness[3 + r];
                 off += away * away;
             }
-            if ((gap > here ? gap : here) >= rules[1] * sqrt(off))
+            const double least = gap > here ? gap : here;
+            if (least >= rules[2] * sqrt(off))
+                continue;
+            if (least < acts)
+                inexact[k] = 1.0;
+            if (stays)
                 continue;
             for (npy_intp s = 0; s < S; s++) {
                 const double later = s ? least_gap(&planes, pair, now + 16 * t[1] * s, corners, V) : gap;

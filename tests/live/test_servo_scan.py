@@ -233,7 +233,9 @@ def test_how_urgent_it_is_to_find_boxes_anew_by_hand() -> None:
         (0.06, 0.1, 0.0, 0.0),  # the cell is 0.1166 away, and 0.85 of that is 0.0991
         (0.07, 0.1, 0.0, 1.0),  # 0.85 of 0.1221 is 0.1038
         (0.2, 0.2, 0.0, 0.0),  # further away than what is to be exact
+        (0.2, 0.2, -0.04, 0.0),  # no nearer on the way than what may hold it back
         (0.2, 0.2, -0.06, 1.0),  # but it goes down
+        (0.2, 0.17, 0.0, 1.0),  # as near as the obstacle acts
     ],
 )
 def test_boxes_are_still_exact_where_their_cell_is_hardly_further_away_by_hand(
@@ -245,10 +247,10 @@ def test_boxes_are_still_exact_where_their_cell_is_hardly_further_away_by_hand(
     T[1, 1, :3, 3] = aside, 0.0, height + ahead
     corner, nothing, unknown = np.array([[[0.0], [0.0], [0.0], [1.0]]]), np.zeros(1), np.full(1, -1.0)
     link, pair = np.ones(1, dtype=np.intp), np.zeros(1, dtype=np.intp)
-    for witness, found in ((0.0, expected), (np.nan, float(height + ahead < 0.15))):
+    for witness, found in ((0.0, expected), (np.nan, float(height + ahead < 0.15 or height < 0.18))):
         inexact = inexact_boxes(
             T, link, corner, np.full((1, 1, 6), witness), np.array([[0.0, 0.0, 1.0, 0.0]]), pair, pair,
-            np.full(1, 0.1), nothing, nothing, nothing, unknown, nothing, unknown, nothing, (0.05, 0.85),
+            np.full(1, 0.1), nothing, nothing, nothing, unknown, nothing, unknown, nothing, (0.08, 0.05, 0.85),
         )  # fmt: skip
         assert inexact.tolist() == [found]
 

@@ -28,6 +28,7 @@ from backhoe_planner.native import compiled
 _OFF = 0.02  # m that points may be off their chords; chosen, small beside the ways of links in motion
 MOST_PARTS = 4  # of the line; chosen, to bound the work
 SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
+_HOLDS_BACK = 0.05  # m of margin, within which a box on the way may hold the machine back; chosen
 _CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
 _RULES = _CLOSE, _LEAST
@@ -119,13 +120,13 @@ class BoxPlaces:
         ----------
         T: (S, joints, 4, 4) placements of the line's ends.
         planes: (P, 4) of all pairs, see `Separation`.
-        near: margin within which boxes are to be exact [m].
+        near: margin within which boxes are to be exact where the machine is [m].
         """
         if not self.clusters:
             return None, 0.0
         inexact = inexact_boxes(
             T, self._joint, self._columns, self._witnesses, planes, self._pairs, self.classes,
-            self._clearance, line.beside, line.way, line.change, *known, (near, 1.0 - SLACK),
+            self._clearance, line.beside, line.way, line.change, *known, (near, _HOLDS_BACK, 1.0 - SLACK),
         )  # fmt: skip
         urgency = box_urgency(
             self.moved(T), self._covered, self._nearest, self._clearance, self._speed, self.counts, self.classes,
@@ -196,7 +197,9 @@ def inexact_boxes(
     clearance: Vector, beside: Vector, way: Vector, change: Vector, distance: Vector, odometer: Vector, proven: Vector,
     path_odometer: Vector, rules: tuple[float, ...], /,
 ) -> Vector:  # fmt: skip
-    """(K,) 1 for links one of whose boxes comes near on the line and may be less exact than if it was found anew.
+    """(K,) 1 for links one of whose boxes matters and may be less exact than if it was found anew.
+
+    It matters where it is near now, and acts, and where it comes so near on the line that it may hold the link back.
 
     A box is still exact if the point of the link that was nearest to the cell at its face is hardly further away from
     that cell than the link is from the box: the cells are no further than that.
@@ -210,9 +213,10 @@ def inexact_boxes(
     pairs: (K B,) the pairs of the links.
     beside, way, change: see `Line`.
     distance, odometer, proven, path_odometer: see `KnownDistances`.
-    rules: margin within which a box is near [m], and the part of a cell's distance that its box has to have at least.
+    rules: margin within which a box is near now, and that within which one comes near [m], and the part of a cell's
+        distance that its box has to have at least.
     """
-    near, exact = rules
+    near, comes_near, exact = rules
     each = pairs.reshape(len(joint), -1)
     at = T.take(joint, axis=1)[:, :, :3]
     seen = planes.take(each, axis=0)
@@ -220,12 +224,13 @@ def inexact_boxes(
     here = distance.take(each) - odometer.take(classes)[:, None]
     over = proven.take(each) - (path_odometer + change).take(classes)[:, None]
     least = np.maximum(gaps.min(axis=0) - beside.take(classes)[:, None], here - way.take(classes)[:, None])
-    comes_near = np.maximum(least, over) < (clearance + near)[:, None]
+    matters = np.maximum(least, over) < (clearance + comes_near)[:, None]
+    matters |= np.maximum(gaps[0], here) < (clearance + near)[:, None]
     points = np.matmul(witnesses[..., :3], at[0, :, :, :3].transpose(0, 2, 1)) + at[0, :, None, :, 3]
     points -= witnesses[..., 3:]
     points *= points
     is_exact = np.maximum(gaps[0], here) >= exact * np.sqrt(np.add.reduce(points, axis=2))
-    return np.asarray((comes_near & ~is_exact).any(axis=1), dtype=float)
+    return np.asarray((matters & ~is_exact).any(axis=1), dtype=float)
 
 
 @compiled
