@@ -17,6 +17,7 @@ SOURCES = (
     "screen",
     "timing",
     "programs",
+    "held",
     "module",
 )
 

@@ -87,7 +87,7 @@ void solve_cholesky(const double *L, int n, double *b);
 int eigenvectors(double *A, int n, double *U);
 
 /* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo,
- * boxes, rows, odometers, screen, timing, programs. */
+ * boxes, rows, odometers, screen, timing, programs, held. */
 #define FUNCTIONS(F) \
     F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
@@ -101,7 +101,8 @@ int eigenvectors(double *A, int n, double *U);
     F(binding_corners) F(rows_by_velocity) F(place_on_line) F(bend_in_parts) F(least_over_path) F(cost_of_tip) \
     F(next_within) \
     F(count_travel) F(keep_proven) F(note_gaps) F(braking_line) F(largest_part) F(left_over_path) F(keeps_rows) \
-    F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution)
+    F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution) \
+    F(velocity_within_rows) F(rows_of_path)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

@@ -69,6 +69,11 @@ class JointBounds:
         self.fastest: tuple[float, ...] = tuple(limits.velocity.tolist())
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
 
+    @property
+    def shares_load(self) -> bool:
+        """Whether the joints share something, as the flow of a pump."""
+        return self._load is not None
+
     def brake(self, v: Vector) -> Vector:
         """(n,) the next velocity while braking in proportion from v (n,)."""
         time = float((np.abs(v) / self.acceleration).max())

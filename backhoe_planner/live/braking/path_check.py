@@ -23,7 +23,7 @@ from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, Joint
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_path
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
-from backhoe_planner.live.braking.path_rows import binding_corners, rows_by_velocity
+from backhoe_planner.live.braking.path_rows import rows_of_path
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
 
@@ -274,24 +274,16 @@ class PathCheck:
         separation, (pairs, budget) = self.separation, awake
         if len(pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
-        bounds, gaps = self.bounds, found.gaps
-        k, samples, corners, room, short = binding_corners(
-            pairs, gaps.all, gaps.nearest, gaps.least, found.bound, found.closely, bounds.required, separation.classes,
+        bounds, of = self.bounds, path if now is None else now
+        planes, joint, other, piece, corners, mask, T, J, drift = separation.of_rows(self.at)
+        pairs, G, h = rows_of_path(
+            pairs, *found.gaps, found.bound, found.closely, bounds.required, separation.classes,
             path.off_chord(separation.travel), budget, bounds.stands if firm else None, _RULES,
+            planes, joint, other, piece, corners, mask, T, J, drift,
+            path.parts, of.v, of.look, *of.bend_of_end, path.q, path.end,
+            None if now is None else now.q, None if now is None else now.end, self.joints.dt,
         )  # fmt: skip
-        if len(k) == 0:
-            return (Rows.none("braking", len(path.v)),)
-        pairs = pairs.take(k)
-        moves = comes = None
-        if now is not None:
-            moves = np.array((now.q - path.q, now.end - path.end))
-            comes = self.joints.dt * separation.drift.take(pairs)
-        G = separation.rows(pairs, samples, corners, self.at)
-        of = path if now is None else now
-        G, h = rows_by_velocity(
-            G, room, short, samples, path.parts, of.v, of.look, *of.bend_of_end, moves, comes
-        )  # fmt: skip
-        if not firm:
+        if not firm or len(h) == 0:
             return (Rows("braking", G, h),)
         hard = bounds.stands.take(pairs)
         soft = ~hard | (h < 0.0)  # a way back to the buffer is wished for, not demanded

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.live.braking.gaps import plane_rows
 from backhoe_planner.native import compiled
 
 
@@ -112,6 +113,39 @@ def binding_corners(
         k, columns = chosen or binding.tightest(most)
     at, corner = np.divmod(columns, corners)
     return k, at + 1, corner, on_path[k, columns] - needed.take(k), wanted.take(k) - gaps[k, 0, corner]
+
+
+@compiled
+def rows_of_path(
+    pairs: Indices, gaps: Array, nearest: Indices, least: Matrix, bound: Vector, closely: Indices, required: Vector,
+    classes: Indices, off: Vector, budget: Vector, stands: Flags | None, rules: tuple[float, ...], planes: Matrix,
+    joint: Indices, other: Indices | None, piece: Indices, corners: Array, mask: Matrix, T: Array, J: Array,
+    drift: Vector, parts: int, v: Vector, look: float, slowest: int, sharper: float, start: Vector, end: Vector,
+    now_start: Vector | None, now_end: Vector | None, dt: float, /,
+) -> tuple[Indices, Matrix, Vector]:  # fmt: skip
+    """The pairs (R,) whose corners could bind along a path, and the rows G (R, n), h (R,) of these.
+
+    Parameters
+    ----------
+    pairs, gaps, nearest, least, bound, closely, required, classes, off, budget, stands, rules: see `binding_corners`.
+    planes, joint, other, mask, T, J: see `plane_rows`.
+    piece, corners: (P,) whose corners count, and (M, V, 4) those of all pieces, with a 1 behind each [m].
+    drift: (P,) rates at which the planes move on along their normals [m/s].
+    parts, v, look, slowest, sharper: see `rows_by_velocity`.
+    start, end: (n,) of the path [rad or m].
+    now_start, now_end: (n,) of the one a step later that the rows are to be of; None where they are of the path.
+    dt: how much later that is [s].
+    """
+    k, samples, corner, room, short = binding_corners(
+        pairs, gaps, nearest, least, bound, closely, required, classes, off, budget, stands, rules
+    )
+    pairs = pairs.take(k)
+    moves = comes = None
+    if now_start is not None and now_end is not None:
+        moves = np.array((now_start - start, now_end - end))
+        comes = dt * drift.take(pairs)
+    falls = plane_rows(pairs, samples, corners[piece.take(pairs), corner], planes, joint, other, mask, T, J)
+    return pairs, *rows_by_velocity(falls, room, short, samples, parts, v, look, slowest, sharper, moves, comes)
 
 
 @compiled

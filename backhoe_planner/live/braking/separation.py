@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.box_places import BoxPlaces
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs
@@ -556,6 +556,13 @@ class Separation:
     def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
         return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
+
+    def of_rows(
+        self, at: Placements
+    ) -> tuple[Matrix, Indices, Indices | None, Indices, Array, Matrix, Array, Array, Vector]:
+        """What `rows_of_path` has to know of all pairs, and of where the bodies are."""
+        other = self.other if self.some_relative else None
+        return self.planes, self.joint, other, self.piece, self._corners4, self.mask, at.T, at.J, self.drift
 
     def nearest_rows(self, pairs: Indices, gaps: Gaps, at: Placements) -> Matrix:
         """(K, n) how fast the distance falls at the first sample, at the nearest point of each pair [m/rad].

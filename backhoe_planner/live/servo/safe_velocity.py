@@ -18,7 +18,16 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.law import QuadraticProgram, Rows, StackedRows, solve_with_binding_rows
+from backhoe_planner.law import (
+    MOST_ITERATIONS,
+    MOST_SOFT_ROWS,
+    BindingSolution,
+    QuadraticProgram,
+    Rows,
+    StackedRows,
+    soft_solution,
+    solve_with_binding_rows,
+)
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import (
     FASTEST_RECOVERY,
@@ -26,6 +35,7 @@ from backhoe_planner.live.braking.joint_bounds import (
     SLOWEST_RECOVERY,
     TOLERANCE,
     VelocityRange,
+    next_within,
 )
 from backhoe_planner.live.braking.pair_bounds import Awake, Near
 from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck
@@ -41,6 +51,7 @@ _SURE, _SURER = 0.9, 0.5  # parts of the way on which a path is just clear; chos
 _LEAST_BLEND = 0.01  # of the way: less is braking
 _SLOW = 1e-3  # m/s: what comes no faster is as far away in time as at this speed; chosen
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
+_NONE: Indices = np.zeros(0, dtype=np.intp)
 _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
 
@@ -119,6 +130,44 @@ def cost_of_tip(task: Matrix, target: Vector, null: Vector, free: float, /) -> t
     f -= free * null
     H.reshape(-1)[:: len(H) + 1] += free
     return H, f
+
+
+@compiled
+def velocity_within_rows(
+    wish: Vector, task: Matrix | None, null: Vector, free: float, v: Vector, low: Vector, high: Vector, least: Vector,
+    most: Vector, G: Matrix, h: Vector, changes: tuple[float, ...], fastest: tuple[float, ...], tolerance: float,
+    most_iterations: int, /,
+) -> tuple[Vector, int, int] | None:  # fmt: skip
+    """(n,) the next velocity on the way from v (n,) to the part of the wish (n,) that soft rows and bounds leave.
+
+    And how many programs were solved for it, and the solver's iterations; None where it needs more.
+
+    Parameters
+    ----------
+    task, null, free: of the cost, see `cost_of_tip`; without a task each joint's velocity counts alike.
+    low, high: (n,) bounds of the next velocity; least, most: (n,) of what can be reached in the end [rad/s or m/s].
+    G, h: (K, n), (K,) of the rows G v <= h.
+    changes, fastest, tolerance: see `next_within`.
+    most_iterations: of the solver for one program.
+    """
+    steady = _nearest_within(wish, task, null, free, least, most, G, h, most_iterations)
+    if steady is None:
+        return None
+    target, after, keeps = next_within(steady[0], v, low, high, changes, fastest, 1.0, G, h, tolerance)
+    if keeps:
+        return after, 1, steady[1]
+    step = _nearest_within(target, task, null, free, low, high, G, h, most_iterations)
+    return None if step is None else (step[0], 2, steady[1] + step[1])
+
+
+def _nearest_within(
+    target: Vector, task: Matrix | None, null: Vector, free: float, low: Vector, high: Vector, G: Matrix, h: Vector,
+    most_iterations: int,
+) -> tuple[Vector, int] | None:  # fmt: skip
+    """(n,) the velocity nearest to the target (n,) within bounds and rows, and the solver's iterations."""
+    H, f = (_identity(len(target)), -target) if task is None else cost_of_tip(task, target, null, free)
+    solved = soft_solution(H, f, low, high, G, h, most_iterations)
+    return None if solved is None else (np.minimum(np.maximum(solved[0], low), high), solved[1])
 
 
 class VelocityFilter:
@@ -273,7 +322,16 @@ class VelocityFilter:
         step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
-        stacked = StackedRows.of(rows, len(low))
+        stacked, joints = StackedRows.of(rows, len(low)), self._joints
+        if stacked.soft == stacked.total <= MOST_SOFT_ROWS and not joints.shares_load:
+            found = velocity_within_rows(
+                wish.v, wish.task, wish.null, _FREE, state.v, low, high, least, most, stacked.G, stacked.high,
+                joints.changes, joints.fastest, TOLERANCE, MOST_ITERATIONS,
+            )  # fmt: skip
+            if found is not None:
+                v, problems, iterations = found
+                self._check.note(BindingSolution(v, _NONE, stacked.total, problems, iterations))
+                return v
         steady, kept = self._solve(state, velocity_program(wish, wish.v, least, most, rows), stacked)
         target, v, keeps = self._joints.next_towards(
             steady, state.q, state.v, low=low, high=high, G=stacked.G, h=stacked.high

@@ -1,0 +1,142 @@
+/* What a step that is held back asks, in one call each: the plain versions call the others one by one, and so does this. */
+#include "arrays.h"
+
+#include <string.h>
+
+/* H and f of the cost whose least is at the target, see `cost_of_tip`; without a task each joint counts alike. */
+static PyObject *cost_of(PyObject *self, PyObject *task, PyObject *target, PyObject *null, PyObject *free)
+{
+    if (task != Py_None)
+        return cost_of_tip(self, (PyObject *[]){task, target, null, free}, 4);
+    Vec wanted;
+    if (as_vec(target, "target", -1, &wanted) < 0)
+        return NULL;
+    double *H, *f;
+    PyObject *square = new_mat(wanted.n, wanted.n, &H), *linear = new_vec(wanted.n, &f);
+    if (!square || !linear) {
+        Py_XDECREF(square), Py_XDECREF(linear);
+        return NULL;
+    }
+    for (npy_intp i = 0; i < wanted.n; i++) {
+        f[i] = -AT(wanted, i);
+        for (npy_intp j = 0; j < wanted.n; j++)
+            H[wanted.n * i + j] = i == j;
+    }
+    return Py_BuildValue("NN", square, linear);
+}
+
+/* The x nearest to a target within bounds and rows, and the iterations in `more`. */
+static PyObject *nearest_within(PyObject *self, PyObject *cost, PyObject *low, PyObject *high, PyObject *G, PyObject *h,
+                                PyObject *most, Py_ssize_t *more)
+{
+    Vec least, largest;
+    PyObject *found = cost ? soft_solution(self, (PyObject *[]){PyTuple_GET_ITEM(cost, 0), PyTuple_GET_ITEM(cost, 1), low,
+                                                               high, G, h, most}, 7) : NULL;
+    Py_XDECREF(cost);
+    if (!found)
+        return NULL;
+    PyObject *x = Py_NewRef(PyTuple_GET_ITEM(found, 0));
+    *more += PyLong_AsSsize_t(PyTuple_GET_ITEM(found, 1));
+    Py_DECREF(found);
+    double *at = PyArray_DATA((PyArrayObject *)x);
+    if (as_vec(low, "low", -1, &least) < 0 || as_vec(high, "high", -1, &largest) < 0) {
+        Py_DECREF(x);
+        return NULL;
+    }
+    for (npy_intp j = 0; j < least.n; j++) { /* the solution keeps them to its tolerance alone */
+        const double up = at[j] < AT(least, j) ? AT(least, j) : at[j];
+        at[j] = up > AT(largest, j) ? AT(largest, j) : up;
+    }
+    return x;
+}
+
+PyObject *velocity_within_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec wish, null;
+    if (count_is(count, 15, "velocity_within_rows") < 0 || as_vec(args[0], "wish", -1, &wish) < 0 ||
+        as_vec(args[2], "null", wish.n, &null) < 0)
+        return NULL;
+    PyObject *task = args[1], *low = args[5], *high = args[6], *G = args[9], *h = args[10], *most = args[14];
+    Py_ssize_t iterations = 0;
+    PyObject *steady = nearest_within(self, cost_of(self, task, args[0], args[2], args[3]), args[7], args[8], G, h, most,
+                                      &iterations);
+    PyObject *load = steady ? PyFloat_FromDouble(1.0) : NULL;
+    PyObject *next = load ? next_within(self, (PyObject *[]){steady, args[4], low, high, args[11], args[12], load, G, h,
+                                                            args[13]}, 10) : NULL;
+    Py_XDECREF(steady), Py_XDECREF(load);
+    if (!next)
+        return NULL;
+    PyObject *v;
+    int problems = 1;
+    if (PyTuple_GET_ITEM(next, 2) == Py_True)
+        v = Py_NewRef(PyTuple_GET_ITEM(next, 1));
+    else {
+        problems = 2;
+        v = nearest_within(self, cost_of(self, task, PyTuple_GET_ITEM(next, 0), args[2], args[3]), low, high, G, h, most,
+                           &iterations);
+    }
+    Py_DECREF(next);
+    return v ? Py_BuildValue("Nin", v, problems, iterations) : NULL;
+}
+
+enum { PAIRS, GAPS, NEAREST, LEAST, BOUND, CLOSELY, REQUIRED, CLASSES, OFF, BUDGET, STANDS, RULES, OF_CORNERS };
+enum { PLANES = OF_CORNERS, JOINT, OTHER, PIECE, CORNERS, MASK, PLACED, JACOBIANS, DRIFT, OF_PAIRS };
+enum { PARTS = OF_PAIRS, VELOCITY, LOOK, SLOWEST, SHARPER, START, END, NOW_START, NOW_END, DT, OF_PATH };
+
+PyObject *rows_of_path(PyObject *self, PyObject *const *args, Py_ssize_t given)
+{
+    Ind pairs, piece, k, corner;
+    Vec drift, from[2], to[2];
+    npy_intp c[3];
+    double dt;
+    if (count_is(given, OF_PATH, "rows_of_path") < 0 || as_vec(args[DRIFT], "drift", -1, &drift) < 0 ||
+        as_ind(args[PAIRS], "pairs", drift.n, &pairs) < 0 || as_double(args[DT], "dt", &dt) < 0)
+        return NULL;
+    const double *hull = block(args[CORNERS], "corners", 3, c);
+    if (!hull || as_ind(args[PIECE], "piece", c[0], &piece) < 0 || has_length(piece.n, drift.n, "piece") < 0 ||
+        has_length(c[2], 4, "corners") < 0)
+        return NULL;
+    const int moves = args[NOW_START] != Py_None;
+    for (int end = 0; end < 2; end++)
+        if (as_vec(args[START + end], "start and end", end ? from[0].n : -1, from + end) < 0 ||
+            (moves && as_vec(args[NOW_START + end], "their place now", from[0].n, to + end) < 0))
+            return NULL;
+    PyObject *binding = binding_corners(self, args, OF_CORNERS), *result = NULL;
+    if (!binding)
+        return NULL;
+    PyObject *samples = PyTuple_GET_ITEM(binding, 1);
+    PyObject *of = NULL, *points = NULL, *moved = Py_NewRef(Py_None), *comes = Py_NewRef(Py_None), *falls = NULL, *G_h = NULL;
+    npy_intp *pair;
+    double *point, *move, *come;
+    if (as_ind(PyTuple_GET_ITEM(binding, 0), "k", pairs.n, &k) < 0 ||
+        as_ind(PyTuple_GET_ITEM(binding, 2), "corner", c[1], &corner) < 0 || !(of = new_ind(k.n, &pair)) ||
+        !(points = new_mat(k.n, 4, &point)))
+        goto done;
+    for (npy_intp i = 0; i < k.n; i++) {
+        pair[i] = INDEX(pairs, INDEX(k, i));
+        memcpy(point + 4 * i, hull + 4 * (c[1] * INDEX(piece, pair[i]) + INDEX(corner, i)), 4 * sizeof(double));
+    }
+    if (moves) {
+        Py_DECREF(moved), Py_DECREF(comes);
+        moved = new_mat(2, from[0].n, &move), comes = new_vec(k.n, &come);
+        if (!moved || !comes)
+            goto done;
+        for (int end = 0; end < 2; end++)
+            for (npy_intp j = 0; j < from[0].n; j++)
+                *move++ = AT(to[end], j) - AT(from[end], j);
+        for (npy_intp i = 0; i < k.n; i++)
+            come[i] = dt * AT(drift, pair[i]);
+    }
+    falls = plane_rows(self, (PyObject *[]){of, samples, points, args[PLANES], args[JOINT], args[OTHER], args[MASK],
+                                            args[PLACED], args[JACOBIANS]}, 9);
+    if (falls)
+        G_h = rows_by_velocity(self, (PyObject *[]){falls, PyTuple_GET_ITEM(binding, 3), PyTuple_GET_ITEM(binding, 4),
+                                                    samples, args[PARTS], args[VELOCITY], args[LOOK], args[SLOWEST],
+                                                    args[SHARPER], moved, comes}, 11);
+    if (G_h)
+        result = PyTuple_Pack(3, of, PyTuple_GET_ITEM(G_h, 0), PyTuple_GET_ITEM(G_h, 1));
+done:
+    Py_DECREF(binding);
+    Py_XDECREF(of), Py_XDECREF(points), Py_XDECREF(moved), Py_XDECREF(comes), Py_XDECREF(falls), Py_XDECREF(G_h);
+    return result;
+}
