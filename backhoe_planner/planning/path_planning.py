@@ -226,11 +226,10 @@ class _Along:
         return Outcome(motion, "outside_limits", message, Findings(joints=(problem.robot.joint_names[step.joint],)))
 
     def _price(self, nodes: Matrix) -> Vector:
-        """(N,) what it costs to begin at each of `nodes` (N, n): the distance of the joints [rad or m]."""
+        """(N,) what it costs to get to each of `nodes` (N, n), by the objective [rad]."""
         if self._stepper is None:
             return np.zeros(len(nodes))
-        change = self._world.problem.robot.reduce_unchecked(nodes - self._stepper.q)
-        return np.asarray(np.linalg.norm(change, axis=1))
+        return self._cost.of_approaches(self._stepper.q, nodes)
 
     def _turned(self, resolved: Resolution, near: Vector) -> Resolution:
         """The same, with continuous joints turned as a whole so that the path begins within half a turn of `near`."""

@@ -172,6 +172,23 @@ def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
         assert quiet.of_run(stations, q) == quiet.of_steps(stations, q)
 
 
+def test_the_way_to_a_path_costs_what_it_costs_in_the_least_time(tmp_path: Path) -> None:
+    """1.6 rad at 1 rad/s and 2 rad/s^2 take 1.6 + 1 / 2 s; 0.2 rad, too short for the full rate, 2 sqrt(0.2 / 2) s."""
+    robot = machine(tmp_path, PENDULUM, "end")
+    problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
+    start, ends, far = np.array([-0.8]), np.array([[0.8], [-0.6], [-0.8]]), np.array([1.6, 0.2, 0.0])
+    taken = np.array([2.1, 2.0 * np.sqrt(0.1), 1.0])
+    expected = {"velocity_norm": far**2 / taken, "kinetic": 0.5 * MASS * LENGTH**2 * far**2 / taken}
+    for name, value in expected.items():
+        objective = PathCost(problem, name)
+        assert objective.per_radian * objective.of_approaches(start, ends) == pytest.approx(value, rel=1e-6, abs=1e-6)
+    # work is what is lifted, and nothing on the way down; the search adds terms that are small for a heavy arm
+    objective = PathCost(problem, "work")
+    lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.8))
+    up, down = (float(objective.of_approaches(a, b[None])[0]) for a, b in ((start, ends[0]), (ends[0], start)))
+    assert objective.per_radian * (up - down) == pytest.approx(lift, rel=5e-3)
+
+
 def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging: Problem) -> None:
     """The same tip path, the bucket swinging by a hand's breadth or not: the margin is on all the oil."""
     s = np.linspace(0.0, 1.0, 41)[:, None]

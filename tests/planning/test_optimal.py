@@ -365,3 +365,19 @@ def test_the_plan_file_holds_torque_and_power_over_time(backhoe: bp.Robot, tmp_p
 @pytest.mark.parametrize(("percent", "words"), [(94.75, "95 % less"), (0.0, "0 % less"), (-5.17, "5 % more")])
 def test_a_saving_is_told_without_a_sign(percent: float, words: str) -> None:
     assert describe_saving(percent) == words
+
+
+def test_a_path_begins_where_its_cost_and_that_of_the_way_there_are_least_together(backhoe: bp.Robot) -> None:
+    """The fastest plan of the same scene is one that the plan of least effort could have taken.
+
+    The search leaves out torques of inertia, by which it may miss some of it.
+    """
+    task = {"path": {"waypoints": [{"position": at} for at in ([4.6, 0.0, 0.3], [3.4, 0.0, 0.3], [3.0, 0.0, 0.6])]}}
+    content = {"version": 1, "start": posed(backhoe, np.array([0.0, 0.4, -1.6, -0.9])), "task": task}
+    effort, fastest = (
+        bp.plan(backhoe, bp.scene_from_dict(content | {"objective": name}), effort="quick")
+        for name in ("effort", "time")
+    )
+    assert effort.verified
+    assert fastest.verified
+    assert effort.metrics.energy["effort"] < 1.01 * fastest.metrics.energy["effort"]
