@@ -362,6 +362,13 @@ def rows_of_path(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def turn_along_surface(rng: Rng) -> Arguments:
+    """Of wishes beside a surface and straight into it, with and without a sense of before."""
+    normal = rotation(rng)[0]
+    tip = rng.uniform(0.1, 1.0) * normal + rng.choice([0.0, 0.1, 1.0]) * rotation(rng)[0]
+    return tip, normal, float(rng.integers(2)) * rotation(rng)[0], bool(rng.integers(2))
+
+
 def place_on_line(rng: Rng) -> Arguments:
     n, parts = joints(rng), 1 + some(rng, 8)
     factors, slides = chain(rng, n)
@@ -580,8 +587,8 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     pairs_within,
     place_on_line, place_tip, placed_arrays, plane_rows,
     quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity,
-    rows_of_path, soft_solution, split_by_plane, stalest_pair, step_conditions, straight_towards, unproven_of_near,
-    velocity_within_rows, ways_of_links,
+    rows_of_path, soft_solution, split_by_plane, stalest_pair, step_conditions, straight_towards,
+    turn_along_surface, unproven_of_near, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
 

@@ -102,7 +102,7 @@ int eigenvectors(double *A, int n, double *U);
     F(next_within) \
     F(count_travel) F(keep_proven) F(note_gaps) F(braking_line) F(largest_part) F(left_over_path) F(keeps_rows) \
     F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution) \
-    F(velocity_within_rows) F(rows_of_path)
+    F(velocity_within_rows) F(rows_of_path) F(turn_along_surface)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

@@ -1,6 +1,7 @@
-/* What a step that is held back asks, in one call each: the plain versions call the others one by one, and so does this. */
+/* What a step that is held back asks. Some of it calls other functions of this extension, as the plain versions do. */
 #include "arrays.h"
 
+#include <math.h>
 #include <string.h>
 
 /* H and f of the cost whose least is at the target, see `cost_of_tip`; without a task each joint counts alike. */
@@ -139,4 +140,49 @@ done:
     Py_DECREF(binding);
     Py_XDECREF(of), Py_XDECREF(points), Py_XDECREF(moved), Py_XDECREF(comes), Py_XDECREF(falls), Py_XDECREF(G_h);
     return result;
+}
+
+static const double SIDEWAYS = 0.2, STEEP = 0.9; /* as in the plain version */
+
+PyObject *turn_along_surface(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec tip, normal, sense;
+    double *found, *along, into = 0.0, before = 0.0, size = 0.0, any = 0.0;
+    if (count_is(count, 4, "turn_along_surface") < 0 || as_vec(args[0], "tip", 3, &tip) < 0 ||
+        as_vec(args[1], "normal", 3, &normal) < 0 || as_vec(args[2], "sense", 3, &sense) < 0)
+        return NULL;
+    const int rises = PyObject_IsTrue(args[3]);
+    if (rises < 0)
+        return NULL;
+    PyObject *wish = new_vec(3, &found), *unit = new_vec(3, &along);
+    if (!wish || !unit) {
+        Py_XDECREF(wish), Py_XDECREF(unit);
+        return NULL;
+    }
+    for (int c = 0; c < 3; c++)
+        into += AT(tip, c) * AT(normal, c), before += AT(sense, c) * AT(normal, c);
+    for (int c = 0; c < 3; c++) {
+        along[c] = AT(tip, c) - into * AT(normal, c);
+        size += along[c] * along[c];
+    }
+    size = sqrt(size);
+    if (size <= SIDEWAYS * into) {
+        for (int c = 0; c < 3; c++) {
+            along[c] = AT(sense, c) - before * AT(normal, c);
+            any += along[c] != 0.0;
+        }
+        const double up = AT(normal, 2);
+        if (any == 0.0 && (fabs(up) > STEEP || !rises))
+            along[0] = -AT(normal, 1), along[1] = AT(normal, 0), along[2] = 0.0;
+        else if (any == 0.0)
+            for (int c = 0; c < 3; c++)
+                along[c] = (c == 2) - up * AT(normal, c);
+        size = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+        size = size > 1e-9 ? size : 1e-9;
+    }
+    for (int c = 0; c < 3; c++) {
+        along[c] /= size;
+        found[c] = AT(tip, c) + into * along[c];
+    }
+    return Py_BuildValue("NN", wish, unit);
 }

@@ -23,6 +23,7 @@ from backhoe_planner.live import (
     VelocityWish,
     velocity_program,
 )
+from backhoe_planner.live.servo.tip_task import turn_along_surface
 from backhoe_planner.machine import Robot
 
 ONE_HINGE = """<robot name="gate">
@@ -371,3 +372,21 @@ def test_the_problem_of_a_step_by_hand() -> None:
     joints = velocity_program(wish._replace(task=None), target, -wide, wide, (stop,))
     np.testing.assert_array_equal(joints.H, np.eye(2))
     np.testing.assert_array_equal(joints.f, -target)
+
+
+@pytest.mark.parametrize(
+    ("wish", "sense", "rises", "expected"),
+    [
+        ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), True, (1.0, 0.0, 1.0)),  # straight into a wall: up, if it can
+        ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), False, (1.0, 1.0, 0.0)),
+        ((1.0, 0.1, 0.0), (0.0, -1.0, 0.0), True, (1.0, -0.9, 0.0)),  # almost: as before
+        ((1.0, 0.5, 0.0), (0.0, -1.0, 0.0), True, (1.0, 1.5, 0.0)),  # where the wish itself says
+    ],
+)
+def test_what_goes_into_a_wall_is_turned_along_it_by_hand(
+    wish: tuple[float, ...], sense: tuple[float, ...], rises: bool, expected: tuple[float, ...]
+) -> None:
+    """A wall across x."""
+    found, along = turn_along_surface(np.array(wish), np.array([1.0, 0.0, 0.0]), np.array(sense), rises)
+    assert found == pytest.approx(np.array(expected))
+    assert along == pytest.approx(np.array(expected) - wish)

@@ -108,14 +108,17 @@ class BoxUpkeep:
         return float(one.clearance + max(self._influence, way) + _AHEAD)
 
     def _ahead(self, state: JointState, steps: int) -> tuple[Line, Array]:
-        """The line along which the machine goes on in so many steps, and the placements of its ends."""
+        """The line along which the machine goes on in so many steps, and the placements of its ends.
+
+        The machine must have been placed where it is.
+        """
         separation = self._separation
         line = Line.ahead(
             state, self._joints, steps,
             travel=separation.travel, furthest=separation.furthest, turning=separation.turning,
         )  # fmt: skip
-        for sample, q in enumerate(line.ends):
-            self._line.place(sample, q)
+        self._line.T[0] = self._at.T[0]
+        self._line.place_line(state.q, line.ends[-1] - state.q, len(line.ends) - 1)
         return line, self._line.T[: len(line.ends)]
 
     def _most_urgent(self, state: JointState, steps: int) -> tuple[ClusterPairs | None, float]:

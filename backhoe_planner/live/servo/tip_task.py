@@ -19,6 +19,7 @@ _SIDEWAYS = 0.2  # part of the speed into an obstacle above which the wish itsel
 _STEEP = 0.9  # size of a normal's z from which on its surface is level, with no "up" along it; chosen, 26 degrees
 _UP = np.array([0.0, 0.0, 1.0])
 _NOTHING = np.zeros((0, 3))
+_NO_SENSE = np.zeros(3)
 
 
 class JointWish(NamedTuple):
@@ -70,7 +71,7 @@ class TipTask:
         self._nobody = CriticalRows(np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
         self.blocking = np.zeros(3)
         self._critical: tuple[Near | None, CriticalRows] = None, self._nobody  # what was near, and its rows
-        self._sense = np.zeros(3)
+        self._sense = _NO_SENSE
 
     def place(self, q: Vector) -> None:
         """Forward kinematics at q (n,), and the tip's Jacobian."""
@@ -137,23 +138,37 @@ class TipTask:
 
     def _around(self, tip: Vector) -> Vector:
         """The wish for the tip (3,), turned along the surface that blocks it."""
-        normal = self.blocking
-        into = float(tip @ normal)
+        into = float(tip.dot(self.blocking))
         if into <= 0.0:
-            self._sense = np.zeros(3)
+            self._sense = _NO_SENSE
             return tip
-        along = tip - into * normal
-        size = math.sqrt(float(along @ along))
-        if size > _SIDEWAYS * into:
-            self._sense = along / size
-        else:
-            sense = self._sense - (self._sense @ normal) * normal
-            if not sense.any():
-                sense = _UP - normal[2] * normal
-                if abs(normal[2]) > _STEEP or not self._rows[2]:
-                    sense = np.array([-normal[1], normal[0], 0.0])
-            self._sense = sense / max(math.sqrt(float(sense @ sense)), 1e-9)
-        return np.asarray(tip + into * self._sense)
+        found, self._sense = turn_along_surface(tip, self.blocking, self._sense, bool(self._rows[2]))
+        return found
+
+
+@compiled
+def turn_along_surface(tip: Vector, normal: Vector, sense: Vector, rises: bool, /) -> tuple[Vector, Vector]:
+    """(3,) the wish for the tip with its part into a surface turned along it, and (3,) the unit vector along which.
+
+    Parameters
+    ----------
+    tip: (3,) the wish, of which a part goes into the surface [m/s]; normal: (3,) unit vector into it.
+    sense: (3,) the unit vector of the step before, zeros where there is none: it counts where the wish is straight into
+        the surface.
+    rises: whether the tip can go up.
+    """
+    into = float(tip.dot(normal))
+    along = tip - into * normal
+    size = math.sqrt(float(along.dot(along)))
+    if size <= _SIDEWAYS * into:
+        along = sense - sense.dot(normal) * normal
+        if not along.any():
+            along = _UP - normal[2] * normal
+            if abs(normal[2]) > _STEEP or not rises:
+                along = np.array([-normal[1], normal[0], 0.0])
+        size = max(math.sqrt(float(along.dot(along))), 1e-9)
+    along = along / size
+    return tip + into * along, along
 
 
 @compiled
