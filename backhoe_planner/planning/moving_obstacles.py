@@ -135,7 +135,13 @@ class _OverTime:
             if aside.give_way(stepper.time + wait):
                 yield task.from_rest(still, aside)
         for refuge in _refuges(known, stepper):
-            yield task.from_rest(still, refuge)
+            onward = task.from_rest(still, refuge.branch(attempt=refuge.attempt))
+            yield onward
+            later = None if onward.reason else _wait(known.proximity, onward, refuge)
+            if later is None:
+                refuge.rest(stepper.time + _HORIZONS[-1])
+                later = task.from_rest(still, refuge)
+            yield later
 
     # --- what appears ---------------------------------------------------------------
 
@@ -224,7 +230,7 @@ def _swept_world(known: World, since: float, horizon: float) -> World:
 
 
 def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
-    """Motions to where no moving obstacle will pass, at rest there until all have passed."""
+    """Motions to where no moving obstacle will pass, at rest there."""
     robot, limits, keep = known.problem.robot, known.problem.limits, known.problem.keep
     rng = np.random.default_rng(known.seed)
     passed = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity
@@ -242,7 +248,6 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
     for horizon in (*_SOON, *_HORIZONS[:-1]):
         transit = find_transit(_swept_world(known, stepper.time, horizon), stepper, clear)
         if isinstance(transit, Stepper) and _is_clear(known.proximity, transit.trajectory(), stepper.time):
-            transit.rest(stepper.time + _HORIZONS[-1])
             yield transit
 
 

@@ -112,3 +112,13 @@ def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
     one, other = (bp.plan(backhoe, site(GOAL, walker), effort="quick") for _ in range(2))
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
     np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)
+
+
+@pytest.mark.parametrize("seed", [50, 60])
+def test_a_machine_that_gives_way_goes_on_as_soon_as_the_worker_has_passed(backhoe: bp.Robot, seed: int) -> None:
+    """He walks through where the machine stands, 12 m in 20 s: at 15 s he is 6 m beside it, long past the whole way."""
+    walker = WORKER | {"from": [3.5, 3.0, 0.0], "to": [3.5, 3.0, 1.8], "clearance": 0.3, "velocity": [0.0, -0.6, 0.0]}
+    found = bp.plan(backhoe, site({"goal": {"position": [3.0, 2.5, 0.8]}}, walker), effort="quick", seed=seed)
+    assert found.verified
+    assert refutations(found) == []
+    assert found.metrics.duration < 15.0
