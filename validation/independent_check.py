@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pinocchio as pin
@@ -114,15 +114,26 @@ def _search(plan: bp.Plan, *, refine: int, itself: bool, floor: Callable[[str, f
         if below == -np.inf:
             continue
         shift = np.maximum(time - spec.appears_at, 0.0)[:, None] * np.array(spec.velocity)
-        for track in tracks:
+        for rows, track in product(_moments_of(plan, spec.legs, time), tracks):
             link = track.cover.link
             if spec.links is not None and link not in spec.links:
                 continue
-            past = _Track(track.cover, track.rotation, track.translation - shift) if np.any(shift) else track
-            least, moment = _least(past, distance, time >= spec.appears_at, below)
+            past = track
+            if np.any(shift) or spec.legs is not None:
+                past = _Track(track.cover, track.rotation[rows], track.translation[rows] - shift[rows])
+            least, moment = _least(past, distance, time[rows] >= spec.appears_at, below)
             if np.isfinite(least):
-                found.append(Least(link, spec.name, least, clearance, float(time[moment])))
+                found.append(Least(link, spec.name, least, clearance, float(time[rows][moment])))
     return found + (_against_itself(robot, tracks, solids, placements, time, floor) if itself else [])
+
+
+def _moments_of(plan: bp.Plan, legs: tuple[str, ...] | None, time: NDArray[np.float64]) -> list[slice]:
+    """The rows of `time` (T,) in each of some legs of a sequence, by name, with both ends; all of them for None."""
+    if legs is None:
+        return [slice(None)]
+    at = plan.trajectory.time
+    ends = [(at[leg.first], at[leg.last]) for leg in plan.legs if leg.name in legs]
+    return [slice(int(np.searchsorted(time, a)), int(np.searchsorted(time, b, side="right"))) for a, b in ends]
 
 
 def _finer(time: NDArray[np.float64], refine: int) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.motion import build_problem
 
 # opens the wall: the tree of balls is held against every point at the same moments and placements
 from validation import independent_check
@@ -88,6 +89,22 @@ def test_a_claim_that_is_too_high_is_refuted(plan: bp.Plan) -> None:
     lines = independent_check.refutations(wrong)
     assert lines
     assert all(first.obstacle in line for line in lines)
+
+
+def test_an_obstacle_that_is_there_in_one_leg_is_looked_at_in_that_leg_alone() -> None:
+    """A ball about the middle of the first leg's motion: in the way of that leg, and not there in the second."""
+    robot = load_machine("planar4")
+    ends = [dict.fromkeys(robot.joint_names, value) for value in (0.0, 0.2, 0.4)]
+    legs = [{"name": name, "goal": {"joints": end}} for name, end in zip(("first", "second"), ends[1:], strict=True)]
+    content = {"version": 1, "start": {"joints": ends[0]}, "task": {"sequence": legs}}
+    free = bp.plan(robot, bp.scene_from_dict(content), effort="quick")
+    assert free.verified
+    tip = free.tip_path()[free.legs[0].last // 2].tolist()
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.05, "position": tip}
+    for name, wrong in (("first", True), ("second", False)):
+        held = bp.scene_from_dict(content | {"obstacles": [ball | {"legs": [name]}]})
+        lines = independent_check.refutations(dataclasses.replace(free, problem=build_problem(robot, held)))
+        assert any("ball" in line for line in lines) == wrong
 
 
 def test_distance_of_a_scan_is_that_of_the_nearest_of_all_voxels() -> None:
