@@ -347,6 +347,8 @@ def rows_by_velocity(rng: Rng) -> Arguments:
 
 def rows_of_path(rng: Rng) -> Arguments:
     of_corners = binding_corners(rng)
+    if rng.integers(4) == 0:
+        of_corners[6][:] = -100.0  # nothing binds
     every, samples, hull = len(of_corners[6]), of_corners[1].shape[1], of_corners[1].shape[2]
     n, pieces = joints(rng), 1 + some(rng, 5)
     later, relative = rng.integers(2) > 0, rng.integers(2) > 0

@@ -140,6 +140,8 @@ def rows_of_path(
         pairs, gaps, nearest, least, bound, closely, required, classes, off, budget, stands, rules
     )
     pairs = pairs.take(k)
+    if len(pairs) == 0:
+        return pairs, np.zeros((0, len(v))), np.zeros(0)
     moves = comes = None
     if now_start is not None and now_end is not None:
         moves = np.array((now_start - start, now_end - end))
