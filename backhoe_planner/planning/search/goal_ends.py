@@ -61,13 +61,13 @@ class GoalEnds:
 
     def within(self, longest: float, apart: float) -> Iterator[int]:
         """Those that can be reached in `longest` [s], the soonest of those nearer than `apart` [s of joint time]."""
-        taken: list[Vector] = []
+        at = np.array(self.postures).reshape(-1, len(self._rate)) / self._rate
+        free = np.ones(len(at), dtype=bool)  # of those taken before
         for index in self.order:
             if self.least[index] > longest:
                 return
-            q = self.postures[index]
-            if min((float(np.max(np.abs(other - q) / self._rate)) for other in taken), default=np.inf) > apart:
-                taken.append(q)
+            if free[index]:
+                free &= np.abs(at - at[index]).max(axis=1) > apart
                 yield index
 
     def least_to(self, q: Vector) -> float:
