@@ -11,6 +11,7 @@ every motion slower still.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +24,9 @@ from backhoe_planner.proof.least_times import LeastTimes
 
 _NEAR = 0.01  # part of a known duration: a bound nearer to it is near enough; chosen
 _AT_ONCE = 64  # boxes that are halved together; chosen: more are cheaper each, but fewer have the lowest bound
-_SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound of all motions is sought, first and last; chosen
+_SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound of all motions is sought, at least and at most; chosen
 _FURTHER = 2.0  # times as far, where no motion is that short: the less far, the finer the bound is; chosen
+_ROUGHLY = (16.0, 128.0)  # s up to which it is looked first about how far that is; chosen
 _REACHED = 0.98  # part of what it is sought up to, from which on the bound may be more; a search ends at 0.99
 _LEVELS = 256  # of the time, at which boxes are tested; chosen: they are two fifths of a percent apart
 _INNERMOST = 26  # of these levels: the least that the first box reaches to; chosen, a tenth
@@ -68,15 +70,7 @@ def least_duration(
     times = LeastTimes(problem, start, longest=known)
     if end is not None:
         known = float(times.to_boxes(end[None], end[None])[0])
-    searches = [_Search(times, goal, (1.0 - _NEAR) * known) for goal in goal_regions(problem)]
-    looked = sum(search.looked for search in searches)
-    while looked < boxes and any(len(search.open) for search in searches):
-        lowest = min(searches, key=lambda search: search.least)
-        before = lowest.looked
-        lowest.run(before + 1)
-        looked += lowest.looked - before
-    least = min((search.least for search in searches), default=(1.0 - _NEAR) * known)
-    return LeastDuration(least, not any(len(search.open) for search in searches), looked)
+    return _least_of(times, goal_regions(problem), (1.0 - _NEAR) * known, boxes=boxes)
 
 
 def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> float:
@@ -88,12 +82,39 @@ def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> flo
     ----------
     boxes: how many may be looked at each time that it is sought.
     """
-    most = _SHORTEST
+    goals = goal_regions(problem)
+    most, above = _SHORTEST, _about(problem, start, goals)
+    while most < above:
+        most *= _FURTHER
     while True:
-        bound = least_duration(problem, start, known=most, boxes=boxes).duration
+        times, target = LeastTimes(problem, start, longest=most), (1.0 - _NEAR) * most
+        bound = _least_of(times, goals, target, boxes=boxes).duration
         if bound < _REACHED * most or most >= _LONGEST:
             return bound
         most *= _FURTHER
+
+
+def _about(problem: Problem, start: Vector, goals: Sequence[GoalRegion]) -> float:
+    """A weak bound of all motions to `goals` [s], from the first boxes alone."""
+    found = 0.0
+    for longest in _ROUGHLY:
+        found = _least_of(LeastTimes(problem, start, longest=longest), goals, (1.0 - _NEAR) * longest, boxes=0).duration
+        if found < _REACHED * longest:
+            break
+    return found
+
+
+def _least_of(times: LeastTimes, goals: Sequence[GoalRegion], target: float, *, boxes: int) -> LeastDuration:
+    """The least that is found for any of `goals`, at most `target` [s], from so many boxes."""
+    searches = [_Search(times, goal, target) for goal in goals]
+    looked = sum(search.looked for search in searches)
+    while looked < boxes and any(len(search.open) for search in searches):
+        lowest = min(searches, key=lambda search: search.least)
+        before = lowest.looked
+        lowest.run(before + 1)
+        looked += lowest.looked - before
+    least = min((search.least for search in searches), default=target)
+    return LeastDuration(least, not any(len(search.open) for search in searches), looked)
 
 
 @dataclass(frozen=True, eq=False)
