@@ -3,6 +3,7 @@ from .binding_rows import MOST_SOFT_ROWS as MOST_SOFT_ROWS
 from .binding_rows import BindingSolution as BindingSolution
 from .binding_rows import soft_solution as soft_solution
 from .binding_rows import solve_with_binding_rows as solve_with_binding_rows
+from .binding_rows import solve_with_near_rows as solve_with_near_rows
 from .completed import CompletedLaw as CompletedLaw
 from .completed import CriticalRows as CriticalRows
 from .completed import Wish as Wish

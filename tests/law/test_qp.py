@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from backhoe_planner.law import (
     MOST_ITERATIONS,
     MOST_SOFT_ROWS,
     PRICE,
+    UNBOUNDED,
     Kind,
     QuadraticProgram,
     Rows,
     StackedRows,
     solve_program,
     solve_with_binding_rows,
+    solve_with_near_rows,
 )
 
 WIDE = np.full(2, 10.0)
@@ -199,3 +202,38 @@ def test_an_answer_outside_of_the_bounds_is_no_solution() -> None:
     soft = Rows("soft", np.array([[0.0008, -0.5714], [0.997, -0.0007]]), np.array([-0.6548, -0.305]))
     low, high = np.array([-0.6, -0.1]), np.array([0.3, 0.0])
     assert solve_program(QuadraticProgram(np.eye(2), np.array([-0.2, -0.6]), low, high, (hard, soft))) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_of_hard_rows_those_that_are_near_give_the_solution_with_all(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tangents of a ball within a box, some far outside of it; the last variable lets all of them be missed, dearly."""
+    rng, n, solved = np.random.default_rng(seed), 5, []
+    G = rng.normal(size=(300, n))
+    G = np.column_stack((G / np.linalg.norm(G, axis=1)[:, None], np.full(300, -1.0)))
+    rows = (
+        Rows("ball", G, rng.uniform(0.3, 5.0, 300), Kind.HARD),
+        Rows("plane", np.ones((1, n + 1)), np.zeros(1), Kind.EQUAL),
+    )
+    f = np.append(-rng.uniform(1.0, 2.0, n) * rng.choice([-1.0, 1.0], n), 10.0)
+    low, high = np.append(np.full(n, -1.0), 0.0), np.append(np.full(n, 1.0), UNBOUNDED)
+    program = QuadraticProgram(np.eye(n + 1), f, low, high, rows)
+    all_of_them = solve_program(program)
+    assert all_of_them is not None
+
+    def note(program: QuadraticProgram, **options: Any) -> Any:
+        solved.append(sum(len(row.h) for row in program.rows))
+        return solve_program(program, **options)
+
+    monkeypatch.setattr("backhoe_planner.law.binding_rows.solve_program", note)
+    found = solve_with_near_rows(program, most_iterations=1000)
+    assert found is not None
+    np.testing.assert_allclose(found, all_of_them.x, atol=1e-6)
+    assert max(solved) < 100
+
+
+def test_near_rows_that_contradict_each_other_have_no_solution() -> None:
+    rows = Rows("both sides", np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([-0.5, -0.5]), Kind.HARD)
+    program = QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, -5.0), np.full(2, 5.0), (rows,))
+    assert solve_with_near_rows(program, most_iterations=100) is None

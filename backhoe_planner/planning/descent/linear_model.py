@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
+from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_with_near_rows
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
@@ -261,10 +261,10 @@ class LinearModel:
         kinks, x = None if bend is None else self._near_kinks(bend), None
         for _ in range(_SOLUTIONS):
             program = self.program(slack_price, bend=bend, kinks=kinks, longest=longest)
-            found = solve_program(program, most_iterations=most_iterations)
+            found = solve_with_near_rows(program, most_iterations=most_iterations)
             if found is None:
                 break
-            x, known = found.x, kinks
+            x, known = found, kinks
             kinks = None if known is None else known.after(x[: self._steps + 1])
             if kinks is known:
                 break
