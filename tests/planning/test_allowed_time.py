@@ -13,7 +13,6 @@ from backhoe_planner.planning.descent import descent
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
-    bound_behind,
     bound_for_allowed_time,
     fastest_with_room,
     has_room,
@@ -21,6 +20,7 @@ from backhoe_planner.planning.goals.allowed_time import (
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.search.effort import EFFORTS, Work
 from backhoe_planner.planning.world.world import World
+from backhoe_planner.proof import least_duration, least_duration_of_all
 
 
 @pytest.mark.parametrize(
@@ -45,11 +45,6 @@ def test_a_motion_has_room_up_to_what_the_bound_leaves_it() -> None:
     assert not has_room(2.0, 5.01)
 
 
-def test_a_time_that_is_given_leaves_the_room_that_it_would_be_asked_for() -> None:
-    assert allowed_time(bound_behind(6.0), 4.9) == pytest.approx(6.0)
-    assert fastest_with_room(bound_behind(6.0)) == pytest.approx(5.0)
-
-
 def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(planar4: bp.Robot) -> None:
     """With acceleration a, and the rate never at its limit, a joint takes 2 sqrt(d / a) for d."""
     for d, a in ((0.2, 0.02), (1.2, 0.002)):
@@ -62,6 +57,18 @@ def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(pla
         assert 0.97 * T <= bound_for_allowed_time(problem, np.full(4, 0.1)) <= T
 
 
+def test_the_bound_is_the_one_that_is_found_where_it_is_sought_ever_further(backhoe: bp.Robot) -> None:
+    """Where it is sought first follows from a rough bound; from 0.25 s on, twice as far each time, it is the same."""
+    start = dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))
+    for position in ([4.0, 1.0, -1.0], [3.0, 3.0, 1.0], [4.5, 0.0, 0.0]):
+        content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"position": position}}}
+        problem, most = build_problem(backhoe, bp.scene_from_dict(content)), 0.25
+        while (found := least_duration(problem, backhoe.middle, known=most, boxes=500).duration) >= 0.98 * most:
+            most *= 2.0
+        assert found > 0.5
+        assert least_duration_of_all(problem, backhoe.middle, boxes=500) == found
+
+
 def test_where_no_fast_motion_is_proven_none_is_allowed_a_time_and_the_search_goes_on(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,7 +79,7 @@ def test_where_no_fast_motion_is_proven_none_is_allowed_a_time_and_the_search_go
         assert search is not None
         assert search.best is not None
         search.ended.append(search.best)
-        search.best = None
+        search._descents.best = None
         return search
 
     search_fastest = MotionSearch._search_fastest

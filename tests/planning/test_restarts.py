@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -15,6 +14,8 @@ from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals import goal_planning
 from backhoe_planner.planning.goals.goal_planning import ToGoal
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.world.world import World
@@ -36,14 +37,14 @@ class Searches:
         self._goal, self._left, self.leads_round = goal, iter(found), leads_round
         self.seeds: list[int] = []
         self.efforts: list[Any] = []
-        self.longest: list[float] = []
+        self.before: list[Any] = []
         self.allowed_time = 5.0
         self.looked_at = 0
         self.best: FoundMotion | None = None
 
-    def __call__(self, world: World, *_: Any, longest: float = math.inf, **__: Any) -> Searches:
+    def __call__(self, world: World, *_: Any, before: Any = None, **__: Any) -> Searches:
         self.seeds.append(world.seed)
-        self.longest.append(longest)
+        self.before.append(before)
         self.efforts.append(world.work.effort)
         return self
 
@@ -83,7 +84,7 @@ def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
     assert len(set(searches.seeds)) == 4
     assert searches.seeds[0] == 5
     assert searches.efforts[1:] == [EFFORTS["normal"]] * 3
-    assert searches.longest == [math.inf, 5.0, 5.0, 5.0]
+    assert searches.before == [None, searches, searches, searches]
 
 
 def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,3 +105,22 @@ def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
 
 def test_a_quick_plan_never_searches_again() -> None:
     assert (EFFORTS["quick"].restarts, EFFORTS["quick"].restarts_round) == (0, 0)
+
+
+def test_a_search_that_goes_on_knows_the_best_before_and_refines_only_what_is_better(planar4: bp.Robot) -> None:
+    """Free motions of one joint: a search that is begun anew finds no better one, and makes no finer curve."""
+    world = World(build_problem(planar4, scene(planar4, "work")), seed=5, work=Work(EFFORTS["normal"]))
+    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
+    assert isinstance(found, GoalPostures)
+    first = MotionSearch(world, START, found, time=0.0)
+    assert first.run() == ""
+    again = MotionSearch(world.anew(1, EFFORTS["normal"]), START, found, time=0.0, before=first)
+    assert again.allowed_time == first.allowed_time
+    coarse = again.best
+    assert coarse is not None
+    assert again.run() == ""
+    assert first.best is not None
+    assert again.best is not None
+    assert again.best.cost <= coarse.cost
+    assert first.best.cost <= coarse.cost
+    assert again.best is coarse or again.best.cost < coarse.cost

@@ -58,6 +58,9 @@ _LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that
 # part of what a motion would cost if nothing were regained, below which its cost counts as nothing; chosen: below it
 # the programs become ill-conditioned
 _NOTHING = 1e-4
+# places of each piece by which many curves are compared: for the cost, and for limits, as accelerations are linear on a
+# piece; chosen, the order of straight lines is the same as with twice as many
+_PLACES_OF_ESTIMATE, _PLACES_OF_LIMITS = 2, 1
 _LATE = 10.0  # part of the cost that a motion costs more that takes longer than it may, for all of that time; chosen
 # part of the longest time that a descent leaves over: samples of a motion are slowed by so much where they are beyond a
 # limit between the places at which steps keep it; chosen, mostly less is needed
@@ -97,6 +100,8 @@ class Timed:
     cost: of the motion, by the problem's objective.
     missed: by how much the clearances with their spare are missed, at most, where it was looked [m]; 0 or more.
     margins: at all places where it was looked.
+    own_cost: what the curve costs in its own time, by which curves of other descents are compared with it; mostly less
+        than `cost`, where that is of a motion that is sampled; None where both are the same.
     """
 
     curve: JointCurve
@@ -105,6 +110,7 @@ class Timed:
     cost: float
     missed: float
     margins: list[Margin]
+    own_cost: float | None = None
 
 
 class Descent:
@@ -283,7 +289,7 @@ class Descent:
         return self._priced(found)
 
     def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
-        """(C,) what curves of the same pieces cost in their own times; not for the time.
+        """(C,) about what curves of the same pieces cost in their own times; not for the time.
 
         Parameters
         ----------
@@ -291,9 +297,10 @@ class Descent:
         longest: that a motion may take [s].
         """
         assert self._own_time is not None
-        T = self._own_time.least_durations(curves, durations)
+        T = self._own_time.least_durations(curves, durations, places=_PLACES_OF_LIMITS)
         late = np.maximum(T / longest - 1.0, 0.0)
-        return np.asarray(self._own_time.costs(curves, T, width=_LEAST_WIDTH) * (1.0 + _LATE * late))
+        costs = self._own_time.costs(curves, T, width=_LEAST_WIDTH, places=_PLACES_OF_ESTIMATE)
+        return np.asarray(costs * (1.0 + _LATE * late))
 
     def _soft(self, here: Timed) -> float:
         return max(_SOFT * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
@@ -317,7 +324,7 @@ class Descent:
     def _as_sampled(self, found: Timed) -> Timed:
         """The same with the motion within all limits, and what that costs."""
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
-        return replace(found, motion=motion, cost=motion_cost(self._problem, motion))
+        return replace(found, motion=motion, cost=motion_cost(self._problem, motion), own_cost=found.cost)
 
     def _shortened(
         self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, slope: Vector, price: float

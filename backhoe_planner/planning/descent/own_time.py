@@ -59,9 +59,16 @@ class OwnTime:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
         return float(self.costs([curve], np.array([duration]), width=width)[0])
 
-    def costs(self, curves: Sequence[JointCurve], durations: Vector, *, width: float) -> Vector:
-        """(C,) the same of several curves of the same pieces with `durations` (C,), at once."""
-        moments = _moments_of_all(curves, durations, _PLACES_PER_PIECE)
+    def costs(
+        self, curves: Sequence[JointCurve], durations: Vector, *, width: float, places: int = _PLACES_PER_PIECE
+    ) -> Vector:
+        """(C,) the same of several curves of the same pieces with `durations` (C,), at once.
+
+        Parameters
+        ----------
+        places: of the sum, for each piece.
+        """
+        moments = _moments_of_all(curves, durations, places)
         parts, kinked = self.parts(*(each.reshape(-1, each.shape[2]) for each in moments))
         rate = np.sum(rounded(parts, width) if kinked else parts, axis=1).reshape(len(curves), -1)
         return np.asarray(rate @ curves[0].shares(rate.shape[1]) * durations)
@@ -119,12 +126,19 @@ class OwnTime:
         """
         return float(self.least_durations([curve], np.array([duration]))[0])
 
-    def least_durations(self, curves: Sequence[JointCurve], durations: Vector) -> Vector:
-        """(C,) the same of several curves of the same pieces, each not below one of `durations` (C,) [s]."""
+    def least_durations(
+        self, curves: Sequence[JointCurve], durations: Vector, *, places: int = PLACES_PER_PIECE
+    ) -> Vector:
+        """(C,) the same of several curves of the same pieces, each not below one of `durations` (C,) [s].
+
+        Parameters
+        ----------
+        places: of each piece, at which limits are looked at.
+        """
         limits, T, left = self.problem.limits, np.array(durations, dtype=float), np.arange(len(curves))
         held = None
         for _ in range(_STRETCHES):
-            q, v, a = moments = _moments_of_all([curves[index] for index in left.tolist()], T[left], PLACES_PER_PIECE)
+            q, v, a = moments = _moments_of_all([curves[index] for index in left.tolist()], T[left], places)
             over = np.maximum(
                 np.max(np.abs(v) / limits.velocity, axis=(1, 2)),
                 np.sqrt(np.max(np.abs(a) / limits.acceleration, axis=(1, 2))),

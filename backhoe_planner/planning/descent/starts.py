@@ -66,13 +66,23 @@ class StartPrices:
             else:
                 heapq.heappush(left, (price * self._dearer(starts[index]), True, index))
 
-    def cheapest(self, priced: Iterable[PricedStart], count: int) -> list[PricedStart]:
-        """At most `count` of what comes the cheapest first, none of it dear; of those near each other one."""
+    def cheapest(
+        self, priced: Iterable[PricedStart], count: int, *, known: Sequence[JointCurve] = ()
+    ) -> list[PricedStart]:
+        """At most `count` of what comes the cheapest first, none of it dear; of those near each other one.
+
+        Parameters
+        ----------
+        known: curves of as many pieces, near which there is none.
+        """
         chosen: list[PricedStart] = []
+        least: float | None = None
         for one in priced:
-            if chosen and one.price > _DEAR * chosen[0].price:
+            least = one.price if least is None else least
+            if one.price > _DEAR * least:
                 break
-            apart = [self._apart(one.start.curve.control, other.start.curve.control) for other in chosen]
+            others = (*known, *(other.start.curve for other in chosen))
+            apart = [self._apart(one.start.curve.control, other.control) for other in others]
             if min(apart, default=np.inf) > _APART * self._longest:
                 chosen.append(one)
             if len(chosen) >= count:

@@ -101,8 +101,7 @@ class ToGoal:
 
         Which motions of least work a search comes upon depends on the postures and ways that it draws.
         """
-        longest = math.inf if first.allowed_time is None else first.allowed_time
-        effort, count = world.work.effort, 0
+        effort, count, search = world.work.effort, 0, first
         if not world.problem.objective.is_time:
             count = effort.restarts_round if first.leads_round else effort.restarts
         for number in range(1, count + 1):
@@ -110,9 +109,10 @@ class ToGoal:
             found = find_goal_postures(again, self.goals, near=stepper.q, time=stepper.time)
             if isinstance(found, Outcome):
                 continue
-            search = MotionSearch(again, stepper.q, found, time=stepper.time, longest=longest)
+            search = MotionSearch(again, stepper.q, found, time=stepper.time, before=search)
             ended, other = search.run(), search.best
-            if other is not None and other.motion.duration <= longest and other.cost < best.cost:
+            late = other is None or other.motion.duration > (first.allowed_time or math.inf)
+            if other is not None and not late and other.cost < best.cost:
                 best = other
                 world.show(best.motion, attempt=number, best=best.cost)
             if ended:

@@ -104,7 +104,7 @@ def _on_target(
     world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None
 ) -> tuple[Vector, ...] | Outcome:
     count = more * world.work.effort.starting_points
-    hurried = world.work.effort.dull_searches == 0
+    hurried = world.work.effort.is_hurried
     found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried, travel=travel)
     if found.best.reached and not found.clear and travel is None:
         found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)

@@ -76,6 +76,11 @@ class Effort:
     restarts_round: int
     rough: bool
 
+    @property
+    def is_hurried(self) -> bool:
+        """Whether a search ends where it has found a motion."""
+        return self.dull_searches == 0
+
 
 _NORMAL = Effort(
     motions_per_search=12_000,

@@ -1,0 +1,321 @@
+"""Descents from the starts of one search for the least-cost motion to a goal, and the best motion they have led to.
+
+Every motion that counts is proven clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import Goal, Problem, Trajectory
+from backhoe_planner.planning.descent.alike import KnownCurves
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.descent import Descent, Timed
+from backhoe_planner.planning.descent.looks import KEPT_PART
+from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
+from backhoe_planner.planning.goals.first_rounds import after_first_rounds
+from backhoe_planner.planning.goals.straight_lines import STRAIGHT
+from backhoe_planner.planning.goals.ways import FoundMotion
+from backhoe_planner.planning.search.goal_ends import GoalEnds
+from backhoe_planner.planning.search.sampled_check import SampledCheck
+from backhoe_planner.planning.world.world import World
+from backhoe_planner.proof import motion_is_clear
+from backhoe_planner.site import ClearanceScreen
+
+_FINE_PIECES = 20  # of the best curve at the end
+# the same for another cost than the time, in turn, with pieces of different lengths; and pieces times joints at most,
+# as the programs take ever longer; chosen
+_FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 200
+_SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
+_MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
+_PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
+_ROUNDS = 24  # of a descent at most; chosen, half of them end after 7
+_MORE_ROUNDS = 80  # the same for another cost than the time, which falls for longer; chosen
+_ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no curve is timed in them; measured
+_FEW_ROUNDS = 4  # of one that goes on
+FINE_ROUNDS = 6  # of the best curve at the end
+_MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each of these must gain for the next; chosen
+_FINER = 8  # times more of these for another cost than the time; chosen
+_FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
+_SMALL_BOX = 0.1  # the same of a descent that goes on
+_TRIED = 4  # rounds after which a descent is judged
+_LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
+# the same for another cost than the time, and which part of the other's cost may be gained then; chosen, a round
+# counts some percent too little, as kinks are rounded off
+_LATER_LOOKS, _NO_LESS = (4, 8, 16), 0.97
+_FAR_OFF = 0.06  # m by which a clearance is then missed: hopeless where another motion is known; chosen
+_FURTHER_OFF = 0.1  # m: the same where none is; chosen
+_NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then goes on
+_DEARER = 1.3  # times the best cost: hopeless then
+_TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
+_WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
+_WORTH_ROUNDS = 2.0  # times the least cost after some rounds, up to which more are made; chosen
+_SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
+LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
+
+
+class MotionDescents:
+    """Descents from one start, with the work of one world.
+
+    Parameters
+    ----------
+    start: (n,) where the machine stands [rad or m].
+    ends: the postures on the goals.
+    time: the obstacles stand where they are at this time [s].
+    before: those of an earlier search from the same start among the same obstacles, which go on here: what they have
+        found is known, and only what is better counts.
+
+    Attributes
+    ----------
+    best: the best motion so far.
+    ended: where descents ended, among them motions that are not proven.
+    longest: that a motion may take [s], where the time is not the cost; infinite as long as that is not known, and
+        may be set.
+    blocked, early: the cost after its first rounds of the cheapest start that stays in an obstacle, and of the
+        cheapest that does not; infinite where there is none.
+    """
+
+    def __init__(
+        self, world: World, start: Vector, ends: GoalEnds, *, time: float, before: MotionDescents | None = None
+    ) -> None:  # fmt: skip
+        self._world, self._problem, self._ends, self._time = world, world.problem, ends, time
+        self._hurried = world.work.effort.is_hurried
+        self._descent = Descent(
+            world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
+            hurried=self._hurried,
+        )  # fmt: skip
+        self._known = KnownCurves(
+            world.problem.limits,
+            lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
+        )
+        self._tried = self._known.anew()  # from which descents began
+        self._begun: list[JointCurve] = []
+        self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
+        self._bests = 0  # how many motions were the best so far
+        self._reserved = 0  # rounds that are kept for what comes later
+        self.longest = self.blocked = self.early = np.inf
+        self.best: FoundMotion | None = None
+        self._unrefined: FoundMotion | None = None  # the best before it was refined; None as long as it is not
+        self.ended: list[FoundMotion] = []
+        if before is not None:
+            self._known, self._begun, self.longest = before._known, list(before._begun), before.longest
+            self.blocked, self.early = before.blocked, before.early
+            self.best, self.ended = before._unrefined or before.best, list(before.ended)
+        self._known_best = self.best
+
+    def reserve(self, rounds: int) -> None:
+        """Keep so many rounds for what comes later."""
+        self._reserved = rounds
+
+    @property
+    def rounds_left(self) -> int:
+        """How many rounds may be made now, but for those that are kept."""
+        return self._world.work.descent_rounds - self._reserved
+
+    @property
+    def has_gained(self) -> bool:
+        """Whether the best is better than what was known before."""
+        return self.best is not self._known_best
+
+    def prices(self, screen: ClearanceScreen) -> StartPrices:
+        """What starts cost among the obstacles of `screen`."""
+        return StartPrices(self._descent, screen, longest=self.longest)
+
+    @property
+    def begun(self) -> tuple[JointCurve, ...]:
+        """The curves from which descents began that had a few rounds at first."""
+        return tuple(self._begun)
+
+    def goes_straight(self, found: FoundMotion) -> bool:
+        """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round.
+
+        False where one is blocked that is cheaper as early, or none got clear: a way round may be cheaper too.
+        """
+        return found.curve is not None and found.way == STRAIGHT and self.early <= self.blocked
+
+    def fitted(self, found: FoundMotion) -> Start:
+        """The curve nearest to a motion."""
+        curve = JointCurve.fitted(found.motion, self._world.work.effort.pieces, self._problem.limits)
+        return Start(curve, found.motion.duration, found.goal, found.way)
+
+    def descend_cheapest(self, chosen: Sequence[PricedStart]) -> None:
+        """A few rounds of descents from these starts, then all rounds of the best."""
+        work = self._world.work
+        self._begun += [one.start.curve for one in chosen]
+        if len(chosen) == 1:
+            start = chosen[0].start
+            self.descend(replace(start, duration=max(start.duration, self.longest)))
+            return
+        far_off = _FURTHER_OFF if self.best is None else _FAR_OFF
+        ways, clear = work.effort.ways_at_once, 0
+        found = after_first_rounds(
+            (one.start for one in chosen), self._few_rounds, far_off=far_off, pushed=ways // _WAYS_FOR_ONE
+        )
+        self.blocked = min(self.blocked, found.blocked)
+        tried = found.clear
+        for index, (cost, start) in enumerate(tried):
+            if clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
+                break
+            if self.descend(start):
+                clear, self.early = clear + 1, min(self.early, cost)
+            else:
+                self.blocked = min(self.blocked, cost)
+            if clear >= ways / _WAYS_FOR_ONE:
+                break
+
+    def descend(self, start: Start) -> bool:
+        """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
+        curve, duration, goal = start.curve, start.duration, start.goal
+        is_time = self._problem.objective.is_time
+        rounds = _ROUNDS if is_time else _MORE_ROUNDS
+        box, spare, density = _FIRST_BOX, _SPARE, 2
+        least = self._least_to(curve, goal)
+
+        def is_over(here: Timed, rounds: int) -> bool:
+            return self._is_hopeless(here, rounds) or (here.missed <= KEPT_PART * spare and here.cost <= least)
+
+        for _ in range(_PROOFS):
+            found = self._bend(
+                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=is_over,
+                rough=self._world.work.effort.rough,
+            )  # fmt: skip
+            if found is None or found.missed > (_NEARLY if self._rounds_left_of_cost() > 0 else KEPT_PART * spare):
+                return False
+            if self._goes_where_another_ended(found):
+                return True
+            free = all(float(near.margin.min()) > _SPARE for near in found.margins)
+            ended = FoundMotion(found.motion, found.cost, goal, start.way, None if is_time else found.curve, free)
+            if found.missed <= KEPT_PART * spare and self.offer(ended):
+                self.ended.append(ended)
+                self._known.add(found.curve, _comparable(found))
+                return True
+            curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX
+            spare, density = spare + _MORE_SPARE, 2 * density
+        return False
+
+    def descend_if_new(self, way: FoundMotion) -> bool:
+        """As `descend` from a way, unless one began from another like it; whether it did not."""
+        start = self.fitted(way)
+        if self._tried.least_alike(start.curve) < np.inf:
+            return False
+        self._tried.add(start.curve, way.cost)
+        self.descend(start)
+        return True
+
+    def refine(self) -> None:
+        """The best motion again on a curve of more pieces; for another cost on several in turn, if in no hurry."""
+        self._reserved, self._unrefined = 0, self.best
+        is_time, limits = self._problem.objective.is_time, self._problem.limits
+        if not is_time and self._hurried:
+            return
+        finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
+        for turn, pieces in enumerate((_FINE_PIECES,) if is_time else finer or _FINER_PIECES[:1]):
+            best = self.best
+            if best is None or self._rounds_left_of_cost() < FINE_ROUNDS:
+                return
+            curve, duration = best.curve, best.motion.duration
+            if curve is None:
+                curve = JointCurve.fitted(best.motion, _FINE_PIECES, limits)
+            if not is_time:
+                curve, duration = curve.finer(pieces, limits.velocity), min(duration, self.longest)
+            found = self._bend(
+                curve, duration, best.goal, FINE_ROUNDS * (1 if is_time else _FINER),
+                spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
+            )  # fmt: skip
+            if found is not None and found.missed <= KEPT_PART * _SPARE:
+                self.offer(replace(best, motion=found.motion, cost=found.cost, curve=None if is_time else found.curve))
+            if self.best is None or turn == len(_MUCH_GAIN):
+                return
+            if self.best.cost > (1.0 - _MUCH_GAIN[turn]) * best.cost:
+                return
+
+    def offer(self, found: FoundMotion) -> bool:
+        """Keep a motion where it is better than the best; whether it is proven clear, or too dear to be looked at."""
+        if not self._is_dear(found):
+            if not (self._world.keeps(found.motion) and self._is_proven(found.motion)):
+                return False
+            self.best = found
+            self._bests += 1
+            self._world.show(found.motion, attempt=self._bests, best=found.cost)
+        return True
+
+    def _few_rounds(
+        self, start: Start, rounds: int, *, density: int = 1, clear_first: bool = False
+    ) -> Timed | None:  # fmt: skip
+        """See `FewRounds`."""
+        return self._bend(
+            start.curve, max(start.duration, self.longest), start.goal, rounds,
+            spare=_SPARE, density=density, box=_FIRST_BOX, unsampled=True, clear_first=clear_first,
+            is_hopeless=lambda here, rounds: clear_first and here.missed <= KEPT_PART * _SPARE,
+        )  # fmt: skip
+
+    def _least_to(self, curve: JointCurve, goal: Goal) -> float:
+        """A duration [s] that is not worth a round to become less; 0 where the search goes on, or the end may move."""
+        if not self._hurried or not self._problem.objective.is_time or not holds_end(self._problem, goal):
+            return 0.0
+        return (1.0 + LEAST_GAIN) * self._ends.least_to(curve.control[-1])
+
+    def _bend(
+        self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
+        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
+        unsampled: bool = False, rough: bool = False, clear_first: bool = False,
+    ) -> Timed | None:  # fmt: skip
+        work, descent = self._world.work, self._descent
+        before = descent.rounds
+        rounds = min(rounds, self._rounds_left_of_cost())
+        found = descent.run(
+            curve, duration, goal,
+            most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
+            longest=self.longest if np.isfinite(self.longest) else _SLOWER * duration,
+            unsampled=unsampled, rough=rough, clear_first=clear_first,
+        )  # fmt: skip
+        work.descent_rounds -= -(-(descent.rounds - before) // self._rounds_in_one)
+        return found
+
+    def _rounds_left_of_cost(self) -> int:
+        return self.rounds_left * self._rounds_in_one
+
+    def _is_hopeless(self, here: Timed, rounds: int) -> bool:
+        is_time = self._problem.objective.is_time
+        looks, part = (_LOOKS, 1.0) if is_time else (_LATER_LOOKS, _NO_LESS)
+        if rounds in looks and self._goes_where_another_ended(here, part):
+            return True
+        if rounds < _TRIED or self.best is None:
+            return rounds >= _TRIED and here.missed > _FURTHER_OFF
+        if is_time:
+            return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+        if rounds < _TRIED_LONGER:
+            return here.missed > _FAR_OFF
+        return here.missed > _NEARLY or here.cost > _MUCH_DEARER * self.best.cost
+
+    def _goes_where_another_ended(self, here: Timed, part: float = 1.0) -> bool:
+        """Whether another descent has ended at a curve like this one, and `part` of its cost is no more."""
+        least = part * self._known.least_alike(here.curve) if here.missed <= _SPARE else np.inf
+        return least <= _comparable(here)
+
+    def _is_dear(self, found: FoundMotion) -> bool:
+        """Whether a motion is no better than the best; one that takes longer than it may is worse than any other."""
+        one, best = ((each.motion.duration > self.longest, each.cost) for each in (found, self.best or found))
+        return self.best is not None and one >= best
+
+    def _is_proven(self, motion: Trajectory) -> bool:
+        proximity = self._world.proximity
+        proximity.cover_unchecked(motion.q)
+        return motion_is_clear(proximity, np.full(len(motion), self._time), motion.q)
+
+
+def _comparable(found: Timed) -> float:
+    return found.cost if found.own_cost is None else found.own_cost
+
+
+def holds_end(problem: Problem, goal: Goal) -> bool:
+    """Whether a goal leaves the machine no way to move on it."""
+    if goal.q is not None:
+        return True
+    pitch, turned = goal.target.pitch, goal.target.rotation is not None
+    more = 3 if turned else int(pitch is not None and pitch[0] == pitch[1])
+    return bool(problem.robot.n <= 3 + more)
