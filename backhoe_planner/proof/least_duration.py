@@ -98,7 +98,8 @@ def _about(problem: Problem, start: Vector, goals: Sequence[GoalRegion]) -> floa
     """A weak bound of all motions to `goals` [s], from the first boxes alone."""
     found = 0.0
     for longest in _ROUGHLY:
-        found = _least_of(LeastTimes(problem, start, longest=longest), goals, (1.0 - _NEAR) * longest, boxes=0).duration
+        times = LeastTimes(problem, start, longest=longest)
+        found = _least_of(times, goals, (1.0 - _NEAR) * longest, boxes=0).duration
         if found < _REACHED * longest:
             break
     return found
@@ -218,11 +219,8 @@ class _Search:
 
     def _look(self, lower: Matrix, upper: Matrix, bound: Vector) -> _Boxes:
         """What is left of boxes with these bounds, each of them contracted."""
-        bound = np.maximum(bound, self._times.to_boxes(lower, upper))
-        rows = np.flatnonzero(bound < self._target)
-        lower, upper, bound = lower[rows], upper[rows], bound[rows]
-        if not len(rows):
-            return _Boxes(lower, upper, bound, rows)
+        if not len(lower):
+            return _Boxes(lower, upper, bound, np.zeros(0, dtype=np.intp))
         features = self._goal.features(lower, upper)
         half = 0.5 * (upper - lower)
         bound = np.maximum(bound, self._level[self._missed_up_to(features, lower, upper, bound)])

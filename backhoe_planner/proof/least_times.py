@@ -25,7 +25,7 @@ from itertools import combinations
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import Hydraulics
 from backhoe_planner.motion import DRIVE_TOLERANCE, SAMPLE_PERIOD, Problem
 from backhoe_planner.proof.limits import JOINTS_WITHIN
@@ -132,15 +132,31 @@ class LeastTimes:
 
     def _by_pump(self, found: Vector, side: Indices, gap: Matrix) -> None:
         """Raise the times `found` (B,) to what the pump allows the joints together."""
+        needs = {
+            joint: np.where(side[:, joint] == 0, up.at(gap[:, joint]), down.at(gap[:, joint]))
+            for joint, (up, down) in self._oil.items()
+        }
+        for joints, all_move in self._together(side):
+            ways = side[:, joints]
+            need = np.sum([needs[joint] for joint in joints], axis=0)
+            code = ways @ (1 << np.arange(len(joints)))
+            for some in np.unique(code[all_move]).tolist():
+                rows = np.flatnonzero(all_move & (code == some))
+                supply = self._supply(joints, tuple(ways[rows[0]].tolist()))
+                found[rows] = np.maximum(found[rows], supply.duration(need[rows]))
+
+    def _together(self, side: Indices) -> Iterator[tuple[tuple[int, ...], Flags]]:
+        """Which joints are looked at together, and (B,) of which boxes, in which all of these move."""
         joints = list(self._oil)
-        for ways in np.unique(side[:, joints], axis=0):
-            rows = np.flatnonzero((side[:, joints] == ways).all(axis=1))
-            way_of = {joint: way for joint, way in zip(joints, ways.tolist(), strict=True) if way < 2}
-            needs = {joint: self._oil[joint][way].at(gap[rows, joint]) for joint, way in way_of.items()}
-            for together in _combinations(list(needs)):
-                supply = self._supply(together, tuple(way_of[joint] for joint in together))
-                need = np.sum([needs[joint] for joint in together], axis=0)
-                found[rows] = np.maximum(found[rows], supply.duration(need))
+        moves = side[:, joints] < 2
+        if len(joints) <= _MOST_TOGETHER:
+            for some in _combinations(joints):
+                yield some, np.asarray((side[:, some] < 2).all(axis=1))
+            return
+        for mask in np.unique(moves, axis=0):
+            rows = (moves == mask).all(axis=1)
+            moving = [joint for joint, asked in zip(joints, mask.tolist(), strict=True) if asked]
+            yield from ((some, rows) for some in _combinations(moving))
 
     def reach(self, duration: Vector) -> tuple[Matrix, Matrix]:
         """(K, n), (K, n) how far each joint can get downwards and upwards, and stop, in `duration` (K,) [rad or m]."""
