@@ -13,6 +13,7 @@ from backhoe_planner.planning.descent import descent
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
+    bound_behind,
     bound_for_allowed_time,
     fastest_with_room,
     has_room,
@@ -43,6 +44,11 @@ def test_a_motion_has_room_up_to_what_the_bound_leaves_it() -> None:
     assert fastest_with_room(2.0) == pytest.approx(5.0)  # 1.2 times 5 s is three times 2 s
     assert has_room(2.0, 4.99)
     assert not has_room(2.0, 5.01)
+
+
+def test_a_time_that_is_given_leaves_the_room_that_it_would_be_asked_for() -> None:
+    assert allowed_time(bound_behind(6.0), 4.9) == pytest.approx(6.0)
+    assert fastest_with_room(bound_behind(6.0)) == pytest.approx(5.0)
 
 
 def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(planar4: bp.Robot) -> None:

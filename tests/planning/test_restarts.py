@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -37,13 +38,17 @@ class Searches:
         self._goal, self._left, self.leads_round = goal, iter(found), leads_round
         self.seeds: list[int] = []
         self.efforts: list[Any] = []
+        self.longest: list[float] = []
         self.before: list[Any] = []
         self.allowed_time = 5.0
         self.looked_at = 0
         self.best: FoundMotion | None = None
 
-    def __call__(self, world: World, *_: Any, before: Any = None, **__: Any) -> Searches:
+    def __call__(
+        self, world: World, *_: Any, longest: float = math.inf, before: Any = None, **__: Any
+    ) -> Searches:  # fmt: skip
         self.seeds.append(world.seed)
+        self.longest.append(longest)
         self.before.append(before)
         self.efforts.append(world.work.effort)
         return self
@@ -84,7 +89,8 @@ def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
     assert len(set(searches.seeds)) == 4
     assert searches.seeds[0] == 5
     assert searches.efforts[1:] == [EFFORTS["normal"]] * 3
-    assert searches.before == [None, searches, searches, searches]
+    assert searches.longest == [math.inf, 5.0, 5.0, 5.0]
+    assert searches.before == [None] * 4  # each begins anew
 
 
 def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,6 +107,7 @@ def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
         planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], leads_round=leads_round
     )  # fmt: skip
     assert (way, len(searches.seeds)) == (f"search {count}", count)
+    assert searches.before == [None, searches, searches][:count]  # each goes on
 
 
 def test_a_quick_plan_never_searches_again() -> None:

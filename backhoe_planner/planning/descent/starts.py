@@ -17,6 +17,7 @@ from backhoe_planner.site import ClearanceScreen
 _PLACES = 25  # of a curve, that are asked whether they are clear; chosen, about every 2 to 10 cm of the tip
 _PART = 0.5  # of the way, in which an early or a late joint makes all of its own; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
+_SAME = 0.05  # the same between a start and one that is known to have been tried; chosen
 _DEAR = 3.0  # times the least price, above which no descent is tried; measured, above it hardly any becomes the best
 _BESIDE = 6  # starts with joints early or late, that come beside the cheapest of each line; chosen
 _TOGETHER = 100  # starts that are priced at once, to bound the memory
@@ -81,9 +82,12 @@ class StartPrices:
             least = one.price if least is None else least
             if one.price > _DEAR * least:
                 break
-            others = (*known, *(other.start.curve for other in chosen))
-            apart = [self._apart(one.start.curve.control, other.control) for other in others]
-            if min(apart, default=np.inf) > _APART * self._longest:
+            apart = [self._apart(one.start.curve.control, other.start.curve.control) for other in chosen]
+            again = [self._apart(one.start.curve.control, other.control) for other in known]
+            if (
+                min(apart, default=np.inf) > _APART * self._longest
+                and min(again, default=np.inf) > _SAME * self._longest
+            ):
                 chosen.append(one)
             if len(chosen) >= count:
                 break

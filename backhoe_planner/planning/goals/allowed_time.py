@@ -40,6 +40,11 @@ def allowed_time(bound: float, fastest: float) -> float:
     return _TIMES_BOUND * bound * _LONGER**steps
 
 
+def bound_behind(longest: float) -> float:
+    """The bound that lets a motion take `longest` [s], where it alone decides."""
+    return longest / _TIMES_BOUND
+
+
 def has_room(bound: float, fastest: float) -> bool:
     """Whether the bound alone decides, with a motion as fast as this known; see `allowed_time`."""
     return fastest <= fastest_with_room(bound)

@@ -101,18 +101,18 @@ class ToGoal:
 
         Which motions of least work a search comes upon depends on the postures and ways that it draws.
         """
-        effort, count, search = world.work.effort, 0, first
-        if not world.problem.objective.is_time:
-            count = effort.restarts_round if first.leads_round else effort.restarts
-        for number in range(1, count + 1):
+        effort, longest = world.work.effort, first.allowed_time or math.inf
+        anew, on = (0, 0) if world.problem.objective.is_time else (effort.restarts, effort.restarts_round)
+        search = first
+        for number in range(1, anew + (on if first.leads_round else 0) + 1):
             again = world.anew(number, EFFORTS["normal"])
             found = find_goal_postures(again, self.goals, near=stepper.q, time=stepper.time)
             if isinstance(found, Outcome):
                 continue
-            search = MotionSearch(again, stepper.q, found, time=stepper.time, before=search)
+            before = None if number <= anew else search
+            search = MotionSearch(again, stepper.q, found, time=stepper.time, longest=longest, before=before)
             ended, other = search.run(), search.best
-            late = other is None or other.motion.duration > (first.allowed_time or math.inf)
-            if other is not None and not late and other.cost < best.cost:
+            if other is not None and other.motion.duration <= longest and other.cost < best.cost:
                 best = other
                 world.show(best.motion, attempt=number, best=best.cost)
             if ended:

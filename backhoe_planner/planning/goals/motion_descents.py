@@ -46,7 +46,8 @@ _TRIED = 4  # rounds after which a descent is judged
 _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
 # the same for another cost than the time, and which part of the other's cost may be gained then; chosen, a round
 # counts some percent too little, as kinks are rounded off
-_LATER_LOOKS, _NO_LESS = (4, 8, 16), 0.97
+_LATER_LOOKS, _NO_LESS = (8, 16), 0.97
+_SOON = 4  # rounds after which it is looked at first where an earlier search goes on; chosen
 _FAR_OFF = 0.06  # m by which a clearance is then missed: hopeless where another motion is known; chosen
 _FURTHER_OFF = 0.1  # m: the same where none is; chosen
 _NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then goes on
@@ -80,7 +81,8 @@ class MotionDescents:
     """
 
     def __init__(
-        self, world: World, start: Vector, ends: GoalEnds, *, time: float, before: MotionDescents | None = None
+        self, world: World, start: Vector, ends: GoalEnds, *, time: float, longest: float = np.inf,
+        before: MotionDescents | None = None,
     ) -> None:  # fmt: skip
         self._world, self._problem, self._ends, self._time = world, world.problem, ends, time
         self._hurried = world.work.effort.is_hurried
@@ -97,7 +99,8 @@ class MotionDescents:
         self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds that are kept for what comes later
-        self.longest = self.blocked = self.early = np.inf
+        self.longest = longest
+        self.blocked = self.early = np.inf
         self.best: FoundMotion | None = None
         self._unrefined: FoundMotion | None = None  # the best before it was refined; None as long as it is not
         self.ended: list[FoundMotion] = []
@@ -106,6 +109,7 @@ class MotionDescents:
             self.blocked, self.early = before.blocked, before.early
             self.best, self.ended = before._unrefined or before.best, list(before.ended)
         self._known_best = self.best
+        self._later_looks = _LATER_LOOKS if before is None else (_SOON, *_LATER_LOOKS)
 
     def reserve(self, rounds: int) -> None:
         """Keep so many rounds for what comes later."""
@@ -281,7 +285,7 @@ class MotionDescents:
 
     def _is_hopeless(self, here: Timed, rounds: int) -> bool:
         is_time = self._problem.objective.is_time
-        looks, part = (_LOOKS, 1.0) if is_time else (_LATER_LOOKS, _NO_LESS)
+        looks, part = (_LOOKS, 1.0) if is_time else (self._later_looks, _NO_LESS)
         if rounds in looks and self._goes_where_another_ended(here, part):
             return True
         if rounds < _TRIED or self.best is None:

@@ -17,6 +17,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Trajectory, motion_cost
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
+    bound_behind,
     bound_for_allowed_time,
     fastest_with_room,
     has_room,
@@ -71,13 +72,14 @@ class MotionSearch:
     found: postures on the goals.
     time: the obstacles stand where they are at this time [s].
     enough: a motion as fast as this ends the search, where the time is the cost [s].
+    longest: that a motion may take, where the time is not the cost [s]; found out where it is infinite.
     before: an earlier search from the same start among the same obstacles, which has ended and goes on here with
         other random choices, where the time is not the cost: a motion may take as long, and only better ones count.
     """
 
     def __init__(
         self, world: World, start: Vector, found: GoalPostures, *, time: float, enough: float = 0.0,
-        before: MotionSearch | None = None,
+        longest: float = np.inf, before: MotionSearch | None = None,
     ) -> None:  # fmt: skip
         self._world, self._start, self._time, self._enough = world, start, time, enough
         self._problem, self._hurried = world.problem, world.work.effort.is_hurried
@@ -86,8 +88,11 @@ class MotionSearch:
         self._ends.take(found.clear, found.goals)
         self._lines = StraightLines(start, self._ends, self._screen, pieces=world.work.effort.pieces)
         self._ways = Ways(world, start, self._ends, time=time, hurried=self._hurried)
+        self._goes_on = before is not None and before.allowed_time is not None
         known: MotionDescents | None = None if before is None else before._descents
-        self._descents: MotionDescents = MotionDescents(world, start, self._ends, time=time, before=known)
+        self._descents: MotionDescents = MotionDescents(
+            world, start, self._ends, time=time, longest=longest, before=known
+        )
         self._bound = 0.0  # no motion is shorter [s]; worked out where the best is not near the least time
         self._looked_within = np.inf  # s, in which further postures can be reached that were looked for last
 
@@ -146,11 +151,11 @@ class MotionSearch:
     # --- first ways -------------------------------------------------------------------
 
     def _go_fast(self) -> None:
-        """The motions by which it was found out how long one may take, and lines to many postures, brought down.
+        """Where searches for a fast motion ended, and lines to many postures, brought down.
 
         Nothing of that where no motion is known that is proven.
         """
-        ended = [] if self.allowed_time else self._find_allowed_time()
+        ended = [] if self._goes_on else self._find_fast()
         if not self.allowed_time:
             return
         work = self._world.work
@@ -170,15 +175,17 @@ class MotionSearch:
             ]
         )
 
-    def _find_allowed_time(self) -> list[FoundMotion]:
-        """Find out how long a motion may take, by searches for a fast one; where these and their descents ended.
+    def _find_fast(self) -> list[FoundMotion]:
+        """Where searches for a fast motion and their descents ended; and find out how long a motion may take.
 
-        It stays infinite where none of them has a motion that is proven.
+        Where that is known, one short search is enough. It stays infinite where none has a motion that is proven.
         """
         ended: list[FoundMotion] = []
         efforts: tuple[Effort, ...] = (self._world.work.effort,)
         bound = 0.0
-        if not self._hurried:
+        if self.allowed_time:
+            efforts, bound = (_FIRST_SEARCH,), bound_behind(self.allowed_time)
+        elif not self._hurried:
             efforts, bound = (_FIRST_SEARCH, *efforts), bound_for_allowed_time(self._problem, self._start)
         for effort in efforts:
             search = self._search_fastest(effort, enough=fastest_with_room(bound))

@@ -49,10 +49,9 @@ class Effort:
     ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
         are brought down.
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
-    restarts: further searches for another cost than the time, each with the normal effort and random choices of
-        its own.
-    restarts_round: the same where the best motion leads round something: which ways a search comes upon then decides
-        much.
+    restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
+        of its own.
+    restarts_round: further ones where the best motion leads round something, each of which goes on with what is known.
     rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve goes
         on from there, and mostly it costs no more at the end.
     """
@@ -133,7 +132,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             ways_at_once=6,
             dull_searches=3,
             restarts=8,
-            restarts_round=8,
+            restarts_round=0,
         ),
     }
 )
