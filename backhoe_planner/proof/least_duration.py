@@ -219,8 +219,8 @@ class _Search:
 
     def _look(self, lower: Matrix, upper: Matrix, bound: Vector) -> _Boxes:
         """What is left of boxes with these bounds, each of them contracted."""
-        if not len(lower):
-            return _Boxes(lower, upper, bound, np.zeros(0, dtype=np.intp))
+        if not len(lower) or self._target <= 0.0:
+            return _Boxes(lower[:0], upper[:0], bound[:0], np.zeros(0, dtype=np.intp))
         features = self._goal.features(lower, upper)
         half = 0.5 * (upper - lower)
         bound = np.maximum(bound, self._level[self._missed_up_to(features, lower, upper, bound)])
