@@ -8,6 +8,9 @@ SOURCES = (
     "kinematics",
     "pairs",
     "clusters",
+    "distance",
+    "around",
+    "voxels",
     "law",
     "shield",
     "servo",
@@ -26,7 +29,7 @@ setup(
         Extension(
             "backhoe_planner_native",
             [f"src/{name}.c" for name in SOURCES],
-            depends=["src/arrays.h"],
+            depends=["src/arrays.h", "src/distance.h", "src/cells.h"],
             include_dirs=[np.get_include()],
             # no product and sum are made one: the same numbers on every processor
             extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off"],

@@ -7,10 +7,10 @@ from .capability.denavit_hartenberg import dh_table as dh_table
 from .clusters.cluster import Around as Around
 from .clusters.cluster import Cluster as Cluster
 from .clusters.cluster import Distances as Distances
-from .clusters.cluster import Part as Part
 from .clusters.covering_balls import box_around as box_around
 from .clusters.covering_balls import covering_balls as covering_balls
 from .clusters.mesh_solid import MeshSolid as MeshSolid
+from .clusters.parts import Part as Part
 from .clusters.terrain import TerrainSolid as TerrainSolid
 from .clusters.trees import Reading as Reading
 from .clusters.voxels import VoxelSolid as VoxelSolid

@@ -97,7 +97,7 @@ int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, 
     return as_mat(object, name, rows, columns, out) < 0 ? -1 : is_writeable(object, name);
 }
 
-int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out)
+static int as_indices(PyObject *object, const char *name, Ind *out)
 {
     if (is_array(object, name, NPY_INTP, 1) < 0)
         return -1;
@@ -105,12 +105,36 @@ int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out)
     out->data = PyArray_BYTES(array);
     out->n = PyArray_DIM(array, 0);
     out->step = PyArray_STRIDE(array, 0);
+    return 0;
+}
+
+static int is_below(npy_intp index, npy_intp below, const char *name)
+{
+    if (index >= 0 && index < below)
+        return 0;
+    PyErr_Format(PyExc_IndexError, "%s: %zd is not below %zd", name, (Py_ssize_t)index, (Py_ssize_t)below);
+    return -1;
+}
+
+int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out)
+{
+    if (as_indices(object, name, out) < 0)
+        return -1;
     for (npy_intp i = 0; i < out->n; i++)
-        if (INDEX(*out, i) < 0 || INDEX(*out, i) >= below) {
-            PyErr_Format(PyExc_IndexError, "%s: %zd is not below %zd", name, (Py_ssize_t)INDEX(*out, i),
-                         (Py_ssize_t)below);
+        if (is_below(INDEX(*out, i), below, name) < 0)
             return -1;
-        }
+    return 0;
+}
+
+int as_rows(PyObject *object, const char *name, npy_intp below, npy_intp length, const Ind *pairs, Ind *out)
+{
+    if (!pairs->n)
+        return as_ind(object, name, below, out) < 0 ? -1 : has_length(out->n, length, name);
+    if (as_indices(object, name, out) < 0 || has_length(out->n, length, name) < 0)
+        return -1;
+    for (npy_intp k = 0; k < pairs->n; k++)
+        if (is_below(INDEX(*out, INDEX(*pairs, k)), below, name) < 0)
+            return -1;
     return 0;
 }
 

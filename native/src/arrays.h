@@ -51,6 +51,8 @@ int as_vec(PyObject *object, const char *name, npy_intp length, Vec *out);
 int as_mat(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out);
 int as_out(PyObject *object, const char *name, npy_intp rows, npy_intp columns, Mat *out); /* one to write to */
 int as_ind(PyObject *object, const char *name, npy_intp below, Ind *out);
+/* the same of all P pairs, of which those of `pairs`, which are below P, are looked at; all where there are none */
+int as_rows(PyObject *object, const char *name, npy_intp below, npy_intp length, const Ind *pairs, Ind *out);
 int as_flags(PyObject *object, const char *name, npy_intp length, Flg *out);
 int has_length(npy_intp found, npy_intp wanted, const char *name);
 /* of a type (NPY_DOUBLE, NPY_INTP, NPY_BOOL) and with so many axes, as the processor reads it */
@@ -102,7 +104,8 @@ int eigenvectors(double *A, int n, double *U);
     F(next_within) \
     F(count_travel) F(keep_proven) F(note_gaps) F(braking_line) F(largest_part) F(left_over_path) F(keeps_rows) \
     F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution) \
-    F(velocity_within_rows) F(rows_of_path) F(turn_along_surface)
+    F(velocity_within_rows) F(rows_of_path) F(turn_along_surface) F(near_gaps) F(nearest_rows) F(gaps_along_path) \
+    F(tightest_pair) F(known_apart) F(boxes_of_cells) F(boxes_of_voxels) F(put_planes)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

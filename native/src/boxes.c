@@ -218,3 +218,60 @@ PyObject *ways_of_links(PyObject *self, PyObject *const *args, Py_ssize_t count)
         }
     return found;
 }
+
+enum { DISTANCE, NORMAL, POINT = NORMAL + 3, OTHER = POINT + 3, AXES = 10, CORNERS = 25, IS_CELL = 49, NUMBERS };
+
+PyObject *put_planes(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat numbers, velocity, at, planes, points, faces, witnesses;
+    Ind pairs;
+    Vec shift, drift;
+    double fat, far, *distance;
+    if (count_is(count, 12, "put_planes") < 0 || as_mat(args[0], "numbers", -1, NUMBERS, &numbers) < 0 ||
+        as_out(args[7], "planes", -1, 4, &planes) < 0 || as_ind(args[1], "pairs", planes.rows, &pairs) < 0 ||
+        as_double(args[2], "fat", &fat) < 0 || as_mat(args[3], "velocity", planes.rows, 3, &velocity) < 0 ||
+        as_vec(args[4], "shift", 3, &shift) < 0 || as_mat(args[5], "found_at", 3, 4, &at) < 0 ||
+        as_double(args[6], "far", &far) < 0 || as_vec(args[8], "drift", planes.rows, &drift) < 0 ||
+        is_writeable(args[8], "drift") < 0 || as_out(args[9], "points", planes.rows, 6, &points) < 0 ||
+        as_out(args[10], "faces", planes.rows, 15, &faces) < 0 || as_out(args[11], "witnesses", pairs.n, 6, &witnesses) < 0)
+        return NULL;
+    if (numbers.rows > pairs.n) {
+        PyErr_SetString(PyExc_ValueError, "numbers: there are more boxes than pairs");
+        return NULL;
+    }
+    PyObject *found = new_vec(pairs.n, &distance);
+    for (npy_intp k = 0; found && k < pairs.n; k++) {
+        const npy_intp pair = INDEX(pairs, k);
+        double along = 0.0, least = INFINITY, rate = 0.0;
+        for (int c = 0; c < 6; c++)
+            AT2(points, pair, c) = AT2(witnesses, k, c) = NAN;
+        for (int c = 0; c < 15; c++)
+            AT2(faces, pair, c) = k < numbers.rows ? (c < 12 ? 1.0 : 0.5) * AT2(numbers, k, AXES + c) : NAN;
+        distance[k] = far, AT(drift, pair) = 0.0, AT2(planes, pair, 3) = far;
+        for (int c = 0; c < 3; c++)
+            AT2(planes, pair, c) = 0.0;
+        if (k >= numbers.rows)
+            continue;
+        for (int i = 0; i < 8; i++) {
+            double at_corner = 0.0;
+            for (int c = 0; c < 3; c++)
+                at_corner += AT2(numbers, k, NORMAL + c) * AT2(numbers, k, CORNERS + 3 * i + c);
+            if (!(at_corner >= least)) /* what is no number is kept */
+                least = at_corner;
+        }
+        for (int c = 0; c < 3; c++) {
+            const double n = AT2(numbers, k, NORMAL + c);
+            along += n * AT(shift, c), rate += n * AT2(velocity, pair, c), AT2(planes, pair, c) = -n;
+        }
+        distance[k] = AT2(numbers, k, DISTANCE), AT(drift, pair) = rate, AT2(planes, pair, 3) = least + along - fat;
+        if (!(AT2(numbers, k, IS_CELL) > 0.0))
+            continue;
+        for (int c = 0; c < 3; c++) {
+            double own = 0.0;
+            for (int r = 0; r < 3; r++)
+                own += (AT2(numbers, k, POINT + r) + (AT(shift, r) - AT2(at, r, 3))) * AT2(at, r, c);
+            AT2(witnesses, k, c) = own, AT2(witnesses, k, 3 + c) = AT2(numbers, k, OTHER + c) + AT(shift, c);
+        }
+    }
+    return found;
+}

@@ -1,14 +1,9 @@
 /* Cells of clusters: which are near a link, and how far they reach. */
-#include "arrays.h"
+#include "cells.h"
 
 #include <math.h>
 
-/* the box around a link */
-typedef struct {
-    double R[9], middle[3], half[3], radius;
-} Box;
-
-static int as_three(PyObject *object, const char *name, double *out)
+int as_three(PyObject *object, const char *name, double *out)
 {
     Vec three;
     if (as_vec(object, name, 3, &three) < 0)
@@ -29,7 +24,7 @@ static int as_box(PyObject *const *args, Box *box)
     return 0;
 }
 
-static double off_box(const Box *box, double x, double y, double z)
+double off_box(const Box *box, double x, double y, double z)
 {
     double most = -INFINITY, sum = 0.0;
     for (int c = 0; c < 3; c++) {
@@ -80,67 +75,78 @@ static npy_intp lower_bound(const Ind *numbers, npy_intp wanted)
     return low;
 }
 
-PyObject *cells_of_tiles(PyObject *self, PyObject *const *args, Py_ssize_t count)
+int as_tiles(PyObject *const *args, Tiles *tiles)
 {
-    double low[3], high[3], origin[3], spread[3], edge, reach;
-    Ind counts, number, start;
-    Mat middle;
-    Vec size;
-    Box box;
-    if (count_is(count, 15, "cells_of_tiles") < 0 || as_three(args[0], "low", low) < 0 ||
-        as_three(args[1], "high", high) < 0 || as_three(args[2], "origin", origin) < 0 ||
-        as_three(args[3], "spread", spread) < 0 || as_double(args[4], "edge", &edge) < 0 ||
-        as_numbers(args[5], "counts", 3, &counts) < 0 || as_numbers(args[6], "number", -1, &number) < 0 ||
-        as_numbers(args[7], "start", number.n + 1, &start) < 0 || as_mat(args[8], "middle", 3, number.n, &middle) < 0 ||
-        as_vec(args[9], "size", number.n, &size) < 0 || as_box(args + 10, &box) < 0 ||
-        as_double(args[14], "reach", &reach) < 0)
-        return NULL;
-    npy_intp first[3], last[3], *place;
+    if (as_three(args[0], "origin", tiles->origin) < 0 || as_three(args[1], "spread", tiles->spread) < 0 ||
+        as_double(args[2], "edge", &tiles->edge) < 0 || as_numbers(args[3], "counts", 3, &tiles->counts) < 0 ||
+        as_numbers(args[4], "number", -1, &tiles->number) < 0 ||
+        as_numbers(args[5], "start", tiles->number.n + 1, &tiles->start) < 0 ||
+        as_mat(args[6], "middle", 3, tiles->number.n, &tiles->middle) < 0 ||
+        as_vec(args[7], "size", tiles->number.n, &tiles->size) < 0)
+        return -1;
+    return 0;
+}
+
+npy_intp tiles_near(const Tiles *tiles, const double *low, const double *high, const Box *box, double reach, Room *room,
+                    npy_intp **found)
+{
+    npy_intp first[3], last[3], near = 0;
+    *found = room_for(room, 0);
     for (int c = 0; c < 3; c++) {
-        const double from = floor((low[c] - spread[c] - origin[c]) / edge), most = (double)INDEX(counts, c) - 1.0;
-        const double to = floor((high[c] + spread[c] - origin[c]) / edge);
+        const double from = floor((low[c] - tiles->spread[c] - tiles->origin[c]) / tiles->edge);
+        const double to = floor((high[c] + tiles->spread[c] - tiles->origin[c]) / tiles->edge);
+        const double most = (double)INDEX(tiles->counts, c) - 1.0;
         if (!(from <= most) || !(to >= 0.0))
-            return new_ind(0, &place);
+            return 0;
         first[c] = from > 0.0 ? (npy_intp)from : 0, last[c] = (npy_intp)(to < most ? to : most);
         if (last[c] < first[c])
-            return new_ind(0, &place);
+            return 0;
     }
-    Room room;
-    npy_intp *tiles = NULL, near = 0, cells = 0;
-    const npy_intp rows = INDEX(counts, 1), columns = INDEX(counts, 2);
+    const npy_intp rows = INDEX(tiles->counts, 1), columns = INDEX(tiles->counts, 2);
     for (int again = 0; again < 2; again++) { /* how many there are, then which of them */
         npy_intp some = 0;
         for (npy_intp x = first[0]; x <= last[0]; x++)
             for (npy_intp y = first[1]; y <= last[1]; y++) {
                 const npy_intp column = (x * rows + y) * columns;
-                const npy_intp until = lower_bound(&number, column + last[2] + 1);
-                for (npy_intp tile = lower_bound(&number, column + first[2]); tile < until; tile++, some++)
-                    if (again && off_box(&box, AT2(middle, 0, tile), AT2(middle, 1, tile), AT2(middle, 2, tile)) -
-                                         AT(size, tile) <= reach) {
-                        const npy_intp more = INDEX(start, tile + 1) - INDEX(start, tile);
-                        tiles[near++] = tile, cells += more > 0 ? more : 0;
-                    }
+                const npy_intp until = lower_bound(&tiles->number, column + last[2] + 1);
+                for (npy_intp tile = lower_bound(&tiles->number, column + first[2]); tile < until; tile++, some++)
+                    if (again && off_box(box, AT2(tiles->middle, 0, tile), AT2(tiles->middle, 1, tile),
+                                         AT2(tiles->middle, 2, tile)) - AT(tiles->size, tile) <= reach)
+                        (*found)[near++] = tile;
             }
-        if (!again && !(tiles = room_for(&room, some * sizeof(npy_intp))))
-            return NULL;
+        if (!again && !(*found = room_for(room, some * sizeof(npy_intp))))
+            return -1;
     }
-    PyObject *found = new_ind(cells, &place);
-    for (npy_intp i = 0; found && i < near; i++)
-        for (npy_intp cell = INDEX(start, tiles[i]); cell < INDEX(start, tiles[i] + 1); cell++)
-            *place++ = cell;
-    release(&room);
-    return found;
+    return near;
 }
 
-/* cubes and triangles as a CellSet has them */
-typedef struct {
-    Mat middle;
-    Vec half;
-    const char *corners;
-    npy_intp triangles, step[3];
-} Cells;
+PyObject *cells_of_tiles(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    double low[3], high[3], reach;
+    Tiles tiles;
+    Box box;
+    if (count_is(count, 15, "cells_of_tiles") < 0 || as_three(args[0], "low", low) < 0 ||
+        as_three(args[1], "high", high) < 0 || as_tiles(args + 2, &tiles) < 0 || as_box(args + 10, &box) < 0 ||
+        as_double(args[14], "reach", &reach) < 0)
+        return NULL;
+    Room room;
+    npy_intp *found, *place, cells = 0;
+    const npy_intp near = tiles_near(&tiles, low, high, &box, reach, &room, &found);
+    if (near < 0)
+        return NULL;
+    for (npy_intp i = 0; i < near; i++) {
+        const npy_intp more = INDEX(tiles.start, found[i] + 1) - INDEX(tiles.start, found[i]);
+        cells += more > 0 ? more : 0;
+    }
+    PyObject *places = new_ind(cells, &place);
+    for (npy_intp i = 0; places && i < near; i++)
+        for (npy_intp cell = INDEX(tiles.start, found[i]); cell < INDEX(tiles.start, found[i] + 1); cell++)
+            *place++ = cell;
+    release(&room);
+    return places;
+}
 
-static int as_cells(PyObject *const *args, Cells *cells)
+int as_cells(PyObject *const *args, Cells *cells)
 {
     if (as_vec(args[1], "half", -1, &cells->half) < 0 || as_mat(args[0], "middle", 3, cells->half.n, &cells->middle) < 0 ||
         is_array(args[2], "corners", NPY_DOUBLE, 3) < 0)
@@ -150,7 +156,8 @@ static int as_cells(PyObject *const *args, Cells *cells)
         PyErr_SetString(PyExc_ValueError, "corners: an array (3, 3, triangles) is wanted");
         return -1;
     }
-    cells->corners = PyArray_BYTES(corners), cells->triangles = PyArray_DIM(corners, 2);
+    cells->corners = PyArray_BYTES(corners), cells->cubes = cells->half.n;
+    cells->all = cells->cubes + PyArray_DIM(corners, 2);
     for (int axis = 0; axis < 3; axis++)
         cells->step[axis] = PyArray_STRIDE(corners, axis);
     return 0;
@@ -170,7 +177,7 @@ PyObject *split_by_plane(PyObject *self, PyObject *const *args, Py_ssize_t count
     if (count_is(count, 6, "split_by_plane") < 0 || as_three(args[0], "n", n) < 0 ||
         as_double(args[2], "slack", &slack) < 0 || as_cells(args + 3, &cells) < 0)
         return NULL;
-    const npy_intp nearest = PyLong_AsSsize_t(args[1]), cubes = cells.half.n, all = cubes + cells.triangles;
+    const npy_intp nearest = PyLong_AsSsize_t(args[1]), cubes = cells.cubes, all = cells.all;
     if (nearest == -1 && PyErr_Occurred())
         return NULL;
     if (nearest < 0 || nearest >= all) {
@@ -185,7 +192,7 @@ PyObject *split_by_plane(PyObject *self, PyObject *const *args, Py_ssize_t count
     for (npy_intp k = 0; k < cubes; k++)
         along[k] = n[0] * AT2(cells.middle, 0, k) + n[1] * AT2(cells.middle, 1, k) + n[2] * AT2(cells.middle, 2, k) -
                    wide * AT(cells.half, k);
-    for (npy_intp t = 0; t < cells.triangles; t++) {
+    for (npy_intp t = 0; t < cells.all - cells.cubes; t++) {
         along[cubes + t] = along_corner(&cells, t, 0, n);
         for (int corner = 1; corner < 3; corner++) {
             const double other = along_corner(&cells, t, corner, n);
@@ -238,7 +245,7 @@ PyObject *extent_along(PyObject *self, PyObject *const *args, Py_ssize_t count)
             least = at - more < least ? at - more : least;
             most = at + more > most ? at + more : most;
         }
-        for (npy_intp t = 0; t < cells.triangles; t++)
+        for (npy_intp t = 0; t < cells.all - cells.cubes; t++)
             for (int corner = 0; corner < 3; corner++) {
                 const double at = along_corner(&cells, t, corner, n);
                 least = at < least ? at : least;

@@ -80,6 +80,101 @@ PyObject *velocity_within_rows(PyObject *self, PyObject *const *args, Py_ssize_t
     return v ? Py_BuildValue("Nin", v, problems, iterations) : NULL;
 }
 
+/* a new array (a, b, c) */
+static PyObject *new_block(npy_intp a, npy_intp b, npy_intp c)
+{
+    npy_intp shape[3] = {a, b, c};
+    return PyArray_EMPTY(3, shape, NPY_DOUBLE, 0);
+}
+
+PyObject *near_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind pairs;
+    Vec distance;
+    npy_intp t[4], c[3];
+    if (count_is(count, 11, "near_gaps") < 0 || as_vec(args[10], "distance", -1, &distance) < 0 ||
+        as_ind(args[0], "pairs", distance.n, &pairs) < 0 || !block(args[8], "T", 4, t) ||
+        !block(args[7], "corners", 3, c))
+        return NULL;
+    PyObject *gaps = new_block(pairs.n, t[0], c[2]), *zero = PyFloat_FromDouble(0.0), *least = NULL, *found = NULL;
+    if (gaps && zero)
+        least = corner_gaps(self, (PyObject *[]){args[0], args[3], args[4], args[5], args[6], args[7], args[8], Py_None,
+                                                 zero, gaps}, 10);
+    if (least)
+        found = note_gaps(self, (PyObject *[]){args[0], args[1], args[2], PyTuple_GET_ITEM(least, 1), args[9], args[10]}, 6);
+    PyObject *result = found ? PyTuple_Pack(5, gaps, PyTuple_GET_ITEM(least, 0), PyTuple_GET_ITEM(least, 1),
+                                            PyTuple_GET_ITEM(found, 0), PyTuple_GET_ITEM(found, 1)) : NULL;
+    Py_XDECREF(gaps), Py_XDECREF(zero), Py_XDECREF(least), Py_XDECREF(found);
+    return result;
+}
+
+PyObject *nearest_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind pairs, piece;
+    Mat planes, rows;
+    npy_intp c[3], *own;
+    if (count_is(count, 12, "nearest_rows") < 0 || as_mat(args[6], "planes", -1, 4, &planes) < 0 ||
+        as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || !block(args[4], "corners", 3, c) ||
+        as_rows(args[3], "piece", c[0], planes.rows, &pairs, &piece) < 0)
+        return NULL;
+    PyObject *pieces = new_ind(pairs.n, &own), *first = PyLong_FromLong(0), *points = NULL, *found = NULL;
+    for (npy_intp k = 0; pieces && k < pairs.n; k++)
+        own[k] = INDEX(piece, INDEX(pairs, k));
+    if (pieces && first)
+        points = blended_points(self, (PyObject *[]){args[1], args[2], pieces, args[4], args[5]}, 5);
+    if (points)
+        found = plane_rows(self, (PyObject *[]){args[0], first, points, args[6], args[7], args[8], args[9], args[10],
+                                                args[11]}, 9);
+    Py_XDECREF(pieces), Py_XDECREF(first), Py_XDECREF(points);
+    if (!found || as_mat(found, "rows", -1, -1, &rows) < 0)
+        return NULL;
+    for (npy_intp k = 0; k < rows.rows; k++)
+        for (npy_intp j = 0; j < rows.columns; j++)
+            AT2(rows, k, j) = -AT2(rows, k, j);
+    return found;
+}
+
+enum { Q, DELTA, PARTS_OF, BEND, FACTORS, SLIDES, TRAVEL, OF_PAIR, PLANES_OF, JOINTS, OTHERS, PIECES, CORNERS_OF, DRIFTS };
+enum { STEP = DRIFTS + 1, CLASSES_OF, REQUIRED_OF, TOLERANCE, T_OF, J_OF, GAPS_OF, ALONG };
+
+PyObject *gaps_along_path(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat travel;
+    Vec bend;
+    if (count_is(count, ALONG, "gaps_along_path") < 0 || as_mat(args[TRAVEL], "travel", -1, -1, &travel) < 0 ||
+        as_vec(args[BEND], "bend", travel.columns, &bend) < 0)
+        return NULL;
+    PyObject *one = PyLong_FromLong(1), *T = NULL, *offs = NULL, *least = NULL, *bound = NULL, *left = NULL, *result = NULL;
+    PyObject *placed = one ? place_on_line(self, (PyObject *[]){args[Q], args[DELTA], args[PARTS_OF], one, args[FACTORS],
+                                                                args[SLIDES], args[T_OF], args[J_OF]}, 8) : NULL;
+    Py_XDECREF(one);
+    if (!placed)
+        return NULL;
+    Py_DECREF(placed);
+    const Py_ssize_t parts = PyNumber_AsSsize_t(args[PARTS_OF], PyExc_IndexError);
+    double *off;
+    if (!(T = PySequence_GetSlice(args[T_OF], 0, parts + 1)) || !(offs = new_vec(travel.rows, &off)))
+        goto done;
+    for (npy_intp c = 0; c < travel.rows; c++) {
+        off[c] = 0.0;
+        for (npy_intp j = 0; j < travel.columns; j++)
+            off[c] += AT2(travel, c, j) * AT(bend, j);
+        off[c] /= 8.0 * parts * parts;
+    }
+    least = corner_gaps(self, (PyObject *[]){args[OF_PAIR], args[PLANES_OF], args[JOINTS], args[OTHERS], args[PIECES],
+                                             args[CORNERS_OF], T, args[DRIFTS], args[STEP], args[GAPS_OF]}, 10);
+    if (least)
+        bound = least_over_path(self, (PyObject *[]){args[OF_PAIR], PyTuple_GET_ITEM(least, 1), args[CLASSES_OF], offs}, 4);
+    if (bound)
+        left = left_over_path(self, (PyObject *[]){args[OF_PAIR], bound, args[REQUIRED_OF], args[TOLERANCE]}, 4);
+    if (left)
+        result = PyTuple_Pack(6, offs, PyTuple_GET_ITEM(least, 0), PyTuple_GET_ITEM(least, 1), bound,
+                              PyTuple_GET_ITEM(left, 0), PyTuple_GET_ITEM(left, 1));
+done:
+    Py_XDECREF(T), Py_XDECREF(offs), Py_XDECREF(least), Py_XDECREF(bound), Py_XDECREF(left);
+    return result;
+}
+
 enum { PAIRS, GAPS, NEAREST, LEAST, BOUND, CLOSELY, REQUIRED, CLASSES, OFF, BUDGET, STANDS, RULES, OF_CORNERS };
 enum { PLANES = OF_CORNERS, JOINT, OTHER, PIECE, CORNERS, MASK, PLACED, JACOBIANS, DRIFT, OF_PAIRS };
 enum { PARTS = OF_PAIRS, VELOCITY, LOOK, SLOWEST, SHARPER, START, END, NOW_START, NOW_END, DT, OF_PATH };
@@ -94,7 +189,7 @@ PyObject *rows_of_path(PyObject *self, PyObject *const *args, Py_ssize_t given)
         as_ind(args[PAIRS], "pairs", drift.n, &pairs) < 0 || as_double(args[DT], "dt", &dt) < 0)
         return NULL;
     const double *hull = block(args[CORNERS], "corners", 3, c);
-    if (!hull || as_ind(args[PIECE], "piece", c[0], &piece) < 0 || has_length(piece.n, drift.n, "piece") < 0 ||
+    if (!hull || as_rows(args[PIECE], "piece", c[0], drift.n, &pairs, &piece) < 0 ||
         has_length(c[2], 4, "corners") < 0)
         return NULL;
     const int moves = args[NOW_START] != Py_None;

@@ -30,7 +30,7 @@ PyObject *count_travel(PyObject *self, PyObject *const *args, Py_ssize_t count)
         as_vec(args[1], "moved", travel.columns, &moved) < 0 || as_vec(args[6], "start", travel.rows, &start) < 0 ||
         as_vec(args[7], "path", travel.rows, &path) < 0 || as_vec(args[8], "proven", -1, &proven) < 0 ||
         as_ind(args[3], "pairs", proven.n, &pairs) < 0 || as_vec(args[4], "bound", pairs.n, &bound) < 0 ||
-        as_ind(args[5], "classes", travel.rows, &classes) < 0 || has_length(classes.n, proven.n, "classes") < 0 ||
+        as_rows(args[5], "classes", travel.rows, proven.n, &pairs, &classes) < 0 ||
         is_writeable(args[6], "start") < 0 || is_writeable(args[7], "path") < 0 || is_writeable(args[8], "proven") < 0)
         return NULL;
     const int moves = args[2] != Py_None;

@@ -105,7 +105,7 @@ PyObject *binding_corners(PyObject *self, PyObject *const *args, Py_ssize_t coun
     if (count_is(count, 12, "binding_corners") < 0 || as_vec(args[6], "required", -1, &required) < 0 ||
         as_ind(args[0], "pairs", required.n, &pairs) < 0 || as_vec(args[4], "bound", pairs.n, &bound) < 0 ||
         as_vec(args[8], "off", -1, &off) < 0 || as_vec(args[9], "budget", off.n, &budget) < 0 ||
-        as_ind(args[7], "classes", off.n, &classes) < 0 || has_length(classes.n, required.n, "classes") < 0 ||
+        as_rows(args[7], "classes", off.n, required.n, &pairs, &classes) < 0 ||
         (args[10] != Py_None && as_flags(args[10], "stands", required.n, &stands) < 0) ||
         as_doubles(args[11], "rules", RULES, rules) < 0)
         return NULL;
@@ -316,7 +316,9 @@ PyObject *least_over_path(PyObject *self, PyObject *const *args, Py_ssize_t coun
     Vec off;
     double *bound;
     if (count_is(count, 4, "least_over_path") < 0 || as_vec(args[3], "off", -1, &off) < 0 ||
-        as_ind(args[2], "classes", off.n, &classes) < 0 || as_ind(args[0], "pairs", classes.n, &pairs) < 0 ||
+        is_array(args[2], "classes", NPY_INTP, 1) < 0 ||
+        as_ind(args[0], "pairs", PyArray_DIM((PyArrayObject *)args[2], 0), &pairs) < 0 ||
+        as_rows(args[2], "classes", off.n, -1, &pairs, &classes) < 0 ||
         as_mat(args[1], "least", pairs.n, -1, &least) < 0)
         return NULL;
     if (least.columns < 1) {

@@ -244,8 +244,7 @@ PyObject *margins_now(PyObject *self, PyObject *const *args, Py_ssize_t count)
     double *margin;
     if (count_is(count, 5, "margins_now") < 0 || as_vec(args[1], "distance", -1, &distance) < 0 ||
         as_ind(args[0], "pairs", distance.n, &pairs) < 0 || as_vec(args[2], "clearance", distance.n, &clearance) < 0 ||
-        as_vec(args[4], "odometer", -1, &odometer) < 0 || as_ind(args[3], "classes", odometer.n, &classes) < 0 ||
-        has_length(classes.n, distance.n, "classes") < 0)
+        as_vec(args[4], "odometer", -1, &odometer) < 0 || as_rows(args[3], "classes", odometer.n, distance.n, &pairs, &classes) < 0)
         return NULL;
     PyObject *found = new_vec(pairs.n, &margin);
     for (npy_intp k = 0; found && k < pairs.n; k++) {
@@ -263,7 +262,7 @@ PyObject *stalest_pair(PyObject *self, PyObject *const *args, Py_ssize_t count)
     if (count_is(count, 9, "stalest_pair") < 0 || as_vec(args[1], "distance", -1, &distance) < 0 ||
         as_ind(args[0], "pairs", distance.n, &pairs) < 0 || as_vec(args[2], "clearance", distance.n, &clearance) < 0 ||
         as_vec(args[3], "renewed", distance.n, &renewed) < 0 || as_vec(args[5], "odometer", -1, &odometer) < 0 ||
-        as_ind(args[4], "classes", odometer.n, &classes) < 0 || has_length(classes.n, distance.n, "classes") < 0 ||
+        as_rows(args[4], "classes", odometer.n, distance.n, &pairs, &classes) < 0 ||
         as_doubles(args[8], "rules", 3, rules) < 0)
         return NULL;
     const int nearest_first = PyObject_IsTrue(args[6]), far = PyObject_IsTrue(args[7]);
@@ -289,6 +288,79 @@ PyObject *stalest_pair(PyObject *self, PyObject *const *args, Py_ssize_t count)
     return PyLong_FromSsize_t(most > rules[2] ? stalest : -1);
 }
 
+PyObject *tightest_pair(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Ind pairs;
+    Vec margin, distance;
+    npy_intp tightest = 0;
+    if (count_is(count, 5, "tightest_pair") < 0)
+        return NULL;
+    PyObject *margins = margins_now(self, args, count);
+    if (!margins)
+        return NULL;
+    if (as_vec(margins, "margins", -1, &margin) < 0 || as_vec(args[1], "distance", -1, &distance) < 0 ||
+        as_ind(args[0], "pairs", distance.n, &pairs) < 0) {
+        Py_DECREF(margins);
+        return NULL;
+    }
+    if (margin.n < 1) {
+        Py_DECREF(margins);
+        PyErr_SetString(PyExc_ValueError, "pairs: there are none");
+        return NULL;
+    }
+    for (npy_intp k = 1; k < margin.n; k++)
+        if (AT(margin, k) < AT(margin, tightest))
+            tightest = k;
+    const double least = AT(margin, tightest);
+    Py_DECREF(margins);
+    return Py_BuildValue("nd", (Py_ssize_t)INDEX(pairs, tightest), least);
+}
+
+PyObject *known_apart(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat velocity, points, faces;
+    Ind joint, other;
+    Vec shift;
+    npy_intp t[3], at;
+    if (count_is(count, 8, "known_apart") < 0 || as_mat(args[3], "velocity", -1, 3, &velocity) < 0 ||
+        as_mat(args[4], "points", velocity.rows, 6, &points) < 0 || as_mat(args[5], "faces", velocity.rows, 15, &faces) < 0 ||
+        as_vec(args[6], "shift", 3, &shift) < 0)
+        return NULL;
+    const double *T = block(args[7], "T", 3, t);
+    const npy_intp pair = PyNumber_AsSsize_t(args[0], PyExc_IndexError);
+    if (!T || (pair == -1 && PyErr_Occurred()))
+        return NULL;
+    at = pair;
+    const Ind one = {(char *)&at, 1, sizeof(at)};
+    if (pair < 0 || pair >= velocity.rows || t[1] != 4 || t[2] != 4) {
+        PyErr_SetString(PyExc_IndexError, "pair and T: one of all pairs, and poses (4, 4), are wanted");
+        return NULL;
+    }
+    if (as_rows(args[1], "joint", t[0], velocity.rows, &one, &joint) < 0 ||
+        as_rows(args[2], "other", t[0], velocity.rows, &one, &other) < 0)
+        return NULL;
+    double point[3], sum = 0.0, off = 0.0;
+    for (int r = 0; r < 3; r++) {
+        if (AT2(velocity, pair, r) != 0.0)
+            return PyFloat_FromDouble(INFINITY);
+        const double *own = T + 16 * INDEX(joint, pair) + 4 * r, *there = T + 16 * INDEX(other, pair) + 4 * r;
+        double beyond = there[3];
+        point[r] = own[3];
+        for (int c = 0; c < 3; c++)
+            point[r] += own[c] * AT2(points, pair, c), beyond += there[c] * AT2(points, pair, 3 + c);
+        sum += (point[r] - beyond) * (point[r] - beyond);
+    }
+    for (int k = 0; k < 3; k++) {
+        double along = 0.0;
+        for (int c = 0; c < 3; c++)
+            along += (point[c] - AT(shift, c) - AT2(faces, pair, 9 + c)) * AT2(faces, pair, 3 * c + k);
+        const double more = fabs(along) - AT2(faces, pair, 12 + k);
+        off += more > 0.0 || more != more ? more * more : 0.0; /* what is no number is kept */
+    }
+    const double least = off < sum ? off : sum;
+    return PyFloat_FromDouble(least == least ? sqrt(least) : off == off ? sqrt(off) : INFINITY);
+}
+
 /* --- planes ----------------------------------------------------------------------------- */
 
 /* The normal of a plane (4,), as it stands in a body placed at T (4, 4), in the world. */
@@ -310,11 +382,10 @@ PyObject *corner_gaps(PyObject *self, PyObject *const *args, Py_ssize_t count)
         return NULL;
     const double *T = block(args[6], "T", 4, t), *corners = T ? block(args[5], "corners", 3, c) : NULL;
     double *gaps = corners ? (double *)block(args[9], "gaps", 3, g) : NULL;
-    if (!gaps || is_writeable(args[9], "gaps") < 0 || as_ind(args[4], "piece", c[0], &piece) < 0 ||
-        has_length(piece.n, planes.rows, "piece") < 0 ||
-        as_ind(args[2], "joint", t[1], &joint) < 0 || has_length(joint.n, planes.rows, "joint") < 0 ||
+    if (!gaps || is_writeable(args[9], "gaps") < 0 || as_rows(args[4], "piece", c[0], planes.rows, &pairs, &piece) < 0 ||
+        as_rows(args[2], "joint", t[1], planes.rows, &pairs, &joint) < 0 ||
         (args[3] != Py_None &&
-         (as_ind(args[3], "other", t[1], &other) < 0 || has_length(other.n, planes.rows, "other") < 0)) ||
+         (as_rows(args[3], "other", t[1], planes.rows, &pairs, &other) < 0)) ||
         (args[7] != Py_None && as_vec(args[7], "drift", planes.rows, &drift) < 0))
         return NULL;
     const npy_intp K = pairs.n, S = t[0], V = c[2];
@@ -408,9 +479,9 @@ PyObject *plane_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
         as_ind(args[0], "pairs", planes.rows, &pairs) < 0 || as_mat(args[2], "points", pairs.n, 4, &points) < 0)
         return NULL;
     const double *T = block(args[7], "T", 4, t), *J = T ? block(args[8], "J", 3, j) : NULL;
-    if (!J || as_ind(args[4], "joint", t[1], &joint) < 0 || has_length(joint.n, planes.rows, "joint") < 0 ||
+    if (!J || as_rows(args[4], "joint", t[1], planes.rows, &pairs, &joint) < 0 ||
         (args[5] != Py_None &&
-         (as_ind(args[5], "other", t[1], &other) < 0 || has_length(other.n, planes.rows, "other") < 0)) ||
+         (as_rows(args[5], "other", t[1], planes.rows, &pairs, &other) < 0)) ||
         as_mat(args[6], "mask", planes.rows, j[2], &mask) < 0)
         return NULL;
     if (PyLong_Check(args[1])) {

@@ -25,9 +25,13 @@ from backhoe_planner.machine import (
 )
 
 # opens the wall: which cells are left out is seen within
+from backhoe_planner.machine.clusters import cluster as cluster_module
 from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.native import find_compiled, plain_versions
+
+needs_native = pytest.mark.skipif(find_compiled() is None, reason="backhoe_planner_native is not installed")
 
 BALL = (np.zeros(3), 3.0)
 SLACK = 0.15  # of the distance by which boxes may be nearer, as the servo has it
@@ -293,6 +297,50 @@ def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
             boxes = min((gap(link, moved, part.piece) for part in parts), default=np.inf)
             if 0.0 < least < 0.4:
                 assert boxes <= least + 1e-9
+
+
+@needs_native
+@pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
+@pytest.mark.parametrize("most", [3, 16])
+def test_compiled_boxes_are_those_that_coal_finds(kind: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the solid stands, from a link that touches no cell; boxes of coal are wanted where it does."""
+    rng = np.random.default_rng(14)
+    upright, _ = solids(rng)[kind]
+    turned = upright.moved_to(random_place(rng, 0.3))
+    answered: list[bool] = []
+
+    def noted(name: str) -> None:
+        ask = getattr(cluster_module, name)
+
+        def answer(*arguments: Any) -> Any:
+            found = ask(*arguments)
+            answered.append(found is not None)
+            return found
+
+        monkeypatch.setattr(cluster_module, name, answer)
+
+    for number in range(40):
+        cluster = (upright, turned)[number % 2]
+        link, place, reach = LINKS[number % 3], random_place(rng, 1.2), float(rng.choice([0.2, 0.8]))
+        noted("boxes_of_voxels")
+        noted("boxes_of_cells")
+        found = cluster.around(link, place, reach, ball=BALL, most=most, slack=SLACK, exact=0.3)
+        monkeypatch.undo()
+        for name in ("boxes_of_voxels", "boxes_of_cells"):
+            monkeypatch.setattr(cluster_module, name, plain_versions()[name])
+        by_coal = cluster.around(link, place, reach, ball=BALL, most=most, slack=SLACK, exact=0.3)
+        monkeypatch.undo()
+        assert found.covered == pytest.approx(by_coal.covered, abs=1e-9)
+        assert (found.rest is None) == (by_coal.rest is None)
+        for one, other in zip(found.parts, by_coal.parts, strict=True):
+            assert one.reading.distance == pytest.approx(other.reading.distance, abs=1e-6)
+            np.testing.assert_allclose(one.reading.normal, other.reading.normal, atol=1e-5)
+            np.testing.assert_allclose(np.sort(one.piece.hull, axis=0), np.sort(other.piece.hull, axis=0), atol=1e-4)
+            assert one.at_cell == other.at_cell
+            T = one.piece.placement
+            corners = 0.5 * one.numbers[22:25] * shapes.box(np.full(3, 2.0), HERE).hull
+            np.testing.assert_allclose(one.piece.hull, corners @ T.rotation.T + T.translation, atol=1e-12)
+    assert answered.count(True) > 20
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])

@@ -282,3 +282,36 @@ def ways_of_links(T: Array, joint: Indices, begun: Array, columns: Array, fat: V
     moved = np.sqrt(np.add.reduce(off, axis=2).max(axis=2))
     moved += fat * np.sqrt(np.add.reduce(turn, axis=(2, 3)))
     return np.asarray(moved)
+
+
+@compiled
+def put_planes(
+    numbers: Matrix, pairs: Indices, fat: float, velocity: Matrix, shift: Vector, found_at: Matrix, far: float,
+    planes: Matrix, drift: Vector, points: Matrix, faces: Matrix, witnesses: Matrix, /,
+) -> Vector:  # fmt: skip
+    """(K,) distances of the `pairs` (K,) of a link with boxes, so `far` where one stands for none [m].
+
+    Parameters
+    ----------
+    numbers: (B, 50) of the boxes, see `boxes_of_cells`.
+    fat: the link lies within that of the hull of its corners [m].
+    velocity: (P, 3) of all pairs' obstacles [m/s]; shift: (3,) of this one from where it was built [m].
+    found_at: (3, 4) pose of the link's body then [m].
+    planes, drift, points: (P, 4), (P,), (P, 6) of all pairs, see `Separation`, written.
+    faces: (P, 15) of all pairs, see `faces_of`, written.
+    witnesses: (K, 6) see `ClusterPairs`, written.
+    """
+    count = len(numbers)
+    distance = np.full(len(pairs), far)
+    planes[pairs], drift[pairs], points[pairs], witnesses[...] = (0.0, 0.0, 0.0, far), 0.0, np.nan, np.nan
+    faces[pairs] = np.nan
+    faces[pairs[:count]] = np.hstack((numbers[:, 10:22], 0.5 * numbers[:, 22:25]))
+    some, n, corners = pairs[:count], numbers[:, 1:4], numbers[:, 25:49].reshape(count, 8, 3)
+    distance[:count] = numbers[:, 0]
+    planes[some, :3] = -n
+    planes[some, 3] = np.matmul(corners, n[:, :, None])[..., 0].min(axis=1) + n.dot(shift) - fat
+    drift[some] = np.vecdot(n, velocity[some])
+    seen = (numbers[:, 49] > 0.0).nonzero()[0]
+    witnesses[seen, :3] = (numbers[seen, 4:7] + (shift - found_at[:, 3])).dot(found_at[:, :3])
+    witnesses[seen, 3:] = numbers[seen, 7:10] + shift
+    return distance

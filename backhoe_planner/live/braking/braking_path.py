@@ -80,6 +80,7 @@ class Placements:
     T: (S, joints, 4, 4) pose of every joint's frame in the world, homogeneous; joint 0 is the world.
     R, t: (S, joints, 3, 3) and (S, joints, 3), views of it.
     J: (S, 6, n) Pinocchio's joint Jacobians, linear part taken at the world's origin.
+    chain: `factors` and `slides` of `place_on_line`.
     """
 
     def __init__(self, robot: Robot, most: int) -> None:
@@ -95,7 +96,7 @@ class Placements:
         self._poses = joint_poses(self._data)
         self._jacobian = self._data.J.reshape(6, n)
         self._rows = [(self.T[sample, :, :3], self.J[sample]) for sample in range(most)]
-        self._chain = chain_factors(robot), robot.prismatic.astype(float)
+        self.chain = chain_factors(robot), robot.prismatic.astype(float)
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
@@ -105,7 +106,7 @@ class Placements:
 
     def place_line(self, q: Vector, delta: Vector, parts: int, *, every: int = 1) -> None:
         """Fill rows 1, 1 + `every`, ... up to `parts` with the placements that part of the way from q (n,) by delta."""
-        place_on_line(q, delta, parts, every, *self._chain, self.T, self.J)
+        place_on_line(q, delta, parts, every, *self.chain, self.T, self.J)
 
     def spread(self, count: int) -> None:
         """Let rows 1 to `count` become 2, 4, ... to twice that."""
@@ -184,6 +185,7 @@ class BrakingPath:
     end: (n,) e [rad or m].
     time: until the machine stands [s].
     look: the time that the path is worth at v, dt + T / 2 [s].
+    bend: (n,) its `bend_weights`; there once `parts` was asked for.
     bend_of_end: the joint k that takes longest to brake, and c of de/dv = look I + c v e_k^T; c is 0 at rest [s^2/rad].
     """
 
@@ -201,7 +203,7 @@ class BrakingPath:
     def parts(self) -> int:
         """How many parts it has; `parts + 1` rows of the placements belong to it."""
         if self._parts == 0:
-            self._bend, self._parts = bend_in_parts(self.delta, self._turning, self._furthest, _FINE)
+            self.bend, self._parts = bend_in_parts(self.delta, self._turning, self._furthest, _FINE)
         return self._parts
 
     def halve(self, placements: Placements | None = None) -> None:
@@ -216,8 +218,12 @@ class BrakingPath:
         """(K,) how far points may be off the chord of a part, for radii (K, n) [m]; to be read only."""
         parts = self.parts
         if self._off is None or self._off[0] is not travel or self._off[1] != parts:
-            self._off = travel, parts, travel.dot(self._bend) / (8.0 * parts * parts)
+            self._off = travel, parts, travel.dot(self.bend) / (8.0 * parts * parts)
         return self._off[2]
+
+    def keep_off_chord(self, travel: Matrix, off: Vector) -> None:
+        """What `off_chord` says of radii (K, n) is known, (K,) [m]."""
+        self._off = travel, self.parts, off
 
     def place(self, placements: Placements) -> None:
         """Fill the placements at the ends of the parts. Row 0, at q, must already be there."""

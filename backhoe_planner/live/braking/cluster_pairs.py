@@ -62,6 +62,7 @@ class ClusterPairs:
     found_at: (3, 4) pose of its body in the world, when they were found [m].
     witnesses: (B, 6) for each box the critical point of the link, in the frame of its body, and the witness point
         on a cell, in the world, when they were found [m]; nan where it was measured from no cell.
+    boxes: how many there are now.
     was_inside: whether the piece was in the ground or in a closed mesh, and touched no cell.
     balls: that cover the piece, centres (k, 3) and radius [m].
     pairs: their indices.
@@ -80,6 +81,7 @@ class ClusterPairs:
     nearest: float = 0.0
     found_at: Matrix = field(default_factory=lambda: np.zeros((3, 4)))
     witnesses: Matrix = field(default_factory=lambda: np.full((1, 6), np.nan))
+    boxes: int = 0
     was_inside: bool = False
     pairs: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 

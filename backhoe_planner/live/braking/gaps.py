@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.live.braking.odometers import note_gaps
 from backhoe_planner.native import compiled
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -87,6 +88,23 @@ def corner_gaps(
 
 
 @compiled
+def near_gaps(
+    pairs: Indices, lower: Vector, counted: Vector, planes: Matrix, joint: Indices, other: Indices | None,
+    piece: Indices, corners: Array, T: Array, clearance: Vector, distance: Vector, /,
+) -> tuple[Array, Indices, Matrix, Vector, Vector]:  # fmt: skip
+    """The gaps of near `pairs` (K,), which of their corners have the least ones, and these; and see `note_gaps`.
+
+    Parameters
+    ----------
+    lower, counted, clearance, distance: see `note_gaps`; `distance` is written.
+    planes, joint, other, piece, corners, T: see `corner_gaps`.
+    """
+    gaps = np.empty((len(pairs), len(T), corners.shape[2]))
+    nearest, least = corner_gaps(pairs, planes, joint, other, piece, corners, T, None, 0.0, gaps)
+    return gaps, nearest, least, *note_gaps(pairs, lower, counted, least, clearance, distance)
+
+
+@compiled
 def least_over_path(pairs: Indices, least: Matrix, classes: Indices, off: Vector, /) -> Vector:
     """(K,) the least gap of each of `pairs` (K,) over all samples, less how far points may be off the chords [m].
 
@@ -135,6 +153,23 @@ def blended_points(gaps: Array, least: Matrix, pieces: Indices, corners: Array, 
     points = np.matmul(corners.take(pieces, axis=0), part[:, :, None])[..., 0]
     points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
     return np.asarray(points)
+
+
+@compiled
+def nearest_rows(
+    pairs: Indices, gaps: Array, least: Matrix, piece: Indices, corners: Array, width: float, planes: Matrix,
+    joint: Indices, other: Indices | None, mask: Matrix, T: Array, J: Array, /,
+) -> Matrix:  # fmt: skip
+    """(K, n) how fast the distances of `pairs` (K,) rise with the joints, at their `blended_points` [m/rad].
+
+    Parameters
+    ----------
+    gaps, least, width: see `blended_points`.
+    piece: (P,) whose corners count; corners: (M, 4, V) those of all pieces, with a 1 below each [m].
+    planes, joint, other, mask, T, J: see `plane_rows`; the first sample counts.
+    """
+    points = blended_points(gaps, least, piece.take(pairs), corners, width)
+    return -plane_rows(pairs, 0, points, planes, joint, other, mask, T, J)
 
 
 @compiled

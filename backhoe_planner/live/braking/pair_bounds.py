@@ -20,10 +20,10 @@ from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.live.braking.box_places import SLACK, KnownDistances
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
-from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
+from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
-from backhoe_planner.live.braking.odometers import count_travel, keep_proven, note_gaps
-from backhoe_planner.live.braking.pair_choice import margins_now, near_now, not_proven, stalest_pair
+from backhoe_planner.live.braking.odometers import count_travel, keep_proven
+from backhoe_planner.live.braking.pair_choice import near_now, not_proven, stalest_pair, tightest_pair
 from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.live.braking.step_work import MOST_NEAR
 from backhoe_planner.site import pace
@@ -58,7 +58,7 @@ class Near(NamedTuple):
     ----------
     q: (n,) where the joints were then [rad or m].
     pairs: (K,) their indices.
-    gaps: from every corner of the link to the pair's plane, at one sample; working memory.
+    gaps: from every corner of the link to the pair's plane, at one sample.
     distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
     next: the tightest of the pairs that are left out because too many are near; -1 where none is.
     next_margin: of that pair [m].
@@ -134,7 +134,6 @@ class PairBounds:
         self._moved_by = np.zeros(classes)
         # the pairs that may be near, and whose braking path may be, until the odometers have moved that far [m]
         self._around, self._around_path = _Watch(), _Watch()
-        self._memory = Memory()
         # what was near when it was last looked at, for as long as the machine has not moved by that much more [m]
         self._seen: tuple[Near | None, float] = None, 0.0
         # the boxes that are being found, and what the odometer of their link had counted when that began
@@ -253,8 +252,7 @@ class PairBounds:
         if self._search is not None and self._search[0].one is one:
             self._search = None  # of before
         kept = float(self.required[one.pairs].min())
-        self._put_boxes(one, at, reach, is_new=path is None)
-        if path is not None:
+        if self._put_boxes(one, at, reach, is_new=path is None) and path is not None:
             self._prove_boxes(one, kept, at, reach=reach, path=path)
 
     def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
@@ -296,23 +294,31 @@ class PairBounds:
         kept: what the boxes before have to keep at least [m].
         at, reach, path: as for `find_boxes`.
         """
-        separation, pairs, at_rest = self._separation, one.pairs, not path.delta.any()
-        bound = self._distance_of(pairs) - float(separation.travel[one.classes].dot(np.abs(path.delta)))
-        if bound.min() < one.clearance + _ROOM:
-            path.place(at)
+        separation, pairs, own = self._separation, one.pairs, one.classes
+        bound = self._distance.take(pairs)
+        bound -= float(self._start_odometer[own]) + float(separation.travel[own].dot(np.abs(path.delta)))
+        if self.short:
+            self.short = [other for other in self.short if other is not one]
+        if bound[bound.argmin()] >= one.clearance + _ROOM:
+            self.set_proven(pairs, bound)
+            self.required[pairs] = separation.clearance.take(pairs)
+            if len(self.inside):
+                self.find_inside()
+            return
+        at_rest = not path.delta.any()
+        path.place(at)
+        bound = separation.proven_on(pairs, path, at, path.time)
+        if bound.min() < kept - TOLERANCE:
+            # a box is nearer than all cells are: without slack none is here, and there are more of them. Elsewhere
+            # on the path one may still be, so that these are of use only where they hold as much
+            covered = one.covered
+            self._put_boxes(one, at, reach, slack=0.0)
+            if one.covered < covered and not at_rest:
+                self._put_boxes(one, at, reach)
             bound = separation.proven_on(pairs, path, at, path.time)
-            if bound.min() < kept - TOLERANCE:
-                # a box is nearer than all cells are: without slack none is here, and there are more of them. Elsewhere
-                # on the path one may still be, so that these are of use only where they hold as much
-                covered = one.covered
-                self._put_boxes(one, at, reach, slack=0.0)
-                if one.covered < covered and not at_rest:
-                    self._put_boxes(one, at, reach)
-                bound = separation.proven_on(pairs, path, at, path.time)
         self.set_proven(pairs, bound)
         # boxes may hold more than the cells do: what was proven of the cells stays proven
         keeps = np.maximum(bound, kept)
-        self.short = [other for other in self.short if other is not one]
         if bound.min() < kept - TOLERANCE:
             if at_rest:
                 # it would find no path that keeps what was proven: the way out begins here
@@ -324,14 +330,20 @@ class PairBounds:
 
     def _put_boxes(
         self, one: ClusterPairs, at: Placements, reach: float, *, is_new: bool = False, slack: float = SLACK
-    ) -> None:
-        """Let the boxes of a cluster around a link be those that are found now, and note their distances."""
+    ) -> bool:
+        """Let the boxes of a cluster around a link be those that are found now, and note their distances.
+
+        False where there are none, as before.
+        """
         found = self._separation.find_boxes(
             one, at, 0, reach=reach, exact=one.clearance + self._influence,
             is_new=is_new, slack=slack,
         )  # fmt: skip
+        if found is None:
+            return False
         self.set_distance(one.pairs, found)
         self._note_renewed(one.pairs)
+        return True
 
     @property
     def known(self) -> KnownDistances:
@@ -395,8 +407,7 @@ class PairBounds:
         if len(pairs) > MOST_NEAR:
             kept, left_out = self._tightest_of(pairs, lower - separation.clearance.take(pairs))
             pairs, lower, counted = pairs[kept], lower[kept], counted[kept]
-        gaps = separation.gaps(pairs, at, 1, memory=self._memory)
-        distance, margin = note_gaps(pairs, lower, counted, gaps.least, separation.clearance, self._distance)
+        gaps, distance, margin = separation.near_gaps(pairs, lower, counted, at, self._distance)
         return Near(q, pairs, gaps, distance, margin, *left_out)
 
     def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
@@ -470,13 +481,12 @@ class PairBounds:
         )  # fmt: skip
         if pair < 0:
             return
-        counted = float(self._start_odometer[separation.classes[pair]])
-        if self._renewed_at[pair] == -math.inf or not separation.is_exact(
-            pair, at, 0, float(self._distance[pair]) - counted, _EXACT
-        ):
+        counted = self._start_odometer[separation.classes[pair]]
+        bound = float(self._distance[pair] - counted)
+        if not (self._renewed_at[pair] > -math.inf and separation.is_exact(pair, at, 0, bound, _EXACT)):
             self._distance[pair] = separation.renew(pair, at, 0) + counted
             self._seen = None, 0.0
-        self._note_renewed(pair)
+        self._renewed_at[pair] = counted
 
     def _note_renewed(self, pairs: Indices | int) -> None:
         """Pairs (K,) were measured in this step."""
@@ -494,9 +504,9 @@ class PairBounds:
         if len(pairs) == 0:
             return -1, math.inf
         separation = self._separation
-        margins = margins_now(pairs, self._distance, separation.clearance, separation.classes, self._start_odometer)
-        row = int(margins.argmin())
-        pair, margin = int(pairs[row]), float(margins[row])
+        pair, margin = tightest_pair(
+            pairs, self._distance, separation.clearance, separation.classes, self._start_odometer
+        )
         if near.next >= 0:
             beyond = near.next_margin - float(self._moved_by.max())
             if beyond < margin:
@@ -513,12 +523,6 @@ class PairBounds:
     def lower(self) -> Vector:
         """(P,) lower bounds of all distances where the machine is [m]."""
         return self._distance - self._start_odometer[self._separation.classes]
-
-    def _distance_of(self, pairs: Indices) -> Vector:
-        """(K,) the same of some pairs (K,)."""
-        found = self._distance.take(pairs)
-        found -= self._start_odometer.take(self._separation.classes.take(pairs))
-        return found
 
     def tightest_of_all(self) -> tuple[int, float]:
         """The same of all pairs, from the bounds alone."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.native import compiled
 
 _EMPTY = np.zeros(0)
@@ -92,3 +92,47 @@ def stalest_pair(
     moved /= urgent + np.maximum(margin, 0.0)
     row = nearest if is_close and nearest_first and moved[nearest] > least else int(moved.argmax())
     return int(pairs[row]) if moved[row] > least else -1
+
+
+@compiled
+def tightest_pair(
+    pairs: Indices, distance: Vector, clearance: Vector, classes: Indices, odometer: Vector, /
+) -> tuple[int, float]:
+    """Which of `pairs` (K,), of which there are some, has the least of `margins_now`, and that margin [m]."""
+    margins = margins_now(pairs, distance, clearance, classes, odometer)
+    row = int(margins.argmin())
+    return int(pairs[row]), float(margins[row])
+
+
+@compiled
+def known_apart(
+    pair: int,
+    joint: Indices,
+    other: Indices,
+    velocity: Matrix,
+    points: Matrix,
+    faces: Matrix,
+    shift: Vector,
+    T: Array,
+    /,
+) -> float:
+    """How far a pair's bodies are apart at most, by what was measured last [m]; infinite where that is unknown.
+
+    By the points between which it was measured, and by how far the link's point is off what stands for the obstacle,
+    if that is a box or a half-space.
+
+    Parameters
+    ----------
+    joint, other, velocity: (P,), (P,), (P, 3) of all pairs, see `Separation`. Nothing is known of what moves.
+    points: (P, 6) that of the link and that of the other body, each in the frame of its body [m]; nan where unknown.
+    faces: (P, 15) see `faces_of`; shift: (3,) of the obstacle from where these are [m].
+    T: (joints, 4, 4) poses of all bodies.
+    """
+    if velocity[pair].any():
+        return np.inf
+    own, there = T[joint[pair]], T[other[pair]]
+    point = own[:3, :3].dot(points[pair, :3]) + own[:3, 3]
+    apart = point - there[:3, :3].dot(points[pair, 3:]) - there[:3, 3]
+    axes, middle, half = faces[pair, :9].reshape(3, 3), faces[pair, 9:12], faces[pair, 12:]
+    off = np.maximum(np.abs((point - shift - middle).dot(axes)) - half, 0.0)
+    return float(np.fmin(np.fmin(np.sqrt(apart.dot(apart)), np.sqrt(off.dot(off))), np.inf))

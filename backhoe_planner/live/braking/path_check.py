@@ -125,19 +125,19 @@ class PathCheck:
         else:
             if self._in_halves:
                 path.halve()
-            path.place(self.at)
             found = self._look_along(pairs, path, by_rows=by_rows, in_halves=self._in_halves)
         self._last = awake, path, found
         return found
 
     def _look_along(self, pairs: Indices, path: BrakingPath, *, by_rows: bool, in_halves: bool) -> PathClearance:
-        """The same for pairs (K,) of all kinds, where the placements hold the path, with its parts or their halves."""
+        """The same for pairs (K,) of all kinds, with the path's parts or their halves."""
         separation, at = self.separation, self.at
         required, stands = self.bounds.required, self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
-        bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
+        gaps, bound, left, short = separation.look_along(
+            pairs, path, at, drift_time, required=required, tolerance=TOLERANCE, memory=self._memory
+        )
         closely = np.zeros(len(pairs), dtype=np.intp)
-        left, short = left_over_path(pairs, bound, required, TOLERANCE)
         if not in_halves and len(short) and self._may_be_bent(pairs, short, left, path, by_rows=by_rows):
             path.halve(at)
             in_halves = True

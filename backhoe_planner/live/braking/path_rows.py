@@ -1,4 +1,4 @@
-"""The corners that could bind along a braking path, and the rows that they become."""
+"""The gaps along a braking path, the corners that could bind there, and the rows that they become."""
 
 from __future__ import annotations
 
@@ -7,8 +7,39 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.live.braking.gaps import plane_rows
+from backhoe_planner.live.braking.braking_path import place_on_line
+from backhoe_planner.live.braking.gaps import corner_gaps, least_over_path, left_over_path, plane_rows
 from backhoe_planner.native import compiled
+
+
+@compiled
+def gaps_along_path(
+    q: Vector, delta: Vector, parts: int, bend: Vector, factors: Matrix, slides: Vector, travel: Matrix, pairs: Indices,
+    planes: Matrix, joint: Indices, other: Indices | None, piece: Indices, corners: Array, drift: Vector | None,
+    step: float, classes: Indices, required: Vector, tolerance: float, T: Array, J: Array, gaps: Array, /,
+) -> tuple[Vector, Indices, Matrix, Vector, Vector, Indices]:  # fmt: skip
+    """Place the bodies along a path, and find what it leaves to `pairs` (K,).
+
+    Returns
+    -------
+    (C,) how far points may be off the chords of its parts [m]; which corner of each pair has the least gap at each
+    sample (K, S), and that gap (K, S) [m]; (K,) the proven distance over the path [m], and by how much that is more
+    than what is required [m]; the rows of the pairs where it is less.
+
+    Parameters
+    ----------
+    q, delta: (n,) start and way of the path [rad or m], of so many `parts`; bend: (n,) its `bend_weights`.
+    factors, slides: see `place_on_line`; travel: (C, n) see `Separation`.
+    planes, joint, other, piece, corners, drift, step: see `corner_gaps`.
+    classes, required, tolerance: see `least_over_path` and `left_over_path`.
+    T, J: see `Placements`; its rows 1 to `parts` are written. The first must be there.
+    gaps: (K, S, V) all of them, written here [m].
+    """
+    place_on_line(q, delta, parts, 1, factors, slides, T, J)
+    off = travel.dot(bend) / (8.0 * parts * parts)
+    nearest, least = corner_gaps(pairs, planes, joint, other, piece, corners, T[: parts + 1], drift, step, gaps)
+    bound = least_over_path(pairs, least, classes, off)
+    return off, nearest, least, bound, *left_over_path(pairs, bound, required, tolerance)
 
 
 class Candidates(NamedTuple):

@@ -15,18 +15,27 @@ for a plane that moves with the link, and the corners of the obstacle.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.live.braking.box_places import BoxPlaces
+from backhoe_planner.live.braking.box_places import BoxPlaces, put_planes
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs
-from backhoe_planner.live.braking.gaps import Gaps, Memory, blended_points, corner_gaps, least_over_path, plane_rows
+from backhoe_planner.live.braking.gaps import (
+    Gaps,
+    Memory,
+    corner_gaps,
+    least_over_path,
+    near_gaps,
+    nearest_rows,
+    plane_rows,
+)
 from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
-from backhoe_planner.live.braking.plane_sets import PlaneSets
+from backhoe_planner.live.braking.pair_choice import known_apart
+from backhoe_planner.live.braking.path_rows import gaps_along_path
+from backhoe_planner.live.braking.plane_sets import PlaneSets, Stand
 from backhoe_planner.machine import (
     Cluster,
     Part,
@@ -43,37 +52,11 @@ from backhoe_planner.site import Obstacle
 MACHINE = -1  # owner of the pairs of the machine with itself
 FAR = 1e3  # m: beyond any site; the bound -FAR says nothing
 _NOT_COUNTING = -1e9  # m: clearance of the pairs of what is not carried now; far below any bound of a distance
-_MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side; chosen, to bound the work
 _PLANES = 4  # measured along a path that is looked at closely; chosen, each costs some 20 us
 _BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
-_FAR_AWAY = np.array([0.0, 0.0, 0.0, FAR])  # a plane that never counts
+_NO_FACES, _NO_SHIFT = np.full(15, np.nan), np.zeros(3)
+_NO_BOXES = np.zeros((0, 50))
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-
-
-class _Stand:
-    """A piece of an obstacle, and its `shift` (3,) from where it was built [m]."""
-
-    def __init__(self, piece: shapes.Piece) -> None:
-        self.piece = piece
-        self.shift = np.zeros(3)
-        self.corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
-        self._R, self._t = np.array(piece.placement.rotation), np.array(piece.placement.translation)
-        self._placed: tuple[list[float], object] = ([0.0, 0.0, 0.0], shapes.transform(self._R, self._t))
-
-    def off(self, point: Vector) -> float:
-        """How far a point (3,) in the world is off the piece at most [m]."""
-        return self._off(point - self.shift)
-
-    @cached_property
-    def _off(self) -> Callable[[Vector], float]:
-        return shapes.distance_of_points(self.piece)
-
-    def place(self) -> object:
-        """Coal's transform; it is made anew only after a shift."""
-        shift = self.shift.tolist()
-        if self._placed[0] != shift:
-            self._placed = (shift, shapes.transform(self._R, self._t + self.shift))
-        return self._placed[1]
 
 
 class Separation:
@@ -159,11 +142,12 @@ class Separation:
         for row, load in self._own.load_of_rows().items():
             self._load_of_piece[row] = load
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
-        self._body: list[_Stand | None] = [None] * len(pairs)
-        self._stands_of: dict[int, list[_Stand]] = {}
+        self._body: list[Stand | None] = [None] * len(pairs)
+        self._stands_of: dict[int, list[Stand]] = {}
         self.planes = _no_planes(len(pairs))
         self.velocity = np.zeros((len(pairs), 3))
         self.drift = np.zeros(len(pairs))
+        self._faces = np.full((len(pairs), 15), np.nan)  # of boxes and half-spaces, see `faces_of`
         self._points = np.full((len(pairs), 6), np.nan)  # between which it was renewed, each in its body's frame
         self.clusters: list[ClusterPairs] = []
         self._shifts: dict[int, Vector] = {}
@@ -183,7 +167,7 @@ class Separation:
     def add_all(self, obstacles: Mapping[int, Obstacle]) -> Indices:
         """The same of several obstacles by their numbers at once: the work does not grow with their square."""
         owner, clearance, piece, velocity = [self.owner], [self.full_clearance], [self.piece], [self.velocity]
-        first = len(self)
+        first, faces = len(self), list(self._faces)
         for number, obstacle in obstacles.items():
             links = self._rows_on(obstacle.links)
             places = len(obstacle.pieces) if obstacle.cluster is None else SLOTS
@@ -193,11 +177,13 @@ class Separation:
             clearance.append(obstacle.clearance + self._room_of_piece[pieces])
             piece.append(pieces)
             velocity.append(np.repeat(obstacle.velocity[None], count, axis=0))
-            self._stands_of[number] = [_Stand(piece) for piece in obstacle.pieces]
+            self._stands_of[number] = [Stand(piece) for piece in obstacle.pieces]
             for stand in self._stands_of[number]:
                 self._body.extend([stand] * len(links))
+                faces.extend([shapes.faces_of(stand.piece)] * len(links))
             if obstacle.cluster is not None:
                 self._body.extend([None] * count)
+                faces.extend([_NO_FACES] * count)
                 self._add_cluster(number, obstacle, obstacle.cluster, links)
         self.owner, self.full_clearance = np.concatenate(owner), np.concatenate(clearance)
         self.piece, self.velocity = np.concatenate(piece), np.concatenate(velocity)
@@ -208,6 +194,7 @@ class Separation:
         self.planes = np.concatenate((self.planes, _no_planes(added)))
         self.drift = np.append(self.drift, np.zeros(added))
         self._points = np.concatenate((self._points, np.full((added, 6), np.nan)))
+        self._faces = np.array(faces).reshape(-1, 15)
         self._refresh()
         return np.arange(first, first + added, dtype=np.intp)
 
@@ -216,7 +203,7 @@ class Separation:
         kept = self.owner != number
         for name in (
             "owner", "full_clearance", "load", "classes", "piece", "other_piece", "planes", "velocity", "drift",
-            "_points",
+            "_points", "_faces",
         ):  # fmt: skip
             setattr(self, name, getattr(self, name)[kept])
         del self._stands_of[number]
@@ -281,8 +268,10 @@ class Separation:
         exact: float,
         slack: float,
         is_new: bool,
-    ) -> Vector:
+    ) -> Vector | None:
         """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
+
+        None where there are none, as before: all that is known of its pairs stays true.
 
         Parameters
         ----------
@@ -295,6 +284,9 @@ class Separation:
         pose = at.T[sample, self._joint_of[one.piece]]
         parts = one.find(pose, shift, reach, exact=exact, slack=slack, is_new=is_new)
         one.found_at = pose[:3].copy()
+        if not (parts or one.boxes or is_new):
+            self.places.note(one)
+            return None
         return self.put_boxes(one, parts)
 
     def search_boxes(
@@ -306,29 +298,24 @@ class Separation:
 
     def put_boxes(self, one: ClusterPairs, parts: Sequence[Part]) -> Vector:
         """Let these boxes stand for a cluster around a link; the distance from each of its pairs as they say [m]."""
-        shift = self._shifts[one.number]
+        shift, stands = self._shifts[one.number], self._stands_of[one.number]
+        one.boxes = len(parts)
+        one.witnesses = np.empty((len(one.pairs), 6))
         self.measured += len(parts)
-        distance = np.full(len(one.pairs), FAR)
-        self.planes[one.pairs], self.drift[one.pairs], self._points[one.pairs] = _FAR_AWAY, 0.0, np.nan
-        stands = self._stands_of[one.number]
-        for stand in [self._body[pair] for pair in one.pairs.tolist()]:
-            if stand is not None:
-                stands.remove(stand)
+        numbers = np.array([part.numbers for part in parts]) if parts else _NO_BOXES
+        distance: Vector = put_planes(
+            numbers, one.pairs, float(self._fat[one.piece]), self.velocity, shift, one.found_at, FAR,
+            self.planes, self.drift, self._points, self._faces, one.witnesses,
+        )  # fmt: skip
         for pair in one.pairs.tolist():
+            if (stand := self._body[pair]) is None:
+                break
+            stands.remove(stand)
             self._body[pair] = None
-        one.witnesses = np.full((len(one.pairs), 6), np.nan)
-        R, t = one.found_at[:, :3], one.found_at[:, 3]
-        for slot, (pair, part) in enumerate(zip(one.pairs.tolist(), parts, strict=False)):
-            stand = _Stand(part.piece)
-            if part.at_cell:
-                one.witnesses[slot, :3] = (part.reading.point + shift - t).dot(R)
-                one.witnesses[slot, 3:] = part.reading.other_point + shift
+        for pair, part in zip(one.pairs.tolist(), parts, strict=False):
+            self._body[pair] = stand = Stand(part)
             stand.shift = shift
             stands.append(stand)
-            self._body[pair] = stand
-            n = part.reading.normal
-            self._keep_plane(pair, n, float((part.piece.hull @ n).min() + n @ shift))
-        distance[: len(parts)] = [part.reading.distance for part in parts]
         self.places.note(one)
         return distance
 
@@ -392,17 +379,12 @@ class Separation:
         By the points between which it was renewed last: the true distance is not more than theirs, and not more than
         that of the link's point from a box or a half-space. False where these say less, and where the obstacle moves.
         """
-        if self.velocity[pair].any():
-            return False
-        T, points, other = at.T[sample], self._points[pair], int(self.other[pair])
-        own, there = T[self.joint[pair]], points[3:]
-        if other:
-            there = T[other, :3, :3].dot(there) + T[other, :3, 3]
-        point = own[:3, :3].dot(points[:3]) + own[:3, 3]
-        apart, stand = point - there, self._body[pair]
-        if math.sqrt(apart.dot(apart)) <= distance + tolerance:
-            return True
-        return stand is not None and stand.off(point) <= distance + tolerance
+        stand = self._body[pair]
+        apart = known_apart(
+            pair, self.joint, self.other, self.velocity, self._points, self._faces,
+            _NO_SHIFT if stand is None else stand.shift, at.T[sample],
+        )  # fmt: skip
+        return apart < math.inf and apart <= distance + tolerance
 
     def gradients(self, pairs: Indices, at: Placements, sample: int, *, keep: bool = False) -> tuple[Vector, Matrix]:
         """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad].
@@ -457,6 +439,32 @@ class Separation:
             pairs, self.planes, self.joint, other, self.piece, self._columns4, T, drift, step, gaps
         )
         return Gaps(gaps, nearest, least)
+
+    def near_gaps(
+        self, pairs: Indices, lower: Vector, counted: Vector, at: Placements, distance: Vector
+    ) -> tuple[Gaps, Vector, Vector]:
+        """The gaps of `pairs` (K,) at the placements' row 0, and see `note_gaps`."""
+        other = self.other if self.some_relative else None
+        gaps, nearest, least, found, margin = near_gaps(
+            pairs, lower, counted, self.planes, self.joint, other, self.piece, self._columns4, at.T[:1],
+            self.clearance, distance,
+        )  # fmt: skip
+        return Gaps(gaps, nearest, least), found, margin
+
+    def look_along(
+        self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float,
+        *, required: Vector, tolerance: float, memory: Memory,
+    ) -> tuple[Gaps, Vector, Vector, Indices]:  # fmt: skip
+        """Fill the placements with a path, and what it leaves to `pairs` (K,); see `gaps_along_path` and `least_on`."""
+        parts, bend = path.parts, path.bend
+        gaps = memory.gaps(len(pairs), parts + 1, self._columns4.shape[2])
+        other, drift = self.other if self.some_relative else None, self.drift if drift_time > 0.0 else None
+        off, nearest, least, bound, left, short = gaps_along_path(
+            path.q, path.delta, parts, bend, *at.chain, self.travel, pairs, self.planes, self.joint, other,
+            self.piece, self._columns4, drift, drift_time / parts, self.classes, required, tolerance, at.T, at.J, gaps,
+        )  # fmt: skip
+        path.keep_off_chord(self.travel, off)
+        return Gaps(gaps, nearest, least), bound, left, short
 
     def least_on(
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float, *, memory: Memory | None = None
@@ -555,7 +563,8 @@ class Separation:
 
     def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
-        return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
+        other, points = self.other if self.some_relative else None, self._corners4[self.piece[pairs], corners]
+        return plane_rows(pairs, samples, points, self.planes, self.joint, other, self.mask, at.T, at.J)
 
     def of_rows(
         self, at: Placements
@@ -565,18 +574,16 @@ class Separation:
         return self.planes, self.joint, other, self.piece, self._corners4, self.mask, at.T, at.J, self.drift
 
     def nearest_rows(self, pairs: Indices, gaps: Gaps, at: Placements) -> Matrix:
-        """(K, n) how fast the distance falls at the first sample, at the nearest point of each pair [m/rad].
+        """(K, n) how fast the distance rises at the first sample, at the nearest point of each pair [m/rad].
 
         The point is blended from the corners by their `gaps` there: corners that are almost as near have
         a part in it, so that it does not jump from edge to edge where a flat end passes a wall.
         """
-        points = blended_points(gaps.all, gaps.least, self.piece.take(pairs), self._columns4, _BLENDED)
-        return self._rows_of(pairs, 0, points, at)
-
-    def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
-        """The same for points (R, 4) in the links' frames, with a 1 behind each."""
         other = self.other if self.some_relative else None
-        return plane_rows(pairs, samples, corner, self.planes, self.joint, other, self.mask, at.T, at.J)
+        return nearest_rows(
+            pairs, gaps.all, gaps.least, self.piece, self._columns4, _BLENDED,
+            self.planes, self.joint, other, self.mask, at.T, at.J,
+        )  # fmt: skip
 
     def world_normal(self, pair: int, at: Placements) -> Vector:
         """(3,) the normal of a pair's plane at the first sample, in the world."""

@@ -129,7 +129,6 @@ class TipTask:
         seen, rows = self._critical
         if seen is not near:
             gradient = self._separation.nearest_rows(near.pairs, near.gaps, self._at)
-            np.negative(gradient, out=gradient)
             rows = CriticalRows(margin, gradient, self._separation.drift.take(near.pairs))
             self._critical = near, rows
         if near.q is q:

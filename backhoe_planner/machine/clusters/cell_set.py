@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -155,18 +156,30 @@ class CoarseCells:
     low: (n, 3) their lowest corners [m].
     step: their edge [m].
     region: its lowest and highest corner (3,) [m].
+    bounds: (2, 3) box around the whole solid [m].
+
+    Attributes
+    ----------
+    step: as above.
+    regions: (4, 3) corners of the region and of that box [m].
     """
 
-    def __init__(self, low: Matrix, step: float, region: tuple[Vector, Vector]) -> None:
-        self.step, self._region = step, region
+    def __init__(self, low: Matrix, step: float, region: tuple[Vector, Vector], bounds: Matrix) -> None:
+        self.step, self.regions = step, np.vstack((*region, bounds))
         self._tiles = Tiles(low, low + step, 4.0 * step) if len(low) else None
         ordered = low if self._tiles is None else low[self._tiles.order]
         self._middle = np.ascontiguousarray(ordered.T) + 0.5 * step
 
-    def hold(self, low: Vector, high: Vector, bounds: Matrix) -> bool:
-        """Whether they hold all of a solid with these `bounds` (2, 3) that is in the box from `low` to `high` (3,)."""
+    @property
+    def cubes(self) -> tuple[Any, ...] | None:
+        """What `boxes_of_voxels` has to know of them, from `coarse` on; None where there are none."""
+        return None if self._tiles is None else (self._middle, *self._tiles.arrays)
+
+    def hold(self, low: Vector, high: Vector) -> bool:
+        """Whether they hold all of the solid that is in the box from `low` to `high` (3,) [m]."""
+        first, last, *bounds = self.regions
         low, high = np.maximum(low, bounds[0]), np.minimum(high, bounds[1])
-        return bool((high < low).any() or ((low >= self._region[0]) & (high <= self._region[1])).all())
+        return bool((high < low).any() or ((low >= first) & (high <= last)).all())
 
     def near(self, low: Vector, high: Vector, link: LinkReach) -> Matrix:
         """(3, k) middles of the cubes that may touch a box within reach of a link, and of some others [m]."""

@@ -22,6 +22,7 @@ from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame, off_box
 from backhoe_planner.machine.clusters.height_bounds import HeightBounds
 from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
+from backhoe_planner.machine.clusters.parts import Part, boxes_of_cells, boxes_of_voxels
 from backhoe_planner.machine.clusters.solid import Placed, Solid
 from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.convex import voxel_boxes
@@ -172,16 +173,68 @@ class Cluster:
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
         slack: float, shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
     ) -> Iterator[Around | None]:  # fmt: skip
-        """The same in bits of work of some 50 to 100 us, None after each of them, and what was found at last."""
+        """The same in bits of work of some 50 to 100 us, None after each of them, and what was found at last.
+
+        It takes two or three, and one for each box where `boxes_of_cells` leaves them to coal.
+        """
         shift = _NO_SHIFT if shift is None else shift
+        quick = None
+        if ground is None:
+            quick = self._quick_boxes(piece, T_world_body, reach, self._coarse(ball), most, slack, shift, exact)
+        if quick is not None and not len(quick[2]):
+            yield Around(tuple(quick[0]), reach)
+            return
         link = self._local(piece, T_world_body, shift)
-        cells, off = yield from self._cells_around(link, reach, ball, exact)
-        yield None
-        if ground is not None:
-            n = ground.reading.normal @ self._R
-            face = float((ground.reading.other_point - self._t - shift) @ ground.reading.normal)
-            above = (cells.least_along(n) < face - _BEYOND).nonzero()[0]
-            cells, off = cells.only(above), off.take(above)
+        if quick is None:
+            cells, off = yield from self._cells_around(link, reach, ball, exact)
+            if ground is not None:
+                n = ground.reading.normal @ self._R
+                face = float((ground.reading.other_point - self._t - shift) @ ground.reading.normal)
+                above = (cells.least_along(n) < face - _BEYOND).nonzero()[0]
+                cells, off = cells.only(above), off.take(above)
+            parts, cells, off = yield from self._boxes_of(cells, off, link, most, slack, shift)
+        else:
+            parts, cells, off = quick
+        if not len(off):
+            yield Around(tuple(parts), reach)
+            return
+        around = self._box(cells, link.R, shift)
+        T_box = transform(around.placement.rotation, around.placement.translation)
+        T_here = transform(self._R @ link.R, self._R @ link.t + self._t + shift)
+        rest = Part.of(around, Reading(*Gauge().measure(link.shape, T_here, around.shape, T_box)))
+        yield Around(tuple(parts), min(reach, float((off - cells.around()[1]).min())), rest)
+
+    def _quick_boxes(
+        self, piece: Piece, T_world_body: pin.SE3, reach: float, coarse: CoarseCells, most: int, slack: float,
+        shift: Vector, exact: float,
+    ) -> tuple[list[Part], CellSet, Vector] | None:  # fmt: skip
+        """The boxes around voxels, the cells in none of them, and how far these are off; None where it takes coal."""
+        cubes, voxels = coarse.cubes, self.solid.voxels
+        if cubes is None or voxels is None:
+            return None
+        rules = piece.radius, slack, self.solid.finest, _BEYOND, reach, _fine_within(coarse.step, exact), coarse.step
+        found = boxes_of_voxels(
+            piece.hull, piece.pose[0], T_world_body.rotation, T_world_body.translation, self._R, self._t + shift,
+            coarse.regions, rules, most, *cubes, *voxels,
+        )  # fmt: skip
+        if found is None:
+            return None
+        numbers, middle, half, off = found
+        return list(map(Part, numbers)), CellSet(middle, half, _NO_TRIANGLES), off
+
+    def _boxes_of(
+        self, cells: CellSet, off: Vector, link: Placed, most: int, slack: float, shift: Vector
+    ) -> Generator[None, None, tuple[list[Part], CellSet, Vector]]:
+        """The boxes around cells, those that are in none of them, and how far these are `off`.
+
+        None is yielded between bits of the work.
+        """
+        quick = boxes_of_cells(
+            link.hull, link.R, cells.middle, cells.half, cells.corners, off, most,
+            (link.radius, slack, self.solid.finest, _BEYOND), self._R, self._t + shift,
+        )  # fmt: skip
+        if quick is not None:
+            return list(map(Part, quick[0])), cells.only(quick[1]), off.take(quick[1])
         gauge, T_link = Gauge(), transform(link.R, link.t)
         parts: list[Part] = []
         while len(off) and len(parts) < most:
@@ -192,20 +245,10 @@ class Cluster:
             distance += before
             box_of = self._box(part, _frame_along(n, link.R), shift)
             at_cell = cells.is_cell(nearest, self.solid.finest)
-            parts.append(Part(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift), at_cell))
-            if part is cells:
-                off = off[:0]
-                break
+            parts.append(Part.of(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift), at_cell=at_cell))
             cells, off = cells.only(left), off.take(left)
             yield None
-        if not len(off):
-            yield Around(tuple(parts), reach)
-            return
-        around = self._box(cells, link.R, shift)
-        T_box = transform(around.placement.rotation, around.placement.translation)
-        T_here = transform(self._R @ link.R, self._R @ link.t + self._t + shift)
-        rest = Part(around, Reading(*gauge.measure(link.shape, T_here, around.shape, T_box)))
-        yield Around(tuple(parts), min(reach, float((off - cells.around()[1]).min())), rest)
+        return parts, cells, off
 
     def _box(self, cells: CellSet, axes: Matrix, shift: Vector) -> Piece:
         """The box along `axes` (3, 3) of the solid's frame around cells, in the world."""
@@ -229,9 +272,9 @@ class Cluster:
         None is yielded between bits of the work.
         """
         coarse, around = self._coarse(ball), LinkBox.around(link.hull, link.R, link.radius)
-        fine_within = max(_FINE_WITHIN * coarse.step, min(exact + 2.0 * _HALF_DIAGONAL * coarse.step, _FINE_AT_MOST))
+        fine_within = _fine_within(coarse.step, exact)
         box = link.box(reach)
-        if reach <= fine_within or not coarse.hold(*box, self.solid.bounds):
+        if reach <= fine_within or not coarse.hold(*box):
             near = self.solid.near(*box, LinkReach(around, reach))
             yield None
             return _within(near, around, reach)
@@ -242,7 +285,6 @@ class Cluster:
         fine = fine_within + _HALF_DIAGONAL * coarse.step
         if not (away <= fine_within).any():
             return CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step), away.take(outer)
-        yield None
         near = self.solid.near(*link.box(fine), LinkReach(around, fine))
         yield None
         cells, off = _within(near, around, fine)
@@ -301,7 +343,7 @@ class Cluster:
         start[0] = plane
         R = self._R @ axes
         placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t + shift))
-        return Part(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n), shift))
+        return Part.of(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n), shift))
 
     def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
         """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.
@@ -321,7 +363,7 @@ class Cluster:
         start[0] = float(found.other_point @ found.normal)
         R = self._R @ axes
         placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t))
-        return Part(placed, self._placed(found, _NO_SHIFT))
+        return Part.of(placed, self._placed(found, _NO_SHIFT))
 
     def _coarse(self, ball: tuple[Vector, float]) -> CoarseCells:
         """The surface of the solid in cubes, within a ball."""
@@ -339,14 +381,15 @@ class Cluster:
         key = np.round(np.concatenate((low, high)), 6).tobytes()
         if key not in self._coarser:
             if (high < low).any():
-                self._coarser[key] = CoarseCells(np.zeros((0, 3)), step, (low, high))
+                self._coarser[key] = CoarseCells(np.zeros((0, 3)), step, (low, high), self.solid.bounds)
             else:
                 from scipy.ndimage import binary_erosion
 
                 frame = GridFrame(low, np.maximum(high, low + step), least_step=step)
                 taken = self.solid.taken(frame)
                 taken &= ~binary_erosion(taken)
-                self._coarser[key] = CoarseCells(frame.low + frame.step * np.argwhere(taken), frame.step, (low, high))
+                cubes = frame.low + frame.step * np.argwhere(taken)
+                self._coarser[key] = CoarseCells(cubes, frame.step, (low, high), self.solid.bounds)
         return self._coarser[key]
 
     def boxes(self, cells: int) -> tuple[Piece, ...]:
@@ -364,20 +407,6 @@ class Cluster:
         """Vertices (k, 3) [m], world, and triangles (m, 3) of its surface, about `most` at most."""
         vertices, triangles = self.solid.drawing(most)
         return vertices @ self._R.T + self._t, triangles
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of a cluster beside a link: a box that contains it, and the distance from the link as it is there.
-
-    Attributes
-    ----------
-    at_cell: whether the witness point is on one of the cells, and not on what stands for several of them.
-    """
-
-    piece: Piece
-    reading: Reading
-    at_cell: bool = False
 
 
 @dataclass(frozen=True)
@@ -421,7 +450,13 @@ class Distances:
         return off if self.heights is None else np.maximum(self.heights.lower(own)[0], off, out=off)
 
 
+def _fine_within(step: float, exact: float) -> float:
+    """Distance from a link within which cells are looked at one by one, beside coarse ones with an edge `step` [m]."""
+    return max(_FINE_WITHIN * step, min(exact + 2.0 * _HALF_DIAGONAL * step, _FINE_AT_MOST))
+
+
 _NO_SHIFT = np.zeros(3)
+_NO_TRIANGLES = np.zeros((3, 3, 0))
 _HERE = transform(np.eye(3), np.zeros(3))
 
 

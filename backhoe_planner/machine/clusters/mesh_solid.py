@@ -41,6 +41,7 @@ class MeshSolid:
     """
 
     is_ground = False
+    voxels = None
 
     def __init__(self, mesh: trimesh.Trimesh, *, most: int) -> None:
         if len(mesh.faces) > most:

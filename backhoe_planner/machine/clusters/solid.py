@@ -68,6 +68,10 @@ class Solid(Protocol):
     is_full: bool
     is_ground: bool
 
+    @property
+    def voxels(self) -> tuple[Any, ...] | None:
+        """Its cells, where they are voxels, as `boxes_of_voxels` takes them from `keys` on; None of other cells."""
+
     def __len__(self) -> int:
         """How many cells it has."""
 

@@ -52,6 +52,7 @@ class TerrainSolid:
 
     is_full = True
     is_ground = True
+    voxels = None
 
     def __init__(self, heights: Matrix, size: tuple[float, float], *, depth: float, most: int) -> None:
         rows, columns = heights.shape

@@ -41,16 +41,20 @@ class Tiles:
         self._middle = np.ascontiguousarray(0.5 * (lowest + highest).T)
         self._radius = 0.5 * np.linalg.norm(highest - lowest, axis=1)
 
+    @property
+    def arrays(self) -> tuple[Vector, Vector, float, Indices, Indices, Indices, Matrix, Vector]:
+        """What `cells_of_tiles` has to know of them, from `origin` on."""
+        return (
+            self._low, self._spread, self._edge, self._counts, self._number, self._start, self._middle, self._radius
+        )  # fmt: skip
+
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> Indices:
         """(k,) places in `order` of the cells that may touch the box from `low` to `high` (3,) [m], and some others.
 
         link: cells out of its reach are not needed either.
         """
         box, reach = ANYWHERE if link is None else link
-        return cells_of_tiles(
-            low, high, self._low, self._spread, self._edge, self._counts, self._number, self._start,
-            self._middle, self._radius, box.R, box.middle, box.half, box.radius, reach,
-        )  # fmt: skip
+        return cells_of_tiles(low, high, *self.arrays, box.R, box.middle, box.half, box.radius, reach)
 
 
 @compiled

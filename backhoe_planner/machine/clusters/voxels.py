@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,12 @@ class VoxelSolid:
         middle += (self._base + 0.5)[:, None]
         middle *= self._edge
         return CellSet.of_cubes(middle, 0.5 * self._edge)
+
+    @property
+    def voxels(self) -> tuple[Any, ...]:
+        """What `boxes_of_voxels` has to know of them, from `keys` on."""
+        tiles, ordered = self._tiles
+        return ordered, self._base + 0.5, self._edge, *tiles.arrays
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3) of its surface, of larger voxels where there are too many."""

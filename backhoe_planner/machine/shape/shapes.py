@@ -7,7 +7,6 @@ bound it, so that how far it can travel is computed without asking coal.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,6 +27,7 @@ _FLAT = 1e-6  # m, or part of the largest extent where that is more: Qhull canno
 _THICKNESS = 1e-3  # m given to flat points; chosen, small beside any clearance
 _THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more: ten times `_FLAT`
 _FAR = 1e3  # largest extents from the origin: beyond, too few digits are left for the shape
+_DEEP = 1e5  # m: beyond any site, and so little that a place at the surface keeps 1e-11 m
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
 CONTACT = 1e-9  # m: distances below this are measured again, see `measure_again`
 _TOLERANCE = 1e-12  # m, of coal's iterations: tests compare gradients with differences over 1e-6 rad
@@ -95,6 +95,33 @@ def box(size: Vector, placement: pin.SE3) -> Piece:
     """A box with the edge lengths `size` (3,) [m] along its own axes, centred at `placement` T_body_box."""
     edges = np.asarray(size, dtype=float)
     return _piece(coal.Box(*edges.tolist()), placement, 0.5 * edges * _CORNERS_OF_PRISM, prism=True)
+
+
+class LateBox(Piece):
+    """A box whose coal object is made when it is first asked for; of most boxes around cells none ever is.
+
+    edges, R, t and hull are as `box` has them.
+
+    Parameters
+    ----------
+    edges: (3,) its edge lengths [m]; R, t: (3, 3), (3,) T_body_box [m].
+    hull: (8, 3) its corners in the body's frame, as those of `box` [m].
+    """
+
+    edges: Vector
+
+    def __init__(self, edges: Vector, R: Matrix, t: Vector, hull: Matrix) -> None:
+        self.__dict__.update(edges=edges, pose=(R, t), hull=hull)
+
+    @cached_property
+    def shape(self) -> coal.CollisionGeometry:
+        """Coal's object."""
+        return coal.Box(*self.edges.tolist())
+
+    @cached_property
+    def placement(self) -> pin.SE3:
+        """T_body_shape."""
+        return pin.SE3(*self.pose)
 
 
 def sphere(radius: float, placement: pin.SE3) -> Piece:
@@ -326,24 +353,21 @@ def within(first: Piece, T_first: pin.SE3, second: Piece, T_second: pin.SE3, mar
     return bool(coal.collide(first.inner, T_1, second.inner, T_2, request, result))
 
 
-def distance_of_points(piece: Piece) -> Callable[[Vector], float]:
-    """How far a point (3,) in the body's frame is off a piece that is a box or a half-space, 0 inside [m].
+def faces_of(piece: Piece) -> Vector:
+    """(15,) the axes (3, 3) of a piece that is a box, its middle and half edges (3,) each, in the body's frame [m].
 
-    Infinite for pieces of other shapes: there it takes coal.
+    A half-space is a box that goes on beyond any site. Numbers that are none for pieces of other shapes.
     """
     shape = piece.shape
     if isinstance(shape, coal.Halfspace):
         normal, level = np.array(shape.n), float(shape.d)
-        return lambda point: max(float(normal.dot(point)) - level, 0.0)
+        axes = np.linalg.svd(normal[:, None])[0]
+        axes[:, 0] = normal
+        return np.concatenate((axes.reshape(-1), (level - _DEEP) * normal, (_DEEP, np.inf, np.inf)))
     if not isinstance(shape, coal.Box):
-        return lambda _: math.inf
-    (R, t), half = piece.pose, shape.halfSide.tolist()
-
-    def off_box(point: Vector) -> float:
-        along = (point - t).dot(R).tolist()
-        return math.hypot(*[max(abs(at) - most, 0.0) for at, most in zip(along, half, strict=True)])
-
-    return off_box
+        return np.full(15, np.nan)
+    R, t = piece.pose
+    return np.concatenate((R.reshape(-1), t, shape.halfSide))
 
 
 def in_doubt(distance: Any) -> Any:
