@@ -505,6 +505,25 @@ def inexact_boxes(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def most_urgent_boxes(rng: Rng) -> Arguments:
+    line = line_ahead(rng)
+    while not len(line[5]):
+        line = line_ahead(rng)
+    n, classes, links, every = len(line[0]), len(line[5]), 1 + some(rng, 6), 5 + some(rng)
+    _, _, columns, witnesses, planes, pairs, *_ = inexact_boxes(rng)
+    columns, witnesses = np.resize(columns, (links, *columns.shape[1:])), np.resize(witnesses, (links, 3, 6))
+    planes, pairs = np.resize(planes, (every, 4)), np.resize(pairs, 3 * links) % every
+    factors, slides = chain(rng, n)
+    return (
+        *line, factors, slides, rng.integers(0, n + 1, links), columns, witnesses, planes, pairs,
+        rng.integers(0, classes, links), rng.uniform(0.0, 0.2, links), rng.uniform(0.0, 2.0, every),
+        rng.uniform(0.0, 0.2, classes), rng.uniform(-2.0, 1.0, every), rng.uniform(0.0, 0.2, classes),
+        (0.3, 0.05, 0.85), rng.normal(size=(links, 3, 4)), rng.uniform(0.0, 0.3, links), rng.uniform(0.1, 9.0, links),
+        rng.uniform(-0.1, 1.0, links), rng.uniform(0.0, 0.1, links), rng.integers(0, 2, links).astype(float),
+        (0.2, 0.02), placements(rng, 1, n + 1)[0], placements(rng, 5, n + 1), np.zeros((5, 6, n)),
+    )  # fmt: skip
+
+
 def margins_now(rng: Rng) -> Arguments:
     every, classes = 1 + some(rng), 1 + some(rng, 6)
     pairs, distance = chosen(rng, every), rng.uniform(0.0, 0.5, every)
@@ -535,11 +554,25 @@ def known_apart(rng: Rng) -> Arguments:
     )  # fmt: skip
 
 
+def hulls_apart(rng: Rng) -> Arguments:
+    corners = np.ones((1 + some(rng, 9), 4))
+    corners[:, :3] = rng.normal(size=(len(corners), 3))
+    T = placements(rng, 1, 3)[0]
+    return corners, 0.1, T[1], 3.0 + rng.normal(size=(some(rng, 9), 3)), 0.2, rng.normal(size=3), T[2]
+
+
 def stalest_pair(rng: Rng) -> Arguments:
     pairs, distance, clearance, classes, odometer = margins_now(rng)
     renewed = odometer[classes] - rng.choice([0.001, 0.01, 0.1]) * rng.uniform(0.0, 1.0, len(distance))
     first, far = bool(rng.integers(2)), bool(rng.integers(2))
     return pairs, distance, clearance, renewed, classes, odometer, first, far, (0.1, 0.02, 0.05)
+
+
+def lower_on_grid(rng: Rng) -> Arguments:
+    counts = rng.integers(1, 6, 3)
+    bounds = np.sort(rng.uniform(-1.0, 2.0, (2, 3)), axis=0)
+    values = rng.uniform(0.0, 1.0, int(counts.prod())).astype(np.float32)
+    return rng.uniform(-1.0, 3.0, (3, some(rng))), rng.uniform(-0.5, 0.5, 3), 2.5, counts, values, bounds
 
 
 def off_turned_box(rng: Rng) -> Arguments:
@@ -675,24 +708,29 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
     cost_of_tip, count_travel, damped_steps, extent_along, fastest_run, first_in_doubt, force_on_hand,
-    gaps_along_path, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart, largest_part,
-    least_over_path, left_over_path, line_ahead, margins_now, near_gaps, near_now, near_rows, nearest_rows,
-    nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_in_doubt, pairs_within,
-    place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead, reachable_velocities,
-    read_results, rows_by_velocity, rows_of_path, soft_solution, split_by_plane, stalest_pair, step_conditions,
-    straight_towards, tightest_pair, turn_along_surface, unproven_of_near, velocity_within_rows, ways_of_links,
+    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart,
+    largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes,
+    near_gaps, near_now, near_rows, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
+    off_turned_box, pairs_in_doubt, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
+    quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity, rows_of_path, soft_solution,
+    split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
+    unproven_of_near, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
+
+# those whose whole numbers are no indices, or too many to look at
+UNLOOKED = pairs_within, cells_of_tiles, boxes_of_voxels, lower_on_grid
 
 # those that write to what they are given, and how many of the last arguments
 WRITERS: dict[Callable[[Rng], Arguments], int] = {
     corner_gaps: 1, count_travel: 3, gaps_along_path: 3, keep_placements: 2, keep_proven: 1, near_gaps: 1, note_gaps: 1,
-    place_on_line: 2, place_tip: 2, put_planes: 5,
+    most_urgent_boxes: 2, place_on_line: 2, place_tip: 2,
+    put_planes: 5,
 }  # fmt: skip
 
 
 # those that may answer instead of coal, which their plain versions leave to it
-OF_COAL = first_in_doubt, pairs_in_doubt, boxes_of_cells, boxes_of_voxels
+OF_COAL = first_in_doubt, pairs_in_doubt, boxes_of_cells, boxes_of_voxels, hulls_apart
 
 
 def leaves_open(source: Callable[[Rng], Arguments], expected: Any) -> bool:
@@ -762,13 +800,10 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
         for place, one in enumerate(arguments):
             if isinstance(one, np.ndarray):
                 swapped = one.astype(one.dtype.newbyteorder())  # as on a machine of the other byte order
-                wrong: list[Any] = [one.astype(np.float32), one[None], *([swapped] if one.dtype.kind != "b" else [])]
+                other_kind = np.float32 if one.dtype != np.float32 else float
+                wrong: list[Any] = [one.astype(other_kind), one[None], *([swapped] if one.dtype.kind != "b" else [])]
                 if one.dtype.kind == "i" and len(one):
-                    wrong += (
-                        [one - 10**6, one + 10**6]
-                        if source not in (pairs_within, cells_of_tiles, boxes_of_voxels)
-                        else []
-                    )
+                    wrong += [one - 10**6, one + 10**6] if source not in UNLOOKED else []
                 for other in wrong:
                     refused += 1
                     with pytest.raises((TypeError, ValueError, IndexError)):

@@ -219,3 +219,61 @@ PyObject *boxes_of_cells(PyObject *self, PyObject *const *args, Py_ssize_t count
         release(&at_points);
     return found;
 }
+
+/* points in a frame, less a shift, as seen from `base` in the world */
+static void place_points(const Mat *own, const Mat *T, const double *shift, const double *base, double *points)
+{
+    for (npy_intp k = 0; k < own->rows; k++)
+        for (int r = 0; r < 3; r++) {
+            points[3 * k + r] = AT2(*T, r, 3) - base[r];
+            for (int c = 0; c < 3; c++)
+                points[3 * k + r] += AT2(*T, r, c) * (AT2(*own, k, c) + shift[c]);
+        }
+}
+
+PyObject *hulls_apart(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    static const double none[3] = {0.0, 0.0, 0.0};
+    Mat own, other, T, T_other;
+    double fat, other_fat, shift[3], distance, n[3], on_own[3], on_other[3], *normal, *point;
+    if (count_is(count, 7, "hulls_apart") < 0 || as_mat(args[0], "corners", -1, 4, &own) < 0 ||
+        as_double(args[1], "fat", &fat) < 0 || as_mat(args[2], "T", 4, 4, &T) < 0 ||
+        as_mat(args[3], "other", -1, -1, &other) < 0 || as_double(args[4], "other_fat", &other_fat) < 0 ||
+        as_three(args[5], "shift", shift) < 0 || as_mat(args[6], "T_other", 4, 4, &T_other) < 0)
+        return NULL;
+    if (other.columns < 3) {
+        PyErr_SetString(PyExc_ValueError, "other: three coordinates are wanted");
+        return NULL;
+    }
+    if (own.rows < 1 || other.rows < 1)
+        Py_RETURN_NONE;
+    double base[3] = {AT2(T, 0, 3), AT2(T, 1, 3), AT2(T, 2, 3)};
+    Room room, more;
+    double *points = room_for(&room, 3 * own.rows * sizeof(double));
+    double *others = points ? room_for(&more, 3 * other.rows * sizeof(double)) : NULL;
+    PyObject *found = NULL;
+    if (others) {
+        place_points(&own, &T, none, base, points);
+        place_points(&other, &T_other, shift, base, others);
+        const Hull first = {points, own.rows}, second = {others, other.rows};
+        if (hull_distance(&first, &second, &distance, n, on_own, on_other) < 0)
+            found = Py_NewRef(Py_None);
+        else {
+            PyObject *normals = new_vec(3, &normal), *at = new_vec(3, &point);
+            double offset = 0.0;
+            for (int c = 0; normals && at && c < 3; c++) {
+                point[c] = base[c] + on_own[c] + fat * n[c];
+                normal[c] = 0.0;
+                for (int r = 0; r < 3; r++)
+                    normal[c] += n[r] * AT2(T_other, r, c);
+                offset += n[c] * (base[c] + on_other[c] - other_fat * n[c] - AT2(T_other, c, 3));
+            }
+            found = normals && at ? Py_BuildValue("dOdO", distance - fat - other_fat, normals, offset, at) : NULL;
+            Py_XDECREF(normals), Py_XDECREF(at);
+        }
+        release(&more);
+    }
+    if (points)
+        release(&room);
+    return found;
+}

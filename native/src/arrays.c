@@ -8,7 +8,8 @@ int is_array(PyObject *object, const char *name, int kind, int axes)
     if (!PyArray_Check(object) || PyArray_TYPE(array) != kind || PyArray_NDIM(array) != axes ||
         !PyArray_ISALIGNED(array) || !PyArray_ISNOTSWAPPED(array)) {
         PyErr_Format(PyExc_TypeError, "%s: an array of %s with %d axes is wanted", name,
-                     kind == NPY_DOUBLE ? "float64" : kind == NPY_BOOL ? "bool" : "intp", axes);
+                     kind == NPY_DOUBLE ? "float64" : kind == NPY_FLOAT ? "float32" : kind == NPY_BOOL ? "bool"
+                     : kind == NPY_INT ? "int32" : "intp", axes);
         return -1;
     }
     return 0;

@@ -281,3 +281,69 @@ PyObject *turn_along_surface(PyObject *self, PyObject *const *args, Py_ssize_t c
     }
     return Py_BuildValue("NN", wish, unit);
 }
+
+enum { Q_OF, LINE_RULES = 8, FACTORS_OF, SLIDES_OF, LINKS, COLUMNS, WITNESSES, PLANES_NOW, PAIRS_OF, CLASSES_NOW, CLEARANCE };
+enum { DISTANCE = CLEARANCE + 1, EXACT_RULES = DISTANCE + 4, BEGUN, FAT, COVERED, URGENT_RULES = COVERED + 4, NOW, T_LINE, J_LINE };
+enum { OF_URGENT = J_LINE + 1 };
+
+/* Write where the machine is, and the placements of a line's ends behind that: the part of T with these, or NULL. */
+static PyObject *placed_line(PyObject *self, PyObject *const *args, PyObject *ends)
+{
+    Mat end;
+    Vec q;
+    npy_intp n[3], t[4];
+    double *way;
+    const double *now = block(args[NOW], "now", 3, n), *T = now ? block(args[T_LINE], "T", 4, t) : NULL;
+    if (!T || as_mat(ends, "ends", -1, -1, &end) < 0 || as_vec(args[Q_OF], "q", end.columns, &q) < 0 ||
+        is_writeable(args[T_LINE], "T") < 0)
+        return NULL;
+    if (n[0] != t[1] || n[1] != t[2] || n[2] != t[3] || t[0] < 1) {
+        PyErr_SetString(PyExc_ValueError, "now and T do not fit together");
+        return NULL;
+    }
+    memcpy((double *)T, now, n[0] * n[1] * n[2] * sizeof(double));
+    PyObject *delta = new_vec(q.n, &way), *parts = PyLong_FromSsize_t(end.rows - 1), *one = PyLong_FromLong(1), *placed = NULL;
+    for (npy_intp j = 0; delta && j < q.n; j++)
+        way[j] = AT2(end, end.rows - 1, j) - AT(q, j);
+    if (delta && parts && one)
+        placed = place_on_line(self, (PyObject *[]){args[Q_OF], delta, parts, one, args[FACTORS_OF], args[SLIDES_OF],
+                                                    args[T_LINE], args[J_LINE]}, 8);
+    Py_XDECREF(delta), Py_XDECREF(parts), Py_XDECREF(one), Py_XDECREF(placed);
+    return placed ? PySequence_GetSlice(args[T_LINE], 0, end.rows) : NULL;
+}
+
+PyObject *most_urgent_boxes(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec urgency;
+    if (count_is(count, OF_URGENT, "most_urgent_boxes") < 0)
+        return NULL;
+    PyObject *line = line_ahead(self, args, LINE_RULES + 1), *found = NULL, *inexact = NULL, *ways = NULL, *urgent = NULL;
+    PyObject *at = line ? placed_line(self, args, PyTuple_GET_ITEM(line, 0)) : NULL;
+    if (at)
+        inexact = inexact_boxes(
+            self, (PyObject *[]){at, args[LINKS], args[COLUMNS], args[WITNESSES], args[PLANES_NOW], args[PAIRS_OF],
+                                 args[CLASSES_NOW], args[CLEARANCE], PyTuple_GET_ITEM(line, 1), PyTuple_GET_ITEM(line, 2),
+                                 PyTuple_GET_ITEM(line, 3), args[DISTANCE], args[DISTANCE + 1], args[DISTANCE + 2],
+                                 args[DISTANCE + 3], args[EXACT_RULES]}, 16);
+    if (inexact)
+        ways = ways_of_links(self, (PyObject *[]){at, args[LINKS], args[BEGUN], args[COLUMNS], args[FAT]}, 5);
+    if (ways)
+        urgent = box_urgency(
+            self, (PyObject *[]){ways, args[COVERED], args[COVERED + 1], args[CLEARANCE], args[COVERED + 2],
+                                 args[COVERED + 3], args[CLASSES_NOW], PyTuple_GET_ITEM(line, 1), PyTuple_GET_ITEM(line, 4),
+                                 inexact, args[URGENT_RULES]}, 11);
+    if (urgent && as_vec(urgent, "urgency", -1, &urgency) == 0) {
+        npy_intp most = 0;
+        for (npy_intp k = 1; k < urgency.n; k++)
+            if (AT(urgency, k) > AT(urgency, most))
+                most = k;
+        if (urgency.n < 1)
+            PyErr_SetString(PyExc_ValueError, "joint: there are no links");
+        else
+            found = Py_BuildValue("ndOOOOO", (Py_ssize_t)most, AT(urgency, most), PyTuple_GET_ITEM(line, 0),
+                                  PyTuple_GET_ITEM(line, 1), PyTuple_GET_ITEM(line, 2), PyTuple_GET_ITEM(line, 3),
+                                  PyTuple_GET_ITEM(line, 4));
+    }
+    Py_XDECREF(line), Py_XDECREF(at), Py_XDECREF(inexact), Py_XDECREF(ways), Py_XDECREF(urgent);
+    return found;
+}

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.live.braking.braking_path import JointState
+from backhoe_planner.live.braking.braking_path import JointState, Placements, place_on_line
 from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.joint_bounds import JointBounds
 from backhoe_planner.machine import bend_weights
@@ -57,9 +57,17 @@ class Line(NamedTuple):
         cls, state: JointState, joints: JointBounds, steps: int, *, travel: Matrix, furthest: Vector, turning: Vector
     ) -> Line:
         """Of so many steps and one more, and braking after these; see `Separation` for `travel` and the others."""
-        gained = (steps + 1) * joints.change
-        rules = (steps + 1) * joints.dt, _OFF, MOST_PARTS
-        return cls(*line_ahead(*state, gained, joints.acceleration, travel, furthest, turning, rules))
+        return cls(*line_ahead(*line_arguments(state, joints, steps), travel, furthest, turning, _parts(joints, steps)))
+
+
+def line_arguments(state: JointState, joints: JointBounds, steps: int) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """The first arguments of `line_ahead`, for so many steps and one more."""
+    return *state, (steps + 1) * joints.change, joints.acceleration
+
+
+def _parts(joints: JointBounds, steps: int) -> tuple[float, ...]:
+    """The rules of `line_ahead`."""
+    return (steps + 1) * joints.dt, _OFF, MOST_PARTS
 
 
 class BoxPlaces:
@@ -110,31 +118,27 @@ class BoxPlaces:
         return ways_of_links(T, self._joint, self._found_at, self._columns, self._fat)
 
     def most_urgent(
-        self, T: Array, line: Line, known: KnownDistances, planes: Matrix, *, near: float
-    ) -> tuple[ClusterPairs | None, float]:
-        """Whose boxes are to be found anew before all others if all are to hold for the line, and how urgent that is.
+        self, state: JointState, joints: JointBounds, steps: int, at: Placements, room: Placements,
+        known: KnownDistances, planes: Matrix, *, travel: Matrix, furthest: Vector, turning: Vector, near: float,
+    ) -> tuple[ClusterPairs | None, float, Line]:  # fmt: skip
+        """Whose boxes are to be found anew first, if all are to hold for a line ahead, how urgent, and the line.
 
         None where none are. It is urgent from 1 on, and infinitely so where boxes do not hold.
 
         Parameters
         ----------
-        T: (S, joints, 4, 4) placements of the line's ends.
+        state, joints, steps, travel, furthest, turning: see `Line.ahead`. There must be a link with boxes.
+        at: placements, of which row 0 holds the machine; room: those of the line's ends, written.
         planes: (P, 4) of all pairs, see `Separation`.
         near: margin within which boxes are to be exact where the machine is [m].
         """
-        if not self.clusters:
-            return None, 0.0
-        inexact = inexact_boxes(
-            T, self._joint, self._columns, self._witnesses, planes, self._pairs, self.classes,
-            self._clearance, line.beside, line.way, line.change, *known, (near, _HOLDS_BACK, 1.0 - SLACK),
+        row, most, ends, beside, way, change, time = most_urgent_boxes(
+            *line_arguments(state, joints, steps), travel, furthest, turning, _parts(joints, steps), *room.chain,
+            self._joint, self._columns, self._witnesses, planes, self._pairs, self.classes, self._clearance, *known,
+            (near, _HOLDS_BACK, 1.0 - SLACK), self._found_at, self._fat, self._covered, self._nearest, self._speed,
+            self.counts, _RULES, at.T[0], room.T, room.J,
         )  # fmt: skip
-        urgency = box_urgency(
-            self.moved(T), self._covered, self._nearest, self._clearance, self._speed, self.counts, self.classes,
-            line.beside, line.time, inexact, _RULES,
-        )  # fmt: skip
-        row = int(urgency.argmax())
-        most = float(urgency[row])
-        return (self.clusters[row] if most >= 1.0 else None), most
+        return (self.clusters[row] if most >= 1.0 else None), most, Line(ends, beside, way, change, time)
 
     def way_of(self, one: ClusterPairs, T: Array) -> float:
         """How far any point of a link is at most from where it is in the first of the placements T [m]."""
@@ -189,6 +193,41 @@ def line_ahead(
         ends, travel.dot(bend / (8.0 * parts * parts) + spread), travel.dot(np.abs(delta) + spread),
         travel.dot(begins * speed + spread), begins + braking,
     )  # fmt: skip
+
+
+@compiled
+def most_urgent_boxes(
+    q: Vector, v: Vector, end: Vector, gained: Vector, acceleration: Vector, travel: Matrix, furthest: Vector,
+    turning: Vector, line_rules: tuple[float, ...], factors: Matrix, slides: Vector, joint: Indices, columns: Array,
+    witnesses: Array, planes: Matrix, pairs: Indices, classes: Indices, clearance: Vector, distance: Vector,
+    odometer: Vector, proven: Vector, path_odometer: Vector, exact_rules: tuple[float, ...], begun: Array, fat: Vector,
+    covered: Vector, nearest: Vector, speed: Vector, counts: Vector, urgent_rules: tuple[float, ...], now: Array,
+    T: Array, J: Array, /,
+) -> tuple[int, float, Matrix, Vector, Vector, Vector, float]:  # fmt: skip
+    """Which of K links, of which there are some, has the greatest `box_urgency` for the line ahead; that; and the line.
+
+    Parameters
+    ----------
+    q to line_rules: see `line_ahead`; factors, slides: see `place_on_line`.
+    joint to exact_rules: see `inexact_boxes`; begun, fat: see `ways_of_links`; covered to urgent_rules: `box_urgency`.
+    now: (joints, 4, 4) where the machine is.
+    T, J: room for the placements of the line's ends, written.
+    """
+    line = line_ahead(q, v, end, gained, acceleration, travel, furthest, turning, line_rules)
+    ends, beside, way, change, time = line
+    T[0] = now
+    place_on_line(q, ends[-1] - q, len(ends) - 1, 1, factors, slides, T, J)
+    at = T[: len(ends)]
+    inexact = inexact_boxes(
+        at, joint, columns, witnesses, planes, pairs, classes, clearance, beside, way, change,
+        distance, odometer, proven, path_odometer, exact_rules,
+    )  # fmt: skip
+    moved = ways_of_links(at, joint, begun, columns, fat)
+    urgency = box_urgency(
+        moved, covered, nearest, clearance, speed, counts, classes, beside, time, inexact, urgent_rules
+    )
+    row = int(urgency.argmax())
+    return row, float(urgency[row]), *line
 
 
 @compiled

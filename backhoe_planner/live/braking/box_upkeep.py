@@ -128,7 +128,10 @@ class BoxUpkeep:
 
     def _most_urgent(self, state: JointState, steps: int) -> tuple[ClusterPairs | None, float]:
         """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
-        line, T = self._ahead(state, steps)
-        return self._separation.places.most_urgent(
-            T, line, self._bounds.known, self._separation.planes, near=self._influence
-        )
+        separation = self._separation
+        one, urgent, line = separation.places.most_urgent(
+            state, self._joints, steps, self._at, self._line, self._bounds.known, separation.planes,
+            travel=separation.travel, furthest=separation.furthest, turning=separation.turning, near=self._influence,
+        )  # fmt: skip
+        self._seen = state, steps, line
+        return one, urgent

@@ -101,11 +101,11 @@ class ClusterPairs:
         is_new: whether nothing is known of it from the step before.
         slack: part of the distance by which boxes may be nearer than their cells, see `Cluster.around`.
         """
-        T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
-        away = self._at_least(T)
+        away = self._at_least(pose, shift)
         if away > reach:
             self.covered = self.nearest = away
             return ()
+        T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
         ground = self.cluster.ground_under(self.own, T, reach) if is_new or self.was_inside else None
         parts = self._parts(T, reach, exact, ground, slack)
         if ground is None and self.nearest <= 0.0:
@@ -126,11 +126,11 @@ class ClusterPairs:
                 self.nearest = inside.reading.distance
         return parts
 
-    def _at_least(self, T: pin.SE3) -> float:
-        """Lower bound of the distance from the piece where its body is at T [m]."""
+    def _at_least(self, pose: Matrix, shift: Vector) -> float:
+        """Lower bound of the distance from the piece, with parameters as for `find` [m]."""
         centres, radius = self.balls
-        at = T.rotation @ centres.T + T.translation[:, None]
-        return float(self._bounds.lower(at).min()) - radius
+        lower = self._bounds.lower(pose[:3, :3].dot(centres.T) + (pose[:3, 3] - shift)[:, None])
+        return float(lower[lower.argmin()]) - radius
 
     def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None, slack: float) -> tuple[Part, ...]:
         """The boxes of all cells, with `ground` before them where there is one."""
@@ -160,9 +160,9 @@ class ClusterPairs:
 
         That is where it takes little, where the piece is in something, or where what it must not touch moves.
         """
-        T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
-        if self.speed > 0.0 or self.was_inside or self.nearest <= 0.0 or self._at_least(T) > reach:
+        if self.speed > 0.0 or self.was_inside or self.nearest <= 0.0 or self._at_least(pose, shift) > reach:
             return None
+        T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
         bits = self.cluster.around_bit_by_bit(
             self.own, T, reach, ball=self.ball, most=SLOTS - _REST, exact=exact, slack=slack
         )

@@ -1,6 +1,11 @@
-"""Which pairs are looked at in a step: those that are near, those whose braking path is not proven, the stalest one."""
+"""Which pairs are looked at in a step: those that are near, those whose braking path is not proven, the stalest one.
+
+And how far apart one of them is.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,6 +13,22 @@ from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.native import compiled
 
 _EMPTY = np.zeros(0)
+
+
+class Measured(NamedTuple):
+    """What was measured of a pair.
+
+    Attributes
+    ----------
+    distance: signed [m].
+    normal, offset: (3,) and [m] of the plane, in the frame of the other body.
+    point: (3,) the nearest point of the link [m], world.
+    """
+
+    distance: float
+    normal: Vector
+    offset: float
+    point: Vector
 
 
 @compiled
@@ -136,3 +157,21 @@ def known_apart(
     axes, middle, half = faces[pair, :9].reshape(3, 3), faces[pair, 9:12], faces[pair, 12:]
     off = np.maximum(np.abs((point - shift - middle).dot(axes)) - half, 0.0)
     return float(np.fmin(np.fmin(np.sqrt(apart.dot(apart)), np.sqrt(off.dot(off))), np.inf))
+
+
+@compiled
+def hulls_apart(
+    corners: Matrix, fat: float, T: Matrix, other: Matrix, other_fat: float, shift: Vector, T_other: Matrix, /
+) -> tuple[float, Vector, float, Vector] | None:
+    """The distance of two bodies that are hulls of corners with a radius each, and the rest of `Measured`.
+
+    None where it takes coal: where they touch or nearly do, where one has no corners, and always in plain Python.
+
+    Parameters
+    ----------
+    corners: (V, 4) of the link, of which the first three numbers count, in the frame of its body [m].
+    fat, other_fat: the radii [m].
+    T, T_other: (4, 4) where the bodies are.
+    other: (W, 3) or (W, 4) corners of the other one in the frame of its body, less a `shift` (3,) [m].
+    """
+    return None

@@ -33,7 +33,7 @@ from backhoe_planner.live.braking.gaps import (
     plane_rows,
 )
 from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
-from backhoe_planner.live.braking.pair_choice import known_apart
+from backhoe_planner.live.braking.pair_choice import Measured, hulls_apart, known_apart
 from backhoe_planner.live.braking.path_rows import gaps_along_path
 from backhoe_planner.live.braking.plane_sets import PlaneSets, Stand
 from backhoe_planner.machine import (
@@ -331,45 +331,45 @@ class Separation:
 
     # --- measuring -------------------------------------------------------------------
 
-    def measure(self, pair: int, at: Placements, sample: int) -> tuple[float, Vector, float, Vector]:
-        """Measure a pair at one configuration, with coal.
-
-        Returns
-        -------
-        The signed distance [m]; normal (3,) and offset [m] of the plane, in the frame of the other
-        body; the nearest point (3,) of the link [m], world.
-        """
+    def measure(self, pair: int, at: Placements, sample: int) -> Measured:
+        """Measure a pair at one configuration."""
         self.measured += 1
-        piece = int(self.piece[pair])
+        piece, other, second = int(self.piece[pair]), int(self.other[pair]), int(self.other_piece[pair])
+        T, stand, shift = at.T[sample], self._body[pair], _NO_SHIFT
+        if second >= 0:
+            corners, fat = self._corners4[second], float(self._fat[second])
+        elif stand is None:  # of a cluster, and stands for nothing
+            return Measured(FAR, np.zeros(3), FAR, np.zeros(3))
+        else:
+            corners, fat, shift = stand.piece.hull, stand.piece.radius, stand.shift
+        own = T[self.joint[pair]]
+        found = hulls_apart(self._corners4[piece], float(self._fat[piece]), own, corners, fat, shift, T[other])
+        return self._measure_by_coal(piece, own, second, stand, T[other]) if found is None else Measured(*found)
+
+    def _measure_by_coal(
+        self, piece: int, T_own: Matrix, second: int, stand: Stand | None, T_other: Matrix
+    ) -> Measured:
+        """The same of a piece on a body at T_own, and the piece `second` of a body at T_other, or what stands there."""
         shape, own = self._own_shapes[piece]
-        here = at.T[sample, self.joint[pair]].dot(own)
-        other = int(self.other[pair])
-        if self.other_piece[pair] >= 0:
-            second, own = self._own_shapes[int(self.other_piece[pair])]
-            placed = at.T[sample, other].dot(own)
+        here = T_own.dot(own)
+        if stand is None:
+            other_shape, own = self._own_shapes[second]
+            placed = T_other.dot(own)
             there = shapes.transform(placed[:3, :3], placed[:3, 3])
         else:
-            stand = self._body[pair]
-            if stand is None:  # of a cluster, and stands for nothing
-                return FAR, np.zeros(3), FAR, np.zeros(3)
-            second, there = stand.piece.shape, stand.place()
-        distance, n, p_link, p_other = self._gauge.measure(
-            shape, shapes.transform(here[:3, :3], here[:3, 3]), second, there
-        )
-        if other:
-            R_o = at.R[sample, other]
-            n, p_other = n.dot(R_o), (p_other - at.t[sample, other]).dot(R_o)
-        return distance, n, float(n.dot(p_other)), p_link
+            other_shape, there = stand.piece.shape, stand.place()
+        distance, n, x, z = self._gauge.measure(shape, shapes.transform(here[:3, :3], here[:3, 3]), other_shape, there)
+        n, z = n.dot(T_other[:3, :3]), (z - T_other[:3, 3]).dot(T_other[:3, :3])
+        return Measured(distance, n, float(n.dot(z)), x)
 
     def renew(self, pair: int, at: Placements, sample: int) -> float:
         """Measure a pair, keep its plane, and return the signed distance [m]."""
         distance, n, offset, x = self.measure(pair, at, sample)
         self._keep_plane(pair, n, offset)
-        T, other = at.T[sample], int(self.other[pair])
+        T, other, points = at.T[sample], int(self.other[pair]), self._points[pair]
         own, there = T[self.joint[pair]], x
         if other:
             there = (x - T[other, :3, 3]).dot(T[other, :3, :3])
-        points = self._points[pair]
         points[:3], points[3:] = (x - own[:3, 3]).dot(own[:3, :3]), there + distance * n
         return distance
 
@@ -587,9 +587,9 @@ class Separation:
 
     def world_normal(self, pair: int, at: Placements) -> Vector:
         """(3,) the normal of a pair's plane at the first sample, in the world."""
-        other = int(self.other[pair])
-        normal = -self.planes[pair, :3]
-        return np.asarray(at.R[0, other] @ normal if other else normal)
+        other = self.other[pair]
+        normal: Vector = -self.planes[pair, :3]
+        return at.R[0, other].dot(normal) if other else normal
 
 
 def _no_planes(count: int) -> Matrix:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +27,9 @@ from backhoe_planner.site.schema import obstacle_shapes
 
 _FARTHEST = 1000.0  # m or m/s: chosen, beyond any site; a larger number is a slip
 _VOXELS = (0.001, 100.0)  # m: shortest and longest edge; chosen, beyond them it is a slip
+
+
+_Told: TypeAlias = tuple[Literal["obstacle", "machine"], str, str, float]
 
 
 @dataclass
@@ -61,6 +64,9 @@ class Surroundings:
         self.stands: Flags
         self.speed: Vector
         self.revision = 0
+        # what was told of pairs, for as long as there are the same ones and the same of them count
+        self._told: dict[int, _Told] = {}
+        self._told_for: Vector | None = None
         self._sort()
 
     @property
@@ -81,12 +87,23 @@ class Surroundings:
 
     def obstruction(self, pair: int, margin: float, now: float) -> Obstruction:
         """A pair's link and what it must not touch, for a `margin` [m] that was found at the time `now` [s]."""
+        separation = self._separation
+        if self._told_for is not separation.clearance:  # there are other pairs, or others count
+            self._told_for, self._told = separation.clearance, {}
+        told = self._told.get(pair)
+        if told is None:
+            told = self._told[pair] = self._tell(pair)
+        kind, name, link, clearance = told
+        return Obstruction(kind, name, link, margin + clearance, margin, now)
+
+    def _tell(self, pair: int) -> _Told:
+        """What a pair's link must not touch, of which kind and name, the link, and the clearance to be kept [m]."""
         separation, pieces = self._separation, self._separation.own_pieces
-        owner, distance = int(separation.owner[pair]), margin + float(separation.clearance[pair])
+        owner, clearance = int(separation.owner[pair]), float(separation.clearance[pair])
         link = pieces[separation.piece[pair]].link
         if owner == MACHINE:
-            return Obstruction("machine", pieces[separation.other_piece[pair]].link, link, distance, margin, now)
-        return Obstruction("obstacle", self._name_of[owner], link, distance, margin, now)
+            return "machine", pieces[separation.other_piece[pair]].link, link, clearance
+        return "obstacle", self._name_of[owner], link, clearance
 
     def shift_of(self, name: str) -> Vector:
         """(3,) how far an obstacle has moved from where it was put [m]; InputError if there is none of that name."""

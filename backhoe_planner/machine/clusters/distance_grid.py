@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.native import compiled
 
 _ROUNDING = 1e-5  # steps by which a solid may reach into a cell that does not count as taken
 _CELLS = 2_000_000  # of one grid; chosen: 8 MB, and some 0.4 s to fill
@@ -83,28 +84,32 @@ class DistanceGrid:
             found = np.full(frame.counts, np.inf, dtype=np.float32)
         self.frame, self._bounds = frame, bounds
         self._values = _bounds_of(found, frame, bounds).reshape(-1)
-        _, rows, columns = frame.counts.tolist()
-        self._strides = (rows * columns, columns)
-        self._low, self._per_step = frame.low[:, None], 1.0 / frame.step
-        self._last = (frame.counts - 1e-9)[:, None]
+        self._counts, self._per_step = frame.counts.astype(np.intp), 1.0 / frame.step
 
     def lower(self, points: Matrix) -> Vector:
         """(k,) lower bound of the distance from points (3, k) [m]; 0 where nothing is known."""
-        at = points - self._low
-        at *= self._per_step
-        there = np.maximum(at, 0.0)
-        np.minimum(there, self._last, out=there)
-        x, y, z = there.astype(np.intp)
-        x *= self._strides[0]
-        y *= self._strides[1]
-        x += y
-        x += z
-        found = self._values.take(x).astype(float)
-        at -= there
-        if np.count_nonzero(at):
-            outside = np.logical_or.reduce(at, axis=0).nonzero()[0]
-            found[outside] = off_box(points.take(outside, axis=1), self._bounds)
-        return np.asarray(found)
+        return lower_on_grid(points, self.frame.low, self._per_step, self._counts, self._values, self._bounds)
+
+
+@compiled
+def lower_on_grid(
+    points: Matrix, low: Vector, per_step: float, counts: Indices, values: NDArray[np.float32], bounds: Matrix, /
+) -> Vector:
+    """(k,) the values of a grid at points (3, k), and outside of it how far they are off the box `bounds` (2, 3) [m].
+
+    Parameters
+    ----------
+    low, per_step, counts: (3,) the grid's lowest corner [m], cells in a metre, and (3,) how many there are each way.
+    values: of all cells, the last axis first [m].
+    """
+    at = points - low[:, None]
+    at *= per_step
+    there = np.minimum(np.maximum(at, 0.0), (counts - 1e-9)[:, None])
+    x, y, z = there.astype(np.intp)
+    found = values.take((x * counts[1] + y) * counts[2] + z).astype(float)
+    outside = np.logical_or.reduce(at != there, axis=0).nonzero()[0]
+    found[outside] = off_box(points.take(outside, axis=1), bounds)
+    return np.asarray(found)
 
 
 def off_box(points: Matrix, bounds: Matrix) -> Vector:
