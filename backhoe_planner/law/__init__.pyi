@@ -33,6 +33,7 @@ from .qp import Kind as Kind
 from .qp import QuadraticProgram as QuadraticProgram
 from .qp import Rows as Rows
 from .qp import StackedRows as StackedRows
+from .qp import keeps_rows as keeps_rows
 from .qp import solve_program as solve_program
 from .qp import step_on_path as step_on_path
 from .shield import Kept as Kept

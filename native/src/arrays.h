@@ -106,7 +106,7 @@ int eigenvectors(double *A, int n, double *U);
     F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution) \
     F(velocity_within_rows) F(rows_of_path) F(turn_along_surface) F(near_gaps) F(nearest_rows) F(gaps_along_path) \
     F(tightest_pair) F(known_apart) F(boxes_of_cells) F(boxes_of_voxels) F(put_planes) F(hulls_apart) \
-    F(most_urgent_boxes) F(lower_on_grid)
+    F(most_urgent_boxes) F(lower_on_grid) F(velocity_held_as_before)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

@@ -237,6 +237,87 @@ done:
     return result;
 }
 
+enum { PARTS_BEFORE = OF_PAIRS, START_BEFORE, END_BEFORE, Q_NOW, TARGET, DT_OF, ACCELERATION, WISH, TASK, NULL_SPACE, FREE };
+enum { V_NOW = FREE + 1, LOW, HIGH, LOWEST, HIGHEST, CHANGES, FASTEST, FOR_TIP, HELD_RULES, OF_HELD };
+
+/* The rows of `rows_of_path` for the path at the target, by those of the path before. */
+static PyObject *rows_at_target(PyObject *self, PyObject *const *args)
+{
+    PyObject *line = braking_line(self, (PyObject *[]){args[Q_NOW], args[TARGET], args[DT_OF], args[ACCELERATION]}, 4);
+    if (!line)
+        return NULL;
+    PyObject *of[OF_PATH];
+    for (int i = 0; i < OF_PAIRS; i++)
+        of[i] = args[i];
+    of[PARTS] = args[PARTS_BEFORE], of[VELOCITY] = args[TARGET], of[LOOK] = PyTuple_GET_ITEM(line, 2);
+    of[SLOWEST] = PyTuple_GET_ITEM(line, 4), of[SHARPER] = PyTuple_GET_ITEM(line, 5);
+    of[START] = args[START_BEFORE], of[END] = args[END_BEFORE], of[NOW_START] = args[Q_NOW];
+    of[NOW_END] = PyTuple_GET_ITEM(line, 1), of[DT] = args[DT_OF];
+    PyObject *rows = rows_of_path(self, of, OF_PATH);
+    Py_DECREF(line);
+    return rows;
+}
+
+/* 1 where a target is out of its bounds, else 0; or -1 */
+static int is_out(PyObject *const *args, double tolerance)
+{
+    Vec target, low, high;
+    int out = 0;
+    if (as_vec(args[TARGET], "target", -1, &target) < 0 || as_vec(args[LOW], "low", target.n, &low) < 0 ||
+        as_vec(args[HIGH], "high", target.n, &high) < 0)
+        return -1;
+    for (npy_intp j = 0; j < target.n; j++)
+        out |= AT(target, j) < AT(low, j) - tolerance || AT(target, j) > AT(high, j) + tolerance;
+    return out;
+}
+
+/* The `velocity_within_rows` for these rows, without the null space where the target is cut. */
+static PyObject *held_within(PyObject *self, PyObject *const *args, PyObject *G, PyObject *h, int is_cut, const double *rules)
+{
+    Vec wish, own;
+    double *zeros;
+    if (as_vec(args[WISH], "wish", -1, &wish) < 0 || as_vec(args[NULL_SPACE], "null", wish.n, &own) < 0)
+        return NULL;
+    PyObject *null = is_cut ? new_vec(wish.n, &zeros) : Py_NewRef(args[NULL_SPACE]), *found = NULL;
+    PyObject *tolerance = PyFloat_FromDouble(rules[1]), *most = PyLong_FromLong((long)rules[3]);
+    for (npy_intp j = 0; null && is_cut && j < wish.n; j++)
+        zeros[j] = 0.0;
+    if (null && tolerance && most)
+        found = velocity_within_rows(
+            self, (PyObject *[]){args[WISH], args[TASK], null, args[FREE], args[V_NOW], args[LOW], args[HIGH], args[LOWEST],
+                                 args[HIGHEST], G, h, args[CHANGES], args[FASTEST], tolerance, most}, 15);
+    Py_XDECREF(null), Py_XDECREF(tolerance), Py_XDECREF(most);
+    return found;
+}
+
+PyObject *velocity_held_as_before(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Vec h;
+    double rules[4];
+    if (count_is(count, OF_HELD, "velocity_held_as_before") < 0 || as_doubles(args[HELD_RULES], "rules", 4, rules) < 0)
+        return NULL;
+    const int for_tip = PyObject_IsTrue(args[FOR_TIP]), out = for_tip < 0 ? -1 : is_out(args, rules[1]);
+    PyObject *rows = out < 0 ? NULL : rows_at_target(self, args), *found = NULL, *result = NULL;
+    PyObject *binding = rows ? PyFloat_FromDouble(-rules[0]) : NULL;
+    PyObject *kept = binding ? keeps_rows(self, (PyObject *[]){PyTuple_GET_ITEM(rows, 1), PyTuple_GET_ITEM(rows, 2),
+                                                               args[TARGET], binding}, 4) : NULL;
+    Py_XDECREF(binding);
+    if (kept && as_vec(PyTuple_GET_ITEM(rows, 2), "h", -1, &h) == 0) {
+        PyObject *is_cut = for_tip && out ? Py_True : Py_False;
+        /* what is not asked has to fit as well */
+        found = held_within(self, args, PyTuple_GET_ITEM(rows, 1), PyTuple_GET_ITEM(rows, 2), is_cut == Py_True, rules);
+        if (found && kept == Py_True)
+            result = Py_NewRef(Py_None);
+        else if (found && (double)h.n > rules[2])
+            result = Py_BuildValue("OOnii", Py_None, is_cut, (Py_ssize_t)h.n, 0, 0);
+        else if (found)
+            result = Py_BuildValue("OOnOO", PyTuple_GET_ITEM(found, 0), is_cut, (Py_ssize_t)h.n, PyTuple_GET_ITEM(found, 1),
+                                   PyTuple_GET_ITEM(found, 2));
+    }
+    Py_XDECREF(rows), Py_XDECREF(kept), Py_XDECREF(found);
+    return result;
+}
+
 static const double SIDEWAYS = 0.2, STEEP = 0.9; /* as in the plain version */
 
 PyObject *turn_along_surface(PyObject *self, PyObject *const *args, Py_ssize_t count)

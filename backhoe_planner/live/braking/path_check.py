@@ -15,6 +15,8 @@ them are clear.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Vector
@@ -241,6 +243,17 @@ class PathCheck:
     def forget(self) -> None:
         """What was found of the path that was taken is no longer true."""
         self._last = None
+
+    def path_before(self) -> tuple[Any, ...] | None:
+        """What `velocity_held_as_before` has to know of the path that was taken a step ago; None if unknown."""
+        if self._last is None or len(self._last[0].pairs) == 0:
+            return None
+        separation, ((pairs, budget), path, found) = self.separation, self._last
+        return (
+            pairs, *found.gaps, found.bound, found.closely, self.bounds.required, separation.classes,
+            path.off_chord(separation.travel), budget, None, _RULES, *separation.of_rows(self.at),
+            path.parts, path.q, path.end,
+        )  # fmt: skip
 
     def rows_before(self, q: Vector, v: Vector, *, firm: bool) -> tuple[Rows, ...]:
         """The rows of the path of a step at v (n,) from q (n,) by what was found of the one that was taken a step ago.

@@ -13,11 +13,11 @@ still reach:
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.law import (
     MOST_ITERATIONS,
     MOST_SOFT_ROWS,
@@ -25,10 +25,11 @@ from backhoe_planner.law import (
     QuadraticProgram,
     Rows,
     StackedRows,
+    keeps_rows,
     soft_solution,
     solve_with_binding_rows,
 )
-from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance
+from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, braking_line
 from backhoe_planner.live.braking.joint_bounds import (
     FASTEST_RECOVERY,
     RECOVERY,
@@ -39,7 +40,7 @@ from backhoe_planner.live.braking.joint_bounds import (
 )
 from backhoe_planner.live.braking.pair_bounds import Awake, Near
 from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck
-from backhoe_planner.live.braking.path_rows import Candidates
+from backhoe_planner.live.braking.path_rows import Candidates, rows_of_path
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
 from backhoe_planner.native import compiled
 
@@ -51,6 +52,7 @@ _SURE, _SURER = 0.9, 0.5  # parts of the way on which a path is just clear; chos
 _LEAST_BLEND = 0.01  # of the way: less is braking
 _SLOW = 1e-3  # m/s: what comes no faster is as far away in time as at this speed; chosen
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
+_HELD = _BINDING, TOLERANCE, MOST_SOFT_ROWS, MOST_ITERATIONS
 _NONE: Indices = np.zeros(0, dtype=np.intp)
 _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
@@ -160,6 +162,47 @@ def velocity_within_rows(
     return None if step is None else (step[0], 2, steady[1] + step[1])
 
 
+@compiled
+def velocity_held_as_before(
+    pairs: Indices, gaps: Array, nearest: Indices, least: Matrix, bound: Vector, closely: Indices, required: Vector,
+    classes: Indices, off: Vector, budget: Vector, stands: Flags | None, corner_rules: tuple[float, ...],
+    planes: Matrix, joint: Indices, other: Indices | None, piece: Indices, corners: Array, mask: Matrix, T: Array,
+    J: Array, drift: Vector, parts: int, start: Vector, end: Vector, q: Vector, target: Vector, dt: float,
+    acceleration: tuple[float, ...], wish: Vector, task: Matrix | None, null: Vector, free: float, v: Vector,
+    low: Vector, high: Vector, lowest: Vector, highest: Vector, changes: tuple[float, ...], fastest: tuple[float, ...],
+    for_tip: bool, rules: tuple[float, ...], /,
+) -> tuple[Vector | None, bool, int, int, int] | None:  # fmt: skip
+    """The `velocity_within_rows` that what bound along the path of a step ago leaves, if the `target` (n,) breaks it.
+
+    None where it does not. Beside the velocity whether it is without the null space, as a limit cuts the target of a
+    wish for the tip; how many rows there are; the programs and iterations. No velocity where it takes more than that.
+
+    Parameters
+    ----------
+    pairs to parts, start, end: see `rows_of_path`, of the path of a step ago.
+    q, target, dt, acceleration: see `braking_line`: the path that the rows are to be of.
+    wish to fastest: see `velocity_within_rows`, with `lowest` and `highest` for `least` and `most`.
+    rules: by how much a row is broken that binds, the tolerance of limits, and the most rows and iterations.
+    """
+    binding, tolerance, most_rows, most_iterations = rules
+    _, now_end, look, _, slowest, sharper = braking_line(q, target, dt, acceleration)
+    _, G, h = rows_of_path(
+        pairs, gaps, nearest, least, bound, closely, required, classes, off, budget, stands, corner_rules, planes,
+        joint, other, piece, corners, mask, T, J, drift, parts, target, look, slowest, sharper, start, end, q, now_end,
+        dt,
+    )  # fmt: skip
+    if keeps_rows(G, h, target, -binding):
+        return None
+    is_cut = for_tip and bool(np.logical_or(target < low - tolerance, target > high + tolerance).any())
+    if len(h) > most_rows:
+        return None, is_cut, len(h), 0, 0
+    found = velocity_within_rows(
+        wish, task, np.zeros(len(null)) if is_cut else null, free, v, low, high, lowest, highest, G, h, changes,
+        fastest, tolerance, int(most_iterations),
+    )  # fmt: skip
+    return (None, is_cut, len(h), 0, 0) if found is None else (found[0], is_cut, len(h), *found[1:])
+
+
 def _nearest_within(
     target: Vector, task: Matrix | None, null: Vector, free: float, low: Vector, high: Vector, G: Matrix, h: Vector,
     most_iterations: int,
@@ -198,11 +241,11 @@ class VelocityFilter:
         torn = self._bounds.anything_moves and (
             len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
         )
-        before = check.rows_before(state.q, wish.target, firm=torn)
-        if before and not all(block.are_kept_by(wish.target, -_BINDING) for block in (*before, evasion)):
+        held = self._held_as_before(state, wish, evasion, torn=torn)
+        if held is not None:
             # what held the machine back a step ago mostly still does: no path at the wish has to be checked first
             start, held_back, evading = 1, True, not evasion.are_kept_by(wish.target, TOLERANCE)
-            v, wish = self._within_limits(state, wish, (*before, evasion))
+            v, wish = held
         else:
             start = 0
             v, wish = self._within_limits(state, wish)
@@ -240,6 +283,34 @@ class VelocityFilter:
             if found.stands_clear:
                 return self._accept(path, awake, found, evading=evading)
         return SafeVelocity(self._joints.brake(state.v), True, evading, None)
+
+    def _held_as_before(
+        self, state: JointState, wish: VelocityWish, evasion: Rows, *, torn: bool
+    ) -> tuple[Vector, VelocityWish] | None:
+        """The same as `_within_limits` with the rows of the path that was taken a step ago.
+
+        None where there are none, and where the wish keeps them.
+        """
+        check, joints = self._check, self._joints
+        if not (torn or len(evasion.h) or joints.shares_load):
+            path = check.path_before()
+            if path is None:
+                return None
+            asked: tuple[Any, ...] = (
+                *path, state.q, wish.target, joints.dt, joints.braking, wish.v, wish.task, wish.null, _FREE, state.v,
+                *wish.range[:4], joints.changes, joints.fastest, wish.for_tip, _HELD,
+            )  # fmt: skip
+            held = velocity_held_as_before(*asked)
+            if held is None:
+                return None
+            v, is_cut, rows, problems, iterations = held
+            if v is not None:
+                check.note(BindingSolution(v, _NONE, rows, problems, iterations))
+                return v, wish._replace(null=np.zeros(len(v))) if is_cut else wish
+        before = check.rows_before(state.q, wish.target, firm=torn)
+        if not before or all(block.are_kept_by(wish.target, -_BINDING) for block in (*before, evasion)):
+            return None
+        return self._within_limits(state, wish, (*before, evasion))
 
     def _part_of_the_way(self, awake: Awake, found: PathClearance) -> float:
         """The part of the way from braking to a velocity at which what stands is just clear, if all gaps are linear.
