@@ -61,10 +61,13 @@ static int as_numbers(PyObject *object, const char *name, npy_intp length, Ind *
     return 0;
 }
 
-/* the first of ascending numbers that is not less */
-static npy_intp lower_bound(const Ind *numbers, npy_intp wanted)
+/* the first of ascending numbers from `low` on that is not less: looked for near by before further away */
+static npy_intp lower_bound(const Ind *numbers, npy_intp wanted, npy_intp low)
 {
-    npy_intp low = 0, high = numbers->n;
+    npy_intp step = 1, high;
+    for (; low + step <= numbers->n && INDEX(*numbers, low + step - 1) < wanted; step *= 2)
+        low += step;
+    high = low + step - 1 < numbers->n ? low + step - 1 : numbers->n;
     while (low < high) {
         const npy_intp middle = low + (high - low) / 2;
         if (INDEX(*numbers, middle) < wanted)
@@ -103,20 +106,19 @@ npy_intp tiles_near(const Tiles *tiles, const double *low, const double *high, c
             return 0;
     }
     const npy_intp rows = INDEX(tiles->counts, 1), columns = INDEX(tiles->counts, 2);
-    for (int again = 0; again < 2; again++) { /* how many there are, then which of them */
-        npy_intp some = 0;
-        for (npy_intp x = first[0]; x <= last[0]; x++)
-            for (npy_intp y = first[1]; y <= last[1]; y++) {
-                const npy_intp column = (x * rows + y) * columns;
-                const npy_intp until = lower_bound(&tiles->number, column + last[2] + 1);
-                for (npy_intp tile = lower_bound(&tiles->number, column + first[2]); tile < until; tile++, some++)
-                    if (again && off_box(box, AT2(tiles->middle, 0, tile), AT2(tiles->middle, 1, tile),
-                                         AT2(tiles->middle, 2, tile)) - AT(tiles->size, tile) <= reach)
-                        (*found)[near++] = tile;
-            }
-        if (!again && !(*found = room_for(room, some * sizeof(npy_intp))))
-            return -1;
-    }
+    npy_intp tile = lower_bound(&tiles->number, (first[0] * rows + first[1]) * columns + first[2], 0);
+    const npy_intp after = lower_bound(&tiles->number, (last[0] * rows + last[1]) * columns + last[2] + 1, tile);
+    if (!(*found = room_for(room, (after - tile) * sizeof(npy_intp))))
+        return -1;
+    for (npy_intp x = first[0]; x <= last[0]; x++)
+        for (npy_intp y = first[1]; y <= last[1]; y++) {
+            const npy_intp column = (x * rows + y) * columns;
+            tile = lower_bound(&tiles->number, column + first[2], tile);
+            for (; tile < after && INDEX(tiles->number, tile) <= column + last[2]; tile++)
+                if (off_box(box, AT2(tiles->middle, 0, tile), AT2(tiles->middle, 1, tile), AT2(tiles->middle, 2, tile)) -
+                    AT(tiles->size, tile) <= reach)
+                    (*found)[near++] = tile;
+        }
     return near;
 }
 

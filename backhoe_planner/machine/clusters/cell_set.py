@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -170,7 +171,7 @@ class CoarseCells:
         ordered = low if self._tiles is None else low[self._tiles.order]
         self._middle = np.ascontiguousarray(ordered.T) + 0.5 * step
 
-    @property
+    @cached_property
     def cubes(self) -> tuple[Any, ...] | None:
         """What `boxes_of_voxels` has to know of them, from `coarse` on; None where there are none."""
         return None if self._tiles is None else (self._middle, *self._tiles.arrays)

@@ -121,7 +121,7 @@ class VoxelSolid:
         middle *= self._edge
         return CellSet.of_cubes(middle, 0.5 * self._edge)
 
-    @property
+    @cached_property
     def voxels(self) -> tuple[Any, ...]:
         """What `boxes_of_voxels` has to know of them, from `keys` on."""
         tiles, ordered = self._tiles
