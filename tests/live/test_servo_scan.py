@@ -372,6 +372,34 @@ def test_boxes_found_bit_by_bit_are_those_found_at_once_and_bound_what_the_machi
     assert several > 5 or not by_coal
 
 
+def test_boxes_that_hold_less_of_the_path_than_those_before_are_put_back(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found bit by bit they are not due yet: those before still hold, and the machine does not brake for nothing."""
+    servo = Servo(backhoe, scene_from_dict(SCENE), self_collision=False)
+    servo.add_points("scan", ground_and_wall(np.random.default_rng(7)), resolution=0.1)
+    separation, bounds, at, q = servo._separation, servo._bounds, Placements(backhoe, 18), np.array(START)
+    path = servo._check.path(q, np.array([0.5, 0.5, 0.5, 0.5]), step=False)
+    monkeypatch.setattr(Separation, "proven_on", lambda _, pairs, *__: np.full(len(pairs), 0.01))
+    at.place(0, q)
+    put_back = 0
+    for one in separation.counting_clusters:
+        before = separation.planes.copy(), bounds.lower(), bounds.required.copy(), np.array([one.covered, one.boxes])
+        measured = separation.measured
+        if not bounds.search_boxes(one, at, reach=0.6):
+            continue
+        while bounds.searches:
+            bounds.search_on(at, path)
+        assert not bounds.short
+        now = separation.planes, bounds.lower(), bounds.required, np.array([one.covered, one.boxes])
+        if separation.measured > measured and all(np.array_equal(*both) for both in zip(now, before, strict=True)):
+            put_back += 1
+            boxes = [separation._body[pair] for pair in one.pairs.tolist()[: one.boxes]]
+            assert None not in boxes
+            assert all(separation._stands_of[one.number].count(body) == 1 for body in boxes if body is not None)
+    assert put_back >= 2
+
+
 @pytest.mark.parametrize("depth", [0.1, 0.3])
 def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: float) -> None:
     q = np.array([0.1, 0.1, -1.3, -0.8])

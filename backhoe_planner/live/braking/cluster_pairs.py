@@ -19,12 +19,29 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.live.braking.plane_sets import Stand
 from backhoe_planner.machine import Around, Cluster, Part, Piece
 
 SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
 _REST = 1  # of these, for what is left where it takes more
+_CHANGES = "covered", "nearest", "found_at", "witnesses", "boxes", "was_inside"
 _ROOM = 0.05  # m beyond the clearance that boxes should cover at least; chosen
+
+
+class KeptBoxes(NamedTuple):
+    """The boxes of a link as they were.
+
+    Attributes
+    ----------
+    fields: those of its `ClusterPairs` that change with them, by name.
+    bodies: what stood for each of its pairs.
+    known: what was known of its pairs, rows of arrays of all pairs.
+    """
+
+    fields: dict[str, object]
+    bodies: list[Stand | None]
+    known: list[Array]
 
 
 class BoxSearch(NamedTuple):
@@ -84,6 +101,11 @@ class ClusterPairs:
     boxes: int = 0
     was_inside: bool = False
     pairs: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @property
+    def fields(self) -> dict[str, object]:
+        """What changes when boxes are found, by name."""
+        return {name: getattr(self, name) for name in _CHANGES}
 
     def __post_init__(self) -> None:
         self._bounds = self.cluster.grid(*self.ball)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import LinkPiece, Robot, self_pairs, self_pieces
 
 NO_LOAD = -1  # number of the load of what is always there
@@ -26,6 +29,23 @@ class OwnPieces:
     pairs: tuple[tuple[int, int], ...]
     load_of_pair: tuple[int, ...]
     rows_of_load: tuple[tuple[int, ...], ...]
+
+    def corners(self) -> Array:
+        """(M, V, 4) corners of the pieces that move, with a 1 behind each; those of the others are never used [m]."""
+        that_move = [row for row, piece in enumerate(self.pieces) if piece.joint > 0]
+        most = max((len(self.pieces[row].piece.hull) for row in that_move), default=1)
+        found = np.full((len(self.pieces), most, 4), np.nan)
+        for row in that_move:
+            hull = self.pieces[row].piece.hull
+            found[row] = (*hull[0], 1.0)  # the first again, where others have more
+            found[row, : len(hull), :3] = hull
+        return found
+
+    def radii_of_pairs(self, robot: Robot, radii: Matrix) -> list[Vector]:
+        """For each pair the travel `radii` (M, n) of the outer piece, but for joints that move both alike."""
+        joints = [self.pieces[inner].joint for _, inner in self.pairs]
+        both = zip(self.pairs, joints, strict=True)
+        return [np.where(robot.support[joint] > 0.0, 0.0, radii[outer]) for (outer, _), joint in both]
 
     def load_of_rows(self) -> dict[int, int]:
         """The number of the load to which a row belongs; none of the machine's own."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Vector
 from backhoe_planner.live.braking.box_places import SLACK, KnownDistances
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
@@ -277,14 +277,25 @@ class PairBounds:
             return
         self._search = None
         one, kept = search.one, float(self.required[search.one.pairs].min())
+        before = self._separation.keep_boxes(one, self._of_boxes)
         boxes = one.take(found, search.reach, search.found_at)
         if one.nearest <= 0.0:  # what is in something takes more than that
             self.find_boxes(one, at, reach=search.reach, path=path)
             return
-        came = float(self._start_odometer[one.classes]) - odometer
-        self.set_distance(one.pairs, self._separation.put_boxes(one, boxes) - came)
+        came, separation = float(self._start_odometer[one.classes]) - odometer, self._separation
+        self.set_distance(one.pairs, separation.put_boxes(one, boxes) - came)
         self._note_renewed(one.pairs)
         self._prove_boxes(one, kept, at, reach=search.reach, path=path)
+        if one in self.short:  # those before hold the path, and what the machine can do until boxes are looked at again
+            separation.put_back(one, before, self._of_boxes)
+            self._look_at_all()
+            self.short.remove(one)
+            self.find_inside()
+
+    @property
+    def _of_boxes(self) -> tuple[Array, ...]:
+        """What is known of all pairs and changes with their boxes."""
+        return *self._separation.of_boxes, self._distance, self._renewed_at, self._proven, self.required
 
     def _prove_boxes(self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath) -> None:
         """Note what is proven of new boxes over the present braking path.

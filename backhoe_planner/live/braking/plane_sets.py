@@ -24,9 +24,9 @@ _NO_NORMALS, _NO_OFFSETS = np.zeros((0, 3)), np.zeros(0)
 class Stand:
     """A piece of an obstacle, or a box around cells of one, and its `shift` (3,) from where it was built [m]."""
 
-    def __init__(self, of: shapes.Piece | Part) -> None:
+    def __init__(self, of: shapes.Piece | Part, shift: Vector | None = None) -> None:
         self._of = of
-        self.shift = np.zeros(3)
+        self.shift = np.zeros(3) if shift is None else shift
         self._placed: tuple[list[float] | None, object] = None, None
 
     @cached_property

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from itertools import zip_longest
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.box_places import BoxPlaces, put_planes
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs
+from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs, KeptBoxes
 from backhoe_planner.live.braking.gaps import (
     Gaps,
     Memory,
@@ -56,7 +57,6 @@ _PLANES = 4  # measured along a path that is looked at closely; chosen, each cos
 _BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
 _NO_FACES, _NO_SHIFT = np.full(15, np.nan), np.zeros(3)
 _NO_BOXES = np.zeros((0, 50))
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 class Separation:
@@ -108,23 +108,13 @@ class Separation:
         own, pairs = self._own.pieces, self._own.pairs
         self.own_pieces = own
         moving = self._rows_on(None)
-        # corners of the pieces that move, with a 1 behind each; those of the others are never used
-        that_move = [row for row, piece in enumerate(own) if piece.joint > 0]
-        most = max((len(own[row].piece.hull) for row in that_move), default=1)
-        self._corners4 = np.full((len(own), most, 4), np.nan)
-        for row in that_move:
-            hull = own[row].piece.hull
-            self._corners4[row] = (*hull[0], 1.0)  # the first again, where others have more
-            self._corners4[row, : len(hull), :3] = hull
+        self._corners4 = self._own.corners()
         self._columns4 = np.ascontiguousarray(self._corners4.transpose(0, 2, 1))
         self._fat = np.array([piece.piece.radius for piece in own])
         self._joint_of = np.array([piece.joint for piece in own], dtype=np.intp)
         self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in own]
         radii = travel_bounds(robot, q, pieces=own)
-        rows = [*radii[moving]]
-        for outer, inner in pairs:
-            shared = robot.support[own[inner].joint] > 0.0
-            rows.append(np.where(shared, 0.0, radii[outer]))
+        rows = [*radii[moving], *self._own.radii_of_pairs(robot, radii)]
         self.travel, classes = np.unique(np.array(rows).reshape(-1, robot.n), axis=0, return_inverse=True)
         classes = classes.reshape(-1)
         self._class_of_piece = np.zeros(len(own), dtype=np.intp)
@@ -259,16 +249,9 @@ class Separation:
             self.clusters.append(one)
 
     def find_boxes(
-        self,
-        one: ClusterPairs,
-        at: Placements,
-        sample: int,
-        *,
-        reach: float,
-        exact: float,
-        slack: float,
-        is_new: bool,
-    ) -> Vector | None:
+        self, one: ClusterPairs, at: Placements, sample: int,
+        *, reach: float, exact: float, slack: float, is_new: bool,
+    ) -> Vector | None:  # fmt: skip
         """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
 
         None where there are none, as before: all that is known of its pairs stays true.
@@ -298,7 +281,7 @@ class Separation:
 
     def put_boxes(self, one: ClusterPairs, parts: Sequence[Part]) -> Vector:
         """Let these boxes stand for a cluster around a link; the distance from each of its pairs as they say [m]."""
-        shift, stands = self._shifts[one.number], self._stands_of[one.number]
+        shift = self._shifts[one.number]
         one.boxes = len(parts)
         one.witnesses = np.empty((len(one.pairs), 6))
         self.measured += len(parts)
@@ -307,17 +290,38 @@ class Separation:
             numbers, one.pairs, float(self._fat[one.piece]), self.velocity, shift, one.found_at, FAR,
             self.planes, self.drift, self._points, self._faces, one.witnesses,
         )  # fmt: skip
-        for pair in one.pairs.tolist():
-            if (stand := self._body[pair]) is None:
-                break
-            stands.remove(stand)
-            self._body[pair] = None
-        for pair, part in zip(one.pairs.tolist(), parts, strict=False):
-            self._body[pair] = stand = Stand(part)
-            stand.shift = shift
-            stands.append(stand)
-        self.places.note(one)
+        self._put_bodies(one, [Stand(part, shift) for part in parts])
         return distance
+
+    def _put_bodies(self, one: ClusterPairs, bodies: Sequence[Stand | None]) -> None:
+        """Let these stand for the first pairs of a link, and nothing for the others."""
+        stands = self._stands_of[one.number]
+        for pair, body in zip_longest(one.pairs.tolist(), bodies):
+            if (before := self._body[pair]) is not None:
+                stands.remove(before)
+            self._body[pair] = body
+            if body is not None:
+                stands.append(body)
+        self.places.note(one)
+
+    @property
+    def of_boxes(self) -> tuple[Array, ...]:
+        """What is known of all pairs and changes with the boxes that are found."""
+        return self.planes, self.drift, self._points, self._faces
+
+    def keep_boxes(self, one: ClusterPairs, known: Sequence[Array]) -> KeptBoxes:
+        """The boxes of a link, to be put back; `known` are arrays of all pairs that change with them."""
+        pairs = one.pairs
+        return KeptBoxes(
+            one.fields, [self._body[pair] for pair in pairs.tolist()], [each.take(pairs, axis=0) for each in known]
+        )
+
+    def put_back(self, one: ClusterPairs, kept: KeptBoxes, known: Sequence[Array]) -> None:
+        """Let the boxes of a link be those that were kept."""
+        vars(one).update(kept.fields)
+        for each, values in zip(known, kept.known, strict=True):
+            each[one.pairs] = values
+        self._put_bodies(one, kept.bodies)
 
     def _refresh(self) -> None:
         for one in self.clusters:
@@ -398,8 +402,8 @@ class Separation:
                 self._keep_plane(pair, normal, offset)
             other = int(self.other[pair])
             n[row] = at.R[sample, other] @ normal if other else normal
-        turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
-        return distance, np.asarray((np.concatenate((n, turn), axis=1) @ at.J[sample]) * self.mask[pairs])
+        both = np.concatenate((n, np.cross(x, n)), axis=1)
+        return distance, np.asarray((both @ at.J[sample]) * self.mask[pairs])
 
     def least_gaps(self, pairs: Indices, at: Placements, sample: int) -> Vector:
         """(K,) lower bounds of the distances at one sample, by the planes alone [m]."""
@@ -413,14 +417,9 @@ class Separation:
     # --- gaps ------------------------------------------------------------------------
 
     def gaps(
-        self,
-        pairs: Indices,
-        at: Placements,
-        samples: int | slice,
-        *,
-        drift_time: float = 0.0,
-        memory: Memory | None = None,
-    ) -> Gaps:
+        self, pairs: Indices, at: Placements, samples: int | slice,
+        *, drift_time: float = 0.0, memory: Memory | None = None,
+    ) -> Gaps:  # fmt: skip
         """The gaps from every corner of the links to the planes of `pairs` (K,).
 
         Parameters
