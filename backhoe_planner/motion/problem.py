@@ -259,12 +259,14 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
 
 def keep_of(robot: Robot, scene: Scene) -> Keep | None:
     """What is to hold along the whole motion."""
-    asked = scene.task.keep
+    asked = scene.task.kept
     if asked is None:
         return None
     conditions: list[Condition] = []
     if asked.pitch is not None:
-        _check_pitch(robot, scene, "task.keep.pitch", "above, below, rotation")
+        _check_pitch(
+            robot, scene, "task.keep.pitch" if scene.task.keep else "task.goal.keep.pitch", "above, below, rotation"
+        )
         conditions.append(PitchBand(robot, *asked.pitch))
     if asked.above is not None:
         conditions.append(HeightBound(robot, asked.above, 1.0))

@@ -780,3 +780,36 @@ def test_schema_describes_soil_and_each_of_its_keys_with_its_default() -> None:
 def test_the_schema_beside_the_scenes_is_the_one_in_the_code() -> None:
     beside = shipped_folder("scenes") / "scene.schema.json"
     assert json.loads(beside.read_text(encoding="utf-8")) == scene_schema()
+
+
+LEVEL: Data = {"pitch": [-0.3, 0.3]}
+
+
+def keeping(goal: Any, **beside: Any) -> Data:
+    return GOAL | {"task": {"goal": goal, **beside}}
+
+
+def test_what_is_kept_may_stand_in_the_goal_or_beside_it() -> None:
+    position = {"position": [4.2, 1.0, -1.0]}
+    inside = scene_from_dict(keeping(position | {"keep": LEVEL})).task
+    beside = scene_from_dict(keeping(position, keep=LEVEL)).task
+    assert inside.kept == beside.kept
+    assert inside.kept is not None
+    assert inside.kept.pitch == (-0.3, 0.3)
+    leg = {"name": "swing", "goal": {"joints": {"swing": 0.5}, "keep": LEVEL}}
+    legs = scene_from_dict(GOAL | {"task": {"sequence": [leg]}}).task.sequence
+    assert legs is not None
+    assert legs[0].kept == inside.kept
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (keeping({"position": [4, 1, -1], "keep": LEVEL}, keep=LEVEL), "task: keep is given twice"),
+        (keeping([{"position": [4, 1, -1], "keep": LEVEL}, {"position": [4, 2, -1]}]), r"goal\[0\].keep: of several"),
+        (keeping({"position": [4, 1, -1], "keep": {"pich": [0, 1]}}), "task.goal.keep.pich.*did you mean 'pitch'"),
+    ],
+)
+def test_what_is_kept_is_given_once(data: Data, said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        scene_from_dict(data)

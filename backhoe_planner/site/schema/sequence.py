@@ -31,6 +31,21 @@ def _listed(goal: Goals | None) -> tuple[Goal | JointsGoal, ...]:
     return goal if isinstance(goal, tuple) else (goal,)
 
 
+def _kept(goals: tuple[Goal | JointsGoal, ...], beside: Keep | None) -> Keep | None:
+    """What is to be kept on the way to any of `goals`: given `beside` them, or in the only one.
+
+    Raises
+    ------
+    ValueError: it is given twice, or in one of several goals: which is reached is not known on the way.
+    """
+    for index, goal in enumerate(goals):
+        if goal.keep is not None and len(goals) > 1:
+            raise ValueError(f"goal[{index}].keep: of several goals any will do; give keep once, beside the list")
+        if goal.keep is not None and beside is not None:
+            raise ValueError("keep is given twice, beside the goal and in it")
+    return next((goal.keep for goal in goals if goal.keep is not None), beside)
+
+
 class Leg(Record):
     """One part of a sequence: exactly one of goal, path, wait. It begins where the one before has ended."""
 
@@ -62,6 +77,7 @@ class Leg(Record):
 
     @model_validator(mode="after")
     def _consistent(self) -> Leg:
+        _kept(self.goals, self.keep)
         if self.wait is not None:
             given = [key for key in ("keep", "objective", "speed") if getattr(self, key) is not None]
             if given:
@@ -88,6 +104,11 @@ class Leg(Record):
         return _listed(self.goal)
 
     @property
+    def kept(self) -> Keep | None:
+        """What holds along the whole leg, given beside the goal or in it."""
+        return _kept(self.goals, self.keep)
+
+    @property
     def followed_path(self) -> PathTask | None:
         """The path with the leg's speed, where it has one."""
         if self.path is None or self.speed is None:
@@ -111,6 +132,7 @@ class Task(Record):
 
     @model_validator(mode="after")
     def _legs(self) -> Task:
+        _kept(self.goals, self.keep)
         legs = self.sequence
         if legs is None:
             return self
@@ -128,6 +150,11 @@ class Task(Record):
     def goals(self) -> tuple[Goal | JointsGoal, ...]:
         """Every goal, of which any will do; none where a path or a sequence is given."""
         return _listed(self.goal)
+
+    @property
+    def kept(self) -> Keep | None:
+        """What holds along the whole way, given beside the goal or in it."""
+        return _kept(self.goals, self.keep)
 
     @property
     def leg_names(self) -> tuple[str, ...]:

@@ -72,6 +72,56 @@ class Pose(Record):
         return TipTarget(position=np.array(self.position), pitch=self.pitch_range, rotation=self.rotation)
 
 
+class KeepRotation(Record):
+    """An orientation of the tip that is kept, within a cone."""
+
+    rpy: RollPitchYaw | None = None
+    """Roll, pitch, yaw about the fixed x, y, z axes [rad]."""
+    quaternion: Quaternion | None = None
+    """[w, x, y, z]"""
+    tolerance: Angle
+    """How far the tip may be turned from it [rad]."""
+
+    _check_quaternion = field_validator("quaternion")(unit_quaternion)
+    _one = exactly_one("rpy", "quaternion")
+
+    @property
+    def rotation(self) -> Matrix:
+        """(3, 3) R_world_tip."""
+        found = rotation_matrix(self.rpy, self.quaternion)
+        assert found is not None
+        return found
+
+
+class Keep(Record):
+    """What holds along the whole motion, so that a full bucket does not spill."""
+
+    pitch: PitchRange | None = None
+    """[low, high] of the angle of the line bucket pin to tip above the horizontal [rad]."""
+    above: Finite | None = None
+    """Least height z of the tip [m], world."""
+    below: Finite | None = None
+    """Greatest height z of the tip [m], world."""
+    rotation: KeepRotation | None = None
+    """Of the tip."""
+
+    @model_validator(mode="after")
+    def _something(self) -> Keep:
+        if not any(one is not None for one in (self.pitch, self.above, self.below, self.rotation)):
+            raise ValueError("at least one of pitch, above, below, rotation must be given")
+        if self.pitch is not None:
+            low, high = self.pitch
+            if low > high:
+                raise ValueError(f"pitch range [low, high] is reversed: {[low, high]}")
+            if max(abs(low), abs(high)) > 2.0 * math.pi:
+                raise ValueError(f"pitch is in radians, within one turn either way; {[low, high]} looks like degrees")
+            if high - low >= 2.0 * math.pi:
+                raise ValueError(f"a pitch range of a whole turn keeps nothing: {[low, high]}")
+        if self.above is not None and self.below is not None and self.above > self.below:
+            raise ValueError(f"no height is above {self.above:g} and below {self.below:g}")
+        return self
+
+
 class Goal(Pose):
     """Where the tip is to arrive."""
 
@@ -79,6 +129,8 @@ class Goal(Pose):
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
     tolerance: Positive | None = None
     """How far the tip may be off the position [m]; 0.001 by default. More lets a sequence go on without a stop."""
+    keep: Keep | None = None
+    """What holds along the whole way there; the same as `keep` beside the goal, where a list of goals has it."""
 
     @model_validator(mode="after")
     def _something_to_be_off(self) -> Goal:
@@ -92,6 +144,8 @@ class JointsGoal(Record):
 
     joints: dict[str, Finite]
     """Position of every joint by name [rad or m]; a joint that turns without limit turns to that very angle."""
+    keep: Keep | None = None
+    """As for a goal of the tip."""
 
 
 def _kind_of_goal(found: object) -> str:
@@ -210,53 +264,3 @@ def _orientation_kind(pose: Pose) -> str:
     if pose.pitch is not None:
         return "pitch"
     return "position" if pose.rotation is None else "orientation"
-
-
-class KeepRotation(Record):
-    """An orientation of the tip that is kept, within a cone."""
-
-    rpy: RollPitchYaw | None = None
-    """Roll, pitch, yaw about the fixed x, y, z axes [rad]."""
-    quaternion: Quaternion | None = None
-    """[w, x, y, z]"""
-    tolerance: Angle
-    """How far the tip may be turned from it [rad]."""
-
-    _check_quaternion = field_validator("quaternion")(unit_quaternion)
-    _one = exactly_one("rpy", "quaternion")
-
-    @property
-    def rotation(self) -> Matrix:
-        """(3, 3) R_world_tip."""
-        found = rotation_matrix(self.rpy, self.quaternion)
-        assert found is not None
-        return found
-
-
-class Keep(Record):
-    """What holds along the whole motion, so that a full bucket does not spill."""
-
-    pitch: PitchRange | None = None
-    """[low, high] of the angle of the line bucket pin to tip above the horizontal [rad]."""
-    above: Finite | None = None
-    """Least height z of the tip [m], world."""
-    below: Finite | None = None
-    """Greatest height z of the tip [m], world."""
-    rotation: KeepRotation | None = None
-    """Of the tip."""
-
-    @model_validator(mode="after")
-    def _something(self) -> Keep:
-        if not any(one is not None for one in (self.pitch, self.above, self.below, self.rotation)):
-            raise ValueError("at least one of pitch, above, below, rotation must be given")
-        if self.pitch is not None:
-            low, high = self.pitch
-            if low > high:
-                raise ValueError(f"pitch range [low, high] is reversed: {[low, high]}")
-            if max(abs(low), abs(high)) > 2.0 * math.pi:
-                raise ValueError(f"pitch is in radians, within one turn either way; {[low, high]} looks like degrees")
-            if high - low >= 2.0 * math.pi:
-                raise ValueError(f"a pitch range of a whole turn keeps nothing: {[low, high]}")
-        if self.above is not None and self.below is not None and self.above > self.below:
-            raise ValueError(f"no height is above {self.above:g} and below {self.below:g}")
-        return self
