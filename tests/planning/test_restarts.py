@@ -16,6 +16,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals import goal_planning
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.motion_descents import MotionDescents
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
@@ -131,3 +132,22 @@ def test_a_search_that_goes_on_knows_the_best_before_and_refines_only_what_is_be
     assert again.best.cost <= coarse.cost
     assert first.best.cost <= coarse.cost
     assert again.best is coarse or again.best.cost < coarse.cost
+
+
+def test_a_motion_that_costs_nothing_is_not_made_finer(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A swing by 0.1 mrad beside a wall costs less than a nanojoule."""
+
+    refine = MotionDescents.refine
+
+    def for_the_time(self: MotionDescents) -> None:
+        assert self._problem.objective.is_time
+        refine(self)
+
+    monkeypatch.setattr(MotionDescents, "refine", for_the_time)
+    start = dict(zip(backhoe.joint_names, (-0.9, 0.3, -1.4, -0.8), strict=True))
+    wall = {"name": "wall", "shape": "box", "size": [3.0, 0.3, 2.0], "position": [3.2, 0.3, 0.0]}
+    content = {"version": 1, "start": {"joints": start}, "obstacles": [wall], "objective": "work"}
+    goal = {"joints": start | {"swing": -0.9 + 1e-4}}
+    plan = bp.plan(backhoe, bp.scene_from_dict(content | {"task": {"goal": goal}}), seed=3)
+    assert plan.verified, plan.message
+    assert 0.0 <= plan.metrics.energy["work"] < 1e-9

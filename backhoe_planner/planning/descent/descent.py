@@ -48,7 +48,7 @@ MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
 _AROUND = 3.0  # times the last step: the box of the next one at most, for another cost than the time; chosen
-_NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
+NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
 _GROW, _SHRINK = 1.5, 0.4
 _SHORTENINGS = 2  # of a step that costs more, where the cost is not the time; chosen, a look takes half of a round
 _SHORTEST = 0.1  # part of a step that one shortening leaves at least; chosen
@@ -215,7 +215,7 @@ class Descent:
         if here is None:
             return None
         price = self._times_missed * MISSED_WORTH * here.cost
-        unit = max(here.cost, _NO_COST)
+        unit = max(here.cost, NO_COST)
         bend = None
         if self._own_time is not None:
             here = self._rounded_off(here)

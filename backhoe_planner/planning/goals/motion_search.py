@@ -15,6 +15,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Trajectory, motion_cost
+from backhoe_planner.planning.descent.descent import NO_COST
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
     bound_behind,
@@ -125,9 +126,9 @@ class MotionSearch:
                 self._go_straight(self._lines.least_blocked() if self._hurried else self._ends.order)
                 if not self._hurried and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
-            if self.best is None or not self._descents.goes_straight(self.best):
+            if self.leads_round or self.best is None:
                 self._go_round()
-            if not self._is_enough() and self._descents.has_gained:
+            if not self._is_enough() and self._descents.has_gained and not self._costs_nothing:
                 self._descents.refine()
         except OutOfTime as ended:
             return str(ended)
@@ -141,7 +142,12 @@ class MotionSearch:
     @property
     def leads_round(self) -> bool:
         """Whether the best leads round something, or may cost more than one that does, see `_goes_straight`."""
-        return self.best is not None and not self._descents.goes_straight(self.best)
+        return self.best is not None and not self._costs_nothing and not self._descents.goes_straight(self.best)
+
+    @property
+    def _costs_nothing(self) -> bool:
+        """Whether the best costs so little that nothing can be gained."""
+        return self.best is not None and not self._problem.objective.is_time and self.best.cost <= NO_COST
 
     def _bound_above(self, known: Trajectory) -> float:
         """What no motion is shorter than [s], from fewer boxes than the plan's bound; `known` is one."""
@@ -373,7 +379,7 @@ class MotionSearch:
 
     def _is_optimal(self) -> bool:
         """Whether no motion can be better by more than `LEAST_GAIN`, or one is as fast as is asked for."""
-        if self._is_enough():
+        if self._is_enough() or self._costs_nothing:
             return True
         if self.best is None or not self._problem.objective.is_time or self._hurried:
             return False
