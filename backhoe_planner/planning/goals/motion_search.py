@@ -141,7 +141,7 @@ class MotionSearch:
 
     @property
     def leads_round(self) -> bool:
-        """Whether the best leads round something, or may cost more than one that does, see `_goes_straight`."""
+        """Whether the best leads round something, or may cost more than one that does; see `goes_straight`."""
         return self.best is not None and not self._costs_nothing and not self._descents.goes_straight(self.best)
 
     @property
