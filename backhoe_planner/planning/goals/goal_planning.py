@@ -101,7 +101,8 @@ class ToGoal:
 
         Which motions of least work a search comes upon depends on the postures and ways that it draws.
         """
-        effort, longest = world.work.effort, first.allowed_time or math.inf
+        effort, allowed = world.work.effort, first.allowed_time
+        longest = math.inf if allowed is None else allowed
         anew, on = (0, 0) if world.problem.objective.is_time else (effort.restarts, effort.restarts_round)
         search = first
         for number in range(1, anew + (on if first.leads_round else 0) + 1):

@@ -122,7 +122,7 @@ class MotionSearch:
         try:
             if not self._problem.objective.is_time:
                 self._go_fast()
-            if not np.isfinite(self._descents.longest):
+            if self.allowed_time is None:
                 self._go_straight(self._lines.least_blocked() if self._hurried else self._ends.order)
                 if not self._hurried and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
@@ -162,7 +162,7 @@ class MotionSearch:
         Nothing of that where no motion is known that is proven.
         """
         ended = [] if self._goes_on else self._find_fast()
-        if not self.allowed_time:
+        if self.allowed_time is None:
             return
         work = self._world.work
         if not self._hurried:
@@ -189,7 +189,7 @@ class MotionSearch:
         ended: list[FoundMotion] = []
         efforts: tuple[Effort, ...] = (self._world.work.effort,)
         bound = 0.0
-        if self.allowed_time:
+        if self.allowed_time is not None:
             efforts, bound = (_FIRST_SEARCH,), bound_behind(self.allowed_time)
         elif not self._hurried:
             efforts, bound = (_FIRST_SEARCH, *efforts), bound_for_allowed_time(self._problem, self._start)
@@ -267,7 +267,7 @@ class MotionSearch:
 
     def _follow(self, ways: Iterable[FoundMotion]) -> bool:
         """Descents from ways that are worth one; whether there are any."""
-        if np.isfinite(self._descents.longest):
+        if self.allowed_time is not None:
             ways = list(ways)
             for way in ways:
                 self._descents.offer(way)
@@ -348,7 +348,7 @@ class MotionSearch:
             return
         known = [one.motion.at(np.linspace(0.0, one.motion.duration, _PLACES)) for one in (*self.ended, best)]
         price, own = price_of(self._problem, best.motion, longest), best.cost
-        if self.allowed_time:  # a descent makes several times less of a price: prices are compared with prices
+        if self.allowed_time is not None:  # prices are compared with prices: a descent makes several times less of one
             own = max(own, float(np.sum(price(known[-1][:-1], known[-1][1:]))))
         found = self._ways.through_roadmap(
             which, turn, nodes=nodes, longest=longest, price=price, known=known, dearest=_DEAREST * own
