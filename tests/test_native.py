@@ -675,7 +675,7 @@ def damped_steps(rng: Rng) -> Arguments:
     return rng.normal(size=(rows, n, count)), rng.normal(size=(rows, count)), rng.uniform(1e-3, 0.1, count)
 
 
-def first_in_doubt(rng: Rng) -> Arguments:
+def first_not_apart(rng: Rng) -> Arguments:
     n, own, around, pairs = joints(rng), 1 + some(rng, 5), some(rng, 5), some(rng)
     factors, slides = chain(rng, n)
     starts, corner_starts = (np.append(0, rng.integers(1, 4, count).cumsum()) for count in (own, own + around))
@@ -691,12 +691,12 @@ def first_in_doubt(rng: Rng) -> Arguments:
 
 
 def ball_bounds(rng: Rng) -> Arguments:
-    q, factors, slides, joint, _, starts, fine, _, _, radius, boxes, first, second, _, _ = first_in_doubt(rng)
+    q, factors, slides, joint, _, starts, fine, _, _, radius, boxes, first, second, _, _ = first_not_apart(rng)
     return q, factors, slides, joint, starts, fine, boxes, radius[len(joint) :], first, second
 
 
-def pairs_in_doubt(rng: Rng) -> Arguments:
-    q, *rest = first_in_doubt(rng)
+def pairs_not_apart(rng: Rng) -> Arguments:
+    q, *rest = first_not_apart(rng)
     return rng.normal(size=(1, q.shape[1])), *rest
 
 
@@ -720,11 +720,11 @@ def chain_placements(rng: Rng) -> Arguments:
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
-    cost_of_tip, count_travel, damped_steps, extent_along, fastest_run, first_in_doubt, force_on_hand,
+    cost_of_tip, count_travel, damped_steps, extent_along, fastest_run, first_not_apart, force_on_hand,
     gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart,
     largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes,
     near_gaps, near_now, near_rows, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
-    off_turned_box, pairs_in_doubt, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
+    off_turned_box, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
     quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity, rows_of_path, soft_solution,
     split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
     unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
@@ -743,7 +743,7 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 
 
 # those that may answer instead of coal, which their plain versions leave to it
-OF_COAL = first_in_doubt, pairs_in_doubt, boxes_of_cells, boxes_of_voxels, hulls_apart
+OF_COAL = first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart
 
 
 def leaves_open(source: Callable[[Rng], Arguments], expected: Any) -> bool:

@@ -1,8 +1,9 @@
 """Which of many configurations keep every clearance: yes or no, without the distances.
 
-Most that do are told at once (`CertainlyClear`). Of the others, Pinocchio's broad phase asks coal only about
-pairs whose boxes meet, all pairs of a configuration in one call. Each pair has its clearance as the margin within
-which it counts as touching. Clusters are asked afterwards, where their lower bounds do not decide.
+Compiled, nearly all are told at once (`CertainlyClear`). Of the others, and of all without a compiler, Pinocchio's
+broad phase asks coal only about pairs whose boxes meet, all pairs of a configuration in one call. Each pair has its
+clearance as the margin within which it counts as touching. Clusters are asked afterwards, where their lower bounds do
+not decide.
 """
 
 from __future__ import annotations
@@ -20,8 +21,6 @@ from backhoe_planner.site.pairs.certainly_clear import CertainlyClear
 from backhoe_planner.site.proximity import Proximity
 
 _MOST_PAIRS = 3_000  # that are looked at one by one before coal is asked; chosen
-# configurations in a row in doubt, after which so many more are not looked at before coal is asked; chosen
-_STREAK, _UNASKED = 6, 30
 # configurations that are looked at pair by pair first, and pairs in doubt in one of them at most; measured: a broad
 # phase takes 1 ms to be made, and then 30 us less for each
 _FIRST, _FEW_PAIRS = 20, 12
@@ -109,8 +108,8 @@ class ClearanceScreen:
     def keeps(self, q: Matrix) -> Flags:
         """(N,) whether each of `q` (N, n) keeps every clearance and its spare."""
         plain = np.ones(len(q), dtype=bool)
-        for row in self._plain_in_doubt(q):
-            plain[row] = self._keeps_plain(q[row])
+        for row, nearer in self._plain_not_apart(q):
+            plain[row] = not nearer and self._keeps_plain(q[row])
         if len(self._clusters) and plain.any():
             plain[plain] = list(self._clusters.keep_each(self._least, q[plain], self._time))
         return plain
@@ -122,48 +121,57 @@ class ClearanceScreen:
 
     def keeps_all_unchecked(self, q: Matrix) -> bool:
         """Whether all of `q` (N, n) do; for callers in a loop, whose arguments are right as they are made."""
-        if not all(self._keeps_plain(q[row]) for row in self._plain_in_doubt(q)):
-            return False
-        return not len(self._clusters) or all(self._clusters.keep_each(self._least, q, self._time))
+        return self.first_not_kept_unchecked(q) == len(q)
 
-    def in_doubt_unchecked(self, q: Matrix) -> Iterator[int]:
-        """The rows of `q` (N, n) of which it is not known at once that they keep every clearance, for such callers."""
-        return iter(range(len(q))) if len(self._clusters) else self._plain_in_doubt(q)
+    def first_not_kept_unchecked(self, q: Matrix) -> int:
+        """The first of `q` (N, n) that does not, N where there is none; for such callers."""
+        first = len(q)
+        for row, nearer in self._plain_not_apart(q):
+            if nearer or not self._keeps_plain(q[row]):
+                first = row
+                break
+        if not len(self._clusters):
+            return first
+        kept = self._clusters.keep_each(self._least, q[:first], self._time)
+        return next((row for row, keeps in enumerate(kept) if not keeps), first)
 
-    def pairs_in_doubt_unchecked(self, q: Vector) -> Indices:
-        """The pairs of `proximity` that do not certainly keep clearance and spare at q (n,), for such callers."""
+    def pairs_not_apart_unchecked(self, q: Vector) -> Indices:
+        """The pairs of `proximity` that are not known to keep clearance and spare at q (n,), for such callers."""
         asked = np.flatnonzero(self._asked)
         if self._certainly is not None:
-            asked = asked[self._certainly.pairs_in_doubt(q)]
+            asked = asked[self._certainly.pairs_not_apart(q)]
         clusters = np.arange(len(self._asked), len(self._asked) + len(self._least))
         return np.concatenate((asked, clusters[self._least > -np.inf]))
 
     def keeps_unchecked(self, q: Vector) -> bool:
         """Whether one configuration (n,) does, for such callers."""
-        if not all(self._keeps_plain(q) for _ in self._plain_in_doubt(q[None])):
+        if not all(not nearer and self._keeps_plain(q) for _, nearer in self._plain_not_apart(q[None])):
             return False
         if not len(self._clusters):
             return True
         pin.forwardKinematics(self._robot, self._data, q)
         return self._clusters.keep(self._least, self._data, self._time, q=q)
 
-    def _plain_in_doubt(self, q: Matrix) -> Iterator[int]:
-        """The rows of `q` (N, n) that do not certainly keep their clearances from all that is no cluster."""
+    def _plain_not_apart(self, q: Matrix) -> Iterator[tuple[int, bool]]:
+        """The rows of `q` (N, n) that do not certainly keep their clearances from all that is no cluster.
+
+        Of each, whether it certainly does not.
+        """
         if self._certainly is None:
-            yield from range(len(q))
+            yield from ((row, False) for row in range(len(q)))
             return
-        row = streak = 0
+        row = 0
         while row < len(q):
-            certain = self._certainly.first_in_doubt(q[row:])
-            row, streak = row + certain, 0 if certain else streak + 1
-            together = _UNASKED if streak >= _STREAK else 1
-            yield from range(row, min(row + together, len(q)))
-            row += together
+            certain, nearer = self._certainly.first_not_apart(q[row:])
+            row += certain
+            if row < len(q):
+                yield row, nearer
+            row += 1
 
     def _keeps_plain(self, q: Vector) -> bool:
         """Whether one configuration (n,) keeps its clearances from all that is no cluster."""
         if self._looked_at < _FIRST and self._certainly is not None:
-            pairs = np.flatnonzero(self._asked)[self._certainly.pairs_in_doubt(q)]
+            pairs = np.flatnonzero(self._asked)[self._certainly.pairs_not_apart(q)]
             if len(pairs) <= _FEW_PAIRS:
                 self._looked_at += 1
                 distances = self._proximity.distances_of_unchecked(pairs, q, time=self._time)

@@ -103,7 +103,7 @@ int eigenvectors(double *A, int n, double *U);
     F(binding_corners) F(rows_by_velocity) F(place_on_line) F(bend_in_parts) F(least_over_path) F(cost_of_tip) \
     F(next_within) \
     F(count_travel) F(keep_proven) F(note_gaps) F(braking_line) F(largest_part) F(left_over_path) F(keeps_rows) \
-    F(first_in_doubt) F(pairs_in_doubt) F(ball_bounds) F(fastest_run) F(soft_solution) \
+    F(first_not_apart) F(pairs_not_apart) F(ball_bounds) F(fastest_run) F(soft_solution) \
     F(velocity_within_rows) F(rows_of_path) F(turn_along_surface) F(near_gaps) F(nearest_rows) F(gaps_along_path) \
     F(tightest_pair) F(known_apart) F(boxes_of_cells) F(boxes_of_voxels) F(put_planes) F(hulls_apart) \
     F(most_urgent_boxes) F(lower_on_grid) F(velocity_held_as_before)

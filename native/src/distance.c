@@ -141,6 +141,21 @@ static int reduce(Simplex *simplex)
     return kept ? 0 : -1;
 }
 
+/* Take the difference of two points into a simplex; `v` becomes its point nearest to the origin. 0, or -1 where the
+ * origin is inside. */
+static int grow(Simplex *simplex, const double *a, const double *b, double *v)
+{
+    if (simplex->count == 4)
+        return -1;
+    minus(b, a, simplex->w[simplex->count]);
+    memcpy(simplex->first[simplex->count], a, sizeof(simplex->first[0]));
+    memcpy(simplex->second[simplex->count++], b, sizeof(simplex->second[0]));
+    if (reduce(simplex) < 0)
+        return -1;
+    blend(simplex, simplex->w, v);
+    return 0;
+}
+
 int hull_distance(const Hull *first, const Hull *second, double *distance, double *normal, double *on_first,
                   double *on_second)
 {
@@ -162,14 +177,37 @@ int hull_distance(const Hull *first, const Hull *second, double *distance, doubl
             blend(&simplex, simplex.first, on_first), blend(&simplex, simplex.second, on_second);
             return 0;
         }
-        if (simplex.count == 4)
+        if (grow(&simplex, a, b, v) < 0)
             return -1;
-        memcpy(simplex.w[simplex.count], w, sizeof(w));
-        memcpy(simplex.first[simplex.count], a, sizeof(w));
-        memcpy(simplex.second[simplex.count++], b, sizeof(w));
-        if (reduce(&simplex) < 0)
-            return -1;
-        blend(&simplex, simplex.w, v);
+    }
+    return -1;
+}
+
+int come_nearer(Support furthest_on, const void *first, const void *second, double reach, double *normal)
+{
+    Simplex simplex = {.count = 0};
+    double v[3] = {normal[0], normal[1], normal[2]};
+    if (!(dot(v, v) > TOUCHES * TOUCHES))
+        v[0] = 1.0, v[1] = v[2] = 0.0;
+    for (int round = 0; round < MOST_ROUNDS; round++) {
+        const double back[3] = {-v[0], -v[1], -v[2]}, length = sqrt(dot(v, v));
+        double a[3], b[3], w[3];
+        if (!(length > TOUCHES))
+            return reach > TOUCHES ? 1 : -1;
+        furthest_on(first, v, a), furthest_on(second, back, b);
+        minus(b, a, w);
+        const double gap = dot(v, w) / length;
+        if (gap >= reach) {
+            for (int c = 0; c < 3; c++)
+                normal[c] = v[c] / length;
+            return 0;
+        }
+        if (simplex.count && length - gap <= PRECISE * length)
+            return length < reach ? 1 : -1;
+        if (grow(&simplex, a, b, v) < 0)
+            return reach > 0.0 ? 1 : -1;
+        if (dot(v, v) < reach * fabs(reach))
+            return 1;
     }
     return -1;
 }

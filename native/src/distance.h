@@ -1,4 +1,4 @@
-/* The distance between two convex bodies that do not touch. */
+/* The distance between two convex bodies that do not touch, and whether two come nearer than a distance. */
 #ifndef BACKHOE_DISTANCE
 #define BACKHOE_DISTANCE
 #include <stddef.h>
@@ -14,5 +14,13 @@ typedef struct {
  * most. 0, or -1 where they touch or that is not reached. */
 int hull_distance(const Hull *first, const Hull *second, double *distance, double *normal, double *on_first,
                   double *on_second);
+
+/* the point of a body that is furthest along a direction */
+typedef void (*Support)(const void *body, const double *direction, double *point);
+
+/* Whether two bodies come nearer than `reach`: 1 where they do, 0 where a plane across `normal` (from the first to the
+ * second, which begins as a guess) proves that they do not, -1 where it is not decided: where the
+ * distance is `reach` but for rounding, and where they touch or overlap and `reach` is not above 0. */
+int come_nearer(Support furthest_on, const void *first, const void *second, double reach, double *normal);
 
 #endif

@@ -1,10 +1,11 @@
-/* Which configurations certainly keep their clearances: by balls around links, then by a plane between two pieces. */
+/* Which configurations keep their clearances: by balls around links, then by whether two pieces come nearer. */
 #include "arrays.h"
+#include "distance.h"
 
 #include <math.h>
 
-#define TURNS 8      /* of a plane's normal before the pair counts as in doubt; chosen, most pairs take one */
-#define TURNS_KEPT 3 /* the same of a normal that was kept, before it begins anew */
+/* what is known of a pair */
+typedef enum { APART, NEARER, UNDECIDED } Verdict;
 
 /* R row by row, then t: T_world_joint */
 typedef struct {
@@ -57,86 +58,37 @@ static double off_box(const double *box, const double *x)
     return square;
 }
 
-/* Some corners: columns first to last of (3, all), in a frame */
+/* Some corners, and the frame that they are in */
 typedef struct {
     const double *x, *y, *z;
     npy_intp count;
     double radius;
     const Pose *pose;
-} Hull;
+} Corners;
 
-/* The most of sign * n . x over a hull's corners, world; and the corner if `at` is given. */
-static double furthest(const Hull *hull, const double *n, double sign, double *at)
+/* A direction, or one back, in the frame of some corners. */
+static void turned_back(const Pose *pose, const double *n, double *local)
 {
-    const double *R = hull->pose->R, *t = hull->pose->t;
-    double local[3];
     for (int k = 0; k < 3; k++)
-        local[k] = sign * (R[k] * n[0] + R[3 + k] * n[1] + R[6 + k] * n[2]);
-    double most[4] = {-INFINITY, -INFINITY, -INFINITY, -INFINITY};
-    npy_intp i = 0;
-    for (; i + 4 <= hull->count; i += 4)
-        for (int l = 0; l < 4; l++) {
-            const double along = local[0] * hull->x[i + l] + local[1] * hull->y[i + l] + local[2] * hull->z[i + l];
-            most[l] = along > most[l] ? along : most[l];
-        }
-    double best = fmax(fmax(most[0], most[1]), fmax(most[2], most[3]));
-    for (; i < hull->count; i++)
-        best = fmax(best, local[0] * hull->x[i] + local[1] * hull->y[i] + local[2] * hull->z[i]);
-    if (at) {
-        npy_intp found = 0;
-        double nearest = -INFINITY;
-        for (i = 0; i < hull->count; i++) {
-            const double along = local[0] * hull->x[i] + local[1] * hull->y[i] + local[2] * hull->z[i];
-            if (along > nearest)
-                nearest = along, found = i;
-        }
-        moved(hull->pose, (double[]){hull->x[found], hull->y[found], hull->z[found]}, at);
-    }
-    return best + sign * (n[0] * t[0] + n[1] * t[1] + n[2] * t[2]);
+        local[k] = pose->R[k] * n[0] + pose->R[3 + k] * n[1] + pose->R[6 + k] * n[2];
 }
 
-static int normalise(double *n)
+/* The corner that is furthest along a direction, world; a `Support`. */
+static void furthest_corner(const void *of, const double *n, double *point)
 {
-    const double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
-    if (!(length > 1e-12))
-        return -1;
-    for (int k = 0; k < 3; k++)
-        n[k] /= length;
-    return 0;
-}
-
-/* Whether a plane with a normal like `kept`, in the frame of `to`, proves two hulls to be `least` apart; the normal
- * that does is kept. */
-static int plane_between(const Hull *from, const Hull *to, double least, int turns, double *kept)
-{
-    double n[3] = {0.0, 0.0, 0.0}, near[3], far[3];
-    const double *R = to->pose->R;
-    for (int r = 0; r < 3; r++)
-        n[r] = R[3 * r] * kept[0] + R[3 * r + 1] * kept[1] + R[3 * r + 2] * kept[2];
-    if (normalise(n) < 0)
-        return 0;
-    for (int turn = 0; turn < turns; turn++) {
-        const double gap =
-            -furthest(to, n, -1.0, NULL) - furthest(from, n, 1.0, NULL) - from->radius - to->radius;
-        if (gap >= least) {
-            for (int k = 0; k < 3; k++)
-                kept[k] = R[k] * n[0] + R[3 + k] * n[1] + R[6 + k] * n[2];
-            return 1;
-        }
-        furthest(from, n, 1.0, near), furthest(to, n, -1.0, far);
-        double way[3] = {far[0] - near[0], far[1] - near[1], far[2] - near[2]};
-        if (normalise(way) < 0)
-            return 0;
-        const double along = n[0] * way[0] + n[1] * way[1] + n[2] * way[2];
-        for (int k = 0; k < 3; k++)
-            n[k] = along > 0.0 ? n[k] + way[k] : n[k] - 2.0 * along * way[k];
-        if (normalise(n) < 0)
-            return 0;
+    const Corners *corners = of;
+    double local[3], most = -INFINITY;
+    turned_back(corners->pose, n, local);
+    npy_intp found = 0;
+    for (npy_intp i = 0; i < corners->count; i++) {
+        const double along = local[0] * corners->x[i] + local[1] * corners->y[i] + local[2] * corners->z[i];
+        if (along > most)
+            most = along, found = i;
     }
-    return 0;
+    moved(corners->pose, (double[]){corners->x[found], corners->y[found], corners->z[found]}, point);
 }
 
-/* What a screen is made of; see `first_in_doubt`. */
+/* What a screen is made of; see `first_not_apart`. */
 typedef struct {
     Mat q, factors, normals;
     Vec slides, least;
@@ -170,32 +122,42 @@ static int read_screen(PyObject *const *args, Screen *s)
     return as_out(args[14], "normals", s->least.n, 3, &s->normals);
 }
 
-static Hull hull_of(const Screen *s, npy_intp piece, const Pose *pose)
+static Corners corners_of(const Screen *s, npy_intp piece, const Pose *pose)
 {
     const npy_intp begin = INDEX(s->corner_starts, piece), end = INDEX(s->corner_starts, piece + 1);
     const double *x = s->corner + begin;
-    return (Hull){x, x + s->corners, x + 2 * s->corners, end - begin, s->radius[piece],
+    return (Corners){x, x + s->corners, x + 2 * s->corners, end - begin, s->radius[piece],
                   pose + (piece < s->own ? INDEX(s->joint, piece) : 0)};
 }
 
-/* Whether piece `a`, with its coarse ball at `centre`, is certainly `least` from a half-space. */
-static int off_halfspace(const Screen *s, npy_intp a, const double *box, const double *centre, double least,
-                         const Pose *pose)
+/* Whether two pieces are `least` apart; `normal`, from the first to the second, begins as a guess. */
+static Verdict verdict_of(const Corners *from, const Corners *to, double least, double *normal)
 {
-    if (box[0] * centre[0] + box[1] * centre[1] + box[2] * centre[2] - box[9] - s->coarse[4 * a + 3] >= least)
-        return 1;
-    const Hull hull = hull_of(s, a, pose);
-    return -furthest(&hull, box, -1.0, NULL) - box[9] - hull.radius >= least;
+    const int nearer = come_nearer(furthest_corner, from, to, least + from->radius + to->radius, normal);
+    return nearer > 0 ? NEARER : nearer == 0 ? APART : UNDECIDED;
 }
 
-/* The same of a box around another piece `b`. */
-static int off_body(const Screen *s, npy_intp a, npy_intp b, const double *box, const double *centre, double least,
-                    const double (*ball)[3], const Pose *pose)
+/* What is known of piece `a`, with its coarse ball at `centre`, and a half-space. */
+static Verdict off_halfspace(const Screen *s, npy_intp a, const double *box, const double *centre, double least,
+                             const Pose *pose)
+{
+    if (box[0] * centre[0] + box[1] * centre[1] + box[2] * centre[2] - box[9] - s->coarse[4 * a + 3] >= least)
+        return APART;
+    const Corners corners = corners_of(s, a, pose);
+    const double down[3] = {-box[0], -box[1], -box[2]};
+    double lowest[3];
+    furthest_corner(&corners, down, lowest);
+    const double gap = box[0] * lowest[0] + box[1] * lowest[1] + box[2] * lowest[2] - box[9] - corners.radius;
+    return gap >= least ? APART : NEARER;
+}
+
+/* The same of piece `a` and another body `b` within a box. */
+static Verdict off_body(const Screen *s, npy_intp a, npy_intp b, const double *box, const double *centre, double least,
+                        const double (*ball)[3], const Pose *pose)
 {
     double reach = least + s->radius[b] + s->coarse[4 * a + 3];
-    if (reach <= 0.0 || off_box(box, centre) >= reach * reach)
-        return reach > 0.0;
-    const Hull from = hull_of(s, a, pose), to = hull_of(s, b, pose);
+    if (reach > 0.0 && off_box(box, centre) >= reach * reach)
+        return APART;
     double lowest = INFINITY;
     const double *deepest = centre;
     int apart = 1;
@@ -206,16 +168,17 @@ static int off_body(const Screen *s, npy_intp a, npy_intp b, const double *box, 
         if (square < lowest)
             lowest = square, deepest = ball[i];
     }
-    if (apart || lowest == 0.0)
-        return apart;
-    double normal[3] = {0.0, 0.0, 0.0}; /* from that ball straight to the box */
+    if (apart)
+        return APART;
+    double normal[3] = {0.0, 0.0, 0.0}; /* from that ball straight to the box, or to its middle */
     for (int k = 0; k < 3; k++) {
         const double along = box[3 * k] * deepest[0] + box[3 * k + 1] * deepest[1] + box[3 * k + 2] * deepest[2];
-        const double off = along - box[9 + k], out = fabs(off) - box[12 + k];
-        for (int r = 0; out > 0.0 && r < 3; r++)
+        const double off = along - box[9 + k], out = lowest > 0.0 ? fmax(fabs(off) - box[12 + k], 0.0) : fabs(off);
+        for (int r = 0; r < 3; r++)
             normal[r] -= (off > 0.0 ? out : -out) * box[3 * k + r];
     }
-    return plane_between(&from, &to, least, TURNS, normal);
+    const Corners from = corners_of(s, a, pose), to = corners_of(s, b, pose);
+    return verdict_of(&from, &to, least, normal);
 }
 
 /* Whether all smaller balls of two of the machine's pieces are `least` apart; `ball` are their centres. */
@@ -231,28 +194,33 @@ static int fine_apart(const Screen *s, npy_intp a, npy_intp b, double least, con
     return 1;
 }
 
-/* The same of another piece `b` of the machine; the normal that proves it is kept for the next configuration. */
-static int off_own(const Screen *s, npy_intp pair, npy_intp a, npy_intp b, const double (*centre)[3],
-                   const double (*ball)[3], double least, const Pose *pose)
+/* What is known of two of the machine's pieces; the normal that proves it is kept for the next configuration. */
+static Verdict off_own(const Screen *s, npy_intp pair, npy_intp a, npy_intp b, const double (*centre)[3],
+                       const double (*ball)[3], double least, const Pose *pose)
 {
-    double way[3], kept[3], square = 0.0;
+    double normal[3], square = 0.0, kept = 0.0;
     const double reach = least + s->coarse[4 * a + 3] + s->coarse[4 * b + 3];
     for (int k = 0; k < 3; k++)
-        way[k] = centre[b][k] - centre[a][k], square += way[k] * way[k], kept[k] = AT2(s->normals, pair, k);
-    if (reach <= 0.0 || square >= reach * reach)
-        return reach > 0.0;
-    const Hull from = hull_of(s, a, pose), to = hull_of(s, b, pose);
+        normal[k] = centre[b][k] - centre[a][k], square += normal[k] * normal[k];
+    if (reach > 0.0 && square >= reach * reach)
+        return APART;
     if (fine_apart(s, a, b, least, ball))
-        return 1;
-    if (!plane_between(&from, &to, least, TURNS_KEPT, kept)) {
-        for (int k = 0; k < 3; k++)
-            kept[k] = to.pose->R[k] * way[0] + to.pose->R[3 + k] * way[1] + to.pose->R[6 + k] * way[2];
-        if (!plane_between(&from, &to, least, TURNS, kept))
-            return 0;
-    }
+        return APART;
+    const Corners from = corners_of(s, a, pose), to = corners_of(s, b, pose);
+    const double *R = to.pose->R;
     for (int k = 0; k < 3; k++)
-        AT2(s->normals, pair, k) = kept[k];
-    return 1;
+        kept += fabs(AT2(s->normals, pair, k));
+    for (int r = 0; r < 3 && kept > 0.0; r++)
+        normal[r] = R[3 * r] * AT2(s->normals, pair, 0) + R[3 * r + 1] * AT2(s->normals, pair, 1) +
+                    R[3 * r + 2] * AT2(s->normals, pair, 2);
+    const Verdict verdict = verdict_of(&from, &to, least, normal);
+    if (verdict == APART) {
+        double local[3];
+        turned_back(to.pose, normal, local);
+        for (int k = 0; k < 3; k++)
+            AT2(s->normals, pair, k) = local[k];
+    }
+    return verdict;
 }
 
 /* A configuration of the machine with its balls. */
@@ -288,7 +256,7 @@ static void place_at(const Screen *s, Machine *m, npy_intp row)
     }
 }
 
-static int is_apart(const Screen *s, const Machine *m, npy_intp pair)
+static Verdict look_at(const Screen *s, const Machine *m, npy_intp pair)
 {
     const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
     const double least = AT(s->least, pair), (*centre)[3] = m->centre, (*ball)[3] = m->ball;
@@ -300,30 +268,33 @@ static int is_apart(const Screen *s, const Machine *m, npy_intp pair)
     return off_body(s, a, b, box, centre[a], least, ball, m->pose);
 }
 
-PyObject *first_in_doubt(PyObject *self, PyObject *const *args, Py_ssize_t count)
+PyObject *first_not_apart(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Screen s;
     Machine m;
-    if (count_is(count, 15, "first_in_doubt") < 0 || read_screen(args, &s) < 0 || machine_of(&s, &m) < 0)
+    if (count_is(count, 15, "first_not_apart") < 0 || read_screen(args, &s) < 0 || machine_of(&s, &m) < 0)
         return NULL;
-    npy_intp row = 0, pair = 0;
+    Verdict verdict = APART;
+    npy_intp row = 0;
     for (; row < s.q.rows; row++) {
         place_at(&s, &m, row);
-        for (pair = 0; pair < s.least.n && is_apart(&s, &m, pair);)
-            pair++;
-        if (pair < s.least.n)
+        for (npy_intp pair = 0; pair < s.least.n && verdict != NEARER; pair++) {
+            const Verdict of_pair = look_at(&s, &m, pair);
+            verdict = of_pair == APART ? verdict : of_pair;
+        }
+        if (verdict != APART)
             break;
     }
     release(&m.room);
-    return PyLong_FromSsize_t(row);
+    return Py_BuildValue("nO", row, verdict == NEARER ? Py_True : Py_False);
 }
 
-PyObject *pairs_in_doubt(PyObject *self, PyObject *const *args, Py_ssize_t count)
+PyObject *pairs_not_apart(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Screen s;
     Machine m;
     npy_intp *found;
-    if (count_is(count, 15, "pairs_in_doubt") < 0 || read_screen(args, &s) < 0 ||
+    if (count_is(count, 15, "pairs_not_apart") < 0 || read_screen(args, &s) < 0 ||
         has_length(s.q.rows, 1, "q") < 0 || machine_of(&s, &m) < 0)
         return NULL;
     Room room;
@@ -334,7 +305,7 @@ PyObject *pairs_in_doubt(PyObject *self, PyObject *const *args, Py_ssize_t count
     npy_intp some = 0;
     place_at(&s, &m, 0);
     for (npy_intp pair = 0; pair < s.least.n; pair++)
-        if (!is_apart(&s, &m, pair))
+        if (look_at(&s, &m, pair) != APART)
             found[some++] = pair;
     PyObject *pairs = ind_of(found, some);
     release(&room), release(&m.room);

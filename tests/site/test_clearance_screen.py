@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.machine import Cluster, TerrainSolid, VoxelSolid
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import Cluster, TerrainSolid, VoxelSolid, self_pieces
+from backhoe_planner.machine.shape.shapes import Piece
 from backhoe_planner.native import find_compiled
 from backhoe_planner.site import ClearanceScreen, build_obstacles, sweep
+from backhoe_planner.site.pairs.certainly_clear import CertainlyClear
 
 TASK = {"path": {"waypoints": [{"position": [1.0, 0.0, 0.0]}, {"position": [1.0, 0.1, 0.0]}]}}
 OBSTACLES: list[dict[str, Any]] = [
@@ -44,25 +49,60 @@ def test_agrees_with_measuring_everything(any_robot: bp.Robot, time: float) -> N
 
 
 @pytest.mark.parametrize("time", [0.0, 3.0])
-def test_pairs_that_are_not_in_doubt_are_as_far_apart_as_they_are_to_be(any_robot: bp.Robot, time: float) -> None:
+def test_pairs_that_are_known_to_be_apart_are(any_robot: bp.Robot, time: float) -> None:
     """As coal measures them, in postures near each other too, where what is known of the last one goes on."""
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES})
     proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
     screen, rng = ClearanceScreen(proximity, time=time, spare=0.01), np.random.default_rng(3)
     ends = [any_robot.random_q(rng) for _ in range(12)]
-    certain = 0
     for a, b in itertools.pairwise(ends):
-        for q in np.linspace(a, b, 8):
-            apart = proximity.distances(q, time=time) >= proximity.clearance + 0.01
-            apart[screen.pairs_in_doubt_unchecked(q)] = True
+        q = np.linspace(a, b, 8)
+        for joints in q:
+            apart = proximity.distances(joints, time=time) >= proximity.clearance + 0.01
+            not_apart = screen.pairs_not_apart_unchecked(joints)
+            if find_compiled():  # which tells all pairs but those that are there later
+                np.testing.assert_array_equal(not_apart, np.flatnonzero(~apart & (proximity.appears_at <= time)))
+            apart[not_apart] = True
             assert apart.all()
-            certain += len(apart) - len(screen.pairs_in_doubt_unchecked(q))
-        rows = list(screen.in_doubt_unchecked(np.linspace(a, b, 8)))
-        kept = screen.keeps(np.linspace(a, b, 8))
-        assert rows == sorted(set(rows))
-        assert kept[np.setdiff1d(np.arange(8), rows)].all()
-    every = np.count_nonzero(proximity.appears_at <= time)
-    assert certain > (0.5 * 88 * every if find_compiled() else -1)
+        kept = screen.keeps(q).tolist()
+        assert screen.first_not_kept_unchecked(q) == [*kept, False].index(False)
+
+
+def test_what_is_told_without_coal_is_what_coal_measures(any_robot: bp.Robot) -> None:
+    """Balls, boxes, capsules, prisms and half-spaces that overlap the machine, touch it nearly, and stand away."""
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.0, "obstacles": OBSTACLES[:-1]})
+    proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
+    rng, told = np.random.default_rng(6), []
+    bodies = [piece for obstacle in proximity.obstacles for piece in obstacle.pieces]
+    own = len(self_pieces(any_robot))
+    for first, second in itertools.product(range(own), range(own + len(bodies))):
+        certainly = CertainlyClear(
+            any_robot, bodies, np.zeros((len(bodies), 3)), first=np.array([first]), second=np.array([second]),
+            least=np.array([least := rng.uniform(0.001, 0.6)]),
+        )  # fmt: skip
+        for q in (any_robot.random_q(rng) for _ in range(4 if first != second else 0)):
+            distance = _measured(any_robot, q, first, second, bodies)
+            told.append(distance >= least)
+            if find_compiled():
+                assert certainly.first_not_apart(q[None]) == ((1, False) if told[-1] else (0, True))
+    assert 20 < sum(told) < len(told) - 20
+
+
+def _measured(robot: bp.Robot, q: Vector, first: int, second: int, bodies: Sequence[Piece]) -> float:
+    """The distance of two pieces by coal; pieces after the machine's are those of `bodies` [m]."""
+    own, data = self_pieces(robot), robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    found = []
+    for number in (first, second):
+        if number >= len(own):
+            found.append((bodies[number - len(own)].shape, bodies[number - len(own)].placement))
+            continue
+        piece = own[number].piece
+        found.append((piece.shape, data.oMi[own[number].joint] * piece.placement))
+    transforms = [coal.Transform3s(placement.rotation, placement.translation) for _, placement in found]
+    result = coal.DistanceResult()
+    coal.distance(found[0][0], transforms[0], found[1][0], transforms[1], coal.DistanceRequest(), result)
+    return float(result.min_distance)
 
 
 def test_says_so_right_beside_the_clearance(any_robot: bp.Robot) -> None:

@@ -310,7 +310,7 @@ class MotionCheck:
         if not len(self._pairs):
             return True
         # all others have twice the spare
-        rows = np.searchsorted(self._pairs, self._wide_screen.pairs_in_doubt_unchecked(q))
+        rows = np.searchsorted(self._pairs, self._wide_screen.pairs_not_apart_unchecked(q))
         margin = np.full(len(self._pairs), np.inf)
         near = self.proximity.distances_of_unchecked(self._pairs[rows], q, time=self._time)
         margin[rows] = near - self._clearance[rows]

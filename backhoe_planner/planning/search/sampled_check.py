@@ -37,7 +37,6 @@ class SampledCheck(MotionCheck):
     ) -> None:  # fmt: skip
         super().__init__(problem, proximity, ends, spare=spare, time=time, brake=brake)
         self._apart = _APART_HURRIED if hurried else _APART
-        self._full_first = True  # whether the spare of all pairs is asked about first
 
     def keeps(self, q: Matrix) -> Flags:
         """(N,) which of `q` (N, n) keep what is to be kept and every clearance, with the least spare of any end."""
@@ -61,18 +60,12 @@ class SampledCheck(MotionCheck):
         """Whether all of `q` (N, n) keep every clearance and its spare."""
         if not len(self._tight_rows):
             return self._screen.keeps_all_unchecked(q)
-        # most configurations that are asked about certainly keep the spare of all pairs
-        return all(self._is_clear_at(q[row]) for row in self._full_screen.in_doubt_unchecked(q))
-
-    def _is_clear_at(self, q: Vector) -> bool:
-        """The same of one configuration (n,); the screen that decided about the last one is asked first."""
-        if self._full_first and self._full_screen.keeps_unchecked(q):
-            return True
-        if not self._screen.keeps_unchecked(q):
-            self._full_first = False
-            return False
-        self._full_first = not self._full_first and self._full_screen.keeps_unchecked(q)
-        return self._full_first or bool(self._measure(self._tight_rows, q).min() >= 0.0)
+        row = 0  # most configurations keep the spare of all pairs, also of those that have less at an end
+        while (row := row + self._full_screen.first_not_kept_unchecked(q[row:])) < len(q):
+            if not self._screen.keeps_unchecked(q[row]) or self._measure(self._tight_rows, q[row]).min() < 0.0:
+                return False
+            row += 1
+        return True
 
     @cached_property
     def _tight_rows(self) -> Indices:

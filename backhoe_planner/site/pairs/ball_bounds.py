@@ -86,7 +86,7 @@ def ball_bounds(
     q: (N, n) joint positions [rad or m]; factors, slides: see `chain_placements`.
     joint: (K,) that carries each of the machine's pieces; 0 for the base.
     starts, fine: (K + 1,), (S, 4) where the balls of each begin, and their centres and radii in the joint's frame [m].
-    boxes, radius: (B, 15), (B,) around bodies, see `first_in_doubt`, and how much rounder they are than these [m].
+    boxes, radius: (B, 15), (B,) around bodies, see `first_not_apart`, and how much rounder they are than these [m].
     second: one of the K pieces, or of the bodies, which are numbered after these.
     """
     balls = _placed_balls(q, factors, slides, joint, starts, fine)

@@ -1,10 +1,10 @@
-"""Which configurations certainly keep every distance, found in one compiled call, so that coal is asked about few.
+"""Which configurations keep every distance, found in one compiled call, so that coal is hardly ever asked.
 
 Every piece of a link lies within one ball, and within a few smaller ones; what stands around lies within a box in
 its own axes, or behind a face. Where no ball reaches as far as the distance that is asked for, the pair keeps it. Where
-one does, a plane between the corners of both pieces may still prove it: its normal begins where the nearest ball is,
-and for two pieces of the machine where it was last, as these mostly turn little against each other. Nothing is
-said of other pairs: they count as in doubt.
+one does, the iterations of Gilbert, Johnson and Keerthi go on until a plane between both pieces proves it, or a point
+of each that it is not so. Their first guess of the plane is across where the nearest ball is, and for two pieces of the
+machine the plane that was found last, as these mostly turn little against each other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _HALF_SPACE = -1.0  # in place of the half edges of a box
 
 
 class CoveredLinks(NamedTuple):
-    """The pieces of a machine, as `first_in_doubt` takes them, and of each its corners and radius."""
+    """The pieces of a machine, as `first_not_apart` takes them, and of each its corners and radius."""
 
     factors: Matrix
     slides: Vector
@@ -58,7 +58,7 @@ def _starts(parts: Sequence[Matrix]) -> Indices:
 
 
 class CertainlyClear:
-    """Says of configurations that pairs of convex pieces certainly are so far apart.
+    """Says of configurations that pairs of convex pieces certainly are so far apart, or are not.
 
     Parameters
     ----------
@@ -80,17 +80,20 @@ class CertainlyClear:
             first, second, least + _ROUNDING, np.zeros((len(first), 3)),
         )  # fmt: skip
 
-    def first_in_doubt(self, q: Matrix) -> int:
-        """The first of the configurations `q` (N, n) that is in doubt; N where none is."""
-        return first_in_doubt(q, *self._arguments)
+    def first_not_apart(self, q: Matrix) -> tuple[int, bool]:
+        """The first of the configurations `q` (N, n) that is not known to keep all, and whether it certainly does not.
 
-    def pairs_in_doubt(self, q: Vector) -> Indices:
-        """Which of the pairs are in doubt in one configuration (n,), ascending."""
-        return pairs_in_doubt(q[None], *self._arguments)
+        N where there is none.
+        """
+        return first_not_apart(q, *self._arguments)
+
+    def pairs_not_apart(self, q: Vector) -> Indices:
+        """Which of the pairs are not known to be so far apart in one configuration (n,), ascending."""
+        return pairs_not_apart(q[None], *self._arguments)
 
 
 def box_of(body: shapes.Piece, shift: Vector) -> Vector:
-    """(15,) the axes of the box around a body row by row, its middle along them, half edges; see `first_in_doubt`."""
+    """(15,) the axes of the box around a body row by row, its middle along them, half edges; see `first_not_apart`."""
     box = box_around(body)
     if box is None:
         normal = body.placement.rotation @ body.shape.n
@@ -101,14 +104,15 @@ def box_of(body: shapes.Piece, shift: Vector) -> Vector:
 
 
 @compiled
-def first_in_doubt(
+def first_not_apart(
     q: Matrix, factors: Matrix, slides: Vector, joint: Indices, coarse: Matrix, starts: Indices, fine: Matrix,
     corner_starts: Indices, corners: Matrix, radius: Vector, boxes: Matrix, first: Indices, second: Indices,
     least: Vector, normals: Matrix, /,
-) -> int:  # fmt: skip
-    """The first of `q` (N, n) in which a pair is not certainly as far apart as it is to be; N where there is none.
+) -> tuple[int, bool]:  # fmt: skip
+    """The first of `q` (N, n) in which a pair is not known to be as far apart as it is to be; N where there is none.
 
-    Here that is the very first: the compiled version alone is quicker than asking coal.
+    And whether one of its pairs certainly is nearer. Here it is the very first, and nothing is known of it: the
+    compiled version alone is quicker than asking coal.
 
     Parameters
     ----------
@@ -125,17 +129,17 @@ def first_in_doubt(
     normals: (P, 3) of planes between two of the machine's pieces, in the frame of the second; 0 where none is known.
         Written to.
     """
-    return 0
+    return 0, False
 
 
 @compiled
-def pairs_in_doubt(
+def pairs_not_apart(
     q: Matrix, factors: Matrix, slides: Vector, joint: Indices, coarse: Matrix, starts: Indices, fine: Matrix,
     corner_starts: Indices, corners: Matrix, radius: Vector, boxes: Matrix, first: Indices, second: Indices,
     least: Vector, normals: Matrix, /,
 ) -> Indices:  # fmt: skip
-    """The pairs that are not certainly as far apart as they are to be in the one row of `q` (1, n), ascending.
+    """The pairs that are not known to be as far apart as they are to be in the one row of `q` (1, n), ascending.
 
-    Here these are all. The other arguments are those of `first_in_doubt`.
+    Here these are all. The other arguments are those of `first_not_apart`.
     """
     return np.arange(len(least))
