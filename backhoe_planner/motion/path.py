@@ -28,6 +28,7 @@ from backhoe_planner.site import Waypoint
 TURN_LEVER = 0.25
 _JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion goes on where the tip stands; chosen
 _NO_LENGTH = 1e-9  # m: a shorter leg has none
+_STANDING = 1e-6  # m: on a leg that is shorter the tip counts as standing; chosen
 _EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more of it is one angle
 _ANGLE_ROUNDING = 1e-6  # rad: an angle that is found from its cosine is off by less
 _NO_METRES, _NO_DEGREES = 0.005, 0.05  # what is printed as 0
@@ -102,6 +103,11 @@ class TipPath:
     def turns(self) -> bool:
         """Whether s counts a turn anywhere; where not, s is the arc length of the tip."""
         return bool(self.turning.any())
+
+    @property
+    def stands(self) -> bool:
+        """Whether the tip stands on a leg while the bucket turns, so that its arc length does not say where it is."""
+        return self.turns or bool(np.any(np.diff(self._arcs) < _STANDING))
 
     @property
     def asks_orientation(self) -> bool:

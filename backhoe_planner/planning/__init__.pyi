@@ -24,6 +24,7 @@ from .report.asked_speed import measure_speed as measure_speed
 from .report.comparison import LawComparison as LawComparison
 from .report.comparison import compare_with_law as compare_with_law
 from .report.comparison import describe_saving as describe_saving
+from .report.comparison import fastest_motion as fastest_motion
 from .report.comparison import join_motions as join_motions
 from .report.comparison import law_motion as law_motion
 from .report.comparison import least_norm_resolution as least_norm_resolution

@@ -27,7 +27,7 @@ from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver,
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.paths.stretch import LawWay, Stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.planning.report.comparison import fastest_motion, law_motion
+from backhoe_planner.planning.report.comparison import fastest_motion
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
@@ -49,7 +49,6 @@ _LAYER = 0.1  # m of path between layers there: twice the usual, so that a route
 _MOST_DENSER = 3  # times that samples are put between those of a stretch; chosen: a curve then swings out an eighth
 _STEP_SPARE = 1e-3  # part of what a joint may move from waypoint to waypoint; chosen: for chords and round corners
 _ON_PATH = 1e-4  # m and rad: chosen, where the tip counts as being on the path
-_SHORT = 0.3  # m: chosen, on a shorter path inertia may decide
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,8 +258,7 @@ class _Along:
             if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
                 pieces[index] = cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
-                # of full poses the graph has all configurations, and making the law's way cheaper takes as long again
-                if last == 0 and resolved.obstruction is None and self._path.target(0.0).rotation is None:
+                if last == 0 and resolved.obstruction is None:
                     low = float(cheap.stations[0])
                     way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
                     if not self._world.apart:  # of which the law knows nothing
@@ -281,37 +279,29 @@ class _Along:
         return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
 
     def _cheaper_than_law(self, piece: Stretch, law: Stretch, *, free_start: bool) -> Stretch:
-        """The cheaper of `piece`, the whole way, and the local law's way from the same joints, made cheaper too.
+        """The cheapest of `piece`, the whole way, and the local law's way from the same joints, also made cheaper.
 
-        A cost has more than one minimum, and the grid may miss the one near the law's way.
+        A cost has more than one minimum, and the grid may miss the one near the law's way. What the search makes small
+        is near to the cost, and leaves out inertia: what the motions cost decides.
         """
         if law.obstruction is not None:
             return piece
-        other = self._cheapen(law, free_start=free_start, free_end=True)
-        ways = [way for way in (piece, other) if self._keeps_steps([way])] or [piece]
-        cheap = min(ways, key=lambda way: self._cost.of_run(way.stations, way.q))
-        return self._with_inertia(cheap) if piece.stations[0] == 0.0 else cheap
+        ways = [way for way in (piece, law) if self._keeps_steps([way])]
+        # of full poses the graph has all configurations, and making a way cheaper takes as long again
+        if self._path.target(0.0).rotation is None or self._cheapest(ways) is law:
+            other = self._cheapen(law, free_start=free_start, free_end=True)
+            ways += [other] if self._keeps_steps([other]) else []
+        return self._cheapest(ways) or piece
 
-    def _with_inertia(self, piece: Stretch) -> Stretch:
-        """`piece`, or on a short path the law's way from the same joints where inertia makes it cheaper.
-
-        The search leaves out torques of inertia, and a short path is all speeding up and
-        slowing down.
-        """
-        world, problem, path = self._world, self._world.problem, self._path
-        if path.length > _SHORT:
-            return piece
-        proximity, objective = world.proximity, self._cost.objective
-        law = world.follow_law(path, 0.0, piece.q[0], time=self._time)
-        if law.obstruction is not None or not self._keeps_steps([law]):
-            return piece
-        motion = fastest_motion(problem, path, piece, proximity=proximity, time=self._time)
-        if objective.is_time:
-            beside = fastest_motion(problem, path, law, proximity=proximity, time=self._time)
-        else:
-            beside = law_motion(path, law, motion, kinematics=world.kinematics)
-        cheaper = trajectory_costs(problem, beside)[objective.name] < trajectory_costs(problem, motion)[objective.name]
-        return law if cheaper else piece
+    def _cheapest(self, ways: Sequence[Stretch]) -> Stretch | None:
+        """The one of `ways` whose motion costs least, each as fast as it can be; None of none."""
+        if len(ways) < 2:
+            return ways[0] if ways else None
+        problem, name = self._world.problem, self._cost.objective.name
+        motions = (
+            fastest_motion(problem, self._path, way, proximity=self._world.proximity, time=self._time) for way in ways
+        )
+        return ways[int(np.argmin([trajectory_costs(problem, motion)[name] for motion in motions]))]
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Bypass]) -> None:
         world, problem = self._world, self._world.problem

@@ -1,12 +1,11 @@
 """How much a plan saves: its objective beside that of the local law, on the same path.
 
-The law follows the same path from the same joints, and its tip is where the plan's tip is
-at every moment. So the two motions differ in the use of the redundancy and in nothing else.
-Where the law gets stuck at a joint limit, the plain pseudo-inverse is taken, v = J^+ xdot,
-which goes on through limits: its cost is given beside the limit that it breaks.
-
-The same timing would make the objective `time` equal: for it the law's way is run as fast
-as the same limits allow, with its corners rounded like the plan's.
+The law follows the same path from the same joints. Its way is run as the plan's is, as fast as the scene's
+speed, the limits and the drive allow, with its corners rounded like the plan's. So the two
+motions differ in the use of the redundancy and in nothing else. Where the law gets stuck at
+a joint limit, the plain pseudo-inverse is taken, v = J^+ xdot, which goes on through limits:
+its cost is given beside the limit that it breaks. Such a motion cannot be timed within the
+limits: its tip is where the plan's tip is at every moment.
 
 A plan may go far to begin in a cheap posture. So both costs are given: of the path alone,
 and of all of the motion. The law begins where the plan does, so its approach is the same.
@@ -25,7 +24,7 @@ from pydantic import BeforeValidator, computed_field, model_validator
 from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
-from backhoe_planner.motion import Problem, TipPath, Trajectory, trajectory_costs
+from backhoe_planner.motion import Problem, TipPath, Trajectory, drive_of, retime, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
 from backhoe_planner.planning.paths.monotone_curve import monotone_curve
@@ -36,7 +35,8 @@ from backhoe_planner.site import Obstruction, Proximity
 _EXACT = 1e-9  # m and rad: chosen, the tip is on the path for all that follows
 _CORRECTIONS = 12  # of Newton's iteration; chosen: it doubles the digits with each
 _FURTHEST = 1.0  # rad or m: chosen, where a joint moves further in a step the arm is stretched out
-_STANDING = 1e-6  # m: on a leg that is shorter only the bucket turns
+_NEARER = 1e-6  # m by which the tip must be off the path's beginning to count as gone from it
+_AS_MUCH = 0.5  # % that is rounded to none
 _BREAKS = 1e-6  # rad or m beyond a limit: far above what rounding makes
 
 
@@ -64,7 +64,7 @@ class LawComparison(Record):
     whole: Figure
     """Of the plan's motion from its start, the approach to the path included."""
     law: float | None = None
-    """Of the law's motion with the same timing, for `time` with its own; None where it does not get along."""
+    """Of the law's motion; None where it does not get along."""
     law_breaks: Annotated[Obstruction | None, BeforeValidator(_obstruction)] = None
     """What the law comes too near to, or the joint whose limit it breaks; None where it keeps everything."""
 
@@ -95,9 +95,15 @@ class LawComparison(Record):
         return _saving(self.whole, self.law_whole)
 
 
-def describe_saving(percent: float) -> str:
-    """How a plan is beside the law, by what it saves [%] of what the law needs, such as ``95 % less``."""
-    return f"{abs(percent):.0f} % {'less' if percent >= 0.0 else 'more'}"
+def describe_saving(percent: float, *, law: str = "") -> str:
+    """How a plan is beside the law, by what it saves [%] of what the law needs: ``95 % less``, or ``as much``.
+
+    With words for the law's, such as ``the local law's``, it says ``95 % less than the local law's``.
+    """
+    if abs(percent) < _AS_MUCH:
+        return f"as much as {law}" if law else "as much"
+    words = f"{abs(percent):.0f} % {'less' if percent >= 0.0 else 'more'}"
+    return f"{words} than {law}" if law else words
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +114,7 @@ class Comparison:
     ----------
     figures: the cost of both.
     begun: when the plan begins to follow the path [s].
-    law_motion: along the path by the law, with the same timing and time from 0; None where it does not get along.
+    law_motion: along the path by the law, with time from 0; None where it does not get along.
     """
 
     figures: LawComparison
@@ -133,9 +139,8 @@ def compare_with_law(
     if len(motion) < 3:
         return None
     moved, breaks = None, None
-    stands = path.turns or np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING)
     # with detours the path itself is blocked; where the tip stands, no place says what to compare
-    if not certificate.detours and not stands:
+    if not certificate.detours and not path.stands:
         moved, breaks = _along_by_law(problem, path, motion, begun, law, kinematics=kinematics)
     name = problem.objective.name
     value, whole = (trajectory_costs(problem, way)[name] for way in (motion, trajectory))
@@ -154,17 +159,13 @@ def _along_by_law(
     else:
         law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
     breaks = law.obstruction
-    if breaks is not None:
-        # a motion beyond a limit cannot be timed within the limits
-        if is_time or breaks.kind != "joint":
-            return None, breaks
-        blind = least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
-        if blind is None:
-            return None, breaks
-        law = blind
-    if is_time:
-        return fastest_motion(problem, path, law, proximity=proximity, time=begun), breaks
-    return law_motion(path, law, motion, kinematics=kinematics), breaks
+    if breaks is None:
+        fastest = fastest_motion(problem, path, law, proximity=proximity, time=begun)
+        return retime(fastest, problem.limits, drive=drive_of(problem)), None
+    if is_time or breaks.kind != "joint":
+        return None, breaks
+    blind = least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
+    return None if blind is None else law_motion(path, blind, motion, kinematics=kinematics), breaks
 
 
 def part_on_path(
@@ -184,7 +185,7 @@ def part_on_path(
         off = []
         for q in trajectory.q[first:]:
             off.append(float(np.linalg.norm(kinematics.at(q).tip_position - path(0.0))))
-            if off[-1] > 2.0 * off[0] + _STANDING:
+            if off[-1] > 2.0 * off[0] + _NEARER:
                 break
         first += len(off) - 1 - int(np.argmin(off[::-1]))  # it may stand there for a step
     time = trajectory.time[first:] - trajectory.time[first]

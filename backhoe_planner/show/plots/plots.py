@@ -283,7 +283,8 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
         curves.append((compared.begun + compared.law_motion.time, law, "0.35", (0, (1.5, 1.5)), name))
         figures = compared.figures
         if figures.saving_percent is not None:
-            title += f"; {figures.name} along the path {describe_saving(figures.saving_percent)} than the local law's"
+            beside = describe_saving(figures.saving_percent, law="the local law's")
+            title += f"; {figures.name} along the path {beside}"
     highest = max(float(values[-1]) for _, values, *_ in curves)
     prefix, scale = _prefix(highest)
     lines = [
