@@ -58,7 +58,7 @@ def bound_samples(
     for first in range(0, max(last, 1), _TOGETHER):
         rows = slice(first, min(first + _TOGETHER, last) + 1)
         moments = time[rows].tolist()
-        ways = np.array(list(proximity.ways_unchecked(q[rows]))).reshape(-1, count)
+        ways = np.array(list(proximity.ways_unchecked(q[rows]))).reshape(len(moments) - 1, count)
         ways += np.diff(time[rows])[:, None] * proximity.speed
         bounds = np.fmax(list(proximity.bounds_unchecked(q[rows])), proximity.floor)
         measured = np.zeros(bounds.shape, dtype=bool)

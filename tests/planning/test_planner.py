@@ -338,3 +338,21 @@ def test_a_waypoint_out_of_reach_is_named(planar4: bp.Robot) -> None:
     assert plan.reason == "unreachable"
     assert "waypoint 3" in plan.message
     assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "obstacle", [{}, {"appears_at": 0.5}, {"velocity": [-0.1, 0.0, 0.0]}, {"shape": "none"}], ids=str
+)
+def test_a_machine_that_can_touch_nothing_is_moved(backhoe: bp.Robot, obstacle: dict[str, Any]) -> None:
+    """Only its swing moves; its own pieces stand still to each other; what there is stands far away, or later."""
+    ball = {"name": "far", "shape": "sphere", "radius": 0.1, "position": [9.0, 9.0, 9.0]} | obstacle
+    scene = bp.scene_from_dict(
+        {
+            "version": 1, "start": {"joints": {"swing": 0.0}}, "hold": {"boom": 0.4, "stick": -1.6, "bucket": -0.9},
+            "task": {"goal": {"joints": {"swing": 1.0}}},
+            "obstacles": [ball] if obstacle.get("shape") != "none" else [],
+        }
+    )  # fmt: skip
+    plan = bp.plan(backhoe, scene, effort="quick")
+    assert plan.verified, plan.message
+    np.testing.assert_allclose(plan.trajectory.q[-1], 1.0, atol=1e-9)
