@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.machine.shape.closed_bodies import find_closed, open_edges
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
 
@@ -57,6 +58,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         found = repr(path.suffix) if path.suffix else "no suffix"
         raise InputError("is not a mesh that can be read", file=path, found=found, allowed=", ".join(_FORMATS))
     try:
+        check_whole(path)
         with np.errstate(all="ignore"):  # the coordinates are looked at below
             scene = trimesh.load_scene(path, process=False)
             parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]

@@ -9,6 +9,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.text_file import read_text
+from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.schema.quantities import LARGEST
 
@@ -80,7 +81,7 @@ def read_points(path: Path) -> Matrix:
 
     Raises
     ------
-    InputError: missing, empty, or with a coordinate that is not finite or beyond `LARGEST`.
+    InputError: missing, empty, cut short, or with a coordinate that is not finite or beyond `LARGEST`.
     """
     if not path.is_file():
         raise InputError("no such point cloud file", file=path)
@@ -88,7 +89,10 @@ def read_points(path: Path) -> Matrix:
         import trimesh
 
         try:
+            check_whole(path)
             loaded = trimesh.load(path, process=False)
+        except InputError:
+            raise
         except Exception as error:  # trimesh raises whatever its format readers run into
             raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
         points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)

@@ -1,0 +1,72 @@
+"""Whether a text file of points or triangles holds as much as it says, so that one that was cut short is noticed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from backhoe_planner.errors import InputError
+
+_HEADER = 1_000_000  # bytes in which the header of a PLY ends
+
+
+def check_whole(path: Path) -> None:
+    """Compare the lines of an ASCII PLY or OFF with the counts in its header, and look for the end of an ASCII STL.
+
+    What other files hold says nothing, or is checked where they are read.
+
+    Raises
+    ------
+    InputError: the file has other counts than it says, or no end.
+    OSError: it cannot be read.
+    """
+    kind = path.suffix.lower()
+    content = path.read_bytes() if kind in (".ply", ".off", ".stl") else b""
+    if kind == ".ply":
+        _check_ply(path, content)
+    elif kind == ".off":
+        _check_off(path, content)
+    elif kind == ".stl" and _is_text_stl(content) and b"endsolid" not in content[-_HEADER:]:
+        raise InputError("the file is cut short", file=path, found="no line with endsolid", allowed="a whole file")
+
+
+def _check_ply(path: Path, content: bytes) -> None:
+    head, end, _ = content[:_HEADER].partition(b"end_header")
+    if not end or b"format ascii" not in head:
+        return
+    counts = {}
+    for line in head.splitlines():
+        kind = line.split()
+        if len(kind) == 3 and kind[0] == b"element" and kind[2].isdigit():
+            counts[kind[1].decode(errors="replace")] = int(kind[2])
+    body, asked = content[len(head) + len(end) :], sum(counts.values())
+    found = body.strip().count(b"\n") + 1
+    if found != asked:  # some lines may be empty
+        found = sum(1 for line in body.splitlines() if line.strip())
+    words = " and ".join(f"{count} of {name}" for name, count in counts.items())
+    if found > asked:
+        said = f"{asked}: {words}"
+        raise InputError("the file holds more than its header says", file=path, found=f"{found} lines", allowed=said)
+    _check_rows(path, found, asked, words)
+
+
+def _check_off(path: Path, content: bytes) -> None:
+    lines = [line.partition(b"#")[0] for line in content.splitlines()]
+    words = b" ".join(lines[:20]).split()
+    if not words or not words[0].upper().endswith(b"OFF"):
+        return
+    if len(words) < 3 or not (words[1].isdigit() and words[2].isdigit()):
+        return
+    vertices, faces = int(words[1]), int(words[2])
+    written = [line for line in lines if line.strip()]
+    # the counts stand on the first line or on one of their own
+    rows = len(written) - (1 if len(written[0].split()) > 1 else 2)
+    _check_rows(path, rows, vertices + faces, f"{vertices} of vertices and {faces} of faces")
+
+
+def _is_text_stl(content: bytes) -> bool:
+    return content.lstrip()[:5].lower() == b"solid" and b"facet" in content[:_HEADER] and b"\0" not in content[:_HEADER]
+
+
+def _check_rows(path: Path, found: int, asked: int, words: str) -> None:
+    if found < asked:
+        raise InputError("the file is cut short", file=path, found=f"{found} lines", allowed=f"{asked}: {words}")
