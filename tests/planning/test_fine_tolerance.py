@@ -53,6 +53,27 @@ def test_a_backhoe_keeps_to_it_around_corners(backhoe: bp.Robot) -> None:
     assert largest_error(plan) <= plan.certificate.tracking.max_error <= TOLERANCE
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1.2555e-4, 1e-4, 1e-5])
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[4.2, 1.0, 0.2], [4.2, 1.0, 0.6], [4.2, 0.5, 0.6]],
+        [[3.99, -0.319, -0.219], [4.255, 0.376, 0.358], [4.161, -0.397, 0.365], [3.611, 0.008, 0.11]],
+    ],
+    ids=["a right angle", "sharp corners"],
+)
+def test_no_corner_is_left_where_nothing_is_in_the_way(
+    backhoe: bp.Robot, points: list[list[float]], tolerance: float
+) -> None:
+    """Round corners may be shorter than the way from sample to sample."""
+    path = {"waypoints": [{"position": point} for point in points], "tolerance": tolerance, "detour": False}
+    start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+    scene = bp.scene_from_dict({"version": 1, "start": start, "task": {"path": path}})
+    plan = bp.plan(backhoe, scene, effort="quick")
+    assert plan.verified, plan.message
+    assert largest_error(plan) <= plan.certificate.tracking.max_error <= tolerance
+
+
 def test_a_motion_that_is_near_enough_is_certified(panda: bp.Robot) -> None:
     """With half as much again as the tip is off the path, but not with less."""
     path = {"waypoints": LINE, "tolerance": 0.005, "detour": False}

@@ -160,15 +160,11 @@ def track_path(
     turning = np.where(robot.prismatic, 0.0, 1.0)
     sagitta = bend_weights(np.diff(trajectory.q, axis=0), turning) @ tip_travel_bound(robot, trajectory.q) / 8.0
     bound = chord_errors(
-        path, robot, q=trajectory.q, station=station, error=error, sagitta=sagitta, tolerance=tolerance
+        path, robot, q=trajectory.q, station=station, error=error, sagitta=sagitta, tips=tips, tolerance=tolerance
     )
     chord = bound - np.maximum(error[:-1], error[1:])
     between = np.maximum(np.append(chord, 0.0), np.append(0.0, chord))
     off = error + between
-    # where a chord passes a corner, its part on either side is further from that leg neither than its end nor than
-    # it is from the corner
-    cut = _cut_corners(path, station, tips)
-    off[:-1] = np.maximum(off[:-1], np.where(cut > 0.0, cut + sagitta, 0.0))
     near = off <= tolerance
     on = near & (angle <= angle_tolerance)
     if path.asks_orientation:
@@ -384,18 +380,6 @@ def _missed_angles(
         if not len(near) or np.min(near) > angle_tolerance:
             off = np.degrees(float(np.min(near)) if len(near) else float(angles[0]))
             found.append(f"waypoint {path.number(index)} is passed with the bucket {off:.1f} deg from its angle")
-    return found
-
-
-def _cut_corners(path: TipPath, station: Vector, tips: Matrix) -> Vector:
-    """(T - 1,) how far the chord from sample to sample passes from the path's corners [m]."""
-    found = np.zeros(len(station) - 1)
-    for mark, corner in zip(path.stations[1:-1], path.points[1:-1], strict=True):
-        for row in np.flatnonzero((station[:-1] < mark) & (station[1:] > mark)):
-            step = tips[row + 1] - tips[row]
-            square = float(step @ step)
-            part = float(np.clip((corner - tips[row]) @ step / square, 0.0, 1.0)) if square > 0.0 else 0.0
-            found[row] = max(found[row], float(np.linalg.norm(tips[row] + part * step - corner)))
     return found
 
 

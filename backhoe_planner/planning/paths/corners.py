@@ -42,6 +42,7 @@ _ON_PATH = 1e-6  # m: nearer to the path a sample is on it, not on a rounded cor
 _LEG = 0.45  # of a leg that a corner may take: two corners share a leg, and some of it stays
 _SPACING = 0.01  # m between the samples of a rounded corner at most: as on the path itself
 _FEWEST = 9  # samples of a rounded corner; chosen: four to each side of its middle
+_PARTS = np.arange(1, 8) / 8  # of a straight way, at which it is looked how far it is off a corner's legs; chosen
 _NEAR = 0.1  # rad or m: chosen, joints further from those on the path are another posture
 
 
@@ -118,10 +119,14 @@ def time_stretch(
                 speed=task.speed, kinematics=kinematics, period=period, drive=drive, intervals=intervals,
             )  # fmt: skip
 
-        motion = timed(period)
+        motion, denser = timed(period), 1.0
         off = _off_chords(kinematics, motion.q)
         if off > _CHORD * task.tolerance:  # how far chords are off falls by the square of the period
             denser = max(float(np.sqrt(0.8 * _CHORD * task.tolerance / off)), _DENSEST)
+            motion = timed(denser * period)
+        # samples further apart than a round corner is long cut it once more
+        while denser > _DENSEST and _off_corners(kinematics, path, own, motion.q) > (_PART + _CHORD) * task.tolerance:
+            denser = max(0.5 * denser, _DENSEST)
             motion = timed(denser * period)
         found.append(motion)
     return found
@@ -191,6 +196,31 @@ def _off_chords(kinematics: BatchKinematics, q: Matrix) -> float:
     squares = np.maximum(np.sum(chords * chords, axis=1), 1e-18)
     along = np.sum(off * chords, axis=1) / squares
     return float(np.max(np.linalg.norm(off - along[:, None] * chords, axis=1)))
+
+
+def _off_corners(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, q: Matrix) -> float:
+    """How far straight ways from tip to tip at q (T, n) are off both legs of a corner that they pass [m]."""
+    within = (path.stations[1:-1] > stretch.stations[0]) & (path.stations[1:-1] < stretch.stations[-1])
+    rows = 1 + np.flatnonzero(within)
+    if not len(rows) or len(q) < 2:
+        return 0.0
+    tips, most = kinematics.at(q).tip_position, 0.0
+    ways = np.diff(tips, axis=0)
+    for row in rows.tolist():
+        from_corner = np.linalg.norm(tips - path.points[row], axis=1)
+        passing = np.flatnonzero(np.minimum(from_corner[:-1], from_corner[1:]) < np.linalg.norm(ways, axis=1))
+        if len(passing):
+            points = (tips[passing] + _PARTS[:, None, None] * ways[passing]).reshape(-1, 3)
+            legs = (_off_leg(points, *path.points[[row, end]]) for end in (row - 1, row + 1))
+            most = max(most, float(np.max(np.minimum(*legs))))
+    return most
+
+
+def _off_leg(points: Matrix, begin: Vector, end: Vector) -> Vector:
+    """(K,) distances of points (K, 3) from the straight way from `begin` to `end` (3,) [m]."""
+    leg = end - begin
+    part = np.clip((points - begin) @ leg / max(float(leg @ leg), 1e-18), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - begin - part[:, None] * leg, axis=1))
 
 
 def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:
