@@ -18,6 +18,7 @@ EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; cho
 _MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
 _TOGETHER = 2_000  # links that are bounded more finely at once; chosen to bound the memory
 _FIRST_REACH = 0.25  # m beyond what is known already, within which a cluster is first looked for; chosen
+_LEAST_REACH = 1e-3  # m: chosen, within which a cell is looked for also where only an overlap is asked about
 _REMEMBERED = 16_000  # distances that were measured; chosen to bound the memory: some 16 MB
 
 
@@ -148,11 +149,12 @@ class ClusterDistances:
         moment = time if self._moving else 0.0
         key = pair, place.homogeneous.tobytes(), moment
         found, within = self._measured.get(key, (None, 0.0))
-        if found is None and within < reach:
-            within = min(max(lower, within, 0.0) + _FIRST_REACH, reach)
+        far = max(reach, _LEAST_REACH)
+        if found is None and within < far:
+            within = min(max(lower, within, 0.0) + _FIRST_REACH, far)
             found = self.measure(pair, data, time, within)
-            while found is None and within < reach:
-                within = min(2.0 * within, reach)
+            while found is None and within < far:
+                within = min(2.0 * within, far)
                 found = self.measure(pair, data, time, within)
             if len(self._measured) >= _REMEMBERED:
                 self._measured.clear()

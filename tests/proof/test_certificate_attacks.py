@@ -63,6 +63,28 @@ def test_deep_inside_is_inside(backhoe: bp.Robot, obstacle: dict[str, Any]) -> N
     assert not certificate.verified
 
 
+def test_in_rough_ground_the_distance_is_that_of_the_deepest_piece(backhoe: bp.Robot, tmp_path: Path) -> None:
+    """Of a terrain of many cells a piece is looked at until it is known that no other is deeper."""
+    x, y = np.meshgrid(np.linspace(-6.0, 6.0, 120), np.linspace(-6.0, 6.0, 120))
+    heights = 0.7 * np.exp(-((x - 4.0) ** 2 + y**2)) + 0.02 * np.sin(7.0 * x) * np.cos(5.0 * y)
+    np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
+    ground = {"name": "ground", "shape": "heightmap", "file": str(tmp_path / "ground.csv"), "size": [12.0, 12.0]}
+    rng, inside = np.random.default_rng(2), 0
+    for _ in range(12):
+        q = np.array([rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.6), rng.uniform(-2.0, -1.0), rng.uniform(-2.0, 0.0)])
+        start = {"joints": dict(zip(backhoe.joint_names, q.tolist(), strict=True))}
+        given = scene(task=goal_at(backhoe, q.tolist()), start=start, obstacles=[ground], clearance=0.1)
+        proximity = bp.Proximity(backhoe, build_problem(backhoe, given).obstacles)
+        deepest = float(np.min(proximity.distances(q)[proximity.owner >= 0]))
+        if deepest > -0.01:
+            continue
+        inside += 1
+        certificate = bp.certify(backhoe, given, bp.Trajectory.from_steps(np.zeros(1), q[None]))
+        found = next(near for near in certificate.clearances if near.obstacle == "ground")
+        assert deepest - 2e-4 <= found.distance <= deepest
+    assert inside >= 4
+
+
 def test_a_start_given_by_the_tip_is_held_against_the_motion(backhoe: bp.Robot) -> None:
     standing = bp.Trajectory.from_steps(np.zeros(1), np.array([START]))
     tip = bp.Kinematics(backhoe).at(np.array(START)).tip_position.tolist()
