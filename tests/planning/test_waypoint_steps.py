@@ -116,6 +116,18 @@ def test_seven_joints_keep_to_it_with_full_poses(panda: bp.Robot) -> None:
     assert plan.certificate.tracking.joint_step.size <= 0.125
 
 
+def test_seven_joints_that_cannot_keep_to_it_are_no_obstacle(panda: bp.Robot) -> None:
+    """Nothing is in the way of a circle that is drawn with larger steps; at one waypoint a joint moves by 0.06 rad."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 41)
+    points = np.column_stack((0.5 + 0.12 * np.cos(angle), 0.12 * np.sin(angle), 0.3 + 0.02 * np.sin(3.0 * angle)))
+    waypoints = [{"position": point, "quaternion": [0.0, 1.0, 0.0, 0.0]} for point in points.tolist()]
+    for allowed, reason in ((0.09, ""), (0.05, "outside_limits")):
+        task = {"path": {"waypoints": waypoints, "max_joint_step": allowed}}
+        plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": task}), effort="quick")
+        assert plan.reason == reason, plan.message
+    assert "from waypoint" in plan.message
+
+
 def test_the_range_of_a_joint_counts_and_a_detour_counts_with_its_legs() -> None:
     """By hand: out and back by 0.3 within the first leg; the second and third are bridged by a detour."""
     path = TipPath([Waypoint(position=(float(x), 0.0, 0.0)) for x in range(4)])

@@ -551,10 +551,11 @@ class PathResolver:
                 break
             route = graph.best_route(costs, end=reached)
             assert route is not None
-            if self._make_motions(graph, route):
-                continue
             layer, index = route.nodes[-1]
             step = self._least_step(graph, costs, layer)
+            if self._make_motions(graph, route):
+                beyond = (graph.layers[layer][index], float(graph.stations[layer]))
+                continue
             low = float(graph.stations[layer])
             high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
             further, beyond = self._extend(low, high, graph.layers[layer][index])
