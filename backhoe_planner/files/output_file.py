@@ -16,6 +16,8 @@ from backhoe_planner.errors import OutputError
 def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
     """Open a file for writing; it appears under its name only once it is complete.
 
+    Where the name is a link, the file that it leads to is written.
+
     Parameters
     ----------
     path: where it is to appear.
@@ -26,6 +28,7 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
     OutputError: the file cannot be written there.
     """
     target = Path(path)
+    target = target.resolve() if target.is_symlink() else target
     check_writable(target)
     try:
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")

@@ -186,6 +186,8 @@ def _wrong_tag(detail: Any, variants: Mapping[str, type[BaseModel]]) -> str:
     if detail["type"] == "union_tag_not_found":
         return f"{key} is missing; allowed: {', '.join(choices)}"
     tag = str(detail["ctx"]["tag"])
+    if key.endswith("()"):  # what chooses is the kind of value, not a key
+        return f"is a {tag}; allowed: {{key: value, ...}}"
     return f"there is no {key} {tag!r}{_nearest(tag, choices)} Allowed: {', '.join(choices)}"
 
 

@@ -6,7 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from waiting import PATIENCE
+
+from backhoe_planner.files.output_file import whole_file
 
 KILLED_AT_MANY_MOMENTS = """
 import os, resource, signal, sys
@@ -122,3 +125,16 @@ def test_a_process_that_is_killed_at_any_time_leaves_whole_files(tmp_path: Path)
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, "whole\n"), done.stderr
     assert all(path.name.startswith(".file.json.") for path in tmp_path.iterdir() if path.name != "file.json")
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_what_a_link_leads_to_is_written(tmp_path: Path, there: bool) -> None:
+    target, link = tmp_path / "target.txt", tmp_path / "link.txt"
+    if there:
+        target.write_text("old")
+    link.symlink_to(target)
+    with whole_file(link) as stream:
+        stream.write("new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.txt", "target.txt"]

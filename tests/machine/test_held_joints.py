@@ -207,6 +207,14 @@ def test_a_copy_between_root_and_tip_stands_still_where_its_leader_is_held(tmp_p
     np.testing.assert_allclose(at.tip_rotation, np.eye(3), atol=1e-12)
 
 
+@pytest.mark.parametrize("leader", ["copy", "nowhere"])
+def test_a_joint_that_copies_itself_or_nothing_is_said(tmp_path: Path, leader: str) -> None:
+    copy = hinge("copy", "a", "b", f'<mimic joint="{leader}"/>')
+    file = write(tmp_path, hinge("arm", "base", "a"), copy, links="base a b")
+    with pytest.raises(RobotError, match=f"joint 'copy': copies joint '{leader}', which copies it in turn or does not"):
+        load_robot(file, tip="b")
+
+
 def test_a_joint_that_copies_one_that_moves_cannot_be_held(tmp_path: Path) -> None:
     copy = hinge("copy", "base", "b", '<mimic joint="arm"/>')
     file = write(tmp_path, hinge("arm", "base", "a"), copy, links="base a b")

@@ -319,6 +319,13 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         ["limits.velocity_scale", "less than or equal to 1"],
     ),
     "no rate": (scene(limits={"velocity": {"boom": 0.0}}), ["limits.velocity.boom", "greater than 0"]),
+    "a rate for ages": (scene(limits={"velocity": {"boom": 1e-300}}), ["limits.velocity.boom", "is too slow: 1e-300"]),
+    "a scale for ages": (scene(limits={"velocity_scale": 1e-6}), ["limits.velocity_scale", "at least 0.0001"]),
+    "list in a list of goals": (
+        scene(task={"goal": [[1, 2, 3]]}),
+        ["task.goal[0]: is a list; allowed: {key: value, ...}"],
+    ),
+    "finer than is measured": (goal(tolerance=1e-13), ["task.goal.tolerance", "found 1e-13"]),
     "range of one": (scene(limits={"position": {"boom": [0.1]}}), ["limits.position.boom"]),
     "held nowhere": (scene(hold={"boom": None}), ["hold.boom", "valid number"]),
     "no acceleration": (scene(limits={"acceleration": {"boom": 0}}), ["limits.acceleration.boom", "greater than 0"]),

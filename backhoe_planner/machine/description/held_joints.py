@@ -86,6 +86,11 @@ class _Standing:
         chain = [joint for joint in urdf.chain(tip) if joint.type != "fixed" and joint.name not in hold]
         self.moving = {joint.name for joint in chain if self._leader(joint) not in hold}
         for joint in chain:
+            if joint.mimic is not None and self._leader(joint) is None:
+                raise RobotError(
+                    f"copies joint {joint.mimic.joint!r}, which copies it in turn or does not exist",
+                    file=urdf.path, key=f"joint {joint.name!r}", found="<mimic>",
+                )  # fmt: skip
             if joint.mimic is not None and joint.name in self.moving:
                 raise RobotError(
                     f"copies joint {joint.mimic.joint!r}: mimic joints are not supported between the root and the tip",

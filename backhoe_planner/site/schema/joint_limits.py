@@ -9,6 +9,16 @@ from pydantic import AfterValidator, Field
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.quantities import Finite, Positive
 
+_SLOWEST = 1e-4  # rad/s or m/s, and per second: chosen, a motion of 1 rad then takes hours
+
+
+def _not_too_slow(rate: float) -> float:
+    if rate < _SLOWEST:
+        raise ValueError(
+            f"is too slow: {rate:g}; allowed: at least {_SLOWEST:g} (a joint that is to stand still is one of `hold`)"
+        )
+    return rate
+
 
 def _in_order(ends: tuple[float, float]) -> tuple[float, float]:
     if ends[0] >= ends[1]:
@@ -16,17 +26,18 @@ def _in_order(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+Rate = Annotated[Positive, AfterValidator(_not_too_slow)]
 PositionRange = Annotated[tuple[Finite, Finite], AfterValidator(_in_order)]
 
 
 class Limits(Record):
     """What of the machine's limits is to be used, and what its URDF does not say."""
 
-    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
+    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0), AfterValidator(_not_too_slow)] = 1.0
     """Part of each joint's rate that may be used."""
-    acceleration: dict[str, Positive] = Field(default_factory=dict)
+    acceleration: dict[str, Rate] = Field(default_factory=dict)
     """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
-    velocity: dict[str, Positive] = Field(default_factory=dict)
+    velocity: dict[str, Rate] = Field(default_factory=dict)
     """By joint name [rad/s or m/s]: at most the URDF's, or any where that gives none; else the URDF's, else 1."""
     effort: dict[str, Positive] = Field(default_factory=dict)
     """By joint name [N m or N]: at most the URDF's, or any where that gives none; else the URDF's, else no limit."""

@@ -13,6 +13,8 @@ from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.schema.quantities import LARGEST
 
+_POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
+
 
 def read_heights(path: Path) -> Matrix:
     """(rows, columns) heights [m] from a CSV without header, or from a GeoTIFF.
@@ -136,7 +138,7 @@ def _plain_table(text: str) -> Matrix | None:
 
 
 def _points_from_text(path: Path) -> Matrix:
-    text = read_text(path, what="point cloud", formats="text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl")
+    text = read_text(path, what="point cloud", formats=_POINT_FORMATS)
     table = _plain_table(text)
     if table is not None and table.shape[1] >= 3:
         return np.ascontiguousarray(table[:, :3])
@@ -155,7 +157,9 @@ def _points_from_text(path: Path) -> Matrix:
         except ValueError:
             if number == 1:
                 continue  # a header
-            raise InputError("is not a number", file=path, key=f"line {number}", found=line.strip()) from None
+            raise InputError(
+                "is not a number", file=path, key=f"line {number}", found=line.strip(), allowed=_POINT_FORMATS
+            ) from None
         if len(rows[-1]) < 3:
             raise InputError("has fewer than three numbers", file=path, key=f"line {number}", found=line.strip())
     return np.array(rows, dtype=float).reshape(-1, 3)

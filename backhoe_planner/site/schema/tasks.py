@@ -16,6 +16,7 @@ from backhoe_planner.machine import TipTarget
 from backhoe_planner.site.schema.quantities import (
     Angle,
     Finite,
+    Length,
     PitchRange,
     Positive,
     Quaternion,
@@ -127,7 +128,7 @@ class Goal(Pose):
 
     rotation_tolerance: Angle | None = None
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
-    tolerance: Positive | None = None
+    tolerance: Length | None = None
     """How far the tip may be off the position [m]; 0.001 by default. More lets a sequence go on without a stop."""
     keep: Keep | None = None
     """What holds along the whole way there; the same as `keep` beside the goal, where a list of goals has it."""
@@ -224,7 +225,7 @@ class PathTask(Record):
     """Where the frame stands in which the waypoints are given; the world's by default."""
     speed: Positive | None = None
     """Of the tip [m/s]; left out: as fast as the limits allow."""
-    tolerance: Positive = 0.005
+    tolerance: Length = 0.005
     """How far the tip may be off the path where nothing is in the way [m]."""
     rotation_tolerance: Angle = 0.01
     """How far the bucket may be turned from the angles that the waypoints ask for [rad]."""
