@@ -297,6 +297,29 @@ def test_inspect_shows_a_machine_as_a_scene_has_it(run: Run, tmp_path: Path) -> 
     assert (status, said) == (2, "error: --tip: is not the scene's tip; found stick; allowed: bucket\n")
 
 
+def test_inspect_says_where_the_obstacles_of_a_scene_stand(run: Run, tmp_path: Path) -> None:
+    """A box of 2 x 1 x 1 m turned by 90 degrees, a cube of 2 x 2 x 2 voxels of 1 m, and what lies below and beside."""
+    cells = [[x, y, z] for x in (5.5, 6.5) for y in (0.5, 1.5) for z in (0.5, 1.5)]
+    (tmp_path / "scan.csv").write_text("\n".join(",".join(map(str, cell)) for cell in cells))
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        PLAIN + "obstacles:\n"
+        "- {name: crate, shape: box, size: [2, 1, 1], position: [5, 0, 0.5], rpy: [0, 0, 1.5707963267948966]}\n"
+        "- {name: heap, shape: pointcloud, file: scan.csv, resolution: 1}\n"
+        "- {name: ground, shape: halfspace, point: [0, 0, -2], normal: [0, 0, 1]}\n"
+        "- {name: slope, shape: halfspace, point: [0, 0, -9], normal: [1, 0, 1]}\n"
+        "zones:\n- {name: wires, kind: ceiling, height: 8, stop: 0.5}\n"
+    )
+    status, said, _ = run("inspect", "example:backhoe", scene)
+    assert status == 0
+    rows = {line.split()[0]: " ".join(line.split()) for line in said.splitlines() if line.strip()}
+    assert rows["crate"] == "crate box 4.50..5.50 -1.00..1.00 0.00..1.00 1"
+    assert rows["heap"].startswith("heap pointcloud 5.00..7.00 0.00..2.00 0.00..2.00")
+    assert rows["ground"] == "ground halfspace no end no end up to -2.00 1"
+    assert rows["slope"] == "slope halfspace no end no end no end 1"
+    assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1"
+
+
 def test_inspect_says_where_joints_stand_that_no_scene_holds(run: Run) -> None:
     status, said, _ = run("inspect", "example:panda", "--tip", "panda_hand")
     assert status == 0

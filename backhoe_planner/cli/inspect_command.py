@@ -23,7 +23,9 @@ def inspect(
     urdf: Urdf,
     scene: Annotated[
         Path | None,
-        typer.Argument(metavar="[SCENE]", help="A scene file, for its tip, held joints, limits.", show_default=False),
+        typer.Argument(
+            metavar="[SCENE]", help="A scene file, for its tip, held joints, limits and obstacles.", show_default=False
+        ),
     ] = None,
     tip: Annotated[
         str | None, typer.Option(metavar="LINK", help="The link that is moved; by default the scene's.")
@@ -32,7 +34,8 @@ def inspect(
 ) -> int:
     """Show what a machine is and can do.
 
-    Joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders.
+    Joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders;
+    of a scene also where its obstacles and zones stand.
     """
     if plot is not None:
         check_ending(plot, show.FIGURE_FORMATS, what="a figure")
@@ -48,6 +51,8 @@ def inspect(
     _print_dh_table(robot.at_origin)
     _print_envelope(robot)
     _print_hydraulics(robot)
+    if loaded is not None:
+        _print_site(loaded, robot)
     if plot is not None:
         show.plot_envelope(robot.at_origin, plot)
         OUT.print(f"\nwrote {plot}")
@@ -69,6 +74,35 @@ def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Rob
         raise bp.InputError("is not the scene's tip", key="--tip", found=tip, allowed=scene.tip)
     robot = site.machine_on_site(site.load_machine(urdf, scene, tip=tip), scene)
     return robot, site.scaled_limits(robot, scene)
+
+
+def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
+    """Where every obstacle and zone stands, and of how many parts it is."""
+    obstacles = site.build_obstacles(scene, robot)
+    if not obstacles:
+        OUT.print("\nsite          no obstacles")
+        return
+    OUT.print("\nsite")
+    table = table_of("obstacle", "shape", "x [m]", "y [m]", "z [m]", "parts")
+    for obstacle in obstacles:
+        low, high = obstacle.bounds
+        spans = [_span(float(a), float(b)) for a, b in zip(low, high, strict=True)]
+        shape = obstacle.spec.shape if obstacle.zone is None else f"zone, {obstacle.zone.kind}"
+        table.add_row(obstacle.name, shape, *spans, _parts_of(obstacle))
+    OUT.print(table)
+
+
+def _span(low: float, high: float) -> str:
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{low:.2f}..{high:.2f}"
+    return f"up to {high:.2f}" if math.isfinite(high) else f"from {low:.2f}" if math.isfinite(low) else "no end"
+
+
+def _parts_of(obstacle: bp.Obstacle) -> str:
+    if obstacle.cluster is None:
+        return f"{len(obstacle.pieces)}"
+    words = {"pointcloud": "voxels", "heightmap": "cells", "mesh": "triangles"}
+    return f"{len(obstacle.cluster):,} {words.get(obstacle.spec.shape, 'cells')}"
 
 
 def _print_held(robot: bp.Robot) -> None:

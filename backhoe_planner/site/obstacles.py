@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Vector, as_number, as_vector
+from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.machine import Cluster, Robot, reach_ball
 from backhoe_planner.machine.shape import shapes
@@ -24,6 +24,7 @@ from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 
+_ALONG = 1e-12  # of a cosine: a normal that leans less is along an axis
 _SWEPT_BOXES = 4_000  # cells of the grid whose cells stand for a cluster that moves; chosen
 
 
@@ -68,6 +69,14 @@ class Obstacle:
     def slow(self) -> float:
         """The distance beyond the clearance within which the servo goes slower [m]."""
         return 0.0 if self.zone is None else self.zone.slow_distance - self.zone.stop
+
+    @property
+    def bounds(self) -> Matrix:
+        """(2, 3) lowest and highest corner of a box around it where it appears [m]; infinite where it has no end."""
+        if self.cluster is not None:
+            return self.cluster.bounds
+        ends = np.array([_bounds_of(piece) for piece in self.pieces])
+        return np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
 
     @property
     def moves(self) -> bool:
@@ -207,3 +216,16 @@ def _sweep_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piec
         around = piece.radius * np.sqrt(3.0) * np.vstack((np.eye(3), -np.eye(3)))
     points = (piece.hull[:, None, :] + around[None, :, :]).reshape(-1, 3)
     return shapes.convex(np.vstack((points + start, points + end)), pin.SE3.Identity())
+
+
+def _bounds_of(piece: shapes.Piece) -> Matrix:
+    """(2, 3) lowest and highest corner of a box around a piece [m]; a half-space ends only along an axis."""
+    if len(piece.hull):
+        return np.array([piece.hull.min(axis=0) - piece.radius, piece.hull.max(axis=0) + piece.radius])
+    found = np.array([np.full(3, -np.inf), np.full(3, np.inf)])
+    normal = piece.placement.rotation @ piece.shape.n
+    axis = int(np.argmax(np.abs(normal)))
+    if abs(normal[axis]) > 1.0 - _ALONG:
+        face = normal @ piece.placement.translation + piece.shape.d
+        found[int(normal[axis] > 0.0), axis] = face * normal[axis]
+    return found
