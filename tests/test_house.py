@@ -86,7 +86,7 @@ SUITES = {
     "site": ["schema", "pairs", ""],
     "motion": ["", "timing", "following"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "world", "goals", "", "sequence"],
-    "live": ["braking", "recovery", "servo", ""],
+    "live": ["braking", "boxes", "planes", "clearance", "recovery", "servo", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
     "studies": ["schema", "rows", "results", "work", ""],
     "show": ["drawing", "plots", "page", "job", "standing", "study", "viewer", "teleop"],

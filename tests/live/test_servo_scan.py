@@ -13,12 +13,13 @@ from backhoe_planner import InputError, Servo
 from backhoe_planner.live import Placements
 
 # opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
-from backhoe_planner.live.braking import cluster_pairs, pair_bounds
-from backhoe_planner.live.braking.box_places import MOST_PARTS, Line, box_urgency, inexact_boxes
+from backhoe_planner.live.boxes import cluster_pairs
+from backhoe_planner.live.boxes.box_places import MOST_PARTS, Line, box_urgency, inexact_boxes
+from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.braking_path import JointState
-from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
-from backhoe_planner.live.braking.pair_choice import stalest_pair
-from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.clearance import pair_bounds
+from backhoe_planner.live.planes.pair_choice import stalest_pair
+from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.clusters import cluster
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame

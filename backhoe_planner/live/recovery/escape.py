@@ -34,7 +34,7 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import Placements
-from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 

@@ -47,9 +47,9 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import FINEST_PARTS, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
-from backhoe_planner.live.braking.pair_bounds import Awake
-from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK
+from backhoe_planner.live.clearance.pair_bounds import Awake
+from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
 from backhoe_planner.live.recovery.violation_descent import SMALLEST, by_owner, way_back
 from backhoe_planner.machine import Robot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.live.braking.own_pieces import NO_LOAD
+from backhoe_planner.live.planes.own_pieces import NO_LOAD
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Scene, with_carried
 

@@ -38,9 +38,9 @@ from backhoe_planner.live.braking.joint_bounds import (
     VelocityRange,
     next_within,
 )
-from backhoe_planner.live.braking.pair_bounds import Awake, Near
-from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck
-from backhoe_planner.live.braking.path_rows import Candidates, rows_of_path
+from backhoe_planner.live.clearance.pair_bounds import Awake, Near
+from backhoe_planner.live.clearance.path_check import MOST_CANDIDATES, PathCheck
+from backhoe_planner.live.planes.path_rows import Candidates, rows_of_path
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
 from backhoe_planner.native import compiled
 

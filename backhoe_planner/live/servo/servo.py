@@ -30,14 +30,14 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Vector, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.live.braking.box_upkeep import BoxUpkeep
 from backhoe_planner.live.braking.braking_path import FINEST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
-from backhoe_planner.live.braking.own_pieces import NO_LOAD
-from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
-from backhoe_planner.live.braking.path_check import PathCheck
-from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import StepWork
+from backhoe_planner.live.clearance.box_upkeep import BoxUpkeep
+from backhoe_planner.live.clearance.pair_bounds import CLOSE, Near, PairBounds
+from backhoe_planner.live.clearance.path_check import PathCheck
+from backhoe_planner.live.planes.own_pieces import NO_LOAD
+from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.live.servo.feedback import Feedback, Recently, Refusal, refused_part

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Indices, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.live.braking.separation import MACHINE, Separation
+from backhoe_planner.live.planes.separation import MACHINE, Separation
 from backhoe_planner.machine import Cluster, Robot
 from backhoe_planner.site import (
     Obstacle,

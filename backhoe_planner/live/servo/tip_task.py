@@ -9,8 +9,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.law import CompletedLaw, CriticalRows
-from backhoe_planner.live.braking.pair_bounds import Near
-from backhoe_planner.live.braking.path_check import PathCheck
+from backhoe_planner.live.clearance.pair_bounds import Near
+from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
 from backhoe_planner.native import compiled

@@ -21,9 +21,10 @@ from itertools import zip_longest
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.live.braking.box_places import BoxPlaces, put_planes
+from backhoe_planner.live.boxes.box_places import BoxPlaces, put_planes
+from backhoe_planner.live.boxes.cluster_pairs import SLOTS, BoxSearch, ClusterPairs, KeptBoxes
+from backhoe_planner.live.boxes.stand import Stand
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.live.braking.cluster_pairs import SLOTS, BoxSearch, ClusterPairs, KeptBoxes
 from backhoe_planner.live.braking.gaps import (
     Gaps,
     Memory,
@@ -33,10 +34,10 @@ from backhoe_planner.live.braking.gaps import (
     nearest_rows,
     plane_rows,
 )
-from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
-from backhoe_planner.live.braking.pair_choice import Measured, hulls_apart, known_apart
-from backhoe_planner.live.braking.path_rows import gaps_along_path
-from backhoe_planner.live.braking.plane_sets import PlaneSets, Stand
+from backhoe_planner.live.planes.own_pieces import NO_LOAD, own_pieces, rows_on
+from backhoe_planner.live.planes.pair_choice import Measured, hulls_apart, known_apart
+from backhoe_planner.live.planes.path_rows import gaps_along_path
+from backhoe_planner.live.planes.plane_sets import PlaneSets
 from backhoe_planner.machine import (
     Cluster,
     Part,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from backhoe_planner.arrays import Array, Indices
-from backhoe_planner.live.braking.box_places import MOST_PARTS, Line
+from backhoe_planner.live.boxes.box_places import MOST_PARTS, Line
+from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, Placements
-from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
-from backhoe_planner.live.braking.pair_bounds import Near
-from backhoe_planner.live.braking.path_check import PathCheck
+from backhoe_planner.live.clearance.pair_bounds import Near
+from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.machine import Robot
 
 _EVERY = 10  # steps after which boxes are looked at again, where none are due; chosen

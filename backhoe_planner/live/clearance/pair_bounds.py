@@ -17,15 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Vector
-from backhoe_planner.live.braking.box_places import SLACK, KnownDistances
+from backhoe_planner.live.boxes.box_places import SLACK, KnownDistances
+from backhoe_planner.live.boxes.cluster_pairs import BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
-from backhoe_planner.live.braking.cluster_pairs import BoxSearch, ClusterPairs
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.odometers import count_travel, keep_proven
-from backhoe_planner.live.braking.pair_choice import near_now, not_proven, stalest_pair, tightest_pair
-from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.live.braking.step_work import MOST_NEAR
+from backhoe_planner.live.planes.pair_choice import near_now, not_proven, stalest_pair, tightest_pair
+from backhoe_planner.live.planes.separation import FAR, Separation
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.braking_path import JointState, Placements, place_on_line
-from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.joint_bounds import JointBounds
 from backhoe_planner.machine import bend_weights
 from backhoe_planner.native import compiled

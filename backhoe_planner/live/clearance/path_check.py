@@ -24,10 +24,10 @@ from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_path
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
-from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
-from backhoe_planner.live.braking.path_rows import rows_of_path
-from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
+from backhoe_planner.live.clearance.pair_bounds import Awake, PairBounds
+from backhoe_planner.live.planes.path_rows import rows_of_path
+from backhoe_planner.live.planes.separation import Separation
 
 MOST_CANDIDATES = 24  # rows of one kind, among which those that bind are sought; chosen
 _OF_STANDING = 16  # of these for what stands, where both stand and move; chosen, most of them
