@@ -122,6 +122,7 @@ def test_level_ground_does_not_end_with_its_grid() -> None:
         bp.plan_job(bp.job_from_dict(TINY | below), effort="quick")
 
 
+@pytest.mark.long
 def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:
     found = bp.plan_job(bp.job_from_dict(TINY | {"soil": {"cohesion": 5e6}}), effort="quick")
     assert (found.verdict, found.reason) == ("failed", "too_hard")

@@ -292,7 +292,7 @@ def test_an_obstacle_that_is_moved_all_the_time_does_not_keep_it_from_searching(
 # --- going round -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("what", ["ball", "box", "post"])
+@pytest.mark.parametrize("what", ["ball", *(pytest.param(what, marks=pytest.mark.long) for what in ("box", "post"))])
 def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot, what: str) -> None:
     """The plan is left, rejoined beyond and finished as it was; nothing is touched."""
     obstacle, motion, executor = placed(backhoe, what), smooth_motion(), Immediate()

@@ -67,7 +67,7 @@ XARM = [("xarm7", "link_eef", seed, True) for seed in (38, 65)]
 
 
 @pytest.mark.parametrize(("name", "tip", "seed", "full"), [*PANDA, *FREE, *XARM])
-@pytest.mark.parametrize("free_start", [True, False])
+@pytest.mark.parametrize("free_start", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_no_step_of_seven_joints_grows_beyond_its_bound(
     name: str, tip: str, seed: int, full: bool, free_start: bool
 ) -> None:
