@@ -286,22 +286,19 @@ class _Along:
         """
         if law.obstruction is not None:
             return piece
-        ways = [way for way in (piece, law) if self._keeps_steps([way])]
+        costs = {way: self._motion_cost(way) for way in (piece, law) if self._keeps_steps([way])}
         # of full poses the graph has all configurations, and making a way cheaper takes as long again
-        if self._path.target(0.0).rotation is None or self._cheapest(ways) is law:
+        if self._path.target(0.0).rotation is None or min(costs, key=costs.__getitem__, default=piece) is law:
             other = self._cheapen(law, free_start=free_start, free_end=True)
-            ways += [other] if self._keeps_steps([other]) else []
-        return self._cheapest(ways) or piece
+            if self._keeps_steps([other]):
+                costs[other] = self._motion_cost(other)
+        return min(costs, key=costs.__getitem__, default=piece)
 
-    def _cheapest(self, ways: Sequence[Stretch]) -> Stretch | None:
-        """The one of `ways` whose motion costs least, each as fast as it can be; None of none."""
-        if len(ways) < 2:
-            return ways[0] if ways else None
-        problem, name = self._world.problem, self._cost.objective.name
-        motions = (
-            fastest_motion(problem, self._path, way, proximity=self._world.proximity, time=self._time) for way in ways
-        )
-        return ways[int(np.argmin([trajectory_costs(problem, motion)[name] for motion in motions]))]
+    def _motion_cost(self, way: Stretch) -> float:
+        """What the motion along a way costs, as fast as it can be, by the objective and in its unit."""
+        problem = self._world.problem
+        motion = fastest_motion(problem, self._path, way, proximity=self._world.proximity, time=self._time)
+        return trajectory_costs(problem, motion)[self._cost.objective.name]
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Bypass]) -> None:
         world, problem = self._world, self._world.problem
