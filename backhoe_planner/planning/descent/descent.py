@@ -44,6 +44,7 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
 _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
 _CLEAR_FIRST = 10.0  # times both, where a curve is to get clear first; chosen, 50 leads further away
+_MORE_MISSED, _MOST_MISSED = 4.0, 1e3
 MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
@@ -276,6 +277,10 @@ class Descent:
             box = min(_GROW * part * box, _LARGEST_BOX)
             if bend is not None:  # what may change far beyond the steps that are taken makes the program large
                 box = min(box, max(_AROUND * self._length(here, there), _SMALLEST_BOX))
+            if bend is not None and there.missed > max(here.missed, looks.allowed):
+                # what is gained by going into an obstacle is worth more than that costs so far
+                self._times_missed = min(_MORE_MISSED * self._times_missed, _MOST_MISSED)
+                price = self._times_missed * MISSED_WORTH * unit
             here, failed = there, 0
             if here.missed <= looks.allowed:
                 clear, box_then, bend_then = here, box, bend
