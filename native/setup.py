@@ -10,6 +10,7 @@ SOURCES = (
     "clusters",
     "distance",
     "around",
+    "ground",
     "voxels",
     "law",
     "shield",

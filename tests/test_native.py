@@ -717,13 +717,20 @@ def chain_placements(rng: Rng) -> Arguments:
     return q, np.sin(q), 1.0 - np.cos(q), factors, slides, np.vstack((rotation(rng), rng.normal(size=3)))
 
 
+def nearest_on_ground(rng: Rng) -> Arguments:
+    rows, columns = rng.integers(2, 9, 2)
+    x, y = (np.sort(rng.uniform(-2.0, 2.0, count)) for count in (columns, rows))
+    hull = rng.normal([0.0, 0.0, 2.0], 1.0, (1 + some(rng, 9), 3))
+    return hull, rng.uniform(0.0, 0.1), 0.3 * rng.normal(size=(rows, columns)), x, y, rng.choice([0.5, 5.0])
+
+
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
     cost_of_tip, count_travel, damped_steps, extent_along, fastest_run, first_not_apart, force_on_hand,
-    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart,
-    largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes,
-    near_gaps, near_now, near_rows, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
+    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart, largest_part,
+    least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes, near_gaps, near_now,
+    near_rows, nearest_on_ground, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
     off_turned_box, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
     quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity, rows_of_path, soft_solution,
     split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
@@ -743,7 +750,7 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 
 
 # those that may answer instead of coal, which their plain versions leave to it
-OF_COAL = first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart
+OF_COAL = first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground
 
 
 def leaves_open(source: Callable[[Rng], Arguments], expected: Any) -> bool:

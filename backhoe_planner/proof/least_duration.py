@@ -23,7 +23,7 @@ from backhoe_planner.proof.goal_features import Features, GoalRegion, goal_regio
 from backhoe_planner.proof.least_times import LeastTimes
 
 _NEAR = 0.01  # part of a known duration: a bound nearer to it is near enough; chosen
-_AT_ONCE = 64  # boxes that are halved together; chosen: more are cheaper each, but fewer have the lowest bound
+_AT_ONCE = 128  # boxes that are halved together; chosen: more are cheaper each, but fewer have the lowest bound
 _SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound of all motions is sought, at least and at most; chosen
 _FURTHER = 2.0  # times as far, where no motion is that short: the less far, the finer the bound is; chosen
 _ROUGHLY = (16.0, 128.0)  # s up to which it is looked first about how far that is; chosen

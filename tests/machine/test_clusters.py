@@ -26,6 +26,7 @@ from backhoe_planner.machine import (
 
 # opens the wall: which cells are left out is seen within
 from backhoe_planner.machine.clusters import cluster as cluster_module
+from backhoe_planner.machine.clusters import terrain as terrain_module
 from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.shape import shapes
@@ -232,50 +233,6 @@ def test_distance_is_that_of_all_cells(kind: str) -> None:
     assert min(signs) >= 3
 
 
-def test_few_cells_of_ground_tell_what_its_trees_tell(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(16)
-    heights = 0.2 * np.sin(0.2 * np.arange(101))[:, None] + rng.normal(0.0, 0.02, (101, 101))
-    few, plain = (TerrainSolid(heights, (6.0, 6.0), depth=5.0, most=10**5) for _ in range(2))
-    monkeypatch.setattr(few, "_are_worth_trees", lambda near: False)
-    asked, ways = few._from_few_cells, []
-
-    def watched(*given: Any) -> Any:
-        ways.append(asked(*given))
-        return ways[-1]
-
-    monkeypatch.setattr(few, "_from_few_cells", watched)
-    monkeypatch.setattr(plain, "_from_few_cells", lambda *_: (False, None))
-    for number in range(240):
-        link, turn = LINKS[number % 3], rng.normal(0.0, 0.3 * (number % 2), 3)
-        T = pin.SE3(pin.exp3(turn), rng.uniform([-3.2, -3.2, -0.3], [3.2, 3.2, 1.2]))
-        reach = float(rng.uniform(0.0, 1.0))
-        found, true = (Cluster(solid, HERE).measure(link, T, reach) for solid in (few, plain))
-        assert (found is None) == (true is None)
-        if found is not None and true is not None:
-            assert found.distance == pytest.approx(true.distance, abs=1e-9)
-            assert found.distance <= 0.0 or found.normal @ true.normal > 1.0 - 1e-6
-    assert sum(decides and reading is not None for decides, reading in ways) >= 8
-    assert sum(not decides for decides, _ in ways) >= 8
-
-
-def test_ground_that_is_asked_about_often_is_measured_by_its_trees(monkeypatch: pytest.MonkeyPatch) -> None:
-    heights = np.random.default_rng(17).normal(0.0, 0.02, (61, 61))
-    solid, ways = TerrainSolid(heights, (6.0, 6.0), depth=5.0, most=10**5), []
-    asked = solid._from_few_cells
-
-    def watched(*given: Any) -> Any:
-        ways.append(asked(*given))
-        return ways[-1]
-
-    monkeypatch.setattr(solid, "_from_few_cells", watched)
-    place = pin.SE3(np.eye(3), np.array([0.7, -0.4, 0.8]))
-    found = [Cluster(solid, HERE).measure(LINKS[0], place, 1.0) for _ in range(60)]
-    distances = [reading.distance for reading in found if reading is not None]
-    assert len(distances) == 60
-    assert np.ptp(distances) < 1e-9
-    assert 1 <= len(ways) < 60
-
-
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
     rng = np.random.default_rng(8)
@@ -371,6 +328,40 @@ def test_what_touches_is_found_at_any_reach(reach: float) -> None:
     touched = scanned.measure(ball(0.3), at(0.03, 0.03, 0.2), reach)
     assert touched is not None
     assert touched.distance < 0.0
+
+
+@needs_native
+@pytest.mark.parametrize("roughness", [0.0, 0.02, 0.5])
+def test_ground_is_as_near_as_its_trees_say(roughness: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiled search of the cells beside coal's trees of triangles, for every kind of piece."""
+    rng = np.random.default_rng(int(100 * roughness))
+    counted = []
+    compiled = terrain_module.nearest_on_ground
+    for _ in range(60):
+        heights = roughness * rng.uniform(size=(41, 61))
+        solid = TerrainSolid(heights, (6.0, 4.0), depth=5.0, most=10**6)
+        size = rng.uniform(0.05, 0.8, 3)
+        piece = [
+            shapes.sphere(size[0], HERE), shapes.capsule(size[0], size[1], HERE), shapes.box(size, HERE),
+            shapes.cylinder(size[0], size[1], HERE), shapes.convex(rng.uniform(-1.0, 1.0, (12, 3)) * size, HERE),
+        ][rng.integers(5)]  # fmt: skip
+        place = random_place(rng, 1.0)
+        place.translation[2] = rng.uniform(0.0, 1.5)
+        link, reach = Placed(piece, place.rotation, place.translation), float(rng.choice([0.1, 0.7]))
+        monkeypatch.setattr(terrain_module, "nearest_on_ground", compiled)
+        found = solid.measure(link, reach)
+        monkeypatch.setattr(terrain_module, "nearest_on_ground", lambda *_: ())
+        by_trees = solid.measure(link, reach)
+        if found is None or by_trees is None:
+            assert found is by_trees
+            continue
+        counted.append(found.distance > 0.0)
+        assert found.distance == pytest.approx(by_trees.distance, abs=1e-7)
+        if found.distance > 1e-3:
+            assert (found.other_point - found.point) @ found.normal == pytest.approx(found.distance, abs=1e-9)
+            assert np.linalg.norm(found.normal) == pytest.approx(1.0, abs=1e-12)
+            np.testing.assert_allclose(found.other_point - found.point, found.distance * found.normal, atol=1e-5)
+    assert sum(counted) > 8
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.2, 0.4, 1.0])

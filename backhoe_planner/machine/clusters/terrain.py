@@ -1,7 +1,8 @@
 """A terrain as a solid: all that lies below a height map, cell by cell.
 
 Over each cell the surface is the upper hull of its four corners, which is one of the two ways
-to cut the cell into triangles: the one that is the higher. Coal holds the triangles in trees,
+to cut the cell into triangles: the one that is the higher. What does not touch it is compared with the
+cells one by one, in a compiled call. Else, and without a compiler, coal holds the triangles in trees,
 one for each tile of 32 x 32 cells, which is built when something first comes near. A tree of
 triangles knows no inside. What touches no triangle is on one side of the surface with all of
 its points, so that one of them tells on which.
@@ -10,8 +11,7 @@ its points, so that one of them tells on which.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from functools import cached_property
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -23,11 +23,10 @@ from backhoe_planner.machine.clusters.height_bounds import REACH, HeightBounds
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
+from backhoe_planner.native import compiled
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB
-_ASKED = 30  # times that a tile is asked about before its tree is built; chosen: a tree then saves as much as it costs
-_FEW = 40  # cells that are measured without the trees of their tiles; chosen: their own tree is built in 0.2 ms
 _LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
 _MOST_PARTS = 500_000  # into which they are divided then; chosen: 22 MB
 _FINE = 0.05  # m, edge up to which cells are divided to bound distances; chosen
@@ -75,7 +74,6 @@ class TerrainSolid:
             tile: (boxes_low[tile].tolist(), boxes_high[tile].tolist()) for tile in np.ndindex(*boxes_low.shape[:2])
         }
         self._trees: dict[tuple[int, int], Tree] = {}
-        self._asked: dict[tuple[int, int], int] = {}  # how often tiles without a tree were asked about
 
     def __len__(self) -> int:
         return (len(self._y) - 1) * (len(self._x) - 1)
@@ -172,6 +170,10 @@ class TerrainSolid:
         if z - top >= reach:
             return None
         is_beside = min(x - least_x, most_x - u, y - least_y, most_y - v, z - self._floor) < reach
+        if not is_beside:
+            is_known, reading = self._from_cells(link, low, high, reach)
+            if is_known:
+                return reading
         near = []
         for tile in self._tiles_in((x - reach, y - reach), (u + reach, v + reach)):
             (a, b, c), (d, e, f) = self._tile_boxes[tile]
@@ -181,14 +183,6 @@ class TerrainSolid:
                 near.append((away, tile))
         if is_beside:
             near.append((0.0, _SKIRT))
-        elif near:
-            squared, row, column = self._squared_off(low, high, reach)
-            if squared.min() >= reach * reach:
-                return None
-            if not self._are_worth_trees(near):
-                is_found, found = self._from_few_cells(link, squared, row, column, reach)
-                if is_found:
-                    return found
         best = None
         for distance, tile in sorted(near):
             if distance >= reach:
@@ -198,64 +192,19 @@ class TerrainSolid:
                 best, reach = found, max(found.distance, 0.0)
         return best
 
-    def _are_worth_trees(self, near: Sequence[tuple[float, tuple[int, int]]]) -> bool:
-        """Whether tiles have their trees, or were asked about so often that these pay; they are counted."""
-        is_worth = True
-        for _, tile in near:
-            if tile not in self._trees:
-                self._asked[tile] = self._asked.get(tile, 0) + 1
-                is_worth &= self._asked[tile] > _ASKED
-        return is_worth
-
-    def _squared_off(self, low: Vector, high: Vector, reach: float) -> tuple[Matrix, int, int]:
-        """(r, c) squares of how far at least cells around a shape in the box from `low` to `high` (3,) are [m^2].
-
-        Also the row and the column of the first. A cell is no nearer to the box than the column under its highest
-        corner; all that are within `reach` [m] are there.
-        """
+    def _from_cells(self, link: Placed, low: Vector, high: Vector, reach: float) -> tuple[bool, Reading | None]:
+        """Whether the cells alone tell, and then the same."""
+        counts = len(self._x) - 1, len(self._y) - 1
         first = np.maximum((low[:2] - reach - self._low) // self._cell, 0.0).astype(int)
-        last = ((high[:2] + reach - self._low) // self._cell).astype(int) + 1
-        (c0, r0), (c1, r1) = first.tolist(), last.tolist()
-        tops = self._tops[r0:r1, c0:c1]
-        x, y = self._x[c0 : c0 + tops.shape[1] + 1], self._y[r0 : r0 + tops.shape[0] + 1]
-        aside, along = (
-            np.maximum(np.maximum(start - places[1:], places[:-1] - end), 0.0)
-            for places, start, end in ((x, low[0], high[0]), (y, low[1], high[1]))
+        last = np.minimum((high[:2] + reach - self._low) // self._cell, counts).astype(int) + 1
+        columns, rows = (slice(start, end + 1) for start, end in zip(first.tolist(), last.tolist(), strict=True))
+        found = nearest_on_ground(
+            link.hull, link.radius, self._heights[rows, columns], self._x[columns], self._y[rows], reach
         )
-        squared = np.maximum(low[2] - tops, 0.0)
-        squared *= squared
-        squared += aside * aside
-        squared += (along * along)[:, None]
-        return squared, r0, c0
-
-    def _from_few_cells(
-        self, link: Placed, squared: Matrix, r0: int, c0: int, reach: float
-    ) -> tuple[bool, Reading | None]:
-        """Whether few cells decide, and then the same, of a shape that cells are off by `squared`; see `_squared_off`.
-
-        The cell that may be nearest is measured, and then those that may be nearer than it.
-        """
-        nearest = int(squared.argmin())
-        if squared.flat[nearest] == 0.0:
-            return False, None
-        row, column = divmod(nearest, squared.shape[1])
-        best = self._from_cells(link, np.array([r0 + row]), np.array([c0 + column]), reach)
-        if best is not None:
-            reach = best.distance
-        rows, columns = (squared < reach * reach).nonzero()
-        if reach <= 0.0 or len(rows) > _FEW:
-            return False, None
-        return True, (self._from_cells(link, rows + r0, columns + c0, reach) if len(rows) else None) or best
-
-    def _from_cells(self, link: Placed, rows: Indices, columns: Indices, reach: float) -> Reading | None:
-        """The distance from some cells (k,) where it is less than `reach` [m]."""
-        return _tree_of(self._triangles_of(rows, columns)).measure(link.shape, link.shifted(_NO_SHIFT), reach)
-
-    @cached_property
-    def _tops(self) -> Matrix:
-        """(rows - 1, columns - 1) the highest corner of each cell [m]."""
-        h = self._heights
-        return np.maximum(np.maximum(h[:-1, :-1], h[1:, :-1]), np.maximum(h[:-1, 1:], h[1:, 1:]))
+        if not found:
+            return found is None, None
+        numbers = found[0]
+        return True, Reading(float(numbers[0]), numbers[1:4], numbers[4:7], numbers[7:])
 
     def _tiles_in(self, low: tuple[float, float], high: tuple[float, float]) -> Iterator[tuple[int, int]]:
         """The tiles, by their numbers along x and y, in a rectangle [m]."""
@@ -376,6 +325,23 @@ class TerrainSolid:
 
 
 _NO_SHIFT = np.zeros(3)
+
+
+@compiled
+def nearest_on_ground(
+    hull: Matrix, radius: float, heights: Matrix, x: Vector, y: Vector, reach: float, /
+) -> tuple[()] | tuple[Vector] | None:
+    """How near a convex shape is to the surface of a height map, from its cells one by one.
+
+    A `Reading` as (10,) numbers; None where it is not less than `reach` [m]; nothing where that is not known, as where
+    they touch. Here it never is: the compiled version alone is quicker than the trees of tiles.
+
+    Parameters
+    ----------
+    hull: (k, 3) points within `radius` [m] of whose convex hull the shape lies.
+    heights: (rows, columns) [m] at y (rows,) and x (columns,).
+    """
+    return ()
 
 
 def _tree_of(triangles: Array) -> Tree:
