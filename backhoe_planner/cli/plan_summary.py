@@ -201,8 +201,7 @@ def _print_bound(found: bp.Plan) -> None:
     """What no motion to the goal could fall short of, and how far above it the plan is; nothing along a path."""
     bound, cost = found.bound, found.metrics.cost
     if bound is not None:
-        # for another objective a motion is slow on purpose
-        longer = f" ({bound.excess})" if bound.excess and found.minimised == "time" else ""
+        longer = f" ({found.excess})" if found.excess else ""
         OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s{longer}")
         least = None if cost is None else bound.least_energy(cost.objective)
         if cost is not None and least is not None:

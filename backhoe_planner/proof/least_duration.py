@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -77,11 +78,18 @@ def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> flo
     """What no motion from rest at `start` (n,) to the goal takes less than [s], where none is known.
 
     It is the finer the less far it is sought: slow motions that are known make a bound of `least_duration` weaker.
+    The search for a motion and its plan ask for the same, so that it is remembered.
 
     Parameters
     ----------
     boxes: how many may be looked at each time that it is sought.
     """
+    return _least_of_all(problem, tuple(start.tolist()), boxes)
+
+
+@lru_cache(maxsize=4)
+def _least_of_all(problem: Problem, at: tuple[float, ...], boxes: int) -> float:
+    start = np.array(at)
     goals = goal_regions(problem)
     most, above = _SHORTEST, _about(problem, start, goals)
     while most < above:

@@ -167,6 +167,14 @@ class Plan:
         return name if {part.objective.name for part in parts} == {name} else ""
 
     @property
+    def excess(self) -> str:
+        """How much longer it takes than the bound of the duration, in words.
+
+        Empty where it is slow on purpose, as slower mostly costs less, and where there is no such bound.
+        """
+        return self.bound.excess if self.bound is not None and self.minimised == "time" else ""
+
+    @property
     def settings(self) -> str:
         """With what it was made, in words: ``method auto, seed 0, effort normal``."""
         if self.method == "teleop":

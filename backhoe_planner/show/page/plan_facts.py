@@ -67,7 +67,7 @@ def _about_duration(plan: Plan) -> str:
     if plan.findings.allowed_time is not None:
         words.append(f"at most {plan.findings.allowed_time:.2f} s was allowed")
     if plan.bound is not None:
-        longer = f": {plan.bound.excess}" if plan.bound.excess else ""
+        longer = f": {plan.excess}" if plan.excess else ""
         words.append(f"no motion can take less than {plan.bound.duration:.2f} s{longer}")
     return "; ".join(words)
 
