@@ -18,9 +18,9 @@ from backhoe_planner.planning.descent.kinks import Kinks
 
 _PLACES_PER_PIECE = 3  # at which the second derivative is squared; it is linear on a piece
 _EVEN = 0.02  # curvature of a shift of all control points, as a part of that of the sharpest bend; chosen
-_BOLD = 2.0  # sizes of the box that the first step without conditions is long, about; chosen
+_BOLD = 6.0  # sizes of the box that the first step without conditions is long, about; chosen among 2 to 15
 _LEAST_CURVED = 0.2  # part of the curvature that a step must show to be taken as it is (Powell 1978)
-_LEAST_SCALED = 0.85  # times what all of the curvature becomes where a step shows less; chosen among 0.3 to 1, measured
+_LEAST_SCALED = 0.6  # times what all of the curvature becomes where a step shows less; chosen among 0.3 to 1, measured
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.kinks import NearKinks
+from backhoe_planner.planning.descent.kinks import NearKinks, rounded
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import Proximity
@@ -33,6 +33,9 @@ _LEAST_FLOW = 0.01  # part of the pump's that a joint takes then, below which it
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
 _SOLUTIONS = 3  # of a program at most; measured, the third adds a fiftieth of the kinks of the second
+# of a step, that are compared; chosen
+_PARTS = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02])
+_CLEARANCE = "clearance"  # the name of the rows that may be missed by the slack
 _SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
 
 
@@ -204,7 +207,7 @@ class LinearModel:
             near = found.margin < _CURVED * (np.abs(G) @ self._box)
             blocks.append(-G[near])
             rest.append(found.margin[near] if after is None else found.margin[near] - G[near] @ after)
-        self._add("clearance", np.vstack(blocks), np.concatenate(rest), slack=True)
+        self._add(_CLEARANCE, np.vstack(blocks), np.concatenate(rest), slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
         """Rows that keep the end of the curve, with the joints at `end`, on a goal."""
@@ -256,19 +259,41 @@ class LinearModel:
     ) -> Vector | None:
         """The solution of the program, or None where there is none; parameters as for `program`.
 
-        It is solved first without a variable for any kink, and again where the step crosses some.
+        With a bend it is solved first without a variable for any kink, and again where the step crosses some. As each
+        solution may cross others, what is returned is the part of one of them that costs least by all kinks.
         """
-        kinks, x = None if bend is None else self._near_kinks(bend), None
+        if bend is None:
+            program = self.program(slack_price, bend=None, longest=longest)
+            return solve_with_near_rows(program, most_iterations=most_iterations)
+        kinks, best, least = self._near_kinks(bend), None, np.inf
         for _ in range(_SOLUTIONS):
             program = self.program(slack_price, bend=bend, kinks=kinks, longest=longest)
-            found = solve_with_near_rows(program, most_iterations=most_iterations)
-            if found is None:
+            x = solve_with_near_rows(program, most_iterations=most_iterations)
+            if x is None:
                 break
-            x, known = found, kinks
-            kinks = None if known is None else known.after(x[: self._steps + 1])
+            part, cost = self._cheapest_part(x[: self._steps + 2], bend, slack_price)
+            if cost < least:
+                best, least = part * x[: self._steps + 2], cost
+            known = kinks
+            kinks = known.after(x[: self._steps + 1])
             if kinks is known:
                 break
-        return x
+        return best
+
+    def _cheapest_part(self, x: Vector, bend: Bend, slack_price: float) -> tuple[float, float]:
+        """The part of a step that costs least by the bend, all its kinks, and what it misses; and how much that is."""
+        step, kinks = x[:-1], bend.kinks
+        value, change = kinks.value, kinks.G @ step
+        straight = float(bend.slope @ step - (kinks.share * kinks.rising()) @ change)
+        curved = float(step @ (bend.known + bend.curvature) @ step)
+        missed = [np.zeros((1, len(_PARTS)))]
+        missed += [
+            np.outer(row.G[:, :-1] @ step, _PARTS) - row.h[:, None] for row in self._rows if row.name == _CLEARANCE
+        ]
+        cost = kinks.share @ rounded(value[:, None] + np.outer(change, _PARTS), kinks.width)
+        cost += _PARTS * straight + 0.5 * _PARTS**2 * curved + slack_price * np.vstack(missed).max(axis=0)
+        found = int(np.argmin(cost))
+        return float(_PARTS[found]), float(cost[found])
 
     def _near_kinks(self, bend: Bend) -> NearKinks:
         """The kinks of the cost that a step within the box may get to."""
