@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _Kind = TypeVar("_Kind")
+_LONG = 200  # characters; chosen
 
 
 class PlannerError(Exception):
@@ -63,10 +64,9 @@ class InputError(PlannerError, ValueError):
         text = f"{where}: {problem}" if where else problem
         if found is not None:
             text += f"; found {found!r}" if not isinstance(found, str) else f"; found {found}"
-        if allowed is not None:
-            text += f"; allowed: {allowed}"
-        if hint is not None:
-            text += f" ({hint})"
+        parts = [f"; allowed: {allowed}" if allowed is not None else "", f" ({hint})" if hint is not None else ""]
+        # after a long list a hint is not seen
+        text += "".join(parts if len(parts[0]) < _LONG else reversed(parts))
         super().__init__(text)
 
     @classmethod

@@ -250,9 +250,12 @@ def _print_asked_speed(kept: planning.AskedSpeed | None) -> None:
     """On how much of the path the asked speed is kept, and which limit prevents it elsewhere."""
     if kept is None:
         return
-    parts = [f"{part.path_from:.2f} to {part.path_to:.2f} m ({part.limit})" for part in kept.slower[:_MOST_PARTS]]
+    parts = []
+    for part in kept.slower[:_MOST_PARTS]:
+        ends = list(dict.fromkeys(f"{end:.2f}" for end in (part.path_from, part.path_to)))  # a turn on the spot has one
+        parts.append(f"{'from' if len(ends) > 1 else 'at'} {' to '.join(ends)} m ({part.limit})")
     more = f" and {len(kept.slower) - _MOST_PARTS} more" if len(kept.slower) > _MOST_PARTS else ""
-    slower = f"; slower from {', '.join(parts)}{more}" if parts else ""
+    slower = f"; slower {', '.join(parts)}{more}" if parts else ""
     OUT.print(f"asked speed   {kept.asked:g} m/s kept on {kept.kept_percent:.0f} % of the path{slower}")
 
 

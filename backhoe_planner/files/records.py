@@ -121,7 +121,10 @@ def explain(
     """
     variants = _variants(root)
     problems = []
-    for detail in _of_one_kind(error.errors(include_url=False)):
+    found = list(_of_one_kind(error.errors(include_url=False)))
+    for detail in found:
+        if detail["type"] == "too_short" and any(_is_within(other["loc"], detail["loc"]) for other in found):
+            continue  # pydantic does not count an entry that is wrong itself
         place = _place_in_file(detail["loc"], content, missing=detail["type"] == "missing")
         above = (place[:k] for k in range(len(place), 0, -1))
         line = next((lines[part] for part in above if part in lines), None) if lines else None
@@ -138,6 +141,10 @@ def explain(
     if len(unique) == 1:
         return unique[0]
     return f"{len(unique)} problems\n" + "\n".join(f"  - {problem}" for problem in unique)
+
+
+def _is_within(place: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
+    return len(place) > len(other) and place[: len(other)] == other
 
 
 def describe(detail: Any) -> str:

@@ -79,6 +79,12 @@ def test_what_is_wrong_is_named_with_leg_and_key(content: dict[str, Any], words:
     assert words in str(error.value)
 
 
+def test_a_leg_that_is_wrong_is_not_missed_as_well() -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_from_dict(scene(REACH | {"payloads": 3.0}))
+    assert "entries" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("leg", "key"),
     [

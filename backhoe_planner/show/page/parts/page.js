@@ -418,7 +418,7 @@ function show(recording) {
   window.backhoe = { viewer, heard, element, number, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
     get problem() { return problem; } };
   if (recording === null) {
-    notice("Waiting for the planner…");
+    notice("Waiting for the picture…");
     connect();
   } else {
     for (const code of recording.draw) draw(Uint8Array.from(atob(code), (letter) => letter.charCodeAt(0)));
