@@ -19,6 +19,7 @@ SOURCES = (
     "rows",
     "odometers",
     "screen",
+    "near",
     "timing",
     "programs",
     "held",
@@ -30,7 +31,7 @@ setup(
         Extension(
             "backhoe_planner_native",
             [f"src/{name}.c" for name in SOURCES],
-            depends=["src/arrays.h", "src/distance.h", "src/cells.h"],
+            depends=["src/arrays.h", "src/distance.h", "src/cells.h", "src/screen.h"],
             include_dirs=[np.get_include()],
             # no product and sum are made one: the same numbers on every processor
             extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off"],

@@ -700,6 +700,14 @@ def pairs_not_apart(rng: Rng) -> Arguments:
     return rng.normal(size=(1, q.shape[1])), *rest
 
 
+def distances_within(rng: Rng) -> Arguments:
+    q, *rest = first_not_apart(rng)
+    pairs = len(rest[-1])
+    known = rng.choice([-np.inf, 0.1, 5.0], (len(q), pairs))
+    sense = rng.integers(-1, 2, (pairs, q.shape[1])).astype(float)
+    return rng.uniform(0.0, 2.0, len(q)), known, sense, q, *rest
+
+
 def fastest_run(rng: Rng) -> Arguments:
     """Of a path that can be run in most cases."""
     count = 1 + some(rng)
@@ -727,13 +735,13 @@ def nearest_on_ground(rng: Rng) -> Arguments:
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
-    cost_of_tip, count_travel, damped_steps, extent_along, fastest_run, first_not_apart, force_on_hand,
-    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart, largest_part,
-    least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes, near_gaps, near_now,
-    near_rows, nearest_on_ground, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
-    off_turned_box, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
-    quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity, rows_of_path, soft_solution,
-    split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
+    cost_of_tip, count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart,
+    force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart,
+    largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes,
+    near_gaps, near_now, near_rows, nearest_on_ground, nearest_rows, nearest_safe_program, next_within, not_proven,
+    note_gaps, off_turned_box, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
+    put_planes, quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity, rows_of_path,
+    soft_solution, split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
     unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
@@ -750,7 +758,9 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 
 
 # those that may answer instead of coal, which their plain versions leave to it
-OF_COAL = first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground
+OF_COAL = (
+    first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, distances_within,
+)  # fmt: skip
 
 
 def leaves_open(source: Callable[[Rng], Arguments], expected: Any) -> bool:

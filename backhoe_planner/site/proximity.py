@@ -41,6 +41,7 @@ from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
+from backhoe_planner.site.pairs.hull_distances import HullDistances, NearPairs
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
 from backhoe_planner.site.pairs.nearby import Lead, Nearby, near_rows, pairs_within, reach_of_lead
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
@@ -49,6 +50,7 @@ from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
 _FURTHER = 0.02  # m beyond what is asked for that clusters are looked for; chosen, halves the questions of a swing post
+_MANY = 3_000  # pairs, beyond which a look at each of them takes too much memory; chosen
 _NO_LEAD = None, None, 0.0
 _FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
 
@@ -197,6 +199,29 @@ class Proximity:
         They hold at all times, and are minus infinity where nothing is known.
         """
         return self._balls.of(q)
+
+    def near_in_each_unchecked(self, q: Matrix, margin: Vector, known: Matrix) -> NearPairs | None:
+        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n), found together.
+
+        None where obstacles are clusters, or where it matters when.
+
+        Parameters
+        ----------
+        known: (N, P) what the distances are known to be at least [m].
+        """
+        if len(self.clusters) or self._moving or self._some_appear or not 0 < len(self.pairs) <= _MANY:
+            return None
+        self.cover_unchecked(q)
+        return self._hulls.within(q, margin, np.maximum(known, self.floor))
+
+    @cached_property
+    def _hulls(self) -> HullDistances:
+        second = self._body.astype(np.intp)
+        second[self.owner >= 0] += len(self_pieces(self.robot)) - len(self._pieces)
+        return HullDistances(
+            self.robot, self._bodies, first=self._first.astype(np.intp), second=second, clearance=self.clearance,
+            sense=self._sense,
+        )  # fmt: skip
 
     def ways_unchecked(self, q: Matrix) -> Iterator[Vector]:
         """(P,) the most each distance changes [m] on each straight motion through `q` (N + 1, n); see `link_ways`."""

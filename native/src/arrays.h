@@ -89,7 +89,7 @@ void solve_cholesky(const double *L, int n, double *b);
 int eigenvectors(double *A, int n, double *U);
 
 /* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo,
- * boxes, rows, odometers, screen, timing, programs, held, ground. */
+ * boxes, rows, odometers, screen, near, timing, programs, held, ground. */
 #define FUNCTIONS(F) \
     F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
@@ -107,7 +107,7 @@ int eigenvectors(double *A, int n, double *U);
     F(velocity_within_rows) F(rows_of_path) F(turn_along_surface) F(near_gaps) F(nearest_rows) F(gaps_along_path) \
     F(tightest_pair) F(known_apart) F(boxes_of_cells) F(boxes_of_voxels) F(put_planes) F(hulls_apart) \
     F(most_urgent_boxes) F(lower_on_grid) F(velocity_held_as_before) \
-    F(nearest_on_ground)
+    F(nearest_on_ground) F(distances_within)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

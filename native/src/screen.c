@@ -1,16 +1,7 @@
 /* Which configurations keep their clearances: by balls around links, then by whether two pieces come nearer. */
-#include "arrays.h"
-#include "distance.h"
+#include "screen.h"
 
 #include <math.h>
-
-/* what is known of a pair */
-typedef enum { APART, NEARER, UNDECIDED } Verdict;
-
-/* R row by row, then t: T_world_joint */
-typedef struct {
-    double R[9], t[3];
-} Pose;
 
 /* The poses 1 to n of the joints of one configuration; pose 0 is that of the base. */
 static void place(Pose *pose, const double (*f)[33], const double *slides, const Mat *q, npy_intp row, npy_intp n)
@@ -39,7 +30,7 @@ static void place(Pose *pose, const double (*f)[33], const double *slides, const
     }
 }
 
-static void moved(const Pose *pose, const double *x, double *into)
+void moved(const Pose *pose, const double *x, double *into)
 {
     for (int r = 0; r < 3; r++)
         into[r] = pose->t[r] + pose->R[3 * r] * x[0] + pose->R[3 * r + 1] * x[1] + pose->R[3 * r + 2] * x[2];
@@ -58,14 +49,6 @@ static double off_box(const double *box, const double *x)
     return square;
 }
 
-/* Some corners, and the frame that they are in */
-typedef struct {
-    const double *x, *y, *z;
-    npy_intp count;
-    double radius;
-    const Pose *pose;
-} Corners;
-
 /* A direction, or one back, in the frame of some corners. */
 static void turned_back(const Pose *pose, const double *n, double *local)
 {
@@ -74,7 +57,7 @@ static void turned_back(const Pose *pose, const double *n, double *local)
 }
 
 /* The corner that is furthest along a direction, world; a `Support`. */
-static void furthest_corner(const void *of, const double *n, double *point)
+void furthest_corner(const void *of, const double *n, double *point)
 {
     const Corners *corners = of;
     double local[3], most = -INFINITY;
@@ -88,16 +71,7 @@ static void furthest_corner(const void *of, const double *n, double *point)
     moved(corners->pose, (double[]){corners->x[found], corners->y[found], corners->z[found]}, point);
 }
 
-/* What a screen is made of; see `first_not_apart`. */
-typedef struct {
-    Mat q, factors, normals;
-    Vec slides, least;
-    Ind joint, starts, corner_starts, first, second;
-    npy_intp own, every, corners, balls;
-    const double *coarse, *fine, *corner, *radius, *box;
-} Screen;
-
-static int read_screen(PyObject *const *args, Screen *s)
+int read_screen(PyObject *const *args, Screen *s)
 {
     npy_intp coarse[2], fine[2], corner[2], radius[1], box[2];
     if (as_mat(args[1], "factors", 33, -1, &s->factors) < 0 || some_joints(s->factors.columns) < 0 ||
@@ -122,7 +96,7 @@ static int read_screen(PyObject *const *args, Screen *s)
     return as_out(args[14], "normals", s->least.n, 3, &s->normals);
 }
 
-static Corners corners_of(const Screen *s, npy_intp piece, const Pose *pose)
+Corners corners_of(const Screen *s, npy_intp piece, const Pose *pose)
 {
     const npy_intp begin = INDEX(s->corner_starts, piece), end = INDEX(s->corner_starts, piece + 1);
     const double *x = s->corner + begin;
@@ -131,7 +105,7 @@ static Corners corners_of(const Screen *s, npy_intp piece, const Pose *pose)
 }
 
 /* Whether two pieces are `least` apart; `normal`, from the first to the second, begins as a guess. */
-static Verdict verdict_of(const Corners *from, const Corners *to, double least, double *normal)
+Verdict verdict_of(const Corners *from, const Corners *to, double least, double *normal)
 {
     const int nearer = come_nearer(furthest_corner, from, to, least + from->radius + to->radius, normal);
     return nearer > 0 ? NEARER : nearer == 0 ? APART : UNDECIDED;
@@ -223,15 +197,7 @@ static Verdict off_own(const Screen *s, npy_intp pair, npy_intp a, npy_intp b, c
     return verdict;
 }
 
-/* A configuration of the machine with its balls. */
-typedef struct {
-    double factors[MOST_JOINTS][33], slides[MOST_JOINTS];
-    Pose pose[MOST_JOINTS + 1];
-    double (*centre)[3], (*ball)[3];
-    Room room;
-} Machine;
-
-static int machine_of(const Screen *s, Machine *m)
+int machine_of(const Screen *s, Machine *m)
 {
     m->pose[0] = (Pose){{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, {0.0, 0.0, 0.0}};
     for (npy_intp j = 0; j < s->factors.columns; j++) {
@@ -244,7 +210,7 @@ static int machine_of(const Screen *s, Machine *m)
     return m->centre ? 0 : -1;
 }
 
-static void place_at(const Screen *s, Machine *m, npy_intp row)
+void place_at(const Screen *s, Machine *m, npy_intp row)
 {
     place(m->pose, m->factors, m->slides, &s->q, row, s->factors.columns);
     for (npy_intp a = 0; a < s->own; a++) {
@@ -312,8 +278,8 @@ PyObject *pairs_not_apart(PyObject *self, PyObject *const *args, Py_ssize_t coun
     return pairs;
 }
 
-/* The least distance between the smaller balls of two pieces, or of one and a body. */
-static double balls_apart(const Screen *s, npy_intp a, npy_intp b, const double (*ball)[3])
+/* The least distance between the smaller balls of two pieces, or of one and a body; `rounder` has the radii of bodies. */
+double balls_apart(const Screen *s, npy_intp a, npy_intp b, const double (*ball)[3], const double *rounder)
 {
     const double *box = b < s->own ? NULL : s->box + 15 * (b - s->own);
     double least = INFINITY;
@@ -327,7 +293,7 @@ static double balls_apart(const Screen *s, npy_intp a, npy_intp b, const double 
         } else if (box[12] < 0.0)
             off = box[0] * ball[i][0] + box[1] * ball[i][1] + box[2] * ball[i][2] - box[9];
         else
-            off = sqrt(off_box(box, ball[i])) - s->radius[b - s->own];
+            off = sqrt(off_box(box, ball[i])) - rounder[b - s->own];
         least = fmin(least, off - s->fine[4 * i + 3]);
     }
     return least;
@@ -361,7 +327,7 @@ PyObject *ball_bounds(PyObject *self, PyObject *const *args, Py_ssize_t count)
     for (npy_intp row = 0; row < s.q.rows; row++) {
         place_at(&s, &m, row);
         for (npy_intp pair = 0; pair < s.first.n; pair++)
-            *found++ = balls_apart(&s, INDEX(s.first, pair), INDEX(s.second, pair), (const double (*)[3])m.ball);
+            *found++ = balls_apart(&s, INDEX(s.first, pair), INDEX(s.second, pair), (const double (*)[3])m.ball, s.radius);
     }
     release(&m.room);
     return bounds;

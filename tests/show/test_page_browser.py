@@ -168,7 +168,8 @@ def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
     )
     tab.open((tmp_path / "plan.html").as_uri())
     facts = tab.page.locator("#facts").inner_text()
-    assert "no motion can take less than 2.50 s: this one takes 60 % longer" in facts
+    assert "no motion can take less than 2.50 s" in facts
+    assert "longer" not in facts  # it is slow on purpose
     assert "kinetic 12.35 kJ s" in facts
     assert "Goal reached\n2 of 2" in facts
     assert "Kept: pitch\n5.73° left" in facts  # 0.1 rad at the end

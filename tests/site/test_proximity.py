@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Robot, load_robot, travel_bounds
+from backhoe_planner.native import find_compiled
 from backhoe_planner.site import (
     Nearby,
     Obstacle,
@@ -27,6 +28,7 @@ from backhoe_planner.site import (
     scene_from_dict,
 )
 
+needs_native = pytest.mark.skipif(find_compiled() is None, reason="backhoe_planner_native is not installed")
 STRETCHED = np.zeros(4)  # link k of planar4 lies along x from k - 1 to k, 8 cm wide and high
 STEP = 1e-6
 
@@ -344,6 +346,57 @@ def test_broad_phase_finds_what_brute_force_finds(name: str, jumps: bool, reques
     assert found > 0
     if not jumps:
         assert proximity.measured < 0.35 * steps * len(proximity.pairs)
+
+
+@needs_native
+@pytest.mark.parametrize("self_collision", [True, False])
+@pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
+def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
+    name: str, self_collision: bool, request: pytest.FixtureRequest
+) -> None:
+    """The compiled distances along a motion beside coal's, with half-space, ball, box and cylinder around."""
+    robot, rng = request.getfixturevalue(name), np.random.default_rng(4)
+    obstacles = build(
+        robot,
+        {"shape": "halfspace", "point": [0, 0, -0.5], "normal": [0.1, 0, 1]},
+        ball(0.6, 0.5, 0.4),
+        {"shape": "box", "size": [0.5, 0.2, 0.9], "position": [-0.7, 0.4, 0.3], "rpy": [0.2, 0.4, 0.1]},
+        {"shape": "cylinder", "radius": 0.2, "length": 0.8, "position": [1.5, -0.9, 0.2], "rpy": [0.6, 0, 0]},
+    )
+    proximity, other = (Proximity(robot, obstacles, self_collision=self_collision) for _ in range(2))
+    rows, left = 0, 0
+    for step in range(4):  # planes that were found before are tried again
+        q = np.array([robot.random_q(rng) for _ in range(60)])
+        margin = rng.uniform(0.05, 0.4, 60)
+        known = np.full((60, len(proximity.pairs)), -np.inf if step < 3 else 1e3)
+        found = proximity.near_in_each_unchecked(q, margin, known)
+        assert found is not None
+        first = 0
+        for row, end in enumerate(found.ends.tolist()):
+            if end < 0:
+                left += 1
+                continue
+            those, first = slice(first, end), end
+            true = other.distances(q[row])
+            if step == 3:
+                assert end == 0
+                continue
+            nearby = other.at(q[row], margin=float(margin[row]))
+            np.testing.assert_array_equal(found.pair[those], nearby.pair)
+            np.testing.assert_allclose(found.distance[those], nearby.distance, atol=1e-7)
+            clear = nearby.distance > 1e-4  # a normal at a corner that just touches is no precise one
+            np.testing.assert_allclose(found.gradient[those][clear], nearby.gradient[clear], atol=1e-5)
+            assert (found.lower[row] <= true + 1e-7).all()
+            rows += len(nearby)
+    assert rows > 150
+    assert left < 200
+
+
+def test_only_what_stands_and_is_of_convex_pieces_is_found_in_many_postures_at_once(planar4: Robot) -> None:
+    q, margin = np.zeros((1, 4)), np.full(1, 0.1)
+    for more in ({"velocity": [0.1, 0, 0]}, {"appears_at": 1.0}):
+        proximity = around(planar4, ball(9.0, 0.0, **more))
+        assert proximity.near_in_each_unchecked(q, margin, np.full((1, len(proximity.pairs)), -np.inf)) is None
 
 
 def test_100_spheres_50_m_away_are_not_measured_until_they_are_asked_for(backhoe: Robot) -> None:

@@ -8,6 +8,7 @@ The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,31 +71,49 @@ def find_margins(
     places: (K,) their indices; by default they are counted.
     seen: what is known of the distances there already, from the same `time`, and what is found out now.
     """
-    least, found = np.inf, []
     places = np.arange(len(q)) if places is None else places
     seen = seen or SeenDistances()
-    margins = np.broadcast_to(reach + spare, len(q))
+    margins = np.asarray(np.broadcast_to(reach + spare, len(q)), dtype=float)
     proximity.cover_unchecked(q)
     bounds = seen.bounds(places, q, proximity.travel)
-    needed = proximity.clearance + margins[:, None]
-    near = (bounds <= needed).any(axis=1)
-    if len(proximity.clusters):
-        proximity.clusters.expect(q[near], time, needed=needed[near, proximity.plain :])
-    by_balls = proximity.bounds_unchecked(q[near])
+    near = (bounds <= proximity.clearance + margins[:, None]).any(axis=1)
+    of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time, places[near], seen)
+    least, found = np.inf, []
     for row, place in enumerate(places.tolist()):
-        if near[row]:
-            known = np.maximum(bounds[row], next(by_balls))
-            nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=known)
-            seen.keep(place, q[row], proximity.found_unchecked)
-            if len(nearby):
-                margin = nearby.margin - spare
-                least = min(least, float(margin.min()))
-                found.append(Margin(place, margin, nearby.gradient))
+        both = [next(of_pairs)] if near[row] else []
         if keep is not None and place > 0:  # the start cannot be changed
-            margin = keep.margins(q[row]) - _SPARE_OF_KEPT * spare
-            least = min(least, float(margin.min()))
-            found.append(Margin(place, margin, keep.gradients(q[row])))
+            both.append((keep.margins(q[row]) + (1.0 - _SPARE_OF_KEPT) * spare, keep.gradients(q[row])))
+        for margin, gradient in both:
+            if len(margin):
+                least = min(least, float(margin.min()) - spare)
+                found.append(Margin(place, margin - spare, gradient))
     return least, found
+
+
+def _nearby(
+    proximity: Proximity, q: Matrix, margins: Vector, bounds: Matrix, time: float, places: Indices, seen: SeenDistances
+) -> Iterator[tuple[Vector, Matrix]]:  # fmt: skip
+    """(M,), (M, n) margins and gradients of what is within `margins` (K,) [m] at each of q (K, n).
+
+    The distances are known to be at least `bounds` (K, P) [m]; what is found of them is kept in `seen`.
+    """
+    together = proximity.near_in_each_unchecked(q, margins, bounds)
+    if together is None:
+        if len(proximity.clusters):
+            needed = proximity.clearance[proximity.plain :] + margins[:, None]
+            proximity.clusters.expect(q, time, needed=needed)
+        bounds = np.fmax(bounds, list(proximity.bounds_unchecked(q))) if len(q) else bounds
+    first = 0
+    for row, place in enumerate(places.tolist()):
+        if together is not None and together.ends[row] >= 0:
+            rows = slice(first, int(together.ends[row]))
+            first = rows.stop
+            seen.keep(place, q[row], together.lower[row])
+            yield together.distance[rows] - proximity.clearance[together.pair[rows]], together.gradient[rows]
+        else:
+            nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=bounds[row])
+            seen.keep(place, q[row], proximity.found_unchecked)
+            yield nearby.margin, nearby.gradient
 
 
 class LinearModel:

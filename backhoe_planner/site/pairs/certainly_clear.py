@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,14 +71,8 @@ class CertainlyClear:
         self, robot: Robot, bodies: Sequence[shapes.Piece], shifts: Matrix,
         *, first: Indices, second: Indices, least: Vector,
     ) -> None:  # fmt: skip
-        links = covered_links(robot)
-        corners = links.corners + [piece.hull + shift for piece, shift in zip(bodies, shifts, strict=True)]
-        self._arguments = (
-            links.factors, links.slides, links.joint, links.coarse, links.starts, links.fine, _starts(corners),
-            np.ascontiguousarray(np.vstack(corners).T), np.array(links.radius + [body.radius for body in bodies]),
-            np.array([box_of(body, shift) for body, shift in zip(bodies, shifts, strict=True)]).reshape(-1, 15),
-            first, second, least + _ROUNDING, np.zeros((len(first), 3)),
-        )  # fmt: skip
+        pieces = pieces_of_pairs(robot, bodies, shifts, first, second)
+        self._arguments = (*pieces, least + _ROUNDING, np.zeros((len(first), 3)))
 
     def first_not_apart(self, q: Matrix) -> tuple[int, bool]:
         """The first of the configurations `q` (N, n) that is not known to keep all, and whether it certainly does not.
@@ -90,6 +84,20 @@ class CertainlyClear:
     def pairs_not_apart(self, q: Vector) -> Indices:
         """Which of the pairs are not known to be so far apart in one configuration (n,), ascending."""
         return pairs_not_apart(q[None], *self._arguments)
+
+
+def pieces_of_pairs(
+    robot: Robot, bodies: Sequence[shapes.Piece], shifts: Matrix, first: Indices, second: Indices
+) -> tuple[Any, ...]:
+    """What `first_not_apart` takes of the machine, of `bodies` moved by `shifts` (B, 3) [m], and of pairs of these."""
+    links = covered_links(robot)
+    corners = links.corners + [piece.hull + shift for piece, shift in zip(bodies, shifts, strict=True)]
+    return (
+        links.factors, links.slides, links.joint, links.coarse, links.starts, links.fine, _starts(corners),
+        np.ascontiguousarray(np.vstack(corners).T), np.array(links.radius + [body.radius for body in bodies]),
+        np.array([box_of(body, shift) for body, shift in zip(bodies, shifts, strict=True)]).reshape(-1, 15),
+        first, second,
+    )  # fmt: skip
 
 
 def box_of(body: shapes.Piece, shift: Vector) -> Vector:

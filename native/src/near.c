@@ -1,0 +1,228 @@
+/* How far apart the near pairs are in many configurations, and how that changes: site/pairs/hull_distances.py. */
+#include "screen.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double ROUNDING = 1e-9; /* m: far above what sums of a few products are off */
+
+/* The corners of all pieces, row after row, world: of bodies from the beginning, of a link's piece once it is asked for
+ * where the machine stands. */
+typedef struct {
+    double *point;
+    unsigned char *placed;
+    Room points, marks;
+} World;
+
+static int world_of(const Screen *s, World *world)
+{
+    world->point = room_for(&world->points, (3 * s->corners + 1) * sizeof(double));
+    world->placed = room_for(&world->marks, s->own + 1);
+    if (!world->point || !world->placed)
+        return -1;
+    for (npy_intp k = INDEX(s->corner_starts, s->own); k < s->corners; k++)
+        for (int c = 0; c < 3; c++)
+            world->point[3 * k + c] = s->corner[c * s->corners + k];
+    return 0;
+}
+
+static Hull hull_of(const Screen *s, const Machine *m, World *world, npy_intp piece)
+{
+    const npy_intp begin = INDEX(s->corner_starts, piece), end = INDEX(s->corner_starts, piece + 1);
+    if (piece < s->own && !world->placed[piece]) {
+        const Pose *pose = m->pose + INDEX(s->joint, piece);
+        for (npy_intp k = begin; k < end; k++)
+            moved(pose, (double[]){s->corner[k], s->corner[s->corners + k], s->corner[2 * s->corners + k]},
+                  world->point + 3 * k);
+        world->placed[piece] = 1;
+    }
+    return (Hull){world->point + 3 * begin, end - begin};
+}
+
+/* The signed distance of a pair, its normal from the first to the second, and the point of the first; 0, or -1 where
+ * that takes coal. */
+static int measure_pair(const Screen *s, const Machine *m, World *world, npy_intp pair, double *distance, double *normal,
+                        double *point)
+{
+    const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
+    const double *box = b < s->own ? NULL : s->box + 15 * (b - s->own);
+    if (box && box[12] < 0.0) {
+        const Corners corners = corners_of(s, a, m->pose);
+        for (int c = 0; c < 3; c++)
+            normal[c] = -box[c];
+        furthest_corner(&corners, normal, point);
+        *distance = box[0] * point[0] + box[1] * point[1] + box[2] * point[2] - box[9] - s->radius[a];
+        return 0;
+    }
+    double other[3];
+    const Hull first = hull_of(s, m, world, a), second = hull_of(s, m, world, b);
+    if (first.count < 1 || second.count < 1 || hull_distance(&first, &second, distance, normal, point, other) < 0)
+        return -1;
+    *distance -= s->radius[a] + s->radius[b];
+    return 0;
+}
+
+/* How fast a distance changes with each joint, from its normal and the link's point. */
+static void gradient_of(const Machine *m, const Mat *sense, npy_intp pair, npy_intp n, const double *normal,
+                        const double *point, double *gradient)
+{
+    for (npy_intp j = 0; j < n; j++) {
+        const Pose *from = m->pose + j, *own = m->pose + j + 1;
+        const double sign = AT2(*sense, pair, j), *g = m->factors[j] + 27;
+        double axis[3];
+        for (int r = 0; r < 3; r++)
+            axis[r] = from->R[3 * r] * g[0] + from->R[3 * r + 1] * g[1] + from->R[3 * r + 2] * g[2];
+        if (m->slides[j] == 0.0) {
+            const double x = point[0] - own->t[0], y = point[1] - own->t[1], z = point[2] - own->t[2];
+            const double turned[3] = {axis[1] * z - axis[2] * y, axis[2] * x - axis[0] * z, axis[0] * y - axis[1] * x};
+            for (int r = 0; r < 3; r++)
+                axis[r] = turned[r];
+        }
+        gradient[j] = sign * (normal[0] * axis[0] + normal[1] * axis[1] + normal[2] * axis[2]);
+    }
+}
+
+/* what is found, row after row; it grows */
+typedef struct {
+    npy_intp *pair;
+    double *distance, *gradient;
+    npy_intp count, most;
+} Found;
+
+static int make_room(Found *found, npy_intp n)
+{
+    if (found->count < found->most)
+        return 0;
+    const npy_intp most = 2 * found->most + 256;
+    npy_intp *pair = PyMem_RawRealloc(found->pair, most * sizeof *pair);
+    found->pair = pair ? pair : found->pair;
+    double *distance = pair ? PyMem_RawRealloc(found->distance, most * sizeof *distance) : NULL;
+    found->distance = distance ? distance : found->distance;
+    double *gradient = distance ? PyMem_RawRealloc(found->gradient, most * n * sizeof *gradient) : NULL;
+    found->gradient = gradient ? gradient : found->gradient;
+    if (!gradient)
+        return PyErr_NoMemory(), -1;
+    found->most = most;
+    return 0;
+}
+
+/* Turn a normal of a pair from the frame of its second piece, in which it is kept, into the world's, or back. */
+static void turn_kept(const Screen *s, const Machine *m, npy_intp b, const double *from, double *to, int back)
+{
+    const Pose *pose = m->pose + (b < s->own ? INDEX(s->joint, b) : 0);
+    for (int r = 0; r < 3; r++) {
+        to[r] = 0.0;
+        for (int c = 0; c < 3; c++)
+            to[r] += pose->R[back ? 3 * c + r : 3 * r + c] * from[c];
+    }
+}
+
+/* A lower bound of the distance of a pair by a plane between both, if there is one that leaves more than `needed`; else
+ * minus infinity. The plane is looked for from the one that was found last. */
+static double plane_between(const Screen *s, const Machine *m, npy_intp pair, double needed)
+{
+    const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
+    const Corners from = corners_of(s, a, m->pose), to = corners_of(s, b, m->pose);
+    double kept[3], normal[3], near[3], far[3], gap = -from.radius - to.radius;
+    for (int c = 0; c < 3; c++)
+        kept[c] = AT2(s->normals, pair, c);
+    turn_kept(s, m, b, kept, normal, 0);
+    if (from.count < 1 || to.count < 1 || verdict_of(&from, &to, needed, normal) != APART)
+        return -INFINITY;
+    turn_kept(s, m, b, normal, kept, 1);
+    for (int c = 0; c < 3; c++)
+        AT2(s->normals, pair, c) = kept[c];
+    const double other[3] = {-normal[0], -normal[1], -normal[2]};
+    furthest_corner(&from, normal, near), furthest_corner(&to, other, far);
+    for (int c = 0; c < 3; c++)
+        gap += normal[c] * (far[c] - near[c]);
+    return gap;
+}
+
+/* All pairs of one configuration: 1 where all are known, 0 where one takes coal, or -1 with an exception. */
+static int near_in_one(const Screen *s, const Machine *m, World *world, const Mat *sense, double margin, double *lower,
+                       Found *found)
+{
+    const npy_intp n = s->factors.columns;
+    memset(world->placed, 0, s->own);
+    for (npy_intp pair = 0; pair < s->least.n; pair++) {
+        const double needed = AT(s->least, pair) + margin;
+        double distance, normal[3], point[3];
+        if (lower[pair] > needed)
+            continue;
+        lower[pair] = fmax(lower[pair], balls_apart(s, INDEX(s->first, pair), INDEX(s->second, pair),
+                                                    (const double (*)[3])m->ball, s->radius + s->own) - ROUNDING);
+        if (lower[pair] > fmax(needed, 0.0))
+            continue;
+        const npy_intp b = INDEX(s->second, pair);
+        if (b < s->own || s->box[15 * (b - s->own) + 12] >= 0.0) {
+            lower[pair] = fmax(lower[pair], plane_between(s, m, pair, needed) - ROUNDING);
+            if (lower[pair] > needed)
+                continue;
+        }
+        if (measure_pair(s, m, world, pair, &distance, normal, point) < 0)
+            return 0;
+        lower[pair] = distance;
+        if (distance > needed)
+            continue;
+        if (make_room(found, n) < 0)
+            return -1;
+        found->pair[found->count] = pair, found->distance[found->count] = distance;
+        gradient_of(m, sense, pair, n, normal, point, found->gradient + n * found->count++);
+    }
+    return 1;
+}
+
+PyObject *distances_within(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Screen s;
+    Machine m;
+    World world = {0};
+    Vec margin;
+    Mat known, sense;
+    if (count_is(count, 18, "distances_within") < 0 || read_screen(args + 3, &s) < 0 ||
+        as_vec(args[0], "margin", s.q.rows, &margin) < 0 ||
+        as_mat(args[1], "known", s.q.rows, s.least.n, &known) < 0 ||
+        as_mat(args[2], "sense", s.least.n, s.factors.columns, &sense) < 0 || machine_of(&s, &m) < 0)
+        return NULL;
+    const npy_intp rows = s.q.rows, pairs = s.least.n, n = s.factors.columns;
+    double *lower, *distance, *gradient;
+    npy_intp *ends, *pair;
+    Found found = {0};
+    PyObject *parts[5] = {new_mat(rows, pairs, &lower), new_ind(rows, &ends), NULL, NULL, NULL}, *result = NULL;
+    if (!parts[0] || !parts[1] || world_of(&s, &world) < 0)
+        goto done;
+    for (npy_intp row = 0; row < rows; row++) {
+        for (npy_intp k = 0; k < pairs; k++)
+            lower[pairs * row + k] = AT2(known, row, k);
+        place_at(&s, &m, row);
+        const npy_intp before = found.count;
+        const int is_known = near_in_one(&s, &m, &world, &sense, AT(margin, row), lower + pairs * row, &found);
+        if (is_known < 0)
+            goto done;
+        if (!is_known)
+            found.count = before;
+        ends[row] = is_known ? found.count : -1;
+    }
+    if (!(parts[2] = new_ind(found.count, &pair)) || !(parts[3] = new_vec(found.count, &distance)) ||
+        !(parts[4] = new_mat(found.count, n, &gradient)))
+        goto done;
+    if (found.count) {
+        memcpy(pair, found.pair, found.count * sizeof *pair);
+        memcpy(distance, found.distance, found.count * sizeof *distance);
+        memcpy(gradient, found.gradient, found.count * n * sizeof *gradient);
+    }
+    result = PyTuple_New(5);
+    for (int part = 0; part < 5 && result; part++)
+        PyTuple_SET_ITEM(result, part, Py_NewRef(parts[part]));
+done:
+    for (int part = 0; part < 5; part++)
+        Py_XDECREF(parts[part]);
+    PyMem_RawFree(found.pair), PyMem_RawFree(found.distance), PyMem_RawFree(found.gradient);
+    release(&m.room);
+    if (world.point)
+        release(&world.points);
+    if (world.placed)
+        release(&world.marks);
+    return result;
+}
