@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -32,6 +32,8 @@ _REACHED = 0.98  # part of what it is sought up to, from which on the bound may 
 _LEVELS = 256  # of the time, at which boxes are tested; chosen: they are two fifths of a percent apart
 _INNERMOST = 26  # of these levels: the least that the first box reaches to; chosen, a tenth
 _NEXT_SHELL = 1.25  # times the level at which a shell begins: where it ends; chosen among 1.1 to 3 on random sites
+
+_KNOWN: WeakKeyDictionary[Problem, dict[tuple[bytes, int], float]] = WeakKeyDictionary()  # bounds of all motions
 
 
 @dataclass(frozen=True)
@@ -78,18 +80,20 @@ def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> flo
     """What no motion from rest at `start` (n,) to the goal takes less than [s], where none is known.
 
     It is the finer the less far it is sought: slow motions that are known make a bound of `least_duration` weaker.
-    The search for a motion and its plan ask for the same, so that it is remembered.
+    A search with the effort `normal` and its plan ask for the same, so that it is remembered as long as the problem is.
 
     Parameters
     ----------
     boxes: how many may be looked at each time that it is sought.
     """
-    return _least_of_all(problem, tuple(start.tolist()), boxes)
+    known = _KNOWN.setdefault(problem, {})
+    key = start.tobytes(), boxes
+    if key not in known:
+        known[key] = _least_of_all(problem, start, boxes)
+    return known[key]
 
 
-@lru_cache(maxsize=4)
-def _least_of_all(problem: Problem, at: tuple[float, ...], boxes: int) -> float:
-    start = np.array(at)
+def _least_of_all(problem: Problem, start: Vector, boxes: int) -> float:
     goals = goal_regions(problem)
     most, above = _SHORTEST, _about(problem, start, goals)
     while most < above:

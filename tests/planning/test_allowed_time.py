@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import sys
+import weakref
 from typing import Any
 
 import numpy as np
@@ -73,6 +76,22 @@ def test_the_bound_is_the_one_that_is_found_where_it_is_sought_ever_further(back
             most *= 2.0
         assert found > 0.5
         assert least_duration_of_all(problem, backhoe.middle, boxes=500) == found
+
+
+def test_the_bound_is_remembered_as_long_as_the_problem_is(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    start = dict.fromkeys(planar4.joint_names, 0.1)
+    content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.5}}}}
+    problem, q = build_problem(planar4, bp.scene_from_dict(content)), np.full(4, 0.1)
+    found = least_duration_of_all(problem, q, boxes=100)
+    module = sys.modules[least_duration_of_all.__module__]
+    monkeypatch.setattr(module, "_least_of_all", lambda *_: -1.0)
+    assert least_duration_of_all(problem, q.copy(), boxes=100) == found
+    assert least_duration_of_all(problem, q, boxes=200) == -1.0
+    assert least_duration_of_all(problem, q + 0.1, boxes=100) == -1.0
+    alive = weakref.ref(problem)
+    del problem
+    gc.collect()
+    assert alive() is None
 
 
 def test_where_no_fast_motion_is_proven_none_is_allowed_a_time_and_the_search_goes_on(
