@@ -100,7 +100,7 @@ def _span(low: float, high: float) -> str:
 
 def _parts_of(obstacle: bp.Obstacle) -> str:
     if obstacle.cluster is None:
-        return f"{len(obstacle.pieces)}"
+        return f"{len(obstacle.pieces)} piece{'s' * (len(obstacle.pieces) != 1)}"
     words = {"pointcloud": "voxels", "heightmap": "cells", "mesh": "triangles"}
     return f"{len(obstacle.cluster):,} {words.get(obstacle.spec.shape, 'cells')}"
 

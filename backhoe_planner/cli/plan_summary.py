@@ -117,6 +117,8 @@ def _print_motion(found: bp.Plan) -> None:
     _print_bound(found)
     work = f"{planning.describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})"
     OUT.print(f"work          {work}{_minimised(found, 'work')}")
+    if "hydraulic" in metrics.energy and found.minimised != "hydraulic":
+        OUT.print(f"hydraulic     {planning.describe_quantity(metrics.energy['hydraulic'], 'J')} (what the pump gives)")
     _print_cost(found)
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)

@@ -21,6 +21,7 @@ from backhoe_planner import (
     plan,
     scene_from_dict,
 )
+from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import overlap
 from backhoe_planner.planning import EFFORTS, Leg, plan_legs
 from backhoe_planner.planning.search.effort import Brake
@@ -126,6 +127,20 @@ def test_a_failure_names_the_leg(backhoe: Robot) -> None:
     assert (found.verdict, found.reason) == ("failed", "unreachable")
     assert found.message.startswith("leg 'too far': the goal (14.00, 0.00, 0.50) is out of reach")
     assert "the leg 'rest' is not begun" in found.certificate.problems
+
+
+def test_a_failure_also_names_a_later_leg_that_may_not_end_where_it_does(backhoe: Robot) -> None:
+    """It may be the one that is wrong: here a mast stands in the bucket where the last one ends."""
+    far = {"name": "too far", "goal": {"position": [14.0, 0.0, 0.5]}}
+    joints = {"swing": -1.2, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    x, y, z = Kinematics(backhoe).at(np.array(list(joints.values()))).tip_position.tolist()
+    mast = {"name": "mast", "shape": "sphere", "radius": 0.3, "position": [x, y, z]}
+    back, home = {"name": "back", "goal": {"joints": joints}}, {"name": "home", "goal": {"joints": START["joints"]}}
+    found = plan(backhoe, scene_of(far, home, back, obstacles=[mast]), effort="quick")
+    assert found.reason == "unreachable"
+    assert "; leg 'back' cannot be done either: at the goal bucket is 0.3" in found.message
+    assert "inside mast" in found.message
+    assert "home" not in found.message
 
 
 def test_what_is_carried_counts_as_a_part_of_the_machine(backhoe: Robot) -> None:

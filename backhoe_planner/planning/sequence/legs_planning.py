@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.motion import Problem, Trajectory, motion_cost
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
-from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort
+from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, Work
 from backhoe_planner.planning.sequence.chain import Chain
 from backhoe_planner.planning.sequence.going_over import go_over
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
+from backhoe_planner.planning.world.outcome import bad_posture
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
 
 _CHAINS = 4  # of legs, that are planned besides as many as `Effort.ways_at_once`; chosen
@@ -100,7 +103,26 @@ def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
         time += done[-1].motion.duration
         if done[-1].failed:
             break
+    if done[-1].failed:
+        later = [words for leg in legs[len(done) :] if (words := _impossible(leg, done[-1].motion.q[-1], planner))]
+        outcome = done[-1].outcome
+        done[-1] = replace(done[-1], outcome=replace(outcome, message="; ".join([outcome.message, *later])))
     return done
+
+
+def _impossible(leg: Leg, near: Vector, planner: LegPlanner) -> str:
+    """Why no motion can end where a leg does, with the joints `near` (n,) before it; empty where one may, or it moves.
+
+    Which leg fails first is not always the one that is wrong: where a later one may end is looked at without planning.
+    """
+    problem = leg.problem
+    if problem.is_dynamic or not problem.goals or any(goal.q is None for goal in problem.goals):
+        return ""
+    world = World(problem.beginning(near), seed=planner.seed, work=Work(planner.effort, planner.brake))
+    found = [bad_posture(world, goal.q, goal.name) for goal in problem.goals if goal.q is not None]
+    if any(outcome is None for outcome in found):
+        return ""
+    return f"leg {leg.name!r} cannot be done either: {'; '.join(outcome.message for outcome in found if outcome)}"
 
 
 def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg], tried: int) -> LegsOutcome:

@@ -86,6 +86,8 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
     if work is not None:
         words = [word for word in ("the objective", needed) if word and minimised == "work"]
         facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", "; ".join(words)))
+    if "hydraulic" in metrics.energy and minimised != "hydraulic":
+        facts.append(("Hydraulic", describe_quantity(metrics.energy["hydraulic"], "J"), "what the pump gives"))
     if cost is not None and minimised not in ("", "time", "work"):
         facts.append(("Objective", f"{minimised} {describe_quantity(cost.value, cost.unit)}", needed))
     if compared is not None:
