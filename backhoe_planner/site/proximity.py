@@ -35,6 +35,7 @@ from backhoe_planner.machine import (
     bend_weights,
     self_pieces,
 )
+from backhoe_planner.native import find_compiled
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction
@@ -203,13 +204,15 @@ class Proximity:
     def near_in_each_unchecked(self, q: Matrix, margin: Vector, known: Matrix) -> NearPairs | None:
         """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n), found together.
 
-        None where obstacles are clusters, or where it matters when.
+        None where obstacles are clusters, where it matters when, and without the compiled functions.
 
         Parameters
         ----------
         known: (N, P) what the distances are known to be at least [m].
         """
-        if len(self.clusters) or self._moving or self._some_appear or not 0 < len(self.pairs) <= _MANY:
+        if find_compiled() is None or len(self.clusters) or self._moving or self._some_appear:
+            return None
+        if not 0 < len(self.pairs) <= _MANY:
             return None
         self.cover_unchecked(q)
         return self._hulls.within(q, margin, np.maximum(known, self.floor))

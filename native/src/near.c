@@ -150,9 +150,11 @@ static int near_in_one(const Screen *s, const Machine *m, World *world, const Ma
         double distance, normal[3], point[3];
         if (lower[pair] > needed)
             continue;
-        lower[pair] = fmax(lower[pair], balls_apart(s, INDEX(s->first, pair), INDEX(s->second, pair),
-                                                    (const double (*)[3])m->ball, s->radius + s->own) - ROUNDING);
-        if (lower[pair] > fmax(needed, 0.0))
+        const double apart = balls_apart(s, INDEX(s->first, pair), INDEX(s->second, pair),
+                                         (const double (*)[3])m->ball, s->radius + s->own) - ROUNDING;
+        if (apart > 0.0) /* where balls may touch, nothing is known */
+            lower[pair] = fmax(lower[pair], apart);
+        if (lower[pair] > needed)
             continue;
         const npy_intp b = INDEX(s->second, pair);
         if (b < s->own || s->box[15 * (b - s->own) + 12] >= 0.0) {

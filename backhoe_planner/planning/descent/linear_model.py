@@ -103,12 +103,14 @@ def _nearby(
             needed = proximity.clearance[proximity.plain :] + margins[:, None]
             proximity.clusters.expect(q, time, needed=needed)
         bounds = np.fmax(bounds, list(proximity.bounds_unchecked(q))) if len(q) else bounds
+    else:
+        bounds = together.lower
     first = 0
     for row, place in enumerate(places.tolist()):
         if together is not None and together.ends[row] >= 0:
             rows = slice(first, int(together.ends[row]))
             first = rows.stop
-            seen.keep(place, q[row], together.lower[row])
+            seen.keep(place, q[row], bounds[row])
             yield together.distance[rows] - proximity.clearance[together.pair[rows]], together.gradient[rows]
         else:
             nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=bounds[row])
