@@ -166,7 +166,8 @@ def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
     assert (plan.verdict, plan.reason) == ("failed", "unreachable")
     assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-5)
     np.testing.assert_allclose(nearest(plan).position, [2.4, 3.2, 0.0], atol=1e-4)
-    assert "1.000 m away, at (2.40, 3.20, 0.00)" in plan.message
+    assert plan.message.endswith("1.000 m away, at (2.40, 3.20, 0.00)")
+    assert bp.plan(planar4, site(goal(3000.0, 4000.0)), effort="quick").message.endswith(" (positions are in metres)")
     assert len(plan.trajectory) == 1
 
 
@@ -208,6 +209,10 @@ def test_start_outside_the_limits(planar4: bp.Robot) -> None:
     assert plan.reason == "outside_limits"
     assert plan.findings.joints == ("joint2",)
     assert "joint2 starts at 4" in plan.message
+    assert "degrees" not in plan.message
+    start = {"joints": STRETCHED["joints"] | {"joint2": 23.0}}
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), start=start), effort="quick")
+    assert plan.message.endswith(" rad (23 degrees are 0.4014 rad)")
 
 
 def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:

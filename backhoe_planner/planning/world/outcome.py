@@ -18,6 +18,7 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
+_MILLIMETRES = 100.0  # m out of reach, as which a position is taken to be given in other units; chosen
 _SMALL = 1e-6  # m and rad: chosen far below what a message shows
 
 
@@ -92,9 +93,12 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
         units = np.where(world.problem.robot.prismatic, "m", "rad")
+        in_degrees = np.where(world.problem.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
+        meant = (in_degrees >= limits.lower) & (in_degrees <= limits.upper)
         words = "; ".join(
             f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g} {units[j]}, "
             f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} {units[j]}"
+            + (f" ({q[j]:.4g} degrees are {in_degrees[j]:.4g} rad)" if meant[j] else "")
             for j in outside
         )
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
@@ -143,6 +147,8 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     away = " and ".join(words for error, words in errors if error > _SMALL)
     wanted, nearest = (", ".join(f"{value:.2f}" for value in position) for position in (target.position, tip))
     message = f"the {what} ({wanted}) is out of reach: the nearest pose is {away} away, at ({nearest})"
+    if best.position_error > _MILLIMETRES:
+        message += " (positions are in metres)"
     limits, names = world.problem.limits, world.problem.robot.joint_names
     gaps = np.minimum(best.q - limits.lower, limits.upper - best.q)
     at_limit = tuple(name for name, gap in zip(names, gaps, strict=True) if gap < _SMALL)
