@@ -313,10 +313,10 @@ def test_inspect_says_where_the_obstacles_of_a_scene_stand(run: Run, tmp_path: P
     status, said, _ = run("inspect", "example:backhoe", scene)
     assert status == 0
     rows = {line.split()[0]: " ".join(line.split()) for line in said.splitlines() if line.strip()}
-    assert rows["crate"] == "crate box 4.50..5.50 -1.00..1.00 0.00..1.00 1"
+    assert rows["crate"] == "crate box 4.50..5.50 -1.00..1.00 0.00..1.00 1 piece"
     assert rows["heap"].startswith("heap pointcloud 5.00..7.00 0.00..2.00 0.00..2.00")
-    assert rows["ground"] == "ground halfspace no end no end up to -2.00 1"
-    assert rows["slope"] == "slope halfspace no end no end no end 1"
+    assert rows["ground"] == "ground halfspace no end no end up to -2.00 1 piece"
+    assert rows["slope"] == "slope halfspace no end no end no end 1 piece"
     assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1"
 
 

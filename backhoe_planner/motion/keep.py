@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix, Vector, as_array
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
@@ -128,11 +128,9 @@ class Keep:
     def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
         """A configuration (n,) near `q` (n,) at which all is kept, within `lower` and `upper` (n,); None if not found.
 
-        Joints that turn without end have infinite ones. It is found by Newton's steps of least length on the conditions
-        that do not hold, a little into the allowed range.
+        Newton's steps of least length on the conditions that do not hold, a little into the allowed range.
         """
-        n = self.robot.n
-        lower, upper = as_array(lower, n, key="lower", finite=False), as_array(upper, n, key="upper", finite=False)
+        lower, upper = as_vector(lower, self.robot.n, key="lower"), as_vector(upper, self.robot.n, key="upper")
         found = np.clip(self.robot.check_q(q), lower, upper)
         for _ in range(_NEWTON):
             if self.holds(found):

@@ -232,12 +232,14 @@ def _swept_world(known: World, since: float, horizon: float) -> World:
 def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
     """Motions to where no moving obstacle will pass, at rest there."""
     robot, limits, keep = known.problem.robot, known.problem.limits, known.problem.keep
+    around = stepper.q + np.pi * np.array([[-1.0], [1.0]])  # half a turn either way, of joints that turn without end
+    lower, upper = np.where(np.isinf(limits.lower), around, np.array([limits.lower, limits.upper]))
     rng = np.random.default_rng(known.seed)
     passed = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity
     clear = []
     for spread in np.linspace(0.1, 1.0, _REFUGES):
         sampled = stepper.q + spread * (robot.random_q(rng) - stepper.q)
-        q = sampled if keep is None else keep.project(sampled, limits.lower, limits.upper)
+        q = sampled if keep is None else keep.project(sampled, lower, upper)
         if q is None:
             continue
         tightest = passed.tightest(q)

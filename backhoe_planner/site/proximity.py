@@ -42,7 +42,7 @@ from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
-from backhoe_planner.site.pairs.hull_distances import HullDistances, NearPairs
+from backhoe_planner.site.pairs.hull_distances import HullDistances
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
 from backhoe_planner.site.pairs.nearby import Lead, Nearby, near_rows, pairs_within, reach_of_lead
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
@@ -201,10 +201,14 @@ class Proximity:
         """
         return self._balls.of(q)
 
-    def near_in_each_unchecked(self, q: Matrix, margin: Vector, known: Matrix) -> NearPairs | None:
+    def near_in_each_unchecked(
+        self, q: Matrix, margin: Vector, known: Matrix
+    ) -> tuple[Matrix, Indices, Indices, Vector, Matrix] | None:
         """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n), found together.
 
-        None where obstacles are clusters, where it matters when, and without the compiled functions.
+        Lower bounds (N, P) of all distances [m]; of each configuration the end of its rows, or -1 where it is to be
+        asked about alone; then of each row pair, distance and gradient. None where obstacles are clusters, where it
+        matters when, and without the compiled functions.
 
         Parameters
         ----------

@@ -216,6 +216,22 @@ def test_a_path_that_leaves_the_pitch_free_is_followed_within_the_band(backhoe: 
     assert plan.problem.path.waypoints[0].pitch is None  # judged by the path as it was given
 
 
+def test_joints_that_turn_without_end_give_way_too() -> None:
+    """A ball flies past an arm of six such joints, whose goal is too low for what is to be kept: that is said."""
+    robot = bp.load_robot("example:kinova", tip="j2s6s200_end_effector")
+    assert np.isinf(robot.limits.upper).any()
+    content = {
+        "version": 1,
+        "start": {"joints": dict(zip(robot.joint_names, [-0.85, 1.65, 1.36, 2.63, 2.06, 0.94], strict=True))},
+        "task": {"goal": {"position": [-0.8, -0.43, 0.19]}, "keep": {"above": 0.597}},
+        "obstacles": [
+            {"name": "ball", "shape": "sphere", "radius": 0.03, "position": [-0.39, 0.04, 0.13],
+             "velocity": [-0.22, -0.24, 0.05]},
+        ],
+    }  # fmt: skip
+    assert bp.plan(robot, bp.scene_from_dict(content), effort="quick").reason == "goal_breaks_keep"
+
+
 def test_the_way_to_a_path_keeps_it_too(backhoe: bp.Robot) -> None:
     start = {"joints": dict(zip(NAMES, (-0.8, 0.3, -1.5, -1.8), strict=True))}  # -3.0
     plan = bp.plan(

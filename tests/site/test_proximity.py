@@ -371,8 +371,9 @@ def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
         known = np.full((60, len(proximity.pairs)), -np.inf if step < 3 else 1e3)
         found = proximity.near_in_each_unchecked(q, margin, known)
         assert found is not None
+        lower, ends, pair, distance, gradient = found
         first = 0
-        for row, end in enumerate(found.ends.tolist()):
+        for row, end in enumerate(ends.tolist()):
             if end < 0:
                 left += 1
                 continue
@@ -382,11 +383,11 @@ def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
                 assert end == 0
                 continue
             nearby = other.at(q[row], margin=float(margin[row]))
-            np.testing.assert_array_equal(found.pair[those], nearby.pair)
-            np.testing.assert_allclose(found.distance[those], nearby.distance, atol=1e-7)
+            np.testing.assert_array_equal(pair[those], nearby.pair)
+            np.testing.assert_allclose(distance[those], nearby.distance, atol=1e-7)
             clear = nearby.distance > 1e-4  # a normal at a corner that just touches is no precise one
-            np.testing.assert_allclose(found.gradient[those][clear], nearby.gradient[clear], atol=1e-5)
-            assert (found.lower[row] <= true + 1e-7).all()
+            np.testing.assert_allclose(gradient[those][clear], nearby.gradient[clear], atol=1e-5)
+            assert (lower[row] <= true + 1e-7).all()
             rows += len(nearby)
     assert rows > 150
     assert left < 200

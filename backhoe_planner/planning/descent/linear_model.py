@@ -104,14 +104,14 @@ def _nearby(
             proximity.clusters.expect(q, time, needed=needed)
         bounds = np.fmax(bounds, list(proximity.bounds_unchecked(q))) if len(q) else bounds
     else:
-        bounds = together.lower
+        bounds, ends, pairs, distances, gradients = together
     first = 0
     for row, place in enumerate(places.tolist()):
-        if together is not None and together.ends[row] >= 0:
-            rows = slice(first, int(together.ends[row]))
+        if together is not None and ends[row] >= 0:
+            rows = slice(first, int(ends[row]))
             first = rows.stop
             seen.keep(place, q[row], bounds[row])
-            yield together.distance[rows] - proximity.clearance[together.pair[rows]], together.gradient[rows]
+            yield distances[rows] - proximity.clearance[pairs[rows]], gradients[rows]
         else:
             nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=bounds[row])
             seen.keep(place, q[row], proximity.found_unchecked)

@@ -7,7 +7,6 @@ iterations of Gilbert, Johnson and Keerthi. Hulls that touch are left to coal, a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,23 +15,6 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.certainly_clear import pieces_of_pairs
-
-
-class NearPairs(NamedTuple):
-    """What is near in N configurations.
-
-    Attributes
-    ----------
-    lower: (N, P) lower bounds of all distances [m].
-    ends: (N,) of each configuration the end of its rows; -1 where coal is to be asked, and there are no rows.
-    pair, distance, gradient: (K,), (K,), (K, n) as in `Nearby`, one configuration after the other.
-    """
-
-    lower: Matrix
-    ends: Indices
-    pair: Indices
-    distance: Vector
-    gradient: Matrix
 
 
 class HullDistances:
@@ -54,15 +36,14 @@ class HullDistances:
         pieces = pieces_of_pairs(robot, bodies, shifts, first, second)
         self._arguments, self._sense = (*pieces, clearance, np.zeros((len(first), 3))), sense
 
-    def within(self, q: Matrix, margin: Vector, known: Matrix) -> NearPairs:
-        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n).
+    def within(self, q: Matrix, margin: Vector, known: Matrix) -> tuple[Matrix, Indices, Indices, Vector, Matrix]:
+        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
 
         Parameters
         ----------
         known: (N, P) what the distances are known to be at least [m].
         """
-        found = distances_within(margin, known, self._sense, q, *self._arguments)
-        return NearPairs(*found)
+        return distances_within(margin, known, self._sense, q, *self._arguments)
 
 
 @compiled
@@ -71,7 +52,13 @@ def distances_within(
     coarse: Matrix, starts: Indices, fine: Matrix, corner_starts: Indices, corners: Matrix, radius: Vector,
     boxes: Matrix, first: Indices, second: Indices, clearance: Vector, normals: Matrix, /,
 ) -> tuple[Matrix, Indices, Indices, Vector, Matrix]:  # fmt: skip
-    """The five parts of `NearPairs`. Here coal is to be asked everywhere: the compiled version alone is quicker.
+    """What is near in each of N configurations. Here coal is to be asked: the compiled version alone is quicker.
+
+    Returns
+    -------
+    lower: (N, P) lower bounds of all distances [m].
+    ends: (N,) of each configuration the end of its rows in what follows; -1 where coal is to be asked, without rows.
+    pair, distance, gradient: (K,), (K,), (K, n) as in `Nearby`, one configuration after the other.
 
     Parameters
     ----------
