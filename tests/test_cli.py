@@ -317,7 +317,7 @@ def test_inspect_says_where_the_obstacles_of_a_scene_stand(run: Run, tmp_path: P
     assert rows["heap"].startswith("heap pointcloud 5.00..7.00 0.00..2.00 0.00..2.00")
     assert rows["ground"] == "ground halfspace no end no end up to -2.00 1 piece"
     assert rows["slope"] == "slope halfspace no end no end no end 1 piece"
-    assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1"
+    assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1 piece"
 
 
 def test_inspect_says_where_joints_stand_that_no_scene_holds(run: Run) -> None:

@@ -204,19 +204,14 @@ class Proximity:
     def near_in_each_unchecked(
         self, q: Matrix, margin: Vector, known: Matrix
     ) -> tuple[Matrix, Indices, Indices, Vector, Matrix] | None:
-        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n), found together.
+        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
 
-        Lower bounds (N, P) of all distances [m]; of each configuration the end of its rows, or -1 where it is to be
-        asked about alone; then of each row pair, distance and gradient. None where obstacles are clusters, where it
-        matters when, and without the compiled functions.
-
-        Parameters
-        ----------
-        known: (N, P) what the distances are known to be at least [m].
+        Distances are `known` (N, P) to be at least so much [m]. None where obstacles are clusters, where it matters
+        when, and without the compiled functions.
         """
-        if find_compiled() is None or len(self.clusters) or self._moving or self._some_appear:
+        if len(self.clusters) or self._moving or self._some_appear or not 0 < len(self.pairs) <= _MANY:
             return None
-        if not 0 < len(self.pairs) <= _MANY:
+        if find_compiled() is None:
             return None
         self.cover_unchecked(q)
         return self._hulls.within(q, margin, np.maximum(known, self.floor))
