@@ -241,7 +241,7 @@ def test_check_says_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
     status, said, _ = run("check", "far.json")
     assert status == 1
     assert said.startswith("not verified: outside_limits\n  joint2 starts at 9 rad, allowed -")
-    assert said.splitlines()[1].endswith(" rad")
+    assert said.splitlines()[1].endswith(" rad (9 degrees are 0.1571 rad)")
 
 
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
