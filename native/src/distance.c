@@ -44,6 +44,11 @@ static const double *furthest(const Hull *hull, const double *n)
     return best;
 }
 
+void furthest_on_hull(const void *hull, const double *direction, double *point)
+{
+    memcpy(point, furthest(hull, direction), 3 * sizeof(double));
+}
+
 /* the parts of the corners a, b in the point of their segment that is nearest to the origin */
 static void on_segment(const double *a, const double *b, double *part)
 {

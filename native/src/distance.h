@@ -17,6 +17,7 @@ int hull_distance(const Hull *first, const Hull *second, double *distance, doubl
 
 /* the point of a body that is furthest along a direction */
 typedef void (*Support)(const void *body, const double *direction, double *point);
+void furthest_on_hull(const void *hull, const double *direction, double *point); /* of a `Hull` */
 
 /* Whether two bodies come nearer than `reach`: 1 where they do, 0 where a plane across `normal` (from the first to the
  * second, which begins as a guess) proves that they do not, -1 where it is not decided: where the

@@ -10,20 +10,6 @@ static double along(const double *n, const double *x)
     return n[0] * x[0] + n[1] * x[1] + n[2] * x[2];
 }
 
-/* a `Support` of a `Hull` */
-static void furthest_point(const void *of, const double *direction, double *point)
-{
-    const Hull *hull = of;
-    const double *best = hull->points;
-    double most = -INFINITY;
-    for (ptrdiff_t k = 0; k < hull->count; k++) {
-        const double far = along(direction, hull->points + 3 * k);
-        if (far > most)
-            most = far, best = hull->points + 3 * k;
-    }
-    memcpy(point, best, 3 * sizeof(double));
-}
-
 /* a height map, from `base` */
 typedef struct {
     Mat heights;
@@ -75,7 +61,7 @@ static int look_at_cell(const Hull *shape, const double (*corners)[3], Nearest *
             memcpy(points + 3 * k, corners[ends[triangle][k]], sizeof(guess));
         const Hull other = {points, 3};
         memcpy(guess, found->normal, sizeof(guess));
-        if (come_nearer(furthest_point, shape, &other, found->distance, guess) == 0)
+        if (come_nearer(furthest_on_hull, shape, &other, found->distance, guess) == 0)
             continue;
         Nearest here;
         if (hull_distance(shape, &other, &here.distance, here.normal, here.on_shape, here.on_ground) < 0)
@@ -110,7 +96,7 @@ static int look_at_map(const Map *map, const Hull *shape, Nearest *found)
     if (nearer < 0)
         return -1;
     double furthest[3];
-    furthest_point(shape, found->normal, furthest);
+    furthest_on_hull(shape, found->normal, furthest);
     double face = along(found->normal, furthest);
     for (npy_intp i = 0; i < rows; i++)
         for (npy_intp j = 0; j < columns; j++) {
@@ -127,7 +113,7 @@ static int look_at_map(const Map *map, const Hull *shape, Nearest *found)
                 return -1;
             if (more) {
                 nearer = 1;
-                furthest_point(shape, found->normal, furthest);
+                furthest_on_hull(shape, found->normal, furthest);
                 face = along(found->normal, furthest);
             }
         }

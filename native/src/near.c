@@ -106,32 +106,15 @@ static int make_room(Found *found, npy_intp n)
     return 0;
 }
 
-/* Turn a normal of a pair from the frame of its second piece, in which it is kept, into the world's, or back. */
-static void turn_kept(const Screen *s, const Machine *m, npy_intp b, const double *from, double *to, int back)
-{
-    const Pose *pose = m->pose + (b < s->own ? INDEX(s->joint, b) : 0);
-    for (int r = 0; r < 3; r++) {
-        to[r] = 0.0;
-        for (int c = 0; c < 3; c++)
-            to[r] += pose->R[back ? 3 * c + r : 3 * r + c] * from[c];
-    }
-}
-
 /* A lower bound of the distance of a pair by a plane between both, if there is one that leaves more than `needed`; else
  * minus infinity. The plane is looked for from the one that was found last. */
 static double plane_between(const Screen *s, const Machine *m, npy_intp pair, double needed)
 {
     const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
     const Corners from = corners_of(s, a, m->pose), to = corners_of(s, b, m->pose);
-    double kept[3], normal[3], near[3], far[3], gap = -from.radius - to.radius;
-    for (int c = 0; c < 3; c++)
-        kept[c] = AT2(s->normals, pair, c);
-    turn_kept(s, m, b, kept, normal, 0);
-    if (from.count < 1 || to.count < 1 || verdict_of(&from, &to, needed, normal) != APART)
+    double normal[3] = {0.0, 0.0, 0.0}, near[3], far[3], gap = -from.radius - to.radius;
+    if (from.count < 1 || to.count < 1 || verdict_from_kept(s, pair, &from, &to, needed, normal) != APART)
         return -INFINITY;
-    turn_kept(s, m, b, normal, kept, 1);
-    for (int c = 0; c < 3; c++)
-        AT2(s->normals, pair, c) = kept[c];
     const double other[3] = {-normal[0], -normal[1], -normal[2]};
     furthest_corner(&from, normal, near), furthest_corner(&to, other, far);
     for (int c = 0; c < 3; c++)

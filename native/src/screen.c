@@ -49,7 +49,14 @@ static double off_box(const double *box, const double *x)
     return square;
 }
 
-/* A direction, or one back, in the frame of some corners. */
+/* A direction in the world, from that in the frame of a pose. */
+static void turned(const Pose *pose, const double *local, double *n)
+{
+    for (int r = 0; r < 3; r++)
+        n[r] = pose->R[3 * r] * local[0] + pose->R[3 * r + 1] * local[1] + pose->R[3 * r + 2] * local[2];
+}
+
+/* The same back. */
 static void turned_back(const Pose *pose, const double *n, double *local)
 {
     for (int k = 0; k < 3; k++)
@@ -105,10 +112,27 @@ Corners corners_of(const Screen *s, npy_intp piece, const Pose *pose)
 }
 
 /* Whether two pieces are `least` apart; `normal`, from the first to the second, begins as a guess. */
-Verdict verdict_of(const Corners *from, const Corners *to, double least, double *normal)
+static Verdict verdict_of(const Corners *from, const Corners *to, double least, double *normal)
 {
     const int nearer = come_nearer(furthest_corner, from, to, least + from->radius + to->radius, normal);
     return nearer > 0 ? NEARER : nearer == 0 ? APART : UNDECIDED;
+}
+
+Verdict verdict_from_kept(const Screen *s, npy_intp pair, const Corners *from, const Corners *to, double least,
+                          double *normal)
+{
+    double kept[3], size = 0.0;
+    for (int k = 0; k < 3; k++)
+        kept[k] = AT2(s->normals, pair, k), size += fabs(kept[k]);
+    if (size > 0.0)
+        turned(to->pose, kept, normal);
+    const Verdict verdict = verdict_of(from, to, least, normal);
+    if (verdict == APART) {
+        turned_back(to->pose, normal, kept);
+        for (int k = 0; k < 3; k++)
+            AT2(s->normals, pair, k) = kept[k];
+    }
+    return verdict;
 }
 
 /* What is known of piece `a`, with its coarse ball at `centre`, and a half-space. */
@@ -172,7 +196,7 @@ static int fine_apart(const Screen *s, npy_intp a, npy_intp b, double least, con
 static Verdict off_own(const Screen *s, npy_intp pair, npy_intp a, npy_intp b, const double (*centre)[3],
                        const double (*ball)[3], double least, const Pose *pose)
 {
-    double normal[3], square = 0.0, kept = 0.0;
+    double normal[3], square = 0.0;
     const double reach = least + s->coarse[4 * a + 3] + s->coarse[4 * b + 3];
     for (int k = 0; k < 3; k++)
         normal[k] = centre[b][k] - centre[a][k], square += normal[k] * normal[k];
@@ -181,20 +205,7 @@ static Verdict off_own(const Screen *s, npy_intp pair, npy_intp a, npy_intp b, c
     if (fine_apart(s, a, b, least, ball))
         return APART;
     const Corners from = corners_of(s, a, pose), to = corners_of(s, b, pose);
-    const double *R = to.pose->R;
-    for (int k = 0; k < 3; k++)
-        kept += fabs(AT2(s->normals, pair, k));
-    for (int r = 0; r < 3 && kept > 0.0; r++)
-        normal[r] = R[3 * r] * AT2(s->normals, pair, 0) + R[3 * r + 1] * AT2(s->normals, pair, 1) +
-                    R[3 * r + 2] * AT2(s->normals, pair, 2);
-    const Verdict verdict = verdict_of(&from, &to, least, normal);
-    if (verdict == APART) {
-        double local[3];
-        turned_back(to.pose, normal, local);
-        for (int k = 0; k < 3; k++)
-            AT2(s->normals, pair, k) = local[k];
-    }
-    return verdict;
+    return verdict_from_kept(s, pair, &from, &to, least, normal);
 }
 
 int machine_of(const Screen *s, Machine *m)
