@@ -44,6 +44,7 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
 _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
 _CLEAR_FIRST = 10.0  # times both, where a curve is to get clear first; chosen, 50 leads further away
+# times the price of what is missed after a step deeper into an obstacle, and times the first price at most; chosen
 _MORE_MISSED, _MOST_MISSED = 4.0, 1e3
 MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen

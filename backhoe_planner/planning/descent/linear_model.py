@@ -80,13 +80,16 @@ def find_margins(
     of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time, places[near], seen)
     least, found = np.inf, []
     for row, place in enumerate(places.tolist()):
-        both = [next(of_pairs)] if near[row] else []
+        here = []
+        if near[row]:
+            margin, gradient = next(of_pairs)
+            here.append(Margin(place, margin - spare, gradient))
         if keep is not None and place > 0:  # the start cannot be changed
-            both.append((keep.margins(q[row]) + (1.0 - _SPARE_OF_KEPT) * spare, keep.gradients(q[row])))
-        for margin, gradient in both:
-            if len(margin):
-                least = min(least, float(margin.min()) - spare)
-                found.append(Margin(place, margin - spare, gradient))
+            here.append(Margin(place, keep.margins(q[row]) - _SPARE_OF_KEPT * spare, keep.gradients(q[row])))
+        for one in here:
+            if len(one.margin):
+                least = min(least, float(one.margin.min()))
+                found.append(one)
     return least, found
 
 
@@ -284,8 +287,7 @@ class LinearModel:
         solution may cross others, what is returned is the part of one of them that costs least by all kinks.
         """
         if bend is None:
-            program = self.program(slack_price, bend=None, longest=longest)
-            return solve_with_near_rows(program, most_iterations=most_iterations)
+            return solve_with_near_rows(self.program(slack_price, longest=longest), most_iterations=most_iterations)
         kinks, best, least = self._near_kinks(bend), None, np.inf
         for _ in range(_SOLUTIONS):
             program = self.program(slack_price, bend=bend, kinks=kinks, longest=longest)
