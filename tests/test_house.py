@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from source import nodes
 
 import backhoe_planner
 
@@ -29,12 +30,6 @@ COMPILED = sorted((ROOT / "native" / "src").glob("*.[ch]"))
 def module_name(file: Path) -> str:
     parts = file.relative_to(ROOT).with_suffix("").parts
     return ".".join(part for part in parts if part != "__init__")
-
-
-@cache
-def nodes(file: Path) -> list[ast.AST]:
-    """Everything in a file, read once for all rules."""
-    return list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
 
 
 @cache

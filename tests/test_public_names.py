@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from source import nodes
 
 import backhoe_planner
 
@@ -93,14 +94,14 @@ def test_what_a_public_name_takes_and_returns_is_public(name: str) -> None:
 
 def names_taken(file: Path) -> Iterator[tuple[str, str]]:
     """(room, name) of everything that a file imports by a door."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         if isinstance(node, ast.ImportFrom) and node.module:
             room = node.module if node.level == 1 else node.module.removeprefix("backhoe_planner.")
             if room in ROOMS:
                 yield from ((room, alias.name) for alias in node.names)
             elif node.module == "backhoe_planner":
                 whole = {alias.asname or alias.name: alias.name for alias in node.names if alias.name in ROOMS}
-                for used in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if whole else ():
+                for used in nodes(file) if whole else ():
                     if isinstance(used, ast.Attribute) and isinstance(used.value, ast.Name) and used.value.id in whole:
                         yield whole[used.value.id], used.attr
 

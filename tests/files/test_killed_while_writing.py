@@ -78,6 +78,7 @@ print("whole")
 """
 
 
+@pytest.mark.long
 def test_what_is_written_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     """Child processes are killed in the middle of writing, and between the calls that make the file appear.
 

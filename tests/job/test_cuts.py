@@ -152,6 +152,7 @@ def test_no_cylinder_is_asked_for_more_than_it_holds(digger: Digger) -> None:
         assert np.all(-force <= 0.85 * limits.negative * (1 + 1e-9))
 
 
+@pytest.mark.long
 def test_deeper_and_harder_soil_is_harder_and_a_cut_in_it_is_shallower(digger: Digger) -> None:
     stiff = Digger(digger.robot, Soil(cohesion=50e3))
     uses = [cut(stiff, depth=depth, end=3.2).holding.ratio for depth in (0.04, 0.08, 0.12, 0.16)]

@@ -45,6 +45,7 @@ def test_the_independent_check_does_not_refute_a_cycle() -> None:
     assert [what for leg in cycle.legs for what in leg_refutations(tiny_plan(), leg, refine=2)] == []
 
 
+@pytest.mark.long
 def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path: Path) -> None:
     parts: list[bp.JobPlan] = []
     file = tmp_path / "job.json"

@@ -57,9 +57,10 @@ def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
     return site, lanes_of(site)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("x", "depth"),
-    [(0.3, 0.4), pytest.param(0.3, 0.55, marks=pytest.mark.long), pytest.param(0.0, 0.2, marks=pytest.mark.long)],
+    [(0.3, 0.4), (0.3, 0.55), (0.0, 0.2)],
 )
 def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
     """Nothing is left beside the steep ground that stays above the pipe, and the bucket comes down to every cut."""

@@ -18,6 +18,7 @@ def _moved(*point: float) -> list[float]:
     return [AT[0] - y, AT[1] + x, *z]
 
 
+@pytest.mark.long
 def test_a_job_that_is_moved_with_its_machine_takes_as_long_and_digs_as_much() -> None:
     trench = {"width": 0.6, "depth": 0.15}
     here = plan_job(small_job(dig={"trench": {"from": [4.4, 0.0], "to": [3.6, 0.0], **trench}}), effort="quick")

@@ -198,6 +198,7 @@ def test_outside_a_limit_and_inside_an_obstacle_both_shrink(backhoe: Robot, join
     assert outside <= 1e-9
 
 
+@pytest.mark.long
 def test_what_is_dragged_while_the_machine_is_inside_is_searched_for_anew(backhoe: Robot) -> None:
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo = Servo(backhoe, scene, DT)

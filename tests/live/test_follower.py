@@ -186,7 +186,7 @@ POSTURES = {
 
 
 @pytest.mark.parametrize("machine", POSTURES)
-@pytest.mark.parametrize("dt", [0.001, 0.004])
+@pytest.mark.parametrize("dt", [pytest.param(0.001, marks=pytest.mark.long), 0.004])
 def test_with_nothing_in_the_way_a_plan_takes_as_long_as_planned(
     request: pytest.FixtureRequest, machine: str, dt: float
 ) -> None:
@@ -244,7 +244,7 @@ def test_samples_that_are_far_apart_are_followed_on_straight_lines(backhoe: Robo
 # --- near the end -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stays", [1.2, 2.2, 3.2])
+@pytest.mark.parametrize("stays", [1.2, *(pytest.param(s, marks=pytest.mark.long) for s in (2.2, 3.2))])
 def test_what_stood_before_the_end_and_is_gone_is_forgotten(backhoe: Robot, stays: float) -> None:
     """The ball is 2 cm too near to the end: the machine stands close before it, whenever the ball goes."""
     motion = smooth_motion(1.6)

@@ -237,7 +237,7 @@ def keeps_limits(servo: Servo, states: list[Any], before: Vector) -> None:
         before = state.v
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.long) for s in (1, 2))])
 def test_no_wish_drives_it_into_anything(backhoe: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     wall = {"name": "wall", "shape": "box", "size": [0.2, 6.0, 4.0], "position": [5.2, 0.0, 0.0], "rpy": [0, 0, 0.2]}

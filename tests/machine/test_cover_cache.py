@@ -110,6 +110,7 @@ def test_a_folder_that_cannot_be_written_only_costs_time(home: Path, why: str, m
     assert entries() == []
 
 
+@pytest.mark.long
 def test_two_processes_at_once_write_one_whole_entry(home: Path) -> None:
     mesh = write_angle(home / "angle.stl")
     code = (

@@ -27,6 +27,7 @@ def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot)
     assert np.all(np.abs(motion.corner_accelerations()) <= limits.acceleration * (1.0 + 1e-9))
 
 
+@pytest.mark.long
 def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [4.2, 0.0, -0.45]}]
     scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 1e-4}}})

@@ -36,6 +36,7 @@ def test_a_plan_at_its_joints_limits_is_bounded_within_2_percent(to_a_posture: b
     assert bound.longer_percent == pytest.approx(100.0 * longer)
 
 
+@pytest.mark.long
 def test_a_slow_motion_does_not_make_the_bound_weak() -> None:
     """The time that a motion for the least work is allowed, here three times a bound, follows from the bound shown."""
     scene = bp.scene_from_dict(FREE | {"task": {"goal": BENT}, "objective": "work"})

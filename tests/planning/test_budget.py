@@ -74,7 +74,10 @@ def site(task: Data, *, start: Data | None = STRETCHED, obstacles: list[Data] | 
 
 @pytest.mark.parametrize(
     ("start", "objective", "module", "name", "number"),
-    [(None, "work", dynamic_programming._Descent, "step", 3), (STRETCHED, "velocity_norm", smoothing, "_step", 2)],
+    [
+        pytest.param(None, "work", dynamic_programming._Descent, "step", 3, marks=pytest.mark.long),
+        (STRETCHED, "velocity_norm", smoothing, "_step", 2),
+    ],
 )
 def test_a_route_is_kept_where_time_runs_out_while_it_is_made_cheaper(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch,

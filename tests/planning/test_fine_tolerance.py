@@ -45,6 +45,7 @@ def test_seven_joints_keep_to_a_tenth_of_a_millimetre(panda: bp.Robot, waypoints
     assert largest_error(plan) <= plan.certificate.tracking.max_error <= TOLERANCE
 
 
+@pytest.mark.long
 def test_a_backhoe_keeps_to_it_around_corners(backhoe: bp.Robot) -> None:
     content = yaml.safe_load((SCENES / "trench.yaml").read_text(encoding="utf-8"))
     content["task"]["path"] |= {"tolerance": TOLERANCE, "detour": False}
@@ -60,7 +61,10 @@ def test_a_backhoe_keeps_to_it_around_corners(backhoe: bp.Robot) -> None:
     "points",
     [
         [[4.2, 1.0, 0.2], [4.2, 1.0, 0.6], [4.2, 0.5, 0.6]],
-        [[3.99, -0.319, -0.219], [4.255, 0.376, 0.358], [4.161, -0.397, 0.365], [3.611, 0.008, 0.11]],
+        pytest.param(
+            [[3.99, -0.319, -0.219], [4.255, 0.376, 0.358], [4.161, -0.397, 0.365], [3.611, 0.008, 0.11]],
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["a right angle", "sharp corners"],
 )

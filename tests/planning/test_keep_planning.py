@@ -216,6 +216,7 @@ def test_a_path_that_leaves_the_pitch_free_is_followed_within_the_band(backhoe: 
     assert plan.problem.path.waypoints[0].pitch is None  # judged by the path as it was given
 
 
+@pytest.mark.long
 def test_joints_that_turn_without_end_give_way_too() -> None:
     """A ball flies past an arm of six such joints, whose goal is too low for what is to be kept: that is said."""
     robot = bp.load_robot("example:kinova", tip="j2s6s200_end_effector")

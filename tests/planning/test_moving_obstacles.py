@@ -44,6 +44,7 @@ def test_what_does_not_come_near_changes_nothing(backhoe: bp.Robot, alone: bp.Pl
     np.testing.assert_array_equal(plan(backhoe, PATH, far, later).trajectory.q, alone.trajectory.q)
 
 
+@pytest.mark.long
 def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot, alone: bp.Plan) -> None:
     """Up to that moment the motion is the one without it; from then on it is another."""
     moment = 3.0
@@ -62,6 +63,7 @@ def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot, alone: bp.Plan)
     assert detour.path_from < np.hypot(0.5, 1.4) < detour.path_to
 
 
+@pytest.mark.long
 def test_it_waits_or_gives_way_where_somebody_crosses_the_path(backhoe: bp.Robot, alone: bp.Plan) -> None:
     found = plan(backhoe, PATH, CROSSING)
     assert found.verified
@@ -114,7 +116,7 @@ def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
     np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)
 
 
-@pytest.mark.parametrize("seed", [50, 60])
+@pytest.mark.parametrize("seed", [50, pytest.param(60, marks=pytest.mark.long)])
 def test_a_machine_that_gives_way_goes_on_as_soon_as_the_worker_has_passed(backhoe: bp.Robot, seed: int) -> None:
     """He walks through where the machine stands, 12 m in 20 s: at 15 s he is 6 m beside it, long past the whole way."""
     walker = WORKER | {"from": [3.5, 3.0, 0.0], "to": [3.5, 3.0, 1.8], "clearance": 0.3, "velocity": [0.0, -0.6, 0.0]}

@@ -70,7 +70,9 @@ def resolved(problem: Problem, objective: PathCost, *, grid: float, layer: float
 # --- the grid and what comes after it ---------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["work", "effort", "velocity_norm"])
+@pytest.mark.parametrize(
+    "name", ["work", *(pytest.param(n, marks=pytest.mark.long) for n in ("effort", "velocity_norm"))]
+)
 def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) -> None:
     problem = build_problem(backhoe, along(CUT, objective=name))
     assert problem.path is not None
@@ -90,7 +92,7 @@ def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) 
 
 
 @pytest.mark.parametrize("name", OBJECTIVES)
-@pytest.mark.parametrize("machine", ["backhoe", "planar4"])
+@pytest.mark.parametrize("machine", ["backhoe", pytest.param("planar4", marks=pytest.mark.long)])
 def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: pytest.FixtureRequest) -> None:
     """From seeded detours within the null space, beside an obstacle; ends stay where they are held."""
     robot: bp.Robot = request.getfixturevalue(machine)
@@ -282,7 +284,7 @@ def test_a_cut_without_needless_reversals(trench: dict[str, bp.Plan], name: str)
 
 
 @pytest.mark.parametrize("name", ["work", "hydraulic", "time"])
-@pytest.mark.parametrize("length", [1e-2, 1e-6])
+@pytest.mark.parametrize("length", [pytest.param(1e-2, marks=pytest.mark.long), 1e-6])
 def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: str, length: float) -> None:
     """It is all speeding up and slowing down, which the search does not see."""
     for start in (None, {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}):

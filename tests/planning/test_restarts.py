@@ -134,6 +134,7 @@ def test_a_search_that_goes_on_knows_the_best_before_and_refines_only_what_is_be
     assert again.best is coarse or again.best.cost < coarse.cost
 
 
+@pytest.mark.long
 def test_a_motion_that_costs_nothing_is_not_made_finer(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """A swing by 0.1 mrad beside a wall costs less than a nanojoule."""
 

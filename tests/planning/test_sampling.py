@@ -294,7 +294,7 @@ def test_the_same_seed_gives_the_same_way_bit_for_bit_and_writes_nothing_to_the_
     np.testing.assert_array_equal(first, np.load(tmp_path / "elsewhere.npy"))
 
 
-@pytest.mark.parametrize(("mode", "status"), [("fail", 0), ("caught", 7)])
+@pytest.mark.parametrize(("mode", "status"), [pytest.param("fail", 0, marks=pytest.mark.long), ("caught", 7)])
 def test_nothing_is_written_to_the_terminal(tmp_path: Path, mode: str, status: int) -> None:
     done = run_script(mode, tmp_path / "way.npy")
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")

@@ -111,7 +111,7 @@ def hand(yaw: float, roll: float = np.pi, position: list[float] = HOLD) -> dict[
     "waypoints",
     [
         (hand(0.0), hand(0.6), hand(0.6, np.pi - 0.4), hand(0.0)),
-        (hand(-1.2), hand(np.pi - 1.2)),
+        pytest.param((hand(-1.2), hand(np.pi - 1.2)), marks=pytest.mark.long),
         (hand(0.0), hand(0.0, position=[0.45, 0.1, 0.5]), hand(-0.8, position=[0.45, 0.1, 0.5])),
     ],
     ids=["about two axes", "half a turn", "end"],

@@ -116,6 +116,7 @@ def test_seven_joints_keep_to_it_with_full_poses(panda: bp.Robot) -> None:
     assert plan.certificate.tracking.joint_step.size <= 0.125
 
 
+@pytest.mark.long
 def test_seven_joints_that_cannot_keep_to_it_are_no_obstacle(panda: bp.Robot) -> None:
     """Nothing is in the way of a circle that is drawn with larger steps; at one waypoint a joint moves by 0.06 rad."""
     angle = np.linspace(0.0, 2.0 * np.pi, 41)

@@ -55,6 +55,7 @@ def test_the_changes_one_after_the_other_make_the_ground_at_the_end(plan: JobPla
     assert np.abs(heights - 1000.0 * plan.end.surface.ravel()).max() <= 1.01  # they are told to the millimetre
 
 
+@pytest.mark.long
 def test_the_section_runs_along_the_trench_and_has_the_pipe_in_it(plan: JobPlan) -> None:
     """From 0.6 m before the nearer end, at x = 3.2: so the pipe across x = 3.6 is 1 m along it."""
     section = section_content(plan, plan.cycles[0].legs[0].problem, job_frames(plan).timeline.q)
@@ -98,6 +99,7 @@ def opened(browser: Any, file: Path) -> tuple[Any, list[str]]:
     return page, trouble
 
 
+@pytest.mark.long
 def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp_path: Path) -> None:
     write_job_page(plan, tmp_path / "job.html")
     page, trouble = opened(browser, tmp_path / "job.html")
@@ -128,6 +130,7 @@ def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp
     page.close()
 
 
+@pytest.mark.long
 def test_a_job_without_a_cycle_shows_the_machine_and_why(browser: Any, plan: JobPlan, tmp_path: Path) -> None:
     nothing = replace(plan, cycles=(), failure="blocked", note="no way to the first cut")
     write_job_page(nothing, tmp_path / "job.html")

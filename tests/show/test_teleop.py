@@ -919,6 +919,7 @@ def test_who_floods_is_shut_out_and_the_others_drive_on(server: TeleopServer, ca
     assert caplog.text == ""
 
 
+@pytest.mark.long
 def test_who_does_not_read_is_shut_out(
     server: TeleopServer, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1028,6 +1029,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         assert told("teleop")[0]["failure"] == station.failure
 
 
+@pytest.mark.long
 @settings(max_examples=20)
 @given(
     radius=st.sampled_from([0.001, 0.0011, 0.5, 1000.0]),

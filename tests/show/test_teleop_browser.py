@@ -161,6 +161,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
     replay.close()
 
 
+@pytest.mark.long
 def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser: Any, tmp_path: Path) -> None:
     scene = bp.scene_from_dict(
         {
@@ -242,6 +243,7 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
     assert unexpected(complaints) == []
 
 
+@pytest.mark.long
 def test_obstacles_are_dropped_and_dragged_with_the_mouse(backhoe: Robot, browser: Any, tmp_path: Path) -> None:
     scene = bp.scene_from_dict(
         {
@@ -370,6 +372,7 @@ def test_the_controls_are_taken_by_a_click_on_their_button_and_by_nothing_else(
 PAD = "window.axes = [0, 0, -1]; navigator.getGamepads = () => [null, {connected: true, axes: window.axes}];"
 
 
+@pytest.mark.long
 def test_a_gamepad_drives_and_an_axis_that_rests_at_its_end_does_not(backhoe: Robot, browser: Any) -> None:
     """Three axes: the left stick, and a trigger that rests at -1, as some pads have it."""
     joints = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}

@@ -346,6 +346,7 @@ def test_while_many_rows_are_laid_out_it_is_told_how_many(
 # --- processes that die -----------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_row_at_which_the_process_dies_twice_has_crashed_and_the_others_are_planned(
     whole: StudyResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

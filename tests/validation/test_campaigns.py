@@ -103,6 +103,7 @@ def test_the_first_results_are_those_of_calling_one_after_the_other(tmp_path: Pa
         assert campaign.first(iter([4, 5]), 7) == [2], "no more cases"
 
 
+@pytest.mark.long
 def test_a_case_at_which_the_process_dies_has_the_result_for_that_and_is_not_tried_again(tmp_path: Path) -> None:
     def stop(done: int, _: int) -> None:
         if done == 3:

@@ -50,7 +50,7 @@ def test_an_unsafe_motion_touches() -> None:
     assert touched["link1", "mover"].time > 2.5
 
 
-@pytest.mark.parametrize("first", [10, 80])
+@pytest.mark.parametrize("first", [pytest.param(10, marks=pytest.mark.long), 80])
 def test_mujoco_and_the_least_distances_agree_on_what_touches(first: int, tmp_path: Path) -> None:
     """Random machines and sites, with obstacles of every shape: two outside opinions that share only the files."""
     machine = random_attacked(first, tmp_path)

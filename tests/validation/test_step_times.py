@@ -17,7 +17,7 @@ class Ring:
         self.itself = self
 
 
-@pytest.mark.parametrize("raised", [None, ValueError])
+@pytest.mark.parametrize("raised", [pytest.param(None, marks=pytest.mark.long), ValueError])
 def test_what_was_there_before_is_collected_after_the_time_is_taken_alone(raised: type[Exception] | None) -> None:
     """Else OMPL, when Python ends, lists what was never given back."""
     old: Ring | None = Ring()
