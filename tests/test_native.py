@@ -732,16 +732,51 @@ def nearest_on_ground(rng: Rng) -> Arguments:
     return hull, rng.uniform(0.0, 0.1), 0.3 * rng.normal(size=(rows, columns)), x, y, rng.choice([0.5, 5.0])
 
 
+def read_over_ground(rng: Rng) -> Arguments:
+    """Of pieces with a few corners each, over and in uneven ground, and beside it."""
+    configurations, carriers, pieces, asked = 1 + some(rng, 3), 1 + some(rng, 2), 1 + some(rng, 3), some(rng)
+    starts = np.append(0, rng.integers(1, 6, pieces).cumsum())
+    rows, columns = rng.integers(2, 9, 2)
+    R = np.array([[rotation(rng) for _ in range(carriers)] for _ in range(configurations)])
+    t = rng.normal([0.0, 0.0, 1.0], 0.7, (configurations, carriers, 3))
+    return (
+        R, t, rng.integers(0, carriers, pieces), rng.normal(scale=0.3, size=(starts[-1], 3)), starts,
+        rng.uniform(0.0, 0.1, pieces), np.sort(rng.integers(0, configurations, asked)), rng.integers(0, pieces, asked),
+        rng.uniform(-0.1, 0.8, asked), rotation(rng), rng.normal(scale=0.1, size=3),
+        0.2 * rng.normal(size=(rows, columns)), np.linspace(-1.5, 1.5, columns), np.linspace(-2.0, 2.0, rows),
+        (-1.0, 0.8),
+    )  # fmt: skip
+
+
+def kept_over_ground(rng: Rng) -> Arguments:
+    asked = read_over_ground(rng)
+    ball_starts = np.append(0, rng.integers(1, 4, len(asked[5])).cumsum())
+    balls = np.column_stack((rng.normal(scale=0.3, size=(ball_starts[-1], 3)), rng.uniform(0.1, 0.5, ball_starts[-1])))
+    return *asked, balls, ball_starts, *lower_over_heights(rng)[1:]
+
+
+def lower_over_heights(rng: Rng) -> Arguments:
+    counts, rings = rng.integers(1, 6, 2), 1 + some(rng, 4)
+    highest = np.sort(rng.normal(size=(int(counts.prod()), rings)), axis=1).astype(np.float32)
+    aside = np.append(0.0, rng.uniform(0.0, 0.5, rings - 1).cumsum())
+    bounds = np.array([[-1.0, -1.0, -3.0], [1.0, 1.0, 1.0]])
+    return (
+        2.0 * rng.normal(size=(3, some(rng))), rng.uniform(-1.0, 0.0, 2), rng.uniform(1.0, 4.0, 2), counts, highest,
+        aside**2, float(aside[-1]), bounds,
+    )  # fmt: skip
+
+
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
     cost_of_tip, count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart,
-    force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, known_apart,
-    largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid, margins_now, most_urgent_boxes,
-    near_gaps, near_now, near_rows, nearest_on_ground, nearest_rows, nearest_safe_program, next_within, not_proven,
-    note_gaps, off_turned_box, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
-    put_planes, quick_terms, reach_of_lead, reachable_velocities, read_results, rows_by_velocity, rows_of_path,
-    soft_solution, split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
+    force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows,
+    kept_over_ground, known_apart, largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid,
+    lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground,
+    nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_not_apart,
+    pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead,
+    reachable_velocities, read_over_ground, read_results, rows_by_velocity, rows_of_path, soft_solution,
+    split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
     unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
@@ -760,6 +795,7 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 # those that may answer instead of coal, which their plain versions leave to it
 OF_COAL = (
     first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, distances_within,
+    kept_over_ground, read_over_ground,
 )  # fmt: skip
 
 

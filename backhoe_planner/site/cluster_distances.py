@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -13,10 +13,12 @@ from backhoe_planner.machine import BatchKinematics, Distances, Reading, Robot, 
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
 from backhoe_planner.site.pairs.one_joint_bounds import OneJointBounds
+from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
 
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
 _MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
 _TOGETHER = 2_000  # links that are bounded more finely at once; chosen to bound the memory
+AHEAD = 0.02  # m beyond what is needed that distances are asked for; chosen, halves the questions of a swing post
 _FIRST_REACH = 0.25  # m beyond what is known already, within which a cluster is first looked for; chosen
 _LEAST_REACH = 1e-3  # m: chosen, within which a cell is looked for also where only an overlap is asked about
 _REMEMBERED = 16_000  # distances that were measured; chosen to bound the memory: some 16 MB
@@ -42,13 +44,22 @@ class ClusterDistances:
         pieces, self._column = np.unique(self.piece, return_inverse=True)
         own = [robot.pieces[row] for row in pieces.tolist()]
         self._balls = LinkBalls(own, most=_MOST_BALLS) if pairs else None
+        self._over_ground = None if self._balls is None else OverGround(own, self._balls)
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in sorted(set(self.owner.tolist()))]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
         # bounds of the configurations that are expected, and what was needed of them
         self._expected: dict[tuple[bytes, float], tuple[Vector, Vector]] = {}
+        # and what was measured of them, with how far it was looked for
+        self._ahead: dict[tuple[int, bytes], tuple[Reading | None, float]] = {}
         # what was measured of a pair with its joint at a place, and how far it was looked for
         self._measured: dict[tuple[int, bytes, float], tuple[Reading | None, float]] = {}
+        # ground that stands, of which many questions are answered at once
+        self._on_ground = [
+            (index, those)
+            for index, those in self._rows
+            if index not in self._moving and (cluster := obstacles[index].cluster) and cluster.solid.ground is not None
+        ]
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
         self._one_joint = OneJointBounds(robot, self.piece, stands, self._distance_in)
         if pairs:  # most sites have none
@@ -62,7 +73,7 @@ class ClusterDistances:
     def with_own_memory(self) -> ClusterDistances:
         """The same with working memory of its own; what was built to bound distances is shared."""
         other = copy.copy(self)
-        other._expected, other._measured = {}, {}
+        other._expected, other._ahead, other._measured = {}, {}, {}
         if len(self):
             other._data = self._robot.model.createData()
         return other
@@ -84,13 +95,45 @@ class ClusterDistances:
         return np.asarray(self._lower(self._balls.poses_at(data), own, np.array([time]), needed)[0])
 
     def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix) -> None:
-        """Find the same for each of `q` (N, n) at once, as `lower_each`; kept for `lower` until others are expected."""
-        if not len(self):
+        """Find the same for each of `q` (N, n) at once, as `lower_each`; kept for `lower` until others are expected.
+
+        So are distances from ground that may be less than what is needed, for `nearest`.
+        """
+        if not len(self) or not len(q):
             return
-        bounds = self.lower_each(q, time, needed=needed)
+        assert self._balls is not None
+        poses = self._balls.poses_of(self._kinematics.at(q))
+        self._ahead = {}
+        bounds = self._lower(
+            poses,
+            q,
+            np.broadcast_to(time, len(q)),
+            needed,
+            measured=lambda found: self._measure_ahead(q, poses, found, needed),
+        )
         times = np.broadcast_to(time if self._moving else 0.0, len(q)).tolist()
         rows = zip(q, times, bounds, np.broadcast_to(needed, bounds.shape), strict=True)
         self._expected = {(at.tobytes(), moment): (found, enough) for at, moment, found, enough in rows}
+
+    def _measure_ahead(self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array) -> None:
+        """Measure what may be nearer to ground than is needed, and raise the bounds (N, K) of it."""
+        assert self._over_ground is not None
+        needed = np.broadcast_to(needed, bounds.shape)
+        for index, pairs in self._on_ground:
+            near = (bounds[:, pairs] < needed[:, pairs]) & (needed[:, pairs] <= EXACT_WITHIN)
+            rows, which = near.nonzero()
+            if not len(rows):
+                continue
+            cluster, those = self._obstacles[index].cluster, pairs.take(which)
+            assert cluster is not None
+            reach = needed[rows, those] + AHEAD
+            found = self._over_ground.measure(cluster, poses, rows, self._column.take(those), reach)
+            names = [at.tobytes() for at in q]
+            for row, pair, within, one in zip(rows.tolist(), those.tolist(), reach.tolist(), found, strict=True):
+                if isinstance(one, Reading):
+                    self._ahead[pair, names[row]], bounds[row, pair] = (one, within), one.distance
+                elif one is not None:
+                    self._ahead[pair, names[row]], bounds[row, pair] = (None, within), within
 
     def lower_each(self, q: Matrix, time: float | Vector, *, needed: float | Array = np.inf) -> Matrix:
         """(N, K) the same for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""
@@ -99,19 +142,30 @@ class ClusterDistances:
             return np.zeros((0, len(self)))
         return self._lower(self._balls.poses_of(self._kinematics.at(q)), q, np.broadcast_to(time, len(q)), needed)
 
-    def _lower(self, poses: Poses, q: Matrix | None, time: Vector, needed: float | Array) -> Matrix:
+    def _lower(
+        self, poses: Poses, q: Matrix | None, time: Vector, needed: float | Array,
+        *, judged: Callable[[Matrix], None] | None = None, measured: Callable[[Matrix], None] | None = None,
+    ) -> Matrix:  # fmt: skip
+        """(N, K) as `lower_each`. `judged` raises bounds at first, and `measured` before it is looked at more balls."""
         assert self._balls is not None
         first, *finer = self._balls.levels
-        found = np.empty((len(poses), len(self)))
+        found = np.full((len(poses), len(self)), -np.inf)
         needed = np.broadcast_to(needed, found.shape)
-        centres = first.centres(poses)
+        if judged is not None:
+            judged(found)
+        centres = None
         for index, pairs in self._rows:
+            if judged is not None and (found[:, pairs] >= needed[:, pairs]).all():
+                continue
             grid, shift = self._grid(index), self._shifts(index, time)
+            centres = first.centres(poses) if centres is None else centres
             away = grid.lower(centres.reshape(3, -1), None if shift is None else shift.repeat(len(first), axis=1))
-            bounds = first.least(away.reshape(len(poses), -1))
-            found[:, pairs] = bounds.take(self._column[pairs], axis=1)
+            bounds = first.least(away.reshape(len(poses), -1)).take(self._column[pairs], axis=1)
+            found[:, pairs] = np.maximum(found[:, pairs], bounds)
         if q is not None:
             self._one_joint.raise_to(needed, found, q)
+        if measured is not None:
+            measured(found)
         for index, pairs in self._rows:
             grid, shift = self._grid(index), self._shifts(index, time)
             for level in finer:
@@ -140,11 +194,19 @@ class ClusterDistances:
         assert cluster is not None
         return cluster.measure(piece.piece, data.oMi[piece.joint], reach, shift=self._shift(index, time))
 
-    def nearest(self, pair: int, data: pin.Data, time: float, *, lower: float, reach: float) -> Reading | None:
+    def nearest(
+        self, pair: int, data: pin.Data, time: float, *, lower: float, reach: float, q: Vector | None = None
+    ) -> Reading | None:  # fmt: skip
         """The same, looked for further and further away; what it is known to be at least is `lower` [m].
 
         What was measured lately is not measured again.
+
+        q: (n,) where the joints are, if it is known; then it may have been expected.
         """
+        if q is not None and self._ahead:
+            found, within = self._ahead.get((pair, q.tobytes()), (None, 0.0))
+            if found is not None or within >= reach:
+                return found if found is not None and found.distance < reach else None
         place = data.oMi[self._robot.pieces[self.piece[pair]].joint]
         moment = time if self._moving else 0.0
         key = pair, place.homogeneous.tobytes(), moment
@@ -177,16 +239,58 @@ class ClusterDistances:
 
     def keep(self, least: Vector, data: pin.Data, time: float, *, q: Vector | None = None) -> bool:
         """Whether all distances are at least `least` (K,) [m]; `q` as for `lower`."""
-        return self._keep(least, self.lower(data, time, q=q, needed=least), data, time)
+        assert self._balls is not None
+        if not self._on_ground:
+            return self._keep(least, self.lower(data, time, q=q, needed=least), data, time)
+        lower, nearer = self._judged(
+            self._balls.poses_at(data), None if q is None else q[None], np.array([time]), least
+        )
+        return not nearer and self._keep(least, lower[0], data, time)
 
     def keep_each(self, least: Vector, q: Matrix, time: float) -> Iterator[bool]:
         """Whether they are, at each of `q` (N, n), one after the other; the bounds of all of them are found at once."""
-        lower = self.lower_each(q, time, needed=least)
+        assert self._balls is not None
+        if not len(q):
+            return
+        lower, nearer = self._judged(self._balls.poses_of(self._kinematics.at(q)), q, np.full(len(q), time), least)
         doubtful = np.asarray((lower < least).any(axis=1))
         for row, is_doubtful in enumerate(doubtful.tolist()):
+            if row in nearer:
+                yield False
+                continue
             if is_doubtful:
                 pin.forwardKinematics(self._robot.model, self._data, q[row])
             yield not is_doubtful or self._keep(least, lower[row], self._data, time)
+
+    def _judged(self, poses: Poses, q: Matrix | None, time: Vector, least: Vector) -> tuple[Matrix, set[int]]:
+        """(N, K) lower bounds, and the configurations in which a piece is nearer to ground than `least` (K,) says.
+
+        Of these the bounds are infinite.
+        """
+        nearer: set[int] = set()
+        lower = self._lower(
+            poses, q, time, least, judged=lambda found: nearer.update(self._judge_ground(found, least, poses))
+        )  # fmt: skip
+        return lower, nearer
+
+    def _judge_ground(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
+        """The configurations in which a piece is nearer to ground than `least` (K,) says; raise bounds (N, K)."""
+        assert self._over_ground is not None
+        nearer: set[int] = set()
+        for index, pairs in self._on_ground:
+            rows, which = (lower[:, pairs] < least[pairs]).nonzero()
+            if not len(rows):
+                continue
+            cluster, those = self._obstacles[index].cluster, pairs.take(which)
+            assert cluster is not None
+            verdict = self._over_ground.keep(
+                cluster, poses, rows, self._column.take(those), least.take(those), self._grid(index)
+            )
+            kept = verdict == KEPT
+            lower[rows[kept], those[kept]] = least[those[kept]]
+            nearer.update(rows[verdict == NEARER].tolist())
+        lower[list(nearer)] = np.inf
+        return nearer
 
     def _keep(self, least: Vector, lower: Vector, data: pin.Data, time: float) -> bool:
         """Whether all distances are at least `least` (K,) where the joints of `data` are; they are at least `lower`."""

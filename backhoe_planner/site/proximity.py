@@ -36,7 +36,7 @@ from backhoe_planner.machine import (
     self_pieces,
 )
 from backhoe_planner.native import find_compiled
-from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
+from backhoe_planner.site.cluster_distances import AHEAD, EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
@@ -50,7 +50,6 @@ from backhoe_planner.site.pairs.planes import SeparatingPlanes
 from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
-_FURTHER = 0.02  # m beyond what is asked for that clusters are looked for; chosen, halves the questions of a swing post
 _MANY = 3_000  # pairs, beyond which a look at each of them takes too much memory; chosen
 _NO_LEAD = None, None, 0.0
 _FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
@@ -356,12 +355,12 @@ class Proximity:
         unread = []
         for row in (~plain).nonzero()[0].tolist():
             enough = float(reach[row])
-            reading = self._nearest(int(pairs[row]), float(lower[row]), enough + _FURTHER)
+            reading = self._nearest(int(pairs[row]), float(lower[row]), enough + AHEAD)
             if reading is not None and reading.distance < enough:
                 found[row] = np.concatenate(([reading.distance], *reading[1:]))
             else:
                 unread.append(row)
-                found[row, 0] = enough + _FURTHER if reading is None else reading.distance
+                found[row, 0] = enough + AHEAD if reading is None else reading.distance
         return found, unread
 
     @property
@@ -541,7 +540,7 @@ class Proximity:
 
     def _nearest(self, pair: int, lower: float, reach: float) -> Reading | None:
         """The distance of a pair with a cluster, at least `lower` [m], where it is placed; None from `reach` on."""
-        return self.clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach)
+        return self.clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach, q=self._q)
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""

@@ -107,7 +107,8 @@ int eigenvectors(double *A, int n, double *U);
     F(velocity_within_rows) F(rows_of_path) F(turn_along_surface) F(near_gaps) F(nearest_rows) F(gaps_along_path) \
     F(tightest_pair) F(known_apart) F(boxes_of_cells) F(boxes_of_voxels) F(put_planes) F(hulls_apart) \
     F(most_urgent_boxes) F(lower_on_grid) F(velocity_held_as_before) \
-    F(nearest_on_ground) F(distances_within)
+    F(nearest_on_ground) F(kept_over_ground) F(read_over_ground) F(distances_within) \
+    F(lower_over_heights)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

@@ -49,16 +49,22 @@ typedef struct {
     double distance, normal[3], on_shape[3], on_ground[3];
 } Nearest;
 
+/* The corners of one of the two triangles of a cell, which meet along its higher diagonal. */
+static void triangle_of(const double (*corners)[3], int triangle, double *points)
+{
+    const int main = corners[0][2] + corners[3][2] >= corners[1][2] + corners[2][2];
+    const int ends[2][3] = {{0, 1, main ? 3 : 2}, {main ? 0 : 1, 3, 2}};
+    for (int k = 0; k < 3; k++)
+        memcpy(points + 3 * k, corners[ends[triangle][k]], sizeof(corners[0]));
+}
+
 /* Look at the two triangles of a cell for what is nearer than `found`: 1 where something is, 0, or -1 undecided. */
 static int look_at_cell(const Hull *shape, const double (*corners)[3], Nearest *found)
 {
-    const int main = corners[0][2] + corners[3][2] >= corners[1][2] + corners[2][2]; /* the higher diagonal */
     int nearer = 0;
     for (int triangle = 0; triangle < 2; triangle++) {
         double points[9], guess[3];
-        const int ends[2][3] = {{0, 1, main ? 3 : 2}, {main ? 0 : 1, 3, 2}};
-        for (int k = 0; k < 3; k++)
-            memcpy(points + 3 * k, corners[ends[triangle][k]], sizeof(guess));
+        triangle_of(corners, triangle, points);
         const Hull other = {points, 3};
         memcpy(guess, found->normal, sizeof(guess));
         if (come_nearer(furthest_on_hull, shape, &other, found->distance, guess) == 0)
@@ -160,4 +166,378 @@ PyObject *nearest_on_ground(PyObject *self, PyObject *const *args, Py_ssize_t co
         to[7 + c] = found.on_ground[c] + map.base[c];
     }
     return Py_BuildValue("(N)", reading);
+}
+
+/* the highest of the ground in rings around the cells of a region, see `lower_over_heights` */
+typedef struct {
+    double low[2], per_cell[2], furthest, box[6];
+    const npy_intp *counts;
+    const float *highest;
+    Vec squares;
+} Rings;
+
+static int is_float_block(PyObject *object, const char *name, npy_intp rows, npy_intp columns)
+{
+    if (is_array(object, name, NPY_FLOAT, 2) < 0)
+        return 0;
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (PyArray_IS_C_CONTIGUOUS(array) && PyArray_DIM(array, 0) == rows && PyArray_DIM(array, 1) == columns)
+        return 1;
+    PyErr_Format(PyExc_ValueError, "%s: %zd rows of %zd in one piece are wanted", name, (Py_ssize_t)rows,
+                 (Py_ssize_t)columns);
+    return 0;
+}
+
+/* The last seven arguments of `lower_over_heights`; 0, or -1 with an exception. */
+static int read_rings(PyObject *const *args, Rings *rings)
+{
+    Vec low, per_cell;
+    Mat box;
+    npy_intp axes[1];
+    if (as_vec(args[0], "low", 2, &low) < 0 || as_vec(args[1], "per_cell", 2, &per_cell) < 0 ||
+        !(rings->counts = index_block(args[2], "counts", 1, axes)) || has_length(axes[0], 2, "counts") < 0 ||
+        as_vec(args[4], "squared_aside", -1, &rings->squares) < 0 ||
+        !is_float_block(args[3], "highest", rings->counts[0] * rings->counts[1], rings->squares.n) ||
+        as_double(args[5], "furthest", &rings->furthest) < 0 || as_mat(args[6], "bounds", 2, 3, &box) < 0)
+        return -1;
+    if (rings->counts[0] < 0 || rings->counts[1] < 0) {
+        PyErr_SetString(PyExc_ValueError, "counts: are below 0");
+        return -1;
+    }
+    rings->highest = PyArray_DATA((PyArrayObject *)args[3]);
+    for (int c = 0; c < 2; c++)
+        rings->low[c] = AT(low, c), rings->per_cell[c] = AT(per_cell, c);
+    for (int c = 0; c < 6; c++)
+        rings->box[c] = AT2(box, c / 3, c % 3);
+    return 0;
+}
+
+/* What is known of the distance of a point in the frame of the ground. */
+static double lower_by_rings(const Rings *rings, const double *point)
+{
+    double off = 0.0;
+    for (int c = 0; c < 3; c++) {
+        const double away = gap_between(point[c], point[c], rings->box[c], rings->box[3 + c]);
+        off += away * away;
+    }
+    const double x = (point[0] - rings->low[0]) * rings->per_cell[0];
+    const double y = (point[1] - rings->low[1]) * rings->per_cell[1];
+    if (!(x >= 0.0 && x < (double)rings->counts[0] && y >= 0.0 && y < (double)rings->counts[1]))
+        return sqrt(off);
+    const float *highest = rings->highest + ((npy_intp)x * rings->counts[1] + (npy_intp)y) * rings->squares.n;
+    double least = INFINITY;
+    for (npy_intp ring = 0; ring < rings->squares.n; ring++) {
+        const double above = fmax(point[2] - highest[ring], 0.0), square = above * above + AT(rings->squares, ring);
+        if (square < least)
+            least = square;
+    }
+    return fmax(sqrt(off), fmin(sqrt(least), rings->furthest));
+}
+
+PyObject *lower_over_heights(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat points;
+    Rings rings;
+    double *lower;
+    if (count_is(count, 8, "lower_over_heights") < 0 || as_mat(args[0], "points", 3, -1, &points) < 0 ||
+        read_rings(args + 1, &rings) < 0)
+        return NULL;
+    PyObject *found = new_vec(points.columns, &lower);
+    for (npy_intp k = 0; found && k < points.columns; k++) {
+        const double point[3] = {AT2(points, 0, k), AT2(points, 1, k), AT2(points, 2, k)};
+        lower[k] = lower_by_rings(&rings, point);
+    }
+    return found;
+}
+
+/* a whole height map in its own frame, and where that is in the world; see `kept_over_ground` */
+typedef struct {
+    Mat heights;
+    Vec x, y;
+    const double *R, *t; /* row by row */
+    double floor, top;
+} Ground;
+
+/* some points of the machine's pieces; pose k of configuration i is R + 9 (joints i + k), and t likewise */
+typedef struct {
+    const double *R, *t, *corner, *radius;
+    Ind slot, starts;
+    npy_intp joints;
+} Pieces;
+
+/* A point of a piece in the frame of the ground. */
+static void place_point(const Ground *g, const Pieces *p, npy_intp row, npy_intp piece, const double *own, double *point)
+{
+    const npy_intp at = p->joints * row + INDEX(p->slot, piece);
+    double world[3];
+    for (int r = 0; r < 3; r++)
+        world[r] = along(p->R + 9 * at + 3 * r, own) + p->t[3 * at + r] - g->t[r];
+    for (int c = 0; c < 3; c++)
+        point[c] = g->R[c] * world[0] + g->R[3 + c] * world[1] + g->R[6 + c] * world[2];
+}
+
+/* How high the ground is at a point; minus infinity beside the map. */
+static double height_at(const Ground *g, const double *point)
+{
+    const npy_intp columns = g->x.n - 1, rows = g->y.n - 1;
+    const double across = (point[0] - AT(g->x, 0)) / (AT(g->x, 1) - AT(g->x, 0));
+    const double up = (point[1] - AT(g->y, 0)) / (AT(g->y, 1) - AT(g->y, 0));
+    if (!(across >= 0.0 && across < (double)columns && up >= 0.0 && up < (double)rows))
+        return -INFINITY;
+    const npy_intp j = (npy_intp)across, i = (npy_intp)up;
+    const double u = across - (double)j, v = up - (double)i;
+    const double a = AT2(g->heights, i, j), b = AT2(g->heights, i, j + 1), c = AT2(g->heights, i + 1, j),
+                 d = AT2(g->heights, i + 1, j + 1);
+    if (a + d >= b + c) /* cut along a d, else along b c */
+        return fmin(a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c));
+    return fmin(a + u * (b - a) + v * (c - a), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d));
+}
+
+/* Whether a shape is `reach` off all triangles of some cells: 1 or 0, -1 where that is not decided. */
+static int off_cells(const Map *map, const Hull *shape, const double *low, const double *high, double reach)
+{
+    double corners[4][3], normal[3] = {0.0, 0.0, -1.0}, furthest[3];
+    int kept = 1;
+    furthest_on_hull(shape, normal, furthest);
+    for (npy_intp i = 0; i < map->heights.rows - 1; i++)
+        for (npy_intp j = 0; j < map->heights.columns - 1; j++) {
+            corners_of(map, i, j, corners);
+            double lowest = INFINITY;
+            for (int k = 0; k < 4; k++)
+                lowest = fmin(lowest, along(normal, corners[k]));
+            if (lowest - along(normal, furthest) >= reach || squared_off(corners, low, high) >= reach * reach)
+                continue;
+            for (int triangle = 0; triangle < 2; triangle++) {
+                double points[9], guess[3];
+                triangle_of(corners, triangle, points);
+                const Hull other = {points, 3};
+                memcpy(guess, normal, sizeof(guess));
+                const int nearer = come_nearer(furthest_on_hull, shape, &other, reach, guess);
+                if (nearer > 0)
+                    return 0;
+                if (nearer < 0)
+                    kept = -1;
+                else {
+                    memcpy(normal, guess, sizeof(normal));
+                    furthest_on_hull(shape, normal, furthest);
+                }
+            }
+        }
+    return kept;
+}
+
+/* The highest that a shape's lowest corner can be above the ground, straight down; the box around it in `low`, `high`. */
+static double lowest_corner(const Ground *g, const double *points, npy_intp count, double *low, double *high)
+{
+    double lowest = INFINITY;
+    for (int c = 0; c < 3; c++)
+        low[c] = INFINITY, high[c] = -INFINITY;
+    for (npy_intp k = 0; k < count; k++) {
+        const double *point = points + 3 * k;
+        if (point[2] >= g->floor)
+            lowest = fmin(lowest, point[2] - height_at(g, point));
+        for (int c = 0; c < 3; c++)
+            low[c] = fmin(low[c], point[c]), high[c] = fmax(high[c], point[c]);
+    }
+    return lowest;
+}
+
+/* The cells within `reach` of a box, and the shape's points from the first of them: 0 where walls or floor are as near. */
+static int cells_around(const Ground *g, double *points, npy_intp count, double *low, double *high, double reach,
+                        Map *map)
+{
+    const npy_intp columns = g->x.n - 1, rows = g->y.n - 1;
+    const double left = AT(g->x, 0), front = AT(g->y, 0);
+    if (low[0] - left < reach || AT(g->x, columns) - high[0] < reach || low[1] - front < reach ||
+        AT(g->y, rows) - high[1] < reach || low[2] - g->floor < reach)
+        return 0;
+    const double wide = AT(g->x, 1) - left, deep = AT(g->y, 1) - front;
+    const npy_intp j = (npy_intp)((low[0] - reach - left) / wide), i = (npy_intp)((low[1] - reach - front) / deep);
+    const npy_intp last_j = (npy_intp)fmin((high[0] + reach - left) / wide, columns - 1.0);
+    const npy_intp last_i = (npy_intp)fmin((high[1] + reach - front) / deep, rows - 1.0);
+    *map = (Map){g->heights, g->x, g->y, {points[0], points[1], points[2]}};
+    map->heights.data = (char *)&AT2(g->heights, i, j), map->x.data = (char *)&AT(g->x, j);
+    map->y.data = (char *)&AT(g->y, i);
+    map->heights.rows = last_i - i + 2, map->heights.columns = last_j - j + 2;
+    for (npy_intp k = 0; k < 3 * count; k++)
+        points[k] -= map->base[k % 3];
+    for (int c = 0; c < 3; c++)
+        low[c] -= map->base[c], high[c] -= map->base[c];
+    return 1;
+}
+
+/* Whether a shape with `count` corners, within `radius` of whose hull it is, is at least `least` above the ground. */
+static int kept_by_shape(const Ground *g, double *points, npy_intp count, double radius, double least)
+{
+    double low[3], high[3];
+    const double reach = radius + least, above = lowest_corner(g, points, count, low, high);
+    Map map;
+    if (above > 0.0 ? above < reach : least > 0.0)
+        return 0;
+    if (low[2] - g->top >= reach)
+        return 1;
+    if (!(least > 0.0) || !cells_around(g, points, count, low, high, reach, &map))
+        return -1;
+    const Hull shape = {points, count};
+    return off_cells(&map, &shape, low, high, reach);
+}
+
+/* How far it is from the ground within a reach, as ten numbers in the world: 1, 0 where it is not less, -1 undecided. */
+static int read_shape(const Ground *g, double *points, npy_intp count, double radius, double within, double *to)
+{
+    double low[3], high[3];
+    const double reach = radius + within, above = lowest_corner(g, points, count, low, high);
+    Map map;
+    if (low[2] - g->top >= reach)
+        return 0;
+    if (!(above > 0.0) || !(within > 0.0) || !cells_around(g, points, count, low, high, reach, &map))
+        return -1;
+    const Hull shape = {points, count};
+    Nearest found = {reach, {0.0, 0.0, -1.0}, {0.0}, {0.0}};
+    const int nearer = look_at_map(&map, &shape, &found);
+    if (nearer <= 0)
+        return nearer;
+    if (!(found.distance > radius))
+        return -1;
+    double own[9];
+    for (int c = 0; c < 3; c++) {
+        own[c] = found.normal[c];
+        own[3 + c] = found.on_shape[c] + radius * found.normal[c] + map.base[c];
+        own[6 + c] = found.on_ground[c] + map.base[c];
+    }
+    to[0] = found.distance - radius;
+    for (int part = 0; part < 3; part++)
+        for (int r = 0; r < 3; r++)
+            to[1 + 3 * part + r] = along(g->R + 3 * r, own + 3 * part) + (part ? g->t[r] : 0.0);
+    return 1;
+}
+
+/* What is asked of some pieces, each with a number */
+typedef struct {
+    Pieces pieces;
+    Ground ground;
+    Ind row, piece;
+    Vec number;
+    npy_intp most; /* corners of a piece */
+} Question;
+
+/* The arguments of `read_over_ground`; 0, or -1 with an exception. */
+static int read_question(PyObject *const *args, Question *q)
+{
+    Pieces *p = &q->pieces;
+    Ground *g = &q->ground;
+    npy_intp R[4], t[3], corner[2], radius[1], turn[2], at[1];
+    double levels[2];
+    if (!(p->R = block(args[0], "R", 4, R)) || !(p->t = block(args[1], "t", 3, t)) ||
+        has_length(R[2], 3, "R") < 0 || has_length(R[3], 3, "R") < 0 || has_length(t[0], R[0], "t") < 0 ||
+        has_length(t[1], R[1], "t") < 0 || has_length(t[2], 3, "t") < 0 ||
+        !(p->corner = block(args[3], "corners", 2, corner)) || has_length(corner[1], 3, "corners") < 0 ||
+        !(p->radius = block(args[5], "radius", 1, radius)) || as_ind(args[2], "slot", R[1], &p->slot) < 0 ||
+        has_length(p->slot.n, radius[0], "slot") < 0 || as_ind(args[4], "starts", corner[0] + 1, &p->starts) < 0 ||
+        has_length(p->starts.n, radius[0] + 1, "starts") < 0 || as_ind(args[6], "row", R[0], &q->row) < 0 ||
+        as_ind(args[7], "piece", radius[0], &q->piece) < 0 || has_length(q->piece.n, q->row.n, "piece") < 0 ||
+        as_vec(args[8], "number", q->row.n, &q->number) < 0 || !(g->R = block(args[9], "frame", 2, turn)) ||
+        has_length(turn[0], 3, "frame") < 0 || has_length(turn[1], 3, "frame") < 0 ||
+        !(g->t = block(args[10], "origin", 1, at)) || has_length(at[0], 3, "origin") < 0 ||
+        as_mat(args[11], "heights", -1, -1, &g->heights) < 0 || as_vec(args[12], "x", g->heights.columns, &g->x) < 0 ||
+        as_vec(args[13], "y", g->heights.rows, &g->y) < 0 || as_doubles(args[14], "levels", 2, levels) < 0)
+        return -1;
+    p->joints = R[1], q->most = 0, g->floor = levels[0], g->top = levels[1];
+    for (npy_intp k = 0; k < radius[0]; k++) {
+        const npy_intp count = INDEX(p->starts, k + 1) - INDEX(p->starts, k);
+        q->most = count > q->most ? count : q->most;
+    }
+    return 0;
+}
+
+/* Put the corners of what question k is about into `points`; how many, 0 where there is no answer to it. */
+static npy_intp corners_asked(const Question *q, npy_intp k, double *points)
+{
+    const npy_intp piece = INDEX(q->piece, k);
+    const npy_intp count = INDEX(q->pieces.starts, piece + 1) - INDEX(q->pieces.starts, piece);
+    if (count < 1 || q->ground.x.n < 2 || q->ground.y.n < 2)
+        return 0;
+    for (npy_intp i = 0; i < count; i++) {
+        const double *own = q->pieces.corner + 3 * (INDEX(q->pieces.starts, piece) + i);
+        place_point(&q->ground, &q->pieces, INDEX(q->row, k), piece, own, points + 3 * i);
+    }
+    return count;
+}
+
+/* Whether balls around a piece show that it is as far from the ground as question k says. */
+static int kept_by_balls(const Question *q, const Rings *rings, const double *ball, const Ind *starts, npy_intp k)
+{
+    const npy_intp piece = INDEX(q->piece, k);
+    for (npy_intp i = INDEX(*starts, piece); i < INDEX(*starts, piece + 1); i++) {
+        double centre[3];
+        place_point(&q->ground, &q->pieces, INDEX(q->row, k), piece, ball + 4 * i, centre);
+        const double apart = lower_by_rings(rings, centre) - ball[4 * i + 3];
+        if (!(apart > 0.0 && apart >= AT(q->number, k))) /* where a ball may touch, nothing is known */
+            return 0;
+    }
+    return 1;
+}
+
+PyObject *kept_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Question q;
+    Rings rings;
+    Ind ball_starts;
+    const double *ball;
+    npy_intp balls[2];
+    if (count_is(count, 24, "kept_over_ground") < 0 || read_question(args, &q) < 0 ||
+        !(ball = block(args[15], "balls", 2, balls)) || has_length(balls[1], 4, "balls") < 0 ||
+        as_ind(args[16], "ball_starts", balls[0] + 1, &ball_starts) < 0 ||
+        has_length(ball_starts.n, q.pieces.slot.n + 1, "ball_starts") < 0 || read_rings(args + 17, &rings) < 0)
+        return NULL;
+    npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
+    Room room;
+    double *points = room_for(&room, (3 * q.most + 1) * sizeof(double));
+    PyObject *found = points ? new_ind(q.row.n, &verdict) : NULL;
+    for (npy_intp k = 0; found && k < q.row.n; k++) {
+        const npy_intp row = INDEX(q.row, k);
+        verdict[k] = -1;
+        if (row == given_up)
+            continue;
+        if (kept_by_balls(&q, &rings, ball, &ball_starts, k)) {
+            verdict[k] = 1;
+            continue;
+        }
+        const npy_intp corners = corners_asked(&q, k, points);
+        const double radius = q.pieces.radius[INDEX(q.piece, k)];
+        if (corners)
+            verdict[k] = kept_by_shape(&q.ground, points, corners, radius, AT(q.number, k));
+        if (verdict[k] == 0)
+            given_up = row;
+    }
+    if (points)
+        release(&room);
+    return found;
+}
+
+PyObject *read_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Question q;
+    if (count_is(count, 15, "read_over_ground") < 0 || read_question(args, &q) < 0)
+        return NULL;
+    npy_intp *state;
+    double *reading;
+    Room room;
+    double *points = room_for(&room, (3 * q.most + 1) * sizeof(double));
+    PyObject *states = points ? new_ind(q.row.n, &state) : NULL;
+    PyObject *readings = states ? new_mat(q.row.n, 10, &reading) : NULL;
+    for (npy_intp k = 0; readings && k < q.row.n; k++) {
+        double *to = reading + 10 * k;
+        const npy_intp corners = corners_asked(&q, k, points);
+        const double radius = q.pieces.radius[INDEX(q.piece, k)];
+        memset(to, 0, 10 * sizeof(double));
+        state[k] = corners ? read_shape(&q.ground, points, corners, radius, AT(q.number, k), to) : -1;
+    }
+    if (points)
+        release(&room);
+    if (!readings) {
+        Py_XDECREF(states);
+        return NULL;
+    }
+    return Py_BuildValue("(NN)", states, readings);
 }

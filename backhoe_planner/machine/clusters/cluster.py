@@ -306,7 +306,7 @@ class Cluster:
         """
         shift = _NO_SHIFT if shift is None else shift
         link = self._local(piece, T_world_body, shift)
-        if not self.solid.is_ground:
+        if self.solid.ground is None:
             return None
         touching = self.solid.measure(link, 0.0)
         if touching is None or touching.distance >= 0.0:
@@ -446,8 +446,7 @@ class Distances:
             own = self.R.T @ own
         if self.grid is not None:
             return self.grid.lower(own)
-        off = off_box(own, self.bounds)
-        return off if self.heights is None else np.maximum(self.heights.lower(own)[0], off, out=off)
+        return off_box(own, self.bounds) if self.heights is None else self.heights.lower(own, self.bounds)
 
 
 def _fine_within(step: float, exact: float) -> float:

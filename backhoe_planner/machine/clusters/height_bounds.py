@@ -8,12 +8,19 @@ ground that is the true distance, where a grid of cells falls short by up to thr
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine.clusters.distance_grid import off_box
+from backhoe_planner.native import compiled
 
 _RINGS = (0, 1, 2, 3, 4, 6, 8, 12, 17, 24, 34)  # cells from that of the point to the ends of each square; chosen
 REACH = _RINGS[-1]  # cells around a region that are looked at
 _ROUNDING = 1e-9  # m by which a point may lie beyond the cell in which it is counted
+
+
+# the arguments of `lower_over_heights` from `low` to `furthest`
+Rings = tuple[Vector, Vector, Indices, NDArray[np.float32], Vector, float]
 
 
 class HeightBounds:
@@ -25,6 +32,10 @@ class HeightBounds:
         `REACH` cells around it [m]; minus infinity where there is none.
     low: (2,) lowest corner of the region [m].
     cell: (2,) edges of a cell [m].
+
+    Attributes
+    ----------
+    rings: what they are worked out from.
     """
 
     def __init__(self, tops: Matrix, low: Vector, cell: Vector) -> None:
@@ -33,32 +44,52 @@ class HeightBounds:
         tops = np.nextafter(tops.astype(np.float32), np.float32(np.inf))
         own = slice(REACH, -REACH)
         rings = [maximum_filter(tops, size=2 * ring + 1, mode="constant", cval=-np.inf)[own, own] for ring in _RINGS]
-        self._counts = np.array(rings[0].shape)[:, None]
-        self._highest = np.stack(rings, axis=2).reshape(-1, len(_RINGS))
-        self._low, self._per_cell = low[:, None], 1.0 / cell[:, None]
         aside = np.maximum(np.array(_RINGS) * float(cell.min()) - _ROUNDING, 0.0)
-        # ground that is in a square and not in the one before is that far to the side at least
-        self._squared_aside = np.concatenate(([0.0], aside[:-1] ** 2))[:, None]
-        self._furthest = float(aside[-1])
+        self.rings: Rings = (
+            low,
+            1.0 / cell,
+            np.array(rings[0].shape),
+            np.ascontiguousarray(np.stack(rings, axis=2).reshape(-1, len(_RINGS))),
+            # ground that is in a square and not in the one before is that far to the side at least
+            np.concatenate(([0.0], aside[:-1] ** 2)),
+            float(aside[-1]),
+        )
 
-    def lower(self, points: Matrix) -> tuple[Vector, Flags]:
-        """(k,) lower bounds of the distance from points (3, k) [m], and (k,) which points are over the region.
+    def lower(self, points: Matrix, bounds: Matrix) -> Vector:
+        """(k,) lower bounds of the distance from points (3, k) to the ground in the box `bounds` (2, 3) [m].
 
-        The others have 0.
+        Beside the region it is known only how far they are off that box.
         """
-        at = points[:2] - self._low
-        at *= self._per_cell
-        over = np.logical_and.reduce((at >= 0.0) & (at < self._counts), axis=0)
-        x, y = np.minimum(np.maximum(at, 0.0, out=at), self._counts - 1, out=at).astype(np.intp)
-        x *= int(self._counts[1, 0])
-        x += y
-        # squares run along the first axis, in which numpy is quick
-        above = np.empty((len(_RINGS), len(x)))
-        np.subtract(points[2], self._highest.take(x, axis=0).T, out=above)
-        np.maximum(above, 0.0, out=above)
-        above *= above
-        above += self._squared_aside
-        found = np.sqrt(np.minimum.reduce(above, axis=0))
-        np.minimum(found, self._furthest, out=found)
-        found *= over
-        return found, over
+        return lower_over_heights(points, *self.rings, bounds)
+
+
+@compiled
+def lower_over_heights(
+    points: Matrix, low: Vector, per_cell: Vector, counts: Indices, highest: NDArray[np.float32],
+    squared_aside: Vector, furthest: float, bounds: Matrix, /,
+) -> Vector:  # fmt: skip
+    """(k,) lower bounds of the distance from points (3, k) to ground in the box `bounds` (2, 3), see `HeightBounds`.
+
+    Parameters
+    ----------
+    low, per_cell, counts: (2,) the region's lowest corner [m], cells in a metre, and how many there are each way.
+    highest: (cells, R) of the ground in the rings around each cell of the region, the second axis first [m].
+    squared_aside: (R,) how far ground that is in a ring and in none before is to the side at least [m^2].
+    furthest: the largest of the bounds [m].
+    """
+    at = points[:2] - low[:, None]
+    at *= per_cell[:, None]
+    over = np.logical_and.reduce((at >= 0.0) & (at < counts[:, None]), axis=0)
+    x, y = np.minimum(np.maximum(at, 0.0, out=at), counts[:, None] - 1, out=at).astype(np.intp)
+    x *= int(counts[1])
+    x += y
+    # squares run along the first axis, in which numpy is quick
+    above = np.empty((len(squared_aside), len(x)))
+    np.subtract(points[2], highest.take(x, axis=0).T, out=above)
+    np.maximum(above, 0.0, out=above)
+    above *= above
+    above += squared_aside[:, None]
+    found = np.sqrt(np.minimum.reduce(above, axis=0))
+    np.minimum(found, furthest, out=found)
+    found *= over
+    return np.maximum(found, off_box(points, bounds), out=found)

@@ -40,7 +40,7 @@ class MeshSolid:
     InputError: it has more.
     """
 
-    is_ground = False
+    ground = None
     voxels = None
 
     def __init__(self, mesh: trimesh.Trimesh, *, most: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -52,6 +53,24 @@ class Placed:
         return np.minimum.reduce(self.hull) - more, np.maximum.reduce(self.hull) + more
 
 
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """The heights of ground, in its own frame.
+
+    Attributes
+    ----------
+    heights: (rows, columns) [m].
+    x, y: (columns,) and (rows,) where they are, at even distances [m].
+    floor, top: how far down the ground reaches, and how far up [m].
+    """
+
+    heights: Matrix
+    x: Vector
+    y: Vector
+    floor: float
+    top: float
+
+
 class Solid(Protocol):
     """A solid of many cells, in its own frame.
 
@@ -60,13 +79,15 @@ class Solid(Protocol):
     bounds: (2, 3) box around it [m].
     finest: edge of its cells, about [m].
     is_full: whether more is solid than its cells: what is below the ground or within a closed mesh.
-    is_ground: whether all that is below its cells is solid.
     """
 
     bounds: Matrix
     finest: float
     is_full: bool
-    is_ground: bool
+
+    @property
+    def ground(self) -> HeightMap | None:
+        """Its heights, where all that is below them is solid; None of what is no ground."""
 
     @property
     def voxels(self) -> tuple[Any, ...] | None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.height_bounds import REACH, HeightBounds
 from backhoe_planner.machine.clusters.link_box import LinkReach
-from backhoe_planner.machine.clusters.solid import Placed
+from backhoe_planner.machine.clusters.solid import HeightMap, Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
 from backhoe_planner.native import compiled
 
@@ -50,7 +51,6 @@ class TerrainSolid:
     """
 
     is_full = True
-    is_ground = True
     voxels = None
 
     def __init__(self, heights: Matrix, size: tuple[float, float], *, depth: float, most: int) -> None:
@@ -77,6 +77,11 @@ class TerrainSolid:
 
     def __len__(self) -> int:
         return (len(self._y) - 1) * (len(self._x) - 1)
+
+    @cached_property
+    def ground(self) -> HeightMap:
+        """Its heights."""
+        return HeightMap(self._heights, self._x, self._y, self._floor, float(self.bounds[1, 2]))
 
     def is_over(self, heights: Matrix, size: tuple[float, float]) -> bool:
         """Whether `heights` (rows, columns) over a rectangle of `size` [m] are heights at the same places."""

@@ -52,7 +52,7 @@ class VoxelSolid:
     """
 
     is_full = False
-    is_ground = False
+    ground = None
 
     def __init__(self, keys: Keys, edge: float, *, most: int) -> None:
         if len(keys) > most:

@@ -35,10 +35,15 @@ class LinkBalls:
     ----------
     pieces: K of the machine's.
     most: the greatest number of balls for a piece, for each level.
+
+    Attributes
+    ----------
+    slot: (K,) which of the joints of `Poses` carries each piece.
     """
 
     def __init__(self, pieces: Sequence[LinkPiece], *, most: Sequence[int]) -> None:
         joints, slot = np.unique([own.joint for own in pieces], return_inverse=True)
+        self.slot: Indices = slot
         self._joints: list[int] = joints.tolist()
         self.levels = tuple(
             BallLevel([covering_balls(own.piece, most=count) for own in pieces], slot, joints) for count in most
@@ -91,6 +96,11 @@ class BallLevel:
 
     def __len__(self) -> int:
         return len(self.radii)
+
+    @property
+    def in_one(self) -> tuple[Matrix, Indices]:
+        """(S, 4) centres and radii [m], and (K + 1,) where those of each piece begin and end."""
+        return np.ascontiguousarray(np.column_stack((self._centres.T, self.radii))), np.append(self.first, len(self))
 
     def centres(self, poses: Poses) -> Array:
         """(3, N, S) of all balls [m], world."""

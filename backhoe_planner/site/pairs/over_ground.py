@@ -1,0 +1,120 @@
+"""Links over ground: whether they keep their distances in many configurations, and which these are, in one call.
+
+A link that reaches into the ground, or whose lowest corner is too near to it straight below, needs no further look;
+of the others the cells around are looked at. What stands beside the map or reaches below its floor is left to
+coal, and so is everything without a compiler.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine import Cluster, Distances, LinkPiece, Reading
+from backhoe_planner.machine.clusters.solid import HeightMap
+from backhoe_planner.native import compiled
+from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
+
+KEPT, NEARER = 1, 0  # verdicts; all else is not known
+
+
+class OverGround:
+    """What is known of the distances between K pieces of one machine and ground.
+
+    Parameters
+    ----------
+    pieces: K of the machine's.
+    balls: that cover them.
+    """
+
+    def __init__(self, pieces: Sequence[LinkPiece], balls: LinkBalls) -> None:
+        counts = [len(own.piece.hull) for own in pieces]
+        self._pieces = (
+            balls.slot,
+            np.ascontiguousarray(np.vstack([own.piece.hull for own in pieces])),
+            np.cumsum([0, *counts]),
+            np.array([own.piece.radius for own in pieces]),
+        )
+        self._balls = balls.levels[0].in_one
+
+    def keep(
+        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, least: Vector, bounds: Distances
+    ) -> Indices:  # fmt: skip
+        """(M,) verdicts: whether some pieces (M,) are at least `least` (M,) [m] from the ground in some configurations.
+
+        After one that is nearer no other is known of the same configuration. None is known of what is no ground.
+
+        rows: (M,) the configurations, in order.
+        bounds: of the cluster.
+        """
+        if cluster.solid.ground is None or bounds.heights is None:
+            return np.full(len(rows), -1, dtype=np.intp)
+        asked = self._asked(cluster, cluster.solid.ground, poses, rows, pieces, least)
+        arguments: Any = (*asked, *self._balls, *bounds.heights.rings, bounds.bounds)
+        return kept_over_ground(*arguments)
+
+    def measure(
+        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, reach: Vector
+    ) -> list[Reading | Literal["far"] | None]:
+        """M distances of some pieces (M,) in some configurations `rows` (M,) from the ground, within `reach` (M,) [m].
+
+        "far" where one is not less, None where it is not known.
+        """
+        if cluster.solid.ground is None:
+            return [None] * len(rows)
+        states, found = read_over_ground(*self._asked(cluster, cluster.solid.ground, poses, rows, pieces, reach))
+        return [
+            Reading(one[0], *row[1:].reshape(3, 3)) if state == 1 else "far" if state == 0 else None
+            for state, one, row in zip(states.tolist(), found.tolist(), found, strict=True)
+        ]
+
+    def _asked(
+        self, cluster: Cluster, ground: HeightMap, poses: Poses, rows: Indices, pieces: Indices, number: Vector
+    ) -> Any:  # fmt: skip
+        """The arguments of `read_over_ground`."""
+        return (
+            np.ascontiguousarray(poses.R), np.ascontiguousarray(poses.t), *self._pieces, rows, pieces, number,
+            np.ascontiguousarray(cluster.placement.rotation), np.array(cluster.placement.translation),
+            ground.heights, ground.x, ground.y, (ground.floor, ground.top),
+        )  # fmt: skip
+
+
+@compiled
+def kept_over_ground(
+    R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
+    least: Vector, frame: Matrix, origin: Vector, heights: Matrix, x: Vector, y: Vector, levels: tuple[float, float],
+    balls: Matrix, ball_starts: Indices, low: Vector, per_cell: Vector, counts: Indices, highest: NDArray[np.float32],
+    squared_aside: Vector, furthest: float, bounds: Matrix, /,
+) -> Indices:  # fmt: skip
+    """(M,) verdicts on pieces in configurations, see `OverGround.keep`. Here none is known: coal is to be asked.
+
+    Parameters
+    ----------
+    R, t: (N, J, 3, 3) and (N, J, 3) T_world_joint [m].
+    slot: (K,) which of the joints carries each piece.
+    corners: (P, 3) points of the pieces one after the other in the frames of these joints [m]; those of piece k begin
+        at `starts[k]`, (K + 1,), and the piece lies within `radius[k]`, (K,), of their convex hull [m].
+    row, piece, least: (M,) each.
+    frame, origin: (3, 3) and (3,) T_world_ground [m].
+    heights, x, y: (rows, columns) [m] at y (rows,) and x (columns,), each at even distances.
+    levels: how far down the ground reaches, and how far up [m].
+    balls: (S, 4) centres of balls that cover the pieces, in the frames of the joints, and radii [m]; those of piece k
+        begin at `ball_starts[k]`, (K + 1,). The others are arguments of `lower_over_heights`.
+    """
+    return np.full(len(row), -1, dtype=np.intp)
+
+
+@compiled
+def read_over_ground(
+    R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
+    reach: Vector, frame: Matrix, origin: Vector, heights: Matrix, x: Vector, y: Vector, levels: tuple[float, float], /,
+) -> tuple[Indices, Matrix]:  # fmt: skip
+    """(M,) 1 where a distance is known, 0 where it is not less than `reach` (M,) [m]; (M, 10) each as a `Reading`.
+
+    Here none is known: coal is to be asked. Arguments are the first of `kept_over_ground`.
+    """
+    return np.full(len(row), -1, dtype=np.intp), np.zeros((len(row), 10))

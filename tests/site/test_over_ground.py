@@ -1,0 +1,88 @@
+"""Links over ground: what is told of many at once beside what is measured of each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from backhoe_planner import Robot
+from backhoe_planner.machine import BatchKinematics, Cluster, Reading, TerrainSolid
+from backhoe_planner.native import find_compiled
+from backhoe_planner.site.pairs.link_balls import LinkBalls
+from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
+
+needs_native = pytest.mark.skipif(find_compiled() is None, reason="the compiled functions are not installed")
+
+
+def ground_beside(robot: Robot, roughness: float, rng: np.random.Generator) -> Cluster:
+    """Uneven ground at about half a metre below the boom's foot, not level and turned about."""
+    heights = rng.uniform(-0.5, 1.0) + roughness * rng.uniform(size=(51, 61))
+    placement = pin.SE3(pin.rpy.rpyToMatrix(0.05, -0.03, 0.4), np.array([0.3, -0.2, 0.0]))
+    return Cluster(TerrainSolid(heights, (18.0, 15.0), depth=3.0, most=10**6), placement)
+
+
+@needs_native
+@pytest.mark.parametrize("roughness", [0.0, 0.3])
+def test_verdicts_and_readings_are_those_of_each_link_alone(backhoe: Robot, roughness: float) -> None:
+    rng = np.random.default_rng(int(10 * roughness))
+    pieces = [own for own in backhoe.pieces if own.joint]
+    balls = LinkBalls(pieces, most=(4,))
+    over = OverGround(pieces, balls)
+    kinematics, data = BatchKinematics(backhoe), backhoe.model.createData()
+    verdicts, distances = [], []
+    for _ in range(4):
+        cluster = ground_beside(backhoe, roughness, rng)
+        q = np.array([backhoe.random_q(rng) for _ in range(12)])
+        rows, which = (part.ravel() for part in np.indices((len(q), len(pieces))))
+        least = rng.uniform(0.02, 0.4, len(rows))
+        poses = balls.poses_of(kinematics.at(q))
+        verdict = over.keep(cluster, poses, rows, which, least, cluster.grid(np.zeros(3), 9.0))
+        reading = over.measure(cluster, poses, rows, which, least)
+        given_up: set[int] = set()
+        for k, (row, number) in enumerate(zip(rows.tolist(), which.tolist(), strict=True)):
+            pin.forwardKinematics(backhoe.model, data, q[row])
+            own = pieces[number]
+            found = cluster.measure(own.piece, data.oMi[own.joint], float(least[k]))
+            verdicts.append(int(verdict[k]))
+            if row in given_up:
+                assert verdict[k] not in (KEPT, NEARER)
+            elif verdict[k] == NEARER:
+                assert found is not None
+                given_up.add(row)
+            elif verdict[k] == KEPT:
+                assert found is None
+            one = reading[k]
+            if one == "far":
+                assert found is None
+            elif isinstance(one, Reading):
+                assert found is not None
+                distances.append(one.distance)
+                assert one.distance == pytest.approx(found.distance, abs=1e-9)
+                np.testing.assert_allclose(one.other_point - one.point, one.distance * one.normal, atol=1e-5)
+                assert np.linalg.norm(one.normal) == pytest.approx(1.0, abs=1e-12)
+    assert min(verdicts.count(KEPT), verdicts.count(NEARER), len(distances)) > 10
+
+
+@needs_native
+def test_no_verdict_beside_the_map_or_through_its_floor(backhoe: Robot) -> None:
+    """There walls and a floor are as near as the cells."""
+    pieces = [own for own in backhoe.pieces if own.joint]
+    balls = LinkBalls(pieces, most=(4,))
+    over = OverGround(pieces, balls)
+    q = np.zeros((1, backhoe.n))
+    poses = balls.poses_of(BatchKinematics(backhoe).at(q))
+    data = backhoe.model.createData()
+    pin.forwardKinematics(backhoe.model, data, q[0])
+    piece = len(pieces) - 1
+    corners = pieces[piece].piece.hull @ data.oMi[pieces[piece].joint].rotation.T
+    corners += data.oMi[pieces[piece].joint].translation
+    # the edge of the map is 10 cm beside the last link, at its own height
+    edge = np.array([float(corners[:, 0].max()) + 0.1 + 2.0, 0.0, float(corners[:, 2].mean()) + 0.5])
+    cluster = Cluster(TerrainSolid(np.zeros((41, 41)), (4.0, 4.0), depth=3.0, most=10**6), pin.SE3(np.eye(3), edge))
+    asked = (np.array([0]), np.array([piece]), np.array([0.3]))
+    assert over.keep(cluster, poses, *asked, cluster.grid(np.zeros(3), 9.0)).tolist() == [-1]
+    assert over.measure(cluster, poses, *asked) == [None]
+    found = cluster.measure(pieces[piece].piece, data.oMi[pieces[piece].joint], 0.3)
+    assert found is not None
+    assert found.distance == pytest.approx(0.1, abs=1e-6)
