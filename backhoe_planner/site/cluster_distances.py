@@ -94,10 +94,11 @@ class ClusterDistances:
         own = None if q is None else q[None, :]
         return np.asarray(self._lower(self._balls.poses_at(data), own, np.array([time]), needed)[0])
 
-    def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix) -> None:
+    def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix, sunk: bool = False) -> None:
         """Find the same for each of `q` (N, n) at once, as `lower_each`; kept for `lower` until others are expected.
 
-        So are distances from ground that may be less than what is needed, for `nearest`.
+        So are distances from ground that may be less than what is needed, for `nearest`; `sunk` as for
+        `OverGround.measure`.
         """
         if not len(self) or not len(q):
             return
@@ -109,13 +110,15 @@ class ClusterDistances:
             q,
             np.broadcast_to(time, len(q)),
             needed,
-            measured=lambda found: self._measure_ahead(q, poses, found, needed),
+            measured=lambda found: self._measure_ahead(q, poses, found, needed, sunk=sunk),
         )
         times = np.broadcast_to(time if self._moving else 0.0, len(q)).tolist()
         rows = zip(q, times, bounds, np.broadcast_to(needed, bounds.shape), strict=True)
         self._expected = {(at.tobytes(), moment): (found, enough) for at, moment, found, enough in rows}
 
-    def _measure_ahead(self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array) -> None:
+    def _measure_ahead(
+        self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array, *, sunk: bool
+    ) -> None:  # fmt: skip
         """Measure what may be nearer to ground than is needed, and raise the bounds (N, K) of it."""
         assert self._over_ground is not None
         needed = np.broadcast_to(needed, bounds.shape)
@@ -127,7 +130,7 @@ class ClusterDistances:
             cluster, those = self._obstacles[index].cluster, pairs.take(which)
             assert cluster is not None
             reach = needed[rows, those] + AHEAD
-            found = self._over_ground.measure(cluster, poses, rows, self._column.take(those), reach)
+            found = self._over_ground.measure(cluster, poses, rows, self._column.take(those), reach, sunk=sunk)
             names = [at.tobytes() for at in q]
             for row, pair, within, one in zip(rows.tolist(), those.tolist(), reach.tolist(), found, strict=True):
                 if isinstance(one, Reading):

@@ -276,21 +276,25 @@ static void place_point(const Ground *g, const Pieces *p, npy_intp row, npy_intp
         point[c] = g->R[c] * world[0] + g->R[3 + c] * world[1] + g->R[6 + c] * world[2];
 }
 
-/* How high the ground is at a point; minus infinity beside the map. */
-static double height_at(const Ground *g, const double *point)
+/* How high the ground is at a point, and how much it rises along x and y; minus infinity beside the map. */
+static double height_at(const Ground *g, const double *point, double *rise)
 {
     const npy_intp columns = g->x.n - 1, rows = g->y.n - 1;
-    const double across = (point[0] - AT(g->x, 0)) / (AT(g->x, 1) - AT(g->x, 0));
-    const double up = (point[1] - AT(g->y, 0)) / (AT(g->y, 1) - AT(g->y, 0));
+    const double wide = AT(g->x, 1) - AT(g->x, 0), deep = AT(g->y, 1) - AT(g->y, 0);
+    const double across = (point[0] - AT(g->x, 0)) / wide, up = (point[1] - AT(g->y, 0)) / deep;
     if (!(across >= 0.0 && across < (double)columns && up >= 0.0 && up < (double)rows))
         return -INFINITY;
     const npy_intp j = (npy_intp)across, i = (npy_intp)up;
     const double u = across - (double)j, v = up - (double)i;
     const double a = AT2(g->heights, i, j), b = AT2(g->heights, i, j + 1), c = AT2(g->heights, i + 1, j),
                  d = AT2(g->heights, i + 1, j + 1);
-    if (a + d >= b + c) /* cut along a d, else along b c */
-        return fmin(a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c));
-    return fmin(a + u * (b - a) + v * (c - a), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d));
+    const int main = a + d >= b + c; /* cut along a d, else along b c */
+    const double first = main ? a + u * (b - a) + v * (d - b) : a + u * (b - a) + v * (c - a);
+    const double second = main ? a + v * (c - a) + u * (d - c) : d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d);
+    const int is_first = first <= second;
+    rise[0] = (is_first ? b - a : d - c) / wide;
+    rise[1] = (is_first == main ? d - b : c - a) / deep;
+    return is_first ? first : second;
 }
 
 /* Whether a shape is `reach` off all triangles of some cells: 1 or 0, -1 where that is not decided. */
@@ -326,20 +330,52 @@ static int off_cells(const Map *map, const Hull *shape, const double *low, const
     return kept;
 }
 
-/* The highest that a shape's lowest corner can be above the ground, straight down; the box around it in `low`, `high`. */
-static double lowest_corner(const Ground *g, const double *points, npy_intp count, double *low, double *high)
+/* The corner that is least above the ground, straight up. */
+typedef struct {
+    double above, rise[2];
+    npy_intp which;
+} Lowest;
+
+/* The lowest corner of a shape, infinitely high where none is over the ground; the box around all in `low`, `high`. */
+static Lowest lowest_corner(const Ground *g, const double *points, npy_intp count, double *low, double *high)
 {
-    double lowest = INFINITY;
+    Lowest lowest = {INFINITY, {0.0, 0.0}, 0};
     for (int c = 0; c < 3; c++)
         low[c] = INFINITY, high[c] = -INFINITY;
     for (npy_intp k = 0; k < count; k++) {
         const double *point = points + 3 * k;
-        if (point[2] >= g->floor)
-            lowest = fmin(lowest, point[2] - height_at(g, point));
+        double rise[2] = {0.0, 0.0};
+        const double above = point[2] - height_at(g, point, rise);
+        if (point[2] >= g->floor && above < lowest.above)
+            lowest = (Lowest){above, {rise[0], rise[1]}, k};
         for (int c = 0; c < 3; c++)
             low[c] = fmin(low[c], point[c]), high[c] = fmax(high[c], point[c]);
     }
     return lowest;
+}
+
+/* Ten numbers in the world of a reading in the frame of the ground: a distance, and three vectors. */
+static void put_reading(const Ground *g, double distance, const double *own, double *to)
+{
+    to[0] = distance;
+    for (int part = 0; part < 3; part++)
+        for (int r = 0; r < 3; r++)
+            to[1 + 3 * part + r] = along(g->R + 3 * r, own + 3 * part) + (part ? g->t[r] : 0.0);
+}
+
+/* How deep the lowest corner of a shape is under the plane of the ground above it. */
+static void read_sunk(const Ground *g, const double *corner, double radius, const Lowest *lowest, double *to)
+{
+    const double steep = sqrt(1.0 + lowest->rise[0] * lowest->rise[0] + lowest->rise[1] * lowest->rise[1]);
+    const double normal[3] = {lowest->rise[0] / steep, lowest->rise[1] / steep, -1.0 / steep};
+    const double distance = lowest->above / steep - radius;
+    double own[9];
+    for (int c = 0; c < 3; c++) {
+        own[c] = normal[c];
+        own[3 + c] = corner[c] + radius * normal[c];
+        own[6 + c] = own[3 + c] + distance * normal[c];
+    }
+    put_reading(g, distance, own, to);
 }
 
 /* The cells within `reach` of a box, and the shape's points from the first of them: 0 where walls or floor are as near. */
@@ -370,7 +406,7 @@ static int cells_around(const Ground *g, double *points, npy_intp count, double 
 static int kept_by_shape(const Ground *g, double *points, npy_intp count, double radius, double least)
 {
     double low[3], high[3];
-    const double reach = radius + least, above = lowest_corner(g, points, count, low, high);
+    const double reach = radius + least, above = lowest_corner(g, points, count, low, high).above;
     Map map;
     if (above > 0.0 ? above < reach : least > 0.0)
         return 0;
@@ -382,15 +418,20 @@ static int kept_by_shape(const Ground *g, double *points, npy_intp count, double
     return off_cells(&map, &shape, low, high, reach);
 }
 
-/* How far it is from the ground within a reach, as ten numbers in the world: 1, 0 where it is not less, -1 undecided. */
+/* How far it is from the ground within a reach: 1, 0 where it is not less, 2 for the depth of a corner, -1 undecided. */
 static int read_shape(const Ground *g, double *points, npy_intp count, double radius, double within, double *to)
 {
     double low[3], high[3];
-    const double reach = radius + within, above = lowest_corner(g, points, count, low, high);
+    const double reach = radius + within;
+    const Lowest lowest = lowest_corner(g, points, count, low, high);
     Map map;
+    if (lowest.above <= 0.0) {
+        read_sunk(g, points + 3 * lowest.which, radius, &lowest, to);
+        return 2;
+    }
     if (low[2] - g->top >= reach)
         return 0;
-    if (!(above > 0.0) || !(within > 0.0) || !cells_around(g, points, count, low, high, reach, &map))
+    if (!(within > 0.0) || !cells_around(g, points, count, low, high, reach, &map))
         return -1;
     const Hull shape = {points, count};
     Nearest found = {reach, {0.0, 0.0, -1.0}, {0.0}, {0.0}};
@@ -405,10 +446,7 @@ static int read_shape(const Ground *g, double *points, npy_intp count, double ra
         own[3 + c] = found.on_shape[c] + radius * found.normal[c] + map.base[c];
         own[6 + c] = found.on_ground[c] + map.base[c];
     }
-    to[0] = found.distance - radius;
-    for (int part = 0; part < 3; part++)
-        for (int r = 0; r < 3; r++)
-            to[1 + 3 * part + r] = along(g->R + 3 * r, own + 3 * part) + (part ? g->t[r] : 0.0);
+    put_reading(g, found.distance - radius, own, to);
     return 1;
 }
 

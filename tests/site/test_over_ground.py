@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from backhoe_planner import Robot
-from backhoe_planner.machine import BatchKinematics, Cluster, Reading, TerrainSolid
-from backhoe_planner.native import find_compiled
+from backhoe_planner.machine import BatchKinematics, Cluster, LinkPiece, Reading, TerrainSolid
+from backhoe_planner.native import find_compiled, plain_versions
+from backhoe_planner.site.pairs import over_ground
 from backhoe_planner.site.pairs.link_balls import LinkBalls
 from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
 
@@ -86,3 +89,74 @@ def test_no_verdict_beside_the_map_or_through_its_floor(backhoe: Robot) -> None:
     found = cluster.measure(pieces[piece].piece, data.oMi[pieces[piece].joint], 0.3)
     assert found is not None
     assert found.distance == pytest.approx(0.1, abs=1e-6)
+
+
+def corners_at(robot: Robot, own: LinkPiece, q: np.ndarray) -> np.ndarray:
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    place = data.oMi[own.joint]
+    return np.asarray(own.piece.hull @ place.rotation.T + place.translation)
+
+
+@pytest.mark.parametrize("version", ["plain", pytest.param("compiled", marks=needs_native)])
+@pytest.mark.parametrize("slope", [0.05, 0.3, -0.6])
+def test_a_sunk_link_is_as_deep_as_its_lowest_corner_under_the_plane_above_it(
+    backhoe: Robot, slope: float, version: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On ground that rises evenly along x: its normal is the way in, along which a joint's motion moves that corner."""
+    if version == "plain":
+        monkeypatch.setattr(over_ground, "read_over_ground", plain_versions()["read_over_ground"])
+    pieces = [own for own in backhoe.pieces if own.joint]
+    balls = LinkBalls(pieces, most=(4,))
+    over = OverGround(pieces, balls)
+    x = np.linspace(-12.0, 12.0, 49)
+    ground = TerrainSolid(np.tile(slope * x, (41, 1)), (24.0, 20.0), depth=50.0, most=10**6)
+    cluster = Cluster(ground, pin.SE3.Identity())
+    rng, step, depths = np.random.default_rng(3), 1e-6, 0
+    normal = np.array([slope, 0.0, -1.0]) / np.hypot(slope, 1.0)
+    for _ in range(20):
+        q = backhoe.random_q(rng)
+        around = np.vstack((q, q + step * np.eye(backhoe.n)))
+        poses = balls.poses_of(BatchKinematics(backhoe).at(around))
+        for which, own in enumerate(pieces):
+            depth = corners_at(backhoe, own, q) @ normal
+            lowest = int(depth.argmax())
+            if depth[lowest] <= 0.01 or np.sort(depth)[-2] > depth[lowest] - 1e-4:  # of two as low either may be taken
+                continue
+            rows, those = np.arange(len(around)), np.full(len(around), which)
+            readings = over.measure(cluster, poses, rows, those, np.full(len(rows), 0.2), sunk=True)
+            found, *moved = (one for one in readings if isinstance(one, Reading))
+            depths += 1
+            assert found.distance == pytest.approx(-depth[lowest] - own.piece.radius, abs=1e-9)
+            np.testing.assert_allclose(found.normal, normal, atol=1e-9)
+            np.testing.assert_allclose(found.other_point - found.point, found.distance * normal, atol=1e-9)
+            for at, one in zip(around[1:], moved, strict=True):
+                travel = corners_at(backhoe, own, at)[lowest] - corners_at(backhoe, own, q)[lowest]
+                assert one.distance - found.distance == pytest.approx(-float(travel @ normal), abs=1e-9)
+    assert depths > 15
+
+
+@needs_native
+def test_the_plain_version_reads_the_same_depths() -> None:
+    rng, depths = np.random.default_rng(7), 0
+    for _ in range(100):
+        arguments = read_over_ground_arguments(rng)
+        states, found = over_ground.read_over_ground(*arguments)
+        plain_states, plain = plain_versions()["read_over_ground"](*arguments)
+        sunk = plain_states == 2
+        np.testing.assert_array_equal(states == 2, sunk)
+        np.testing.assert_allclose(found[sunk], plain[sunk], atol=1e-12)
+        depths += int(sunk.sum())
+    assert depths > 100
+
+
+def read_over_ground_arguments(rng: np.random.Generator) -> tuple[Any, ...]:
+    """Of two pieces on two joints in three configurations, in uneven ground and over it."""
+    R = np.array([[pin.rpy.rpyToMatrix(rng.uniform(-3.0, 3.0, 3)) for _ in range(2)] for _ in range(3)])
+    t = rng.normal([0.0, 0.0, 0.3], 0.6, (3, 2, 3))
+    return (
+        R, t, np.array([0, 1]), rng.normal(scale=0.3, size=(9, 3)), np.array([0, 4, 9]), np.array([0.0, 0.1]),
+        np.repeat(np.arange(3), 2), np.tile([0, 1], 3), np.full(6, 0.3),
+        pin.rpy.rpyToMatrix(rng.uniform(-0.3, 0.3, 3)), rng.normal(scale=0.1, size=3), 0.2 * rng.normal(size=(7, 9)),
+        np.linspace(-2.0, 2.0, 9), np.linspace(-1.5, 1.5, 7), (-3.0, 0.8),
+    )  # fmt: skip

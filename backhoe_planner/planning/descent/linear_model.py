@@ -104,7 +104,7 @@ def _nearby(
     if together is None:
         if len(proximity.clusters):
             needed = proximity.clearance[proximity.plain :] + margins[:, None]
-            proximity.clusters.expect(q, time, needed=needed)
+            proximity.clusters.expect(q, time, needed=needed, sunk=True)
         bounds = np.fmax(bounds, list(proximity.bounds_unchecked(q))) if len(q) else bounds
     else:
         bounds, ends, pairs, distances, gradients = together

@@ -106,8 +106,12 @@ class Looks:
         if not asked:
             return np.zeros(0, dtype=np.intp)
         found_at = curve.at(self._u[asked])
-        if self._screen.keeps_all_unchecked(found_at):
+        if self._screen.has_clusters:  # many are told together nearly as soon as one
+            kept = dict(zip(asked, self._screen.keeps(found_at).tolist(), strict=True))
+            noticed = [next((k for k in places if not kept[k]), -1) for places in between]
+        elif self._screen.keeps_all_unchecked(found_at):
             return np.zeros(0, dtype=np.intp)
-        q_at = dict(zip(asked, found_at, strict=True))
-        noticed = [next((k for k in places if not self._screen.keeps_unchecked(q_at[k])), -1) for places in between]
+        else:
+            q_at = dict(zip(asked, found_at, strict=True))
+            noticed = [next((k for k in places if not self._screen.keeps_unchecked(q_at[k])), -1) for places in between]
         return np.array([place for place in noticed if place >= 0], dtype=np.intp)

@@ -20,6 +20,7 @@ from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
 
 KEPT, NEARER = 1, 0  # verdicts; all else is not known
+_READ, _FAR, _SUNK, _UNKNOWN = 1, 0, 2, -1  # what a distance is
 
 
 class OverGround:
@@ -58,17 +59,21 @@ class OverGround:
         return kept_over_ground(*arguments)
 
     def measure(
-        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, reach: Vector
+        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, reach: Vector, *, sunk: bool = False
     ) -> list[Reading | Literal["far"] | None]:
         """M distances of some pieces (M,) in some configurations `rows` (M,) from the ground, within `reach` (M,) [m].
 
         "far" where one is not less, None where it is not known.
+
+        sunk: whether a piece with a corner in the ground is as deep as the lowest of these is under the plane of the
+            ground above it, instead of as deep as in the deepest triangle, which takes a hundred times as long.
         """
         if cluster.solid.ground is None:
             return [None] * len(rows)
         states, found = read_over_ground(*self._asked(cluster, cluster.solid.ground, poses, rows, pieces, reach))
+        told = (_READ, _SUNK) if sunk else (_READ,)
         return [
-            Reading(one[0], *row[1:].reshape(3, 3)) if state == 1 else "far" if state == 0 else None
+            Reading(one[0], *row[1:].reshape(3, 3)) if state in told else "far" if state == _FAR else None
             for state, one, row in zip(states.tolist(), found.tolist(), found, strict=True)
         ]
 
@@ -113,8 +118,44 @@ def read_over_ground(
     R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
     reach: Vector, frame: Matrix, origin: Vector, heights: Matrix, x: Vector, y: Vector, levels: tuple[float, float], /,
 ) -> tuple[Indices, Matrix]:  # fmt: skip
-    """(M,) 1 where a distance is known, 0 where it is not less than `reach` (M,) [m]; (M, 10) each as a `Reading`.
+    """(M,) what is known of distances from the ground, and (M, 10) each as a `Reading`.
 
-    Here none is known: coal is to be asked. Arguments are the first of `kept_over_ground`.
+    1 where it is read, 0 where it is not less than `reach` (M,) [m], 2 where a corner is in the ground and its depth is
+    read, -1 where it is not known. Here depths alone are read: coal is to be asked for the others. Arguments are
+    the first of `kept_over_ground`.
     """
-    return np.full(len(row), -1, dtype=np.intp), np.zeros((len(row), 10))
+    states, found = np.full(len(row), _UNKNOWN, dtype=np.intp), np.zeros((len(row), 10))
+    wide, deep = x[1] - x[0], y[1] - y[0]
+    for k, (at, which) in enumerate(zip(row.tolist(), piece.tolist(), strict=True)):
+        joint = slot[which]
+        points = corners[starts[which] : starts[which + 1]] @ R[at, joint].T + t[at, joint]
+        points = (points - origin) @ frame
+        across, up = (points[:, 0] - x[0]) / wide, (points[:, 1] - y[0]) / deep
+        over = (across >= 0.0) & (across < len(x) - 1) & (up >= 0.0) & (up < len(y) - 1) & (points[:, 2] >= levels[0])
+        if not over.any():
+            continue
+        points, across, up = points[over], across[over], up[over]
+        j, i = across.astype(int), up.astype(int)
+        u, v = across - j, up - i
+        a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
+        main = a + d >= b + c
+        first = a + u * (b - a) + v * np.where(main, d - b, c - a)
+        second = np.where(main, a + v * (c - a) + u * (d - c), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d))
+        above = points[:, 2] - np.minimum(first, second)
+        low = int(above.argmin())
+        if above[low] > 0.0:
+            continue
+        is_first = first[low] <= second[low]
+        rise_x = ((b - a) if is_first else (d - c))[low] / wide
+        rise_y = ((d - b) if is_first == main[low] else (c - a))[low] / deep
+        normal = np.array([rise_x, rise_y, -1.0]) / np.sqrt(1.0 + rise_x**2 + rise_y**2)
+        distance = -above[low] * normal[2] - radius[which]
+        point = points[low] + radius[which] * normal
+        states[k] = _SUNK
+        found[k] = (
+            distance,
+            *(frame @ normal),
+            *(frame @ point + origin),
+            *(frame @ (point + distance * normal) + origin),
+        )
+    return states, found
