@@ -166,7 +166,7 @@ def print_patterns(plan: bp.JobPlan) -> None:
     if len(plan.compared) < 2:
         return
     unit = "s/m^3" if plan.job.objective == "time" else "kJ/m^3"
-    OUT.print(f"{'compared':<38}  cycles  bank [m^3]  time [s]  work [kJ]  {unit:>8}")
+    OUT.print(f"{'compared, by estimates':<38}  cycles  bank [m^3]  time [s]  work [kJ]  {unit:>8}")
     for one in plan.compared:
         cost = one.cost if plan.job.objective == "time" else one.cost / 1e3
         mark = "  chosen" if one.chosen else "" if one.finished else "  leaves some"

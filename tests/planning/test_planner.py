@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -169,6 +170,23 @@ def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
     assert plan.message.endswith("1.000 m away, at (2.40, 3.20, 0.00)")
     assert bp.plan(planar4, site(goal(3000.0, 4000.0)), effort="quick").message.endswith(" (positions are in metres)")
     assert len(plan.trajectory) == 1
+
+
+def test_where_only_the_pitch_is_out_of_reach_those_that_are_not_are_told(backhoe: bp.Robot) -> None:
+    """The tip is there with boom + stick + bucket = -2.1 rad; further out than the arm is long no pitch will do."""
+    posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    at = bp.Kinematics(backhoe).at(np.array(list(posture.values()))).tip_position.tolist()
+    messages = []
+    for position in (at, [40.0, 0.0, 1.0]):
+        task = {"goal": {"position": position, "pitch": 1.4}}
+        scene = bp.scene_from_dict({"version": 1, "start": {"joints": posture}, "task": task})
+        plan = bp.plan(backhoe, scene, effort="quick")
+        assert plan.reason == "unreachable"
+        messages.append(plan.message)
+    told = re.search(r"by itself can be reached, with a pitch of (-?[\d.]+) to (-?[\d.]+) rad$", messages[0])
+    assert told is not None, messages[0]
+    assert float(told[1]) <= -2.0 < float(told[2]) < 1.4
+    assert "by itself" not in messages[1]
 
 
 def test_a_path_that_begins_out_of_reach(planar4: bp.Robot) -> None:

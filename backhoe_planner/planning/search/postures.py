@@ -101,6 +101,12 @@ class Postures:
         clear.sort(key=lambda q: float(np.max(np.abs(q - near) / rate)))
         return PostureResult(tuple(clear), best, mildest)
 
+    def anywhere(self, target: TipTarget, *, count: int) -> Matrix:
+        """(k, n) configurations that put the tip on `target`, from `count` starting points, clear or not [rad or m]."""
+        guesses = self._rng.uniform(*self._problem.robot.finite_range, (count, self._problem.robot.n))
+        ends, reached = solve_batch(self._batch, TargetBatch.of([target] * count), guesses, iterations=_ITERATIONS)
+        return np.asarray(ends[reached])
+
 
 def find_distinct(q: Matrix, within: float, known: Matrix | None = None) -> list[int]:
     """The rows of `q` (N, n), but for those of which another one stands before them within `within` [rad or m].

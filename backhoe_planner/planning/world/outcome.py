@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import InverseKinematics, TipTarget
+from backhoe_planner.machine import InverseKinematics, TipTarget, wrap_angle
 from backhoe_planner.motion import TipPath, Trajectory
 from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
@@ -18,6 +18,7 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
+_STARTS_ALONE = 60  # of the inverse kinematics of a position without its orientation; chosen, 40 ms
 _MILLIMETRES = 100.0  # m out of reach, as which a position is taken to be given in other units; chosen
 _SMALL = 1e-6  # m and rad: chosen far below what a message shows
 
@@ -154,10 +155,26 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     at_limit = tuple(name for name, gap in zip(names, gaps, strict=True) if gap < _SMALL)
     if at_limit:
         message += f", with {' and '.join(at_limit)} at the limit"
+    if target.pitch is not None or target.rotation is not None:
+        message += _position_alone(world, target)
     pose = NearestPose(
         q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error
     )
     return Outcome(rest_at_start(world, best.q), "unreachable", message, Findings(nearest=pose, joints=at_limit))
+
+
+def _position_alone(world: World, target: TipTarget) -> str:
+    """What to say where the position of a target can be reached, but not with its orientation; nothing otherwise."""
+    found = world.postures.anywhere(TipTarget(target.position), count=_STARTS_ALONE)
+    if not len(found):
+        return ""
+    words = "; the position by itself can be reached"
+    if target.pitch is None:
+        return words + ", turned otherwise"
+    pitches = np.array([world.kinematics.at(q).pitch for q in found])
+    turned = [wrap_angle(float(pitch - pitches[0])) for pitch in pitches]  # they may go on beyond half a turn
+    low, high = pitches[0] + min(turned), pitches[0] + max(turned)
+    return words + f", with a pitch of {low:.2f}" + (f" to {high:.2f}" if high - low > _SMALL else "") + " rad"
 
 
 def rest_at_start(world: World, q: Vector) -> Trajectory:
