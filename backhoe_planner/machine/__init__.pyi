@@ -11,6 +11,7 @@ from .clusters.covering_balls import box_around as box_around
 from .clusters.covering_balls import covering_balls as covering_balls
 from .clusters.mesh_solid import MeshSolid as MeshSolid
 from .clusters.parts import Part as Part
+from .clusters.solid import HeightMap as HeightMap
 from .clusters.terrain import TerrainSolid as TerrainSolid
 from .clusters.trees import Reading as Reading
 from .clusters.voxels import VoxelSolid as VoxelSolid

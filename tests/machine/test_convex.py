@@ -79,7 +79,10 @@ SOLIDS = {
 }
 
 
-@pytest.mark.parametrize(("mesh", "open_at"), SOLIDS.values(), ids=SOLIDS.keys())
+@pytest.mark.parametrize(
+    ("mesh", "open_at"),
+    [pytest.param(*solid, id=name, marks=[pytest.mark.long] * (name == "pipe")) for name, solid in SOLIDS.items()],
+)
 def test_cover_holds_the_whole_surface_and_leaves_the_cavity_open(
     mesh: trimesh.Trimesh, open_at: list[tuple[float, float, float]]
 ) -> None:

@@ -181,6 +181,7 @@ def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
     assert tab.complaints == []
 
 
+@pytest.mark.long
 def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
     write_page(the_plan(backhoe, verified=False, name="a site"), tmp_path / "plan.html")
     tab.open((tmp_path / "plan.html").as_uri())

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine import Cluster, Distances, LinkPiece, Reading
-from backhoe_planner.machine.clusters.solid import HeightMap
+from backhoe_planner.machine import Cluster, Distances, HeightMap, LinkPiece, Reading
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
 
