@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import job as jobs
 from backhoe_planner import show, site
-from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_warnings
+from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_verdict, print_warnings
 from backhoe_planner.files.output_file import check_ending, check_output
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
@@ -76,7 +75,7 @@ def job(
     kept: list[int] = []  # cycles that the output holds
     with (
         _telling_where_it_is(kept, output),
-        ERR.status("choosing the pattern of cuts ...")
+        ERR.console.status("choosing the pattern of cuts ...")
         if ERR.is_terminal and not as_json
         else contextlib.nullcontext() as status,
     ):
@@ -197,7 +196,7 @@ def print_job(plan: bp.JobPlan, output: Path, as_json: bool) -> None:
 
 def print_figures(plan: bp.JobPlan) -> None:
     """Print verdict and figures of a job."""
-    OUT.print(Text(*("verified", "bold green") if plan.verified else (f"failed: {plan.reason}", "bold red")))
+    print_verdict("" if plan.verified else f"failed: {plan.reason}")
     if plan.note:
         OUT.print(f"  {plan.note}")
     if plan.surveyed:

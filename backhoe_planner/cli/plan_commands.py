@@ -67,7 +67,8 @@ def plan(
             _wait_for_browser(viewer)
             found = compute(watch=lambda step: viewer.show_step(step.q, step.time))
         else:
-            with ERR.status("planning ...") if ERR.is_terminal and not as_json else contextlib.nullcontext() as status:
+            moving = ERR.is_terminal and not as_json
+            with ERR.console.status("planning ...") if moving else contextlib.nullcontext() as status:
                 found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
         found.save(output)
         if html is not None:  # before anything is printed: what is printed may not be read to its end

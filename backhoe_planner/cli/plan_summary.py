@@ -7,11 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.text import Text
-
 import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, site
-from backhoe_planner.cli.terminal import DEGREES, OUT, table_of
+from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
 
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
 
@@ -30,7 +28,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
-    OUT.print(Text(*("verified", "bold green") if found.verified else (f"failed: {found.reason}", "bold red")))
+    print_verdict("" if found.verified else f"failed: {found.reason}")
     if found.message:
         OUT.print(f"  {found.message}")
     metrics, tightest = found.metrics, found.certificate.min_clearance
@@ -127,10 +125,8 @@ def _print_motion(found: bp.Plan) -> None:
 def print_certificate(plan: bp.Plan) -> None:
     """Print what is proven of a plan, row by row."""
     certificate = plan.certificate
-    if certificate.verified:
-        OUT.print(Text("verified", style="bold green"))
-    else:
-        OUT.print(Text(f"not verified: {plan.reason}", style="bold red"))
+    print_verdict("" if certificate.verified else f"not verified: {plan.reason}")
+    if not certificate.verified:
         if plan.failure and plan.note:
             OUT.print(f"  {plan.note}")
         for problem in certificate.problems:

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import show, standing
 from backhoe_planner.cli.job_command import JobFile, print_job_warnings
-from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED
+from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
 from backhoe_planner.files.output_file import check_ending, check_output
 
 
@@ -85,7 +84,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[bp.StandStep], None]]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
     hidden = quiet or not ERR.is_terminal
-    with Progress(*columns, TimeElapsedColumn(), console=ERR, transient=True, disable=hidden) as bar:
+    with Progress(*columns, TimeElapsedColumn(), console=ERR.console, transient=True, disable=hidden) as bar:
         task = bar.add_task("", total=1)
         yield lambda step: bar.update(task, description=step.what, completed=step.done, total=step.total)
 
@@ -97,7 +96,7 @@ def print_stand(plan: bp.StandPlan, output: Path) -> None:
     ----------
     output: the file to which it was written.
     """
-    OUT.print(Text(*("verified", "bold green") if plan.verified else (f"failed: {plan.reason}", "bold red")))
+    print_verdict("" if plan.verified else f"failed: {plan.reason}")
     if plan.note:
         OUT.print(f"  {plan.note}")
     unit, scale = ("s/m^3", 1.0) if plan.job.objective == "time" else ("kJ/m^3", 1e-3)

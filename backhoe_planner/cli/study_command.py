@@ -75,7 +75,7 @@ def _progress(*, shown: bool) -> Iterator[Callable[[bp.StudyStep], None]]:
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
         TimeElapsedColumn(), TextColumn("elapsed,"), TimeRemainingColumn(), TextColumn("left"),
     )  # fmt: skip
-    with Progress(*columns, console=ERR, transient=True) as progress:
+    with Progress(*columns, console=ERR.console, transient=True) as progress:
         task = progress.add_task("planning", total=None, rate="")
         begun: list[int] = []
 

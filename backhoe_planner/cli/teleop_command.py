@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import show, site
-from backhoe_planner.cli.terminal import ERR, FAILED, SceneFile, Urdf, print_warnings
+from backhoe_planner.cli.terminal import ERR, FAILED, SceneFile, Urdf, print_error, print_warnings
 
 
 def teleop(
@@ -69,5 +68,5 @@ def teleop(
         while station.running:
             clock.sleep(0.1)
         if station.failure:
-            ERR.print(Text("error: ", style="bold red") + Text(station.failure))
+            print_error(station.failure)
     return FAILED

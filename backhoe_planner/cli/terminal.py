@@ -7,14 +7,14 @@ import math
 import os
 import sys
 from collections.abc import Iterable
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, Literal, TextIO, cast
 
 import typer
-from rich.console import Console
-from rich.text import Text
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
 Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
@@ -26,15 +26,72 @@ PlanUrdf = Annotated[
 
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
 DEGREES = math.degrees(1.0)  # in a radian
+_FORCING = {"FORCE_COLOR", "TTY_COMPATIBLE"}  # set in the environment, they let rich take any stream for a terminal
 
-OUT = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
-ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
+
+class Stream:
+    """The output or the error stream, to which lines are printed.
+
+    rich, which takes as long to load as a twentieth of a simple plan, prints tables, and all that is coloured or moves
+    on a terminal.
+
+    Parameters
+    ----------
+    name: stdout or stderr.
+    """
+
+    def __init__(self, name: Literal["stdout", "stderr"]) -> None:
+        self._name = name
+
+    @cached_property
+    def console(self) -> Console:
+        """rich's, on the same stream."""
+        from rich.console import Console
+
+        return Console(
+            stderr=self._name == "stderr", highlight=False, markup=False, emoji=False, soft_wrap=True
+        )  # fmt: skip
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether a person reads it as it comes, and colours are seen."""
+        may_be = self._stream.isatty() or not _FORCING.isdisjoint(os.environ)
+        return may_be and self.console.is_terminal
+
+    def print(self, line: str | Table = "") -> None:
+        """Print a line, or a table."""
+        if isinstance(line, str) and "console" not in self.__dict__:  # else something of it may be moving
+            self._stream.write(line + "\n")
+            self._stream.flush()
+        else:
+            self.console.print(line)
+
+    def print_coloured(self, words: str, style: str, rest: str = "") -> None:
+        """Print a line of which `words` stand out on a terminal, in a style of rich, and the `rest` does not."""
+        if self.is_terminal:
+            from rich.text import Text
+
+            self.console.print(Text.assemble((words, style), rest))
+        else:
+            self.print(words + rest)
+
+    @property
+    def _stream(self) -> TextIO:
+        return cast(TextIO, getattr(sys, self._name))
+
+
+OUT, ERR = Stream("stdout"), Stream("stderr")
+
+
+def print_verdict(failure: str) -> None:
+    """Print that something is verified, or its `failure` in words."""
+    OUT.print_coloured(failure or "verified", "bold red" if failure else "bold green")
 
 
 def print_error(message: str) -> None:
     """Print the one line about an error; in vain where the error stream cannot be written either."""
     try:
-        ERR.print(Text("error: ", style="bold red") + Text(message))
+        ERR.print_coloured("error: ", "bold red", message)
         sys.stderr.flush()
     except OSError:
         let_go(sys.stderr)
