@@ -71,6 +71,7 @@ def plan(
             with ERR.console.status("planning ...") if moving else contextlib.nullcontext() as status:
                 found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
         found.save(output)
+        print_warnings(site.far_warnings(robot, found.problem.obstacles))
         if html is not None:  # before anything is printed: what is printed may not be read to its end
             print_warnings(show.write_page(found, html))
         print_plan(found, output, as_json)

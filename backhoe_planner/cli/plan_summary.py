@@ -32,13 +32,15 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     if found.message:
         OUT.print(f"  {found.message}")
     metrics, tightest = found.metrics, found.certificate.min_clearance
-    if tightest is not None:
+    # without a motion from a start given by its joints, the posture that is kept is one that came nearest
+    moves = len(found.trajectory) > 1 or found.verified
+    if tightest is not None and (moves or found.problem.start_q is not None):
         OUT.print(
             f"clearance     {tightest.distance:.3f} m at least between {tightest.link} "
             f"and {tightest.name} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
     _print_tracking_error(found)
-    if len(found.trajectory) > 1 or found.verified:  # a machine that stands on its goal stays, for 0 s
+    if moves:  # a machine that stands on its goal stays, for 0 s
         _print_motion(found)
     _print_legs(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
@@ -144,7 +146,8 @@ def print_certificate(plan: bp.Plan) -> None:
     for kind, load in (("torque", certificate.effort), ("hydraulics", certificate.hydraulics)):
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
-            OUT.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
+            kept = f"; up to {100.0 * (1.0 + motion.DRIVE_TOLERANCE):.0f} % is kept" if load.ratio > 1.0 else ""
+            OUT.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s{kept})")
     _print_legs(plan)
     print_recording(plan)
     if not live.is_recording(plan):

@@ -25,6 +25,7 @@ from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 
 _ALONG = 1e-12  # of a cosine: a normal that leans less is along an axis
+_FAR = 50.0  # times the machine's reach, as which what stands is taken to be given in other units; chosen
 _SWEPT_BOXES = 4_000  # cells of the grid whose cells stand for a cluster that moves; chosen
 
 
@@ -82,6 +83,21 @@ class Obstacle:
     def moves(self) -> bool:
         """Whether it has a velocity."""
         return bool(np.any(self.velocity))
+
+
+def far_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]:
+    """What stands so far away that its file is likely to be in other units, in words."""
+    centre, radius = reach_ball(robot)
+    found = []
+    for obstacle in obstacles:
+        low, high = obstacle.bounds
+        away = float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
+        if _FAR * radius < away < np.inf:
+            found.append(
+                f"{obstacle.name} is {away:,.0f} m away, {away / radius:,.0f} times as far as the machine reaches; "
+                "sizes, positions and points of files are in metres"
+            )
+    return tuple(found)
 
 
 def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:

@@ -195,6 +195,22 @@ def test_a_path_that_begins_out_of_reach(planar4: bp.Robot) -> None:
     assert "beginning of the path" in plan.message
 
 
+def test_what_never_gets_away_from_the_ground_is_told_with_the_links_that_could(backhoe: bp.Robot) -> None:
+    """The post swings on its spot; the bucket, in the same place, could be lifted."""
+    posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    task = {"goal": {"joints": posture | {"swing": 0.5}}}
+    messages = []
+    for at in ([0.0, 0.0, 0.0], [2.8, 0.0, -1.0]):
+        slab = {"name": "slab", "shape": "box", "size": [0.6, 0.6, 0.6], "position": at}
+        content = {"version": 1, "start": {"joints": posture}, "task": task, "obstacles": [slab]}
+        plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+        assert plan.reason == "start_in_collision"
+        messages.append(plan.message)
+    assert "swing alone moves swing_post: if it belongs there" in messages[0]
+    assert messages[0].endswith("must keep from slab, with links: [boom, stick, bucket]")
+    assert "alone moves" not in messages[1]
+
+
 def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
     """The ball's centre is 0.1 m beside link 3's middle: 0.06 m outside it, 0.14 m of the radius inside."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]), effort="quick")

@@ -136,7 +136,7 @@ def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, drawn_tab: Ta
 
     assert "Verified" in tab.page.locator("#verdict").inner_text()
     assert tab.page.locator("#title").text_content() == HOSTILE
-    assert "1.2 kJ" in tab.page.locator("#facts").inner_text()
+    assert "1.234 kJ" in tab.page.locator("#facts").inner_text()
     assert tab.ask("window.pwned") is None
     assert tab.ask("document.querySelectorAll('#panel img').length") == 0
     assert tab.ask("[...document.querySelectorAll('.margin .name')].map((e) => e.textContent)")[:4] == [

@@ -12,7 +12,15 @@ import trimesh
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Robot
-from backhoe_planner.site import Obstacle, build_obstacles, load_scene, read_heights, read_points, scene_from_dict
+from backhoe_planner.site import (
+    Obstacle,
+    build_obstacles,
+    far_warnings,
+    load_scene,
+    read_heights,
+    read_points,
+    scene_from_dict,
+)
 
 
 def build(robot: Robot, folder: Path, **keys: object) -> Obstacle:
@@ -29,6 +37,19 @@ def extent(obstacle: Obstacle) -> Matrix:
     """(2, 3) lowest and highest corner of all pieces, world."""
     points = np.vstack([piece.hull for piece in obstacle.pieces])
     return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def test_what_stands_kilometres_away_is_told(planar4: Robot, tmp_path: Path) -> None:
+    """The arm reaches 4 m: what begins 4,000 m from its foot is 1,000 times as far away."""
+    points = tmp_path / "millimetres.csv"
+    points.write_text("5000,0,0\n5010,10,0\n5000,10,10\n")
+    ground = {"shape": "halfspace", "point": [0, 0, -1], "normal": [0, 0, 1]}
+    near, far = ({"shape": "sphere", "radius": 1.0, "position": [x, 0.0, 0.0]} for x in (50.0, 4001.0))
+    scan = {"shape": "pointcloud", "file": points.name, "resolution": 0.1}
+    found = [far_warnings(planar4, [build(planar4, tmp_path, **one)]) for one in (ground, near, far, scan)]
+    assert found[:2] == [(), ()]
+    assert "thing is 4,000 m away, 1,000 times as far" in found[2][0]
+    assert "in metres" in found[3][0]
 
 
 BLOCK = b"solid block\nendsolid block\n"

@@ -105,13 +105,26 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
-        message = f"at the {what} {contact.describe()}"
+        message = f"at the {what} {contact.describe()}" + _only_swung(world, contact)
         reason: Reason = "start_in_collision" if starts else "goal_in_collision"
         return Outcome(stays, reason, message, Findings(obstruction=contact))
     keep = world.problem.keep
     if keep is not None and not keep.holds(q):
         return Outcome(stays, "start_breaks_keep" if starts else "goal_breaks_keep", f"at the {what} {keep.broken(q)}")
     return None
+
+
+def _only_swung(world: World, contact: Obstruction) -> str:
+    """What to say of a link that the first joint alone moves, such as a swing post; nothing of the others."""
+    robot = world.problem.robot
+    joints = {own.joint for own in robot.pieces if own.link == contact.link}
+    if contact.kind != "obstacle" or joints != {1} or robot.n < 2:
+        return ""
+    links = ", ".join(dict.fromkeys(own.link for own in robot.pieces if own.joint > 1))
+    return (
+        f"; {robot.joint_names[0]} alone moves {contact.link}: if it belongs there, say which links must keep from "
+        f"{contact.obstacle}, with links: [{links}]"
+    )
 
 
 def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Reason, what: str) -> Outcome | None:

@@ -25,7 +25,8 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     if certificate.goal is not None and len(plan.problem.goals) > 1:
         facts.append(("Goal reached", f"{certificate.goal} of {len(plan.problem.goals)}", ""))
     if len(plan.trajectory) < 2 and not plan.verified:
-        facts.append(("Motion", "none", "the picture shows the posture at the start"))
+        seen = "at the start" if plan.problem.start_q is not None else "that came nearest"
+        facts.append(("Motion", "none", f"the picture shows the posture {seen}"))
         facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
         return facts
     tracking = certificate.tracking
@@ -85,7 +86,7 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
         needed += describe_excess(cost.value, least)
     if work is not None:
         words = [word for word in ("the objective", needed) if word and minimised == "work"]
-        facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", "; ".join(words)))
+        facts.append(("Work", describe_quantity(work, "J"), "; ".join(words)))
     if "hydraulic" in metrics.energy and minimised != "hydraulic":
         facts.append(("Hydraulic", describe_quantity(metrics.energy["hydraulic"], "J"), "what the pump gives"))
     if cost is not None and minimised not in ("", "time", "work"):

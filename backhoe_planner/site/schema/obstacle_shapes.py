@@ -252,7 +252,7 @@ class HeightMap(PlacedRecord):
     file: str
     """CSV of heights [m] without header; rows along y, columns along x, both ascending; or a GeoTIFF."""
     size: tuple[Length, Length]
-    """Extent in x and y [m], centred on `position`."""
+    """From the first to the last height along x and y [m], centred on `position`."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Columns under the ground."""
