@@ -116,6 +116,10 @@ class ClusterDistances:
         rows = zip(q, times, bounds, np.broadcast_to(needed, bounds.shape), strict=True)
         self._expected = {(at.tobytes(), moment): (found, enough) for at, moment, found, enough in rows}
 
+    def forget_expected(self) -> None:
+        """Keep nothing of what was expected: depths that are taken as roughly as a descent does are for it alone."""
+        self._expected, self._ahead = {}, {}
+
     def _measure_ahead(
         self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array, *, sunk: bool
     ) -> None:  # fmt: skip
@@ -207,7 +211,7 @@ class ClusterDistances:
         q: (n,) where the joints are, if it is known; then it may have been expected.
         """
         if q is not None and self._ahead:
-            found, within = self._ahead.get((pair, q.tobytes()), (None, 0.0))
+            found, within = self._ahead.get((pair, q.tobytes()), (None, -np.inf))
             if found is not None or within >= reach:
                 return found if found is not None and found.distance < reach else None
         place = data.oMi[self._robot.pieces[self.piece[pair]].joint]

@@ -89,7 +89,7 @@ void solve_cholesky(const double *L, int n, double *b);
 int eigenvectors(double *A, int n, double *U);
 
 /* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo,
- * boxes, rows, odometers, screen, near, timing, programs, held, ground. */
+ * boxes, rows, odometers, screen, near, timing, programs, held, ground, rings. */
 #define FUNCTIONS(F) \
     F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \

@@ -1,6 +1,7 @@
 /* How near a convex shape is to the surface of a height map: machine/clusters/terrain.py. */
 #include "arrays.h"
 #include "distance.h"
+#include "rings.h"
 
 #include <math.h>
 #include <string.h>
@@ -26,12 +27,6 @@ static void corners_of(const Map *map, npy_intp row, npy_intp column, double (*c
         corners[k][1] = AT(map->y, i) - map->base[1];
         corners[k][2] = AT2(map->heights, i, j) - map->base[2];
     }
-}
-
-/* how far it is from the interval between `low` and `high` to the one between `from` and `to` */
-static double gap_between(double low, double high, double from, double to)
-{
-    return fmax(fmax(from - high, low - to), 0.0);
 }
 
 /* The square of how far the column under a cell's highest corner is from the box around the shape. */
@@ -168,88 +163,6 @@ PyObject *nearest_on_ground(PyObject *self, PyObject *const *args, Py_ssize_t co
     return Py_BuildValue("(N)", reading);
 }
 
-/* the highest of the ground in rings around the cells of a region, see `lower_over_heights` */
-typedef struct {
-    double low[2], per_cell[2], furthest, box[6];
-    const npy_intp *counts;
-    const float *highest;
-    Vec squares;
-} Rings;
-
-static int is_float_block(PyObject *object, const char *name, npy_intp rows, npy_intp columns)
-{
-    if (is_array(object, name, NPY_FLOAT, 2) < 0)
-        return 0;
-    PyArrayObject *array = (PyArrayObject *)object;
-    if (PyArray_IS_C_CONTIGUOUS(array) && PyArray_DIM(array, 0) == rows && PyArray_DIM(array, 1) == columns)
-        return 1;
-    PyErr_Format(PyExc_ValueError, "%s: %zd rows of %zd in one piece are wanted", name, (Py_ssize_t)rows,
-                 (Py_ssize_t)columns);
-    return 0;
-}
-
-/* The last seven arguments of `lower_over_heights`; 0, or -1 with an exception. */
-static int read_rings(PyObject *const *args, Rings *rings)
-{
-    Vec low, per_cell;
-    Mat box;
-    npy_intp axes[1];
-    if (as_vec(args[0], "low", 2, &low) < 0 || as_vec(args[1], "per_cell", 2, &per_cell) < 0 ||
-        !(rings->counts = index_block(args[2], "counts", 1, axes)) || has_length(axes[0], 2, "counts") < 0 ||
-        as_vec(args[4], "squared_aside", -1, &rings->squares) < 0 ||
-        !is_float_block(args[3], "highest", rings->counts[0] * rings->counts[1], rings->squares.n) ||
-        as_double(args[5], "furthest", &rings->furthest) < 0 || as_mat(args[6], "bounds", 2, 3, &box) < 0)
-        return -1;
-    if (rings->counts[0] < 0 || rings->counts[1] < 0) {
-        PyErr_SetString(PyExc_ValueError, "counts: are below 0");
-        return -1;
-    }
-    rings->highest = PyArray_DATA((PyArrayObject *)args[3]);
-    for (int c = 0; c < 2; c++)
-        rings->low[c] = AT(low, c), rings->per_cell[c] = AT(per_cell, c);
-    for (int c = 0; c < 6; c++)
-        rings->box[c] = AT2(box, c / 3, c % 3);
-    return 0;
-}
-
-/* What is known of the distance of a point in the frame of the ground. */
-static double lower_by_rings(const Rings *rings, const double *point)
-{
-    double off = 0.0;
-    for (int c = 0; c < 3; c++) {
-        const double away = gap_between(point[c], point[c], rings->box[c], rings->box[3 + c]);
-        off += away * away;
-    }
-    const double x = (point[0] - rings->low[0]) * rings->per_cell[0];
-    const double y = (point[1] - rings->low[1]) * rings->per_cell[1];
-    if (!(x >= 0.0 && x < (double)rings->counts[0] && y >= 0.0 && y < (double)rings->counts[1]))
-        return sqrt(off);
-    const float *highest = rings->highest + ((npy_intp)x * rings->counts[1] + (npy_intp)y) * rings->squares.n;
-    double least = INFINITY;
-    for (npy_intp ring = 0; ring < rings->squares.n; ring++) {
-        const double above = fmax(point[2] - highest[ring], 0.0), square = above * above + AT(rings->squares, ring);
-        if (square < least)
-            least = square;
-    }
-    return fmax(sqrt(off), fmin(sqrt(least), rings->furthest));
-}
-
-PyObject *lower_over_heights(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    Mat points;
-    Rings rings;
-    double *lower;
-    if (count_is(count, 8, "lower_over_heights") < 0 || as_mat(args[0], "points", 3, -1, &points) < 0 ||
-        read_rings(args + 1, &rings) < 0)
-        return NULL;
-    PyObject *found = new_vec(points.columns, &lower);
-    for (npy_intp k = 0; found && k < points.columns; k++) {
-        const double point[3] = {AT2(points, 0, k), AT2(points, 1, k), AT2(points, 2, k)};
-        lower[k] = lower_by_rings(&rings, point);
-    }
-    return found;
-}
-
 /* a whole height map in its own frame, and where that is in the world; see `kept_over_ground` */
 typedef struct {
     Mat heights;
@@ -334,12 +247,13 @@ static int off_cells(const Map *map, const Hull *shape, const double *low, const
 typedef struct {
     double above, rise[2];
     npy_intp which;
+    int is_finite; /* all corners are */
 } Lowest;
 
 /* The lowest corner of a shape, infinitely high where none is over the ground; the box around all in `low`, `high`. */
 static Lowest lowest_corner(const Ground *g, const double *points, npy_intp count, double *low, double *high)
 {
-    Lowest lowest = {INFINITY, {0.0, 0.0}, 0};
+    Lowest lowest = {INFINITY, {0.0, 0.0}, 0, 1};
     for (int c = 0; c < 3; c++)
         low[c] = INFINITY, high[c] = -INFINITY;
     for (npy_intp k = 0; k < count; k++) {
@@ -347,7 +261,8 @@ static Lowest lowest_corner(const Ground *g, const double *points, npy_intp coun
         double rise[2] = {0.0, 0.0};
         const double above = point[2] - height_at(g, point, rise);
         if (point[2] >= g->floor && above < lowest.above)
-            lowest = (Lowest){above, {rise[0], rise[1]}, k};
+            lowest = (Lowest){above, {rise[0], rise[1]}, k, lowest.is_finite};
+        lowest.is_finite = lowest.is_finite && isfinite(point[0]) && isfinite(point[1]) && isfinite(point[2]);
         for (int c = 0; c < 3; c++)
             low[c] = fmin(low[c], point[c]), high[c] = fmax(high[c], point[c]);
     }
@@ -378,6 +293,12 @@ static void read_sunk(const Ground *g, const double *corner, double radius, cons
     put_reading(g, distance, own, to);
 }
 
+/* The number of a cell, among `count`. */
+static npy_intp cell_among(double at, npy_intp count)
+{
+    return at > 0.0 ? (npy_intp)fmin(at, (double)(count - 1)) : 0;
+}
+
 /* The cells within `reach` of a box, and the shape's points from the first of them: 0 where walls or floor are as near. */
 static int cells_around(const Ground *g, double *points, npy_intp count, double *low, double *high, double reach,
                         Map *map)
@@ -388,9 +309,12 @@ static int cells_around(const Ground *g, double *points, npy_intp count, double 
         AT(g->y, rows) - high[1] < reach || low[2] - g->floor < reach)
         return 0;
     const double wide = AT(g->x, 1) - left, deep = AT(g->y, 1) - front;
-    const npy_intp j = (npy_intp)((low[0] - reach - left) / wide), i = (npy_intp)((low[1] - reach - front) / deep);
-    const npy_intp last_j = (npy_intp)fmin((high[0] + reach - left) / wide, columns - 1.0);
-    const npy_intp last_i = (npy_intp)fmin((high[1] + reach - front) / deep, rows - 1.0);
+    if (!(wide > 0.0 && deep > 0.0)) /* no even distances */
+        return 0;
+    const npy_intp j = cell_among((low[0] - reach - left) / wide, columns);
+    const npy_intp i = cell_among((low[1] - reach - front) / deep, rows);
+    const npy_intp last_j = cell_among((high[0] + reach - left) / wide, columns);
+    const npy_intp last_i = cell_among((high[1] + reach - front) / deep, rows);
     *map = (Map){g->heights, g->x, g->y, {points[0], points[1], points[2]}};
     map->heights.data = (char *)&AT2(g->heights, i, j), map->x.data = (char *)&AT(g->x, j);
     map->y.data = (char *)&AT(g->y, i);
@@ -406,8 +330,12 @@ static int cells_around(const Ground *g, double *points, npy_intp count, double 
 static int kept_by_shape(const Ground *g, double *points, npy_intp count, double radius, double least)
 {
     double low[3], high[3];
-    const double reach = radius + least, above = lowest_corner(g, points, count, low, high).above;
+    const double reach = radius + least;
+    const Lowest lowest = lowest_corner(g, points, count, low, high);
+    const double above = lowest.above;
     Map map;
+    if (!lowest.is_finite || !isfinite(reach))
+        return -1;
     if (above > 0.0 ? above < reach : least > 0.0)
         return 0;
     if (low[2] - g->top >= reach)
@@ -425,6 +353,8 @@ static int read_shape(const Ground *g, double *points, npy_intp count, double ra
     const double reach = radius + within;
     const Lowest lowest = lowest_corner(g, points, count, low, high);
     Map map;
+    if (!lowest.is_finite || !isfinite(reach))
+        return -1;
     if (lowest.above <= 0.0) {
         read_sunk(g, points + 3 * lowest.which, radius, &lowest, to);
         return 2;
@@ -510,7 +440,7 @@ static int kept_by_balls(const Question *q, const Rings *rings, const double *ba
         double centre[3];
         place_point(&q->ground, &q->pieces, INDEX(q->row, k), piece, ball + 4 * i, centre);
         const double apart = lower_by_rings(rings, centre) - ball[4 * i + 3];
-        if (!(apart > 0.0 && apart >= AT(q->number, k))) /* where a ball may touch, nothing is known */
+        if (!isfinite(apart) || !(apart > 0.0 && apart >= AT(q->number, k))) /* where a ball may touch, nothing is known */
             return 0;
     }
     return 1;

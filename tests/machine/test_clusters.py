@@ -320,7 +320,7 @@ def test_bounds_hold_where_the_grid_is_smaller_than_the_solid(kind: str) -> None
 def test_what_touches_is_found_at_any_reach(reach: float) -> None:
     flat = terrain(np.zeros((21, 21)), 4.0)
     scanned = scan(np.array([[x, y, -0.01] for x in (-0.05, 0.05) for y in (-0.05, 0.05)]), 0.1)
-    for height, depth in ((0.2, 0.1), (0.0, 0.3), (-1.0, 0.7)):  # of a ball of 0.3 m
+    for height, depth in ((0.2, 0.1), (0.0, 0.3), (-0.2, 0.5), (-1.0, 1.3)):  # of a ball of 0.3 m, until it is out
         found = flat.measure(ball(0.3), at(0.03, 0.03, height), reach)
         assert found is not None
         assert found.distance == pytest.approx(-depth, abs=1e-6)
@@ -328,6 +328,39 @@ def test_what_touches_is_found_at_any_reach(reach: float) -> None:
     touched = scanned.measure(ball(0.3), at(0.03, 0.03, 0.2), reach)
     assert touched is not None
     assert touched.distance < 0.0
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.3])
+def test_what_is_in_the_ground_is_at_least_as_deep_as_is_said(roughness: float) -> None:
+    """Moved by less than its depth, whichever way, it still touches; out of even ground it gets straight up."""
+    rng, sunk = np.random.default_rng(8), 0
+    for _ in range(25):
+        ground = terrain(roughness * rng.uniform(size=(41, 41)), 8.0)
+        size = rng.uniform(0.1, 0.9, 3)
+        piece = [shapes.sphere(size[0], HERE), shapes.capsule(size[0], size[1], HERE), shapes.box(size, HERE)][
+            rng.integers(3)
+        ]
+        place = random_place(rng, 0.5)
+        place.translation[2] = rng.uniform(-1.0, 0.2)
+        found = ground.measure(piece, place)
+        if found is None or found.distance >= 0.0:
+            continue
+        sunk += 1
+        assert np.linalg.norm(found.normal) == pytest.approx(1.0, abs=1e-9)
+        assert (found.other_point - found.point) @ found.normal == pytest.approx(found.distance, abs=1e-6)
+        ways = rng.normal(size=(20, 3))
+        ways /= np.linalg.norm(ways, axis=1)[:, None]
+        for way in (*ways, np.array([0.0, 0.0, 1.0]), -found.normal):
+            moved = pin.SE3(place.rotation, place.translation - 0.999 * found.distance * way)
+            still = ground.measure(piece, moved, 1.0)
+            assert still is not None
+            assert still.distance < 1e-9
+        if roughness == 0.0:
+            out = pin.SE3(place.rotation, place.translation - np.array([0.0, 0.0, found.distance - 1e-3]))
+            above = ground.measure(piece, out)
+            assert above is not None
+            assert above.distance == pytest.approx(1e-3, abs=1e-6)
+    assert sunk > 10
 
 
 @needs_native

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from backhoe_planner import Robot
 from backhoe_planner.machine import BatchKinematics, Cluster, LinkPiece, Reading, TerrainSolid
 from backhoe_planner.native import find_compiled, plain_versions
+from backhoe_planner.site import build_obstacles, scene_from_dict
+from backhoe_planner.site.cluster_distances import ClusterDistances
 from backhoe_planner.site.pairs import over_ground
 from backhoe_planner.site.pairs.link_balls import LinkBalls
 from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
@@ -134,6 +137,49 @@ def test_a_sunk_link_is_as_deep_as_its_lowest_corner_under_the_plane_above_it(
                 travel = corners_at(backhoe, own, at)[lowest] - corners_at(backhoe, own, q)[lowest]
                 assert one.distance - found.distance == pytest.approx(-float(travel @ normal), abs=1e-9)
     assert depths > 15
+
+
+@needs_native
+def test_nothing_is_known_of_a_posture_that_is_no_number(backhoe: Robot) -> None:
+    pieces = [own for own in backhoe.pieces if own.joint]
+    balls = LinkBalls(pieces, most=(4,))
+    over, rng = OverGround(pieces, balls), np.random.default_rng(0)
+    cluster, which = ground_beside(backhoe, 0.1, rng), np.arange(len(pieces))
+    for wrong in (np.nan, np.inf):
+        poses = balls.poses_of(BatchKinematics(backhoe).at(np.zeros((1, backhoe.n))))
+        poses.t[:] = wrong
+        asked = np.zeros(len(pieces), dtype=np.intp), which, np.full(len(pieces), 0.1)
+        assert not (over.keep(cluster, poses, *asked, cluster.grid(np.zeros(3), 9.0)) == KEPT).any()
+        assert over.measure(cluster, poses, *asked, sunk=True) == [None] * len(pieces)
+
+
+@pytest.mark.parametrize("reach", [0.0, -0.05, 0.3])
+def test_what_was_expected_changes_no_answer_but_depths_asked_for_as_roughly(
+    backhoe: Robot, reach: float, tmp_path: Path
+) -> None:
+    """Of every pair at a posture beside and in ground, expected or not; and not even those once they are forgotten."""
+    rng, data = np.random.default_rng(1), backhoe.model.createData()
+    np.savetxt(tmp_path / "ground.csv", rng.uniform(-0.3, 0.0, (81, 81)), delimiter=",")
+    ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [16.0, 16.0]}
+    scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [4, 0, 1]}}, "obstacles": [ground]}
+    obstacles = build_obstacles(scene_from_dict(scene, folder=tmp_path), backhoe)
+    fresh, asked = ClusterDistances(backhoe, obstacles), ClusterDistances(backhoe, obstacles)
+    assert len(fresh) > 3
+    q = np.array([backhoe.random_q(rng) for _ in range(8)])
+    needed = np.full(len(asked), 0.4)
+    for sunk in (False, True):
+        asked.expect(q, 0.0, needed=needed, sunk=sunk)
+        if sunk:
+            asked.forget_expected()
+        for at in q:
+            pin.forwardKinematics(backhoe.model, data, at)
+            for pair in range(len(asked)):
+                one, other = (
+                    each.nearest(pair, data, 0.0, lower=-np.inf, reach=reach, q=at) for each in (fresh, asked)
+                )
+                assert (one is None) == (other is None)
+                if one is not None and other is not None:
+                    assert one.distance == pytest.approx(other.distance, abs=1e-9)
 
 
 @needs_native

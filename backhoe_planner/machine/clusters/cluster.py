@@ -122,7 +122,8 @@ class Cluster:
         """The signed distance from a convex piece of a body; None where it is not less than `reach` [m].
 
         Inside, the distance is that to the deepest cell. Of what is solid between cells too, the ground and
-        a closed mesh, what touches no cell is as deep as the nearest one is away. The true depth is not less.
+        a closed mesh, what touches no cell is as deep as the nearest one is away; in the ground it is as deep as
+        its lowest corner is under the surface where that is more. The true depth is not less.
 
         Parameters
         ----------
@@ -130,9 +131,12 @@ class Cluster:
         shift: (3,) how far the cluster has moved [m].
         """
         shift = _NO_SHIFT if shift is None else shift
-        found = self.solid.measure(self._local(piece, T_world_body, shift), reach)
+        link = self._local(piece, T_world_body, shift)
+        found = self.solid.measure(link, reach)
         if found is None:
             return None
+        if found.distance < 0.0:
+            found = self.solid.deeper(link, found)
         base = self._t + shift
         return Reading(
             found.distance, self._R @ found.normal, self._R @ found.point + base, self._R @ found.other_point + base

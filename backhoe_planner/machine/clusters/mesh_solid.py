@@ -160,6 +160,10 @@ class MeshSolid:
             found = self._tree.measure(link.shape, T, reach)
         return Reading(-found.distance, -found.normal, found.point, found.other_point)
 
+    def deeper(self, link: Placed, found: Reading) -> Reading:
+        """What was found: nothing more is looked at."""
+        return found
+
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
         """The triangles that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
         tiles, ordered = self._tiles

@@ -111,6 +111,9 @@ class Solid(Protocol):
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape, where it is less than `reach` [m]; None where it is not."""
 
+    def deeper(self, link: Placed, found: Reading) -> Reading:
+        """What was found of a shape that is inside, or what says that it is deeper, where more than cells is solid."""
+
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
         """The cells of its surface that may touch the box from `low` to `high` (3,) [m], and some others.
 

@@ -113,6 +113,10 @@ class VoxelSolid:
             return None
         return Reading(found.distance, found.normal, found.point + base, found.other_point + base)
 
+    def deeper(self, link: Placed, found: Reading) -> Reading:
+        """What was found: nothing more is looked at."""
+        return found
+
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
         """The voxels that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
         tiles, ordered = self._tiles

@@ -90,6 +90,7 @@ def find_margins(
             if len(one.margin):
                 least = min(least, float(one.margin.min()))
                 found.append(one)
+    proximity.clusters.forget_expected()
     return least, found
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +20,7 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
+_TURN, _GAP = 2.0 * np.pi, 0.25  # rad: a turn, and what pitches are apart between which others are out of reach; chosen
 _STARTS_ALONE = 60  # of the inverse kinematics of a position without its orientation; chosen, 40 ms
 _MILLIMETRES = 100.0  # m out of reach, as which a position is taken to be given in other units; chosen
 _SMALL = 1e-6  # m and rad: chosen far below what a message shows
@@ -184,10 +187,27 @@ def _position_alone(world: World, target: TipTarget) -> str:
     words = "; the position by itself can be reached"
     if target.pitch is None:
         return words + ", turned otherwise"
-    pitches = np.array([world.kinematics.at(q).pitch for q in found])
-    turned = [wrap_angle(float(pitch - pitches[0])) for pitch in pitches]  # they may go on beyond half a turn
-    low, high = pitches[0] + min(turned), pitches[0] + max(turned)
-    return words + f", with a pitch of {low:.2f}" + (f" to {high:.2f}" if high - low > _SMALL else "") + " rad"
+    spans = _spans([world.kinematics.at(q).pitch for q in found])
+    asked = target.pitch[0]
+    if any(low <= wrap_angle(asked) <= high for low, high in spans):  # it lies in a gap that was not seen
+        return words + ", with other pitches"
+    return words + f", with a pitch of {' or '.join(_span(low, high) for low, high in spans)} rad"
+
+
+def _spans(angles: Sequence[float]) -> list[tuple[float, float]]:
+    """From where to where some angles lie close together, within half a turn either way."""
+    found = np.sort(wrap_angle(np.array(angles)))
+    ends = np.flatnonzero(np.diff(found, append=found[0] + _TURN) > _GAP)
+    if not len(ends):
+        return [(-np.pi, np.pi)]
+    begins = (np.roll(ends, 1) + 1) % len(found)
+    spans = [(float(found[a]), float(found[b])) for a, b in zip(begins, ends, strict=True)]
+    parts = [[(low, high)] if low <= high else [(low, np.pi), (-np.pi, high)] for low, high in spans]
+    return sorted(itertools.chain.from_iterable(parts))
+
+
+def _span(low: float, high: float) -> str:
+    return " to ".join(dict.fromkeys((f"{low:.2f}", f"{high:.2f}")))
 
 
 def rest_at_start(world: World, q: Vector) -> Trajectory:
