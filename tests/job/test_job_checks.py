@@ -109,6 +109,7 @@ def test_a_job_that_is_stopped_on_its_way_to_the_dump_is_blocked(monkeypatch: py
     assert (found.verdict, found.reason, found.note) == ("failed", "blocked", words)
 
 
+@pytest.mark.long
 def test_a_cut_that_takes_too_much_force_is_dug_slower_or_less_deep(monkeypatch: pytest.MonkeyPatch) -> None:
     site = build_worksite(small_job())
     lanes = lanes_of(site)

@@ -125,6 +125,7 @@ def test_where_no_posture_is_clear_no_way_is_said_to_be_found(backhoe: Robot) ->
 # --- what the servo makes of it ------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_from_where_descent_is_pinched_the_violation_falls_at_every_step(backhoe: Robot) -> None:
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo, violation = Servo(backhoe, scene, DT), Violation(backhoe, scene)

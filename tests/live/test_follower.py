@@ -468,6 +468,7 @@ def query(robot: Robot, *obstacles: dict[str, Any], since: float = 1.2) -> Rejoi
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_way_leads_to_the_earliest_clear_place_and_keeps_what_it_promises(backhoe: Robot) -> None:
     box, motion = placed(backhoe, "box"), smooth_motion()
     taken = [moment for moment in motion.time if least_margin_of(backhoe, [motion.at(float(moment))], box) < 0.01]
@@ -554,6 +555,7 @@ class Silent(Executor):
         return future
 
 
+@pytest.mark.long
 def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be_finished(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

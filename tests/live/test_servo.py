@@ -301,6 +301,7 @@ def test_where_asked_for_it_goes_round(backhoe: Robot) -> None:
     assert after[True] > after[False]
 
 
+@pytest.mark.long
 def test_a_flat_wall_makes_no_chatter(backhoe: Robot) -> None:
     """Pressed flat against a wall, the joints' rates change smoothly: no witness jumps from edge to edge."""
     wall = {"name": "wall", "shape": "box", "size": [0.2, 8.0, 8.0], "position": [5.2, 0.0, 0.0]}

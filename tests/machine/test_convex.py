@@ -291,6 +291,7 @@ def test_columns_cover_the_surface_and_the_ground_below(heights: Matrix, toleran
     assert np.all(inside_any(below, columns))
 
 
+@pytest.mark.long
 def test_columns_rise_at_most_the_tolerance_above_a_grid_point() -> None:
     rng = np.random.default_rng(0)
     x, y = np.meshgrid(np.linspace(-3.0, 3.0, 13), np.linspace(-3.0, 3.0, 13))

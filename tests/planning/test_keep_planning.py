@@ -189,6 +189,7 @@ def test_giving_way_keeps_the_band(backhoe: bp.Robot) -> None:
     assert tips[1] <= 0.1 + 1e-6
 
 
+@pytest.mark.long
 def test_a_worker_who_steps_in_is_passed_within_the_band(backhoe: bp.Robot) -> None:
     worker = walking(2.0, 2.6, [0.0, -0.7, 0.0], appears_at=0.5)
     plan = bp.plan(backhoe, site((-0.8, *A[1:]), B, {"pitch": [-2.8, -2.6]}, worker), effort="quick")

@@ -197,6 +197,7 @@ def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
     np.testing.assert_allclose(found.trajectory.q[0], [-1.0, 0.6, -1.8, -0.5])
 
 
+@pytest.mark.long
 def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
     points = [[2.0, -0.1, 0.0], [2.0, 0.1, 0.0]] * 4
     found = bp.plan(planar4, site(points), effort="quick")

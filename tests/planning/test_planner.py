@@ -365,6 +365,7 @@ def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:
     np.testing.assert_allclose(seen[-1].q, plan.trajectory.q[-1], atol=0.05)
 
 
+@pytest.mark.long
 def test_a_detour_keeps_the_acceleration_limits_at_its_seams(planar4: bp.Robot) -> None:
     """Followed piece, way round, followed piece: each from rest to rest, and together too."""
     scene = bp.scene_from_dict(

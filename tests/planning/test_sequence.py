@@ -210,6 +210,7 @@ def cost(found: Any) -> float:
     return float(found.cost)
 
 
+@pytest.mark.long
 def test_a_leg_ends_where_the_next_one_is_near(backhoe: Robot) -> None:
     either = {"name": "either", "goal": [NEAR, FAR]}
     right = {"name": "right", "goal": {"position": [1.0, -3.6, 1.2]}}
@@ -221,6 +222,7 @@ def test_a_leg_ends_where_the_next_one_is_near(backhoe: Robot) -> None:
     assert cost(ahead) < 0.95 * cost(alone)
 
 
+@pytest.mark.long
 def test_a_sequence_that_time_cuts_short_says_so(backhoe: Robot) -> None:
     """Its legs are planned one by one, and then no time is left for other ends."""
 

@@ -107,6 +107,7 @@ def test_a_redundant_arm_takes_another_way(backhoe: bp.Robot) -> None:
     assert plan.certificate.tracking.joint_step.size <= 0.09
 
 
+@pytest.mark.long
 def test_seven_joints_keep_to_it_with_full_poses(panda: bp.Robot) -> None:
     poses = [{"position": [0.5, y, 0.4], "rpy": [np.pi, 0.0, 0.0]} for y in np.linspace(-0.3, 0.3, 13)]
     path = {"waypoints": poses, "max_joint_step": 0.125}

@@ -146,6 +146,7 @@ def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, drawn_tab: Ta
     assert [url for url in tab.requests if not url.startswith(("file:", "data:"))] == []
 
 
+@pytest.mark.long
 def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
     backhoe: Robot, tab: Tab, tmp_path: Path
 ) -> None:

@@ -94,12 +94,14 @@ def test_a_plan_without_a_motion_has_a_sentence_and_its_posture_and_no_axes_of_t
         assert absent not in text
 
 
+@pytest.mark.long
 def test_a_motion_that_ends_too_soon_says_why(backhoe: Robot, tmp_path: Path) -> None:
     text = svg(replace(a_plan(backhoe), note="a wall is in the way"), tmp_path)
     assert "The motion ends before its task is done: a wall is in the way" in text
     assert "time [s]" in text
 
 
+@pytest.mark.long
 def test_what_is_kept_has_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) -> None:
     plan = a_plan(backhoe)
     content = plan.scene.to_dict()

@@ -72,6 +72,7 @@ def test_exports_name_what_is_carried(done: Plan, tmp_path: Path) -> None:
         assert arrays["leg_carries"].tolist() == ["", STONE["name"], STONE["name"], ""]
 
 
+@pytest.mark.long
 def test_the_page_of_a_sequence_shows_legs_and_loads(browser: Any, done: Plan, tmp_path: Path) -> None:
     write_page(done, tmp_path / "plan.html")
     page = browser.new_page(viewport={"width": 390, "height": 600}, reduced_motion="reduce")

@@ -243,6 +243,7 @@ def test_sticks_drive_the_machine(backhoe: Robot) -> None:
 # --- the site ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
     session = make(backhoe)
     page = session.join()
@@ -364,6 +365,7 @@ def test_ground_stays_and_what_was_taken_away_is_put_back(backhoe: Robot, tmp_pa
 # --- words ---------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
     session = make(backhoe, obstacles=[GROUND])
     page = session.join()

@@ -102,6 +102,7 @@ def test_a_machine_does_not_stand_where_an_obstacle_is(plain: SiteMap) -> None:
             assert spot.cost == pytest.approx(before.cost)
 
 
+@pytest.mark.long
 def test_the_arm_does_not_start_in_a_wall_beside_the_trench(plain: SiteMap) -> None:
     """The wall is 1.65 m beside the trench, and the arm starts 1.2 rad off the machine's heading."""
     wall = {"name": "garage", "shape": "box", "size": [30.0, 0.3, 3.0], "position": [5.0, 1.8, 1.5]}
@@ -130,6 +131,7 @@ def test_the_ground_that_the_machine_covers_is_that_of_its_fixed_parts(backhoe: 
     assert corners.max(axis=0) == pytest.approx([3.43, 1.0], abs=0.02)
 
 
+@pytest.mark.long
 def test_nine_metres_take_several_places_whose_sections_cover_all() -> None:
     trench = {"from": [4.0, 0.0], "to": [-5.0, 0.0], "width": 0.6, "depth": 0.3, "slope": -0.02}
     heaps = [[x, -3.4] for x in (4.5, 3.0, 1.5, 0.0, -1.5, -3.0, -4.5)]
@@ -157,6 +159,7 @@ def test_nine_metres_take_several_places_whose_sections_cover_all() -> None:
             assert abs(spot.base.position[1]) < 1e-9
 
 
+@pytest.mark.long
 def test_a_job_whose_dump_no_place_reaches_says_so() -> None:
     """The trench lies 20 m from the heap, and the machine reaches 5.65 m to either side."""
     found = bp.stand(_job(dump={"heap": {"at": [24.0, 0.0]}}))

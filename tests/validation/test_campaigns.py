@@ -92,6 +92,7 @@ def test_other_settings_or_other_code_are_another_campaign(
     assert len(list((tmp_path / "kept").iterdir())) == 3
 
 
+@pytest.mark.long
 def test_the_first_results_are_those_of_calling_one_after_the_other(tmp_path: Path) -> None:
     """Numbers with divisors: 4, 6, 8, 9, 10, ..., of which each gives one or two."""
     for count, jobs in ((1, 1), (5, 1), (6, 2)):
