@@ -330,6 +330,22 @@ def test_what_touches_is_found_at_any_reach(reach: float) -> None:
     assert touched.distance < 0.0
 
 
+@pytest.mark.parametrize("cell", [0.01, 0.04])
+def test_a_shape_beside_the_wall_of_a_map_is_as_far_as_the_wall(cell: float) -> None:
+    """Walls of 50 m are of triangles a few centimetres wide, on which coal's iterations may break down."""
+    rng, rows = np.random.default_rng(1), round(1.5 / cell)
+    for _ in range(60):
+        ground = TerrainSolid(rng.uniform(-0.05, 0.0, (rows + 1, 9)), (4.0, rows * cell), depth=50.0, most=10**6)
+        piece = shapes.convex(rng.uniform(-0.1, 0.1, (40, 3)), HERE)
+        place, apart = random_place(rng, 0.3), rng.uniform(0.02, 0.4)
+        corners = piece.hull @ place.rotation.T
+        place.translation[:] = 2.0 + apart - corners[:, 0].min(), rng.uniform(-0.3, 0.3), rng.uniform(-20.0, -0.4)
+        found = Cluster(ground, HERE).measure(piece, place, 0.5)
+        assert found is not None
+        assert found.distance == pytest.approx(apart, abs=2e-6)
+        np.testing.assert_allclose(found.normal, [-1.0, 0.0, 0.0], atol=1e-4)
+
+
 @pytest.mark.parametrize("roughness", [0.0, 0.3])
 def test_what_is_in_the_ground_is_at_least_as_deep_as_is_said(roughness: float) -> None:
     """Moved by less than its depth, whichever way, it still touches; out of even ground it gets straight up."""

@@ -19,7 +19,7 @@ import coal
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine.shape.shapes import in_doubt, prepare
+from backhoe_planner.machine.shape.shapes import LOOSER, in_doubt, prepare
 
 _MOST_CONTACTS = 1_000_000  # cells that a shape touches at once; beyond any tree
 _HERE = coal.Transform3s(np.eye(3), np.zeros(3))
@@ -60,25 +60,13 @@ class Tree:
         The result is in the frame of the tree, its normal from the shape to the nearest cell.
         """
         reach = max(reach, LEAST_REACH)
-        # not shared: obstacles, and the trees in them, are used by several threads
-        request, result = coal.DistanceRequest(), coal.DistanceResult()
-        prepare(request)
-        result.min_distance = reach
-        if self._of_cubes:
-            coal.distance(self._tree, T_tree_shape.inverse(), shape, _HERE, request, result)
-        else:
-            coal.distance(self._tree, _HERE, shape, T_tree_shape, request, result)
+        result = self._distance(shape, T_tree_shape, reach)
         distance = result.min_distance
         if distance >= reach:
             return None
-        normal, point, other_point = (
-            np.array(found) for found in (-result.normal, result.getNearestPoint2(), result.getNearestPoint1())
-        )
-        if self._of_cubes:
-            R, t = T_tree_shape.getRotation(), T_tree_shape.getTranslation()
-            normal, point, other_point = R.dot(normal), R.dot(point) + t, R.dot(other_point) + t
+        found = self._read(result, T_tree_shape, distance)
         if distance > 0.0 and not in_doubt(distance):
-            return Reading(distance, normal, point, other_point)
+            return found
         touch, contacts = coal.CollisionRequest(), coal.CollisionResult()
         touch.num_max_contacts, touch.enable_contact = _MOST_CONTACTS, True
         coal.collide(self._tree, _HERE, shape, T_tree_shape, touch, contacts)
@@ -87,11 +75,20 @@ class Tree:
             depth = contact.penetration_depth
             if depth > _DEEPEST and (deepest is None or depth < deepest.penetration_depth):
                 deepest = contact
+        if deepest is None and not contacts.isCollision():
+            # nothing touches, but the iterations broke down, as on a slender triangle of a wall
+            for tolerance in LOOSER:
+                result = self._distance(shape, T_tree_shape, reach, tolerance)
+                if result.min_distance >= reach:
+                    return None
+                if result.min_distance > 2.0 * tolerance:
+                    return self._read(result, T_tree_shape, result.min_distance - tolerance)
         if deepest is None:  # they touch to within rounding
             distance = 0.0 if in_doubt(distance) else distance
+            normal = found.normal
             if not np.isfinite(normal).all() or abs(float(normal @ normal) - 1.0) > 1e-6:
                 normal = np.array([0.0, 0.0, -1.0])
-            middle = np.nan_to_num(other_point)
+            middle = np.nan_to_num(found.other_point)
             return Reading(distance, normal, middle, middle)
         return Reading(
             deepest.penetration_depth,
@@ -99,6 +96,33 @@ class Tree:
             np.array(deepest.getNearestPoint2()),
             np.array(deepest.getNearestPoint1()),
         )
+
+    def _read(self, result: coal.DistanceResult, T_tree_shape: coal.Transform3s, distance: float) -> Reading:
+        """What coal found, in the frame of the tree, with that `distance` [m]."""
+        normal, point, other_point = (
+            np.array(found) for found in (-result.normal, result.getNearestPoint2(), result.getNearestPoint1())
+        )
+        if self._of_cubes:
+            R, t = T_tree_shape.getRotation(), T_tree_shape.getTranslation()
+            normal, point, other_point = R.dot(normal), R.dot(point) + t, R.dot(other_point) + t
+        return Reading(distance, normal, point, other_point)
+
+    def _distance(
+        self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s, reach: float,
+        tolerance: float | None = None,
+    ) -> coal.DistanceResult:  # fmt: skip
+        """What coal finds within a reach [m], to its `tolerance` or the usual one [m]."""
+        # not shared: obstacles, and the trees in them, are used by several threads
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        prepare(request)
+        if tolerance is not None:
+            request.gjk_tolerance = request.epa_tolerance = tolerance
+        result.min_distance = reach
+        if self._of_cubes:
+            coal.distance(self._tree, T_tree_shape.inverse(), shape, _HERE, request, result)
+        else:
+            coal.distance(self._tree, _HERE, shape, T_tree_shape, request, result)
+        return result
 
 
 def voxel_tree(centres: Matrix, edge: float) -> Tree:

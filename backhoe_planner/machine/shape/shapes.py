@@ -31,7 +31,7 @@ _DEEP = 1e5  # m: beyond any site, and so little that a place at the surface kee
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
 CONTACT = 1e-9  # m: distances below this are measured again, see `measure_again`
 _TOLERANCE = 1e-12  # m, of coal's iterations: tests compare gradients with differences over 1e-6 rad
-_LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn where the first answer is in doubt
+LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn where the first answer is in doubt
 _ITERATIONS = 256  # at most: twice coal's default, for that tolerance
 _NEIGHBOURS = 254  # of a corner: coal counts them in one byte, of which it keeps one value
 _EXCESS = 1e-3  # of the distance from the centroid; chosen: a fifth of what the prism around a cylinder has
@@ -417,7 +417,7 @@ def measure_again(request: coal.DistanceRequest, measure: Callable[[], _Result])
     rounding, and the distance is 0.
     """
     try:
-        for tolerance in _LOOSER:
+        for tolerance in LOOSER:
             request.gjk_tolerance = request.epa_tolerance = tolerance
             result = measure()
             if result.min_distance > _NONSENSE:
