@@ -902,6 +902,21 @@ def test_with_more_joints_than_there_is_room_for_the_plain_version_answers(
 
 
 @needs_native
+def test_the_plain_version_reads_the_same_depths_in_ground() -> None:
+    """Other distances are left to coal by it."""
+    rng, depths = np.random.default_rng(7), 0
+    for _ in range(100):
+        arguments = read_over_ground(rng)
+        states, found = find_compiled().read_over_ground(*arguments)  # type: ignore[union-attr]
+        plain_states, plain = plain_versions()["read_over_ground"](*arguments)
+        sunk = plain_states == 2
+        np.testing.assert_array_equal(states == 2, sunk)
+        np.testing.assert_allclose(found[sunk], plain[sunk], atol=1e-12)
+        depths += int(sunk.sum())
+    assert depths > 100
+
+
+@needs_native
 @pytest.mark.parametrize(
     ("source", "outputs"), [(corner_gaps, 1), (keep_placements, 2), (keep_proven, 1), (note_gaps, 1), (place_tip, 2)]
 )

@@ -13,6 +13,7 @@ from .clusters.mesh_solid import MeshSolid as MeshSolid
 from .clusters.parts import Part as Part
 from .clusters.solid import HeightMap as HeightMap
 from .clusters.terrain import TerrainSolid as TerrainSolid
+from .clusters.terrain import surface_under as surface_under
 from .clusters.trees import Reading as Reading
 from .clusters.voxels import VoxelSolid as VoxelSolid
 from .clusters.voxels import voxel_keys as voxel_keys

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Distances, Reading, Robot, reach_ball
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import BatchKinematics, Cluster, Distances, Reading, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
 from backhoe_planner.site.pairs.one_joint_bounds import OneJointBounds
@@ -44,7 +44,6 @@ class ClusterDistances:
         pieces, self._column = np.unique(self.piece, return_inverse=True)
         own = [robot.pieces[row] for row in pieces.tolist()]
         self._balls = LinkBalls(own, most=_MOST_BALLS) if pairs else None
-        self._over_ground = None if self._balls is None else OverGround(own, self._balls)
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in sorted(set(self.owner.tolist()))]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
@@ -60,6 +59,7 @@ class ClusterDistances:
             for index, those in self._rows
             if index not in self._moving and (cluster := obstacles[index].cluster) and cluster.solid.ground is not None
         ]
+        self._over_ground = OverGround(own, self._balls) if self._balls is not None and self._on_ground else None
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
         self._one_joint = OneJointBounds(robot, self.piece, stands, self._distance_in)
         if pairs:  # most sites have none
@@ -124,23 +124,23 @@ class ClusterDistances:
         self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array, *, sunk: bool
     ) -> None:  # fmt: skip
         """Measure what may be nearer to ground than is needed, and raise the bounds (N, K) of it."""
-        assert self._over_ground is not None
-        needed = np.broadcast_to(needed, bounds.shape)
-        for index, pairs in self._on_ground:
-            near = (bounds[:, pairs] < needed[:, pairs]) & (needed[:, pairs] <= EXACT_WITHIN)
-            rows, which = near.nonzero()
-            if not len(rows):
-                continue
-            cluster, those = self._obstacles[index].cluster, pairs.take(which)
-            assert cluster is not None
+        needed, names = np.broadcast_to(needed, bounds.shape), [at.tobytes() for at in q]
+        for over, _, cluster, rows, those in self._asked_of_ground((bounds < needed) & (needed <= EXACT_WITHIN)):
             reach = needed[rows, those] + AHEAD
-            found = self._over_ground.measure(cluster, poses, rows, self._column.take(those), reach, sunk=sunk)
-            names = [at.tobytes() for at in q]
+            found = over.measure(cluster, poses, rows, self._column.take(those), reach, sunk=sunk)
             for row, pair, within, one in zip(rows.tolist(), those.tolist(), reach.tolist(), found, strict=True):
                 if isinstance(one, Reading):
                     self._ahead[pair, names[row]], bounds[row, pair] = (one, within), one.distance
                 elif one is not None:
                     self._ahead[pair, names[row]], bounds[row, pair] = (None, within), within
+
+    def _asked_of_ground(self, asked: Flags) -> Iterator[tuple[OverGround, int, Cluster, Indices, Indices]]:
+        """Of each ground that stands its number, and the configurations and pairs (M,) of it that are asked (N, K)."""
+        for index, pairs in self._on_ground:
+            rows, which = asked[:, pairs].nonzero()
+            cluster = self._obstacles[index].cluster
+            if len(rows) and cluster is not None and self._over_ground is not None:
+                yield self._over_ground, index, cluster, rows, pairs.take(which)
 
     def lower_each(self, q: Matrix, time: float | Vector, *, needed: float | Array = np.inf) -> Matrix:
         """(N, K) the same for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""
@@ -282,17 +282,9 @@ class ClusterDistances:
 
     def _judge_ground(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
         """The configurations in which a piece is nearer to ground than `least` (K,) says; raise bounds (N, K)."""
-        assert self._over_ground is not None
         nearer: set[int] = set()
-        for index, pairs in self._on_ground:
-            rows, which = (lower[:, pairs] < least[pairs]).nonzero()
-            if not len(rows):
-                continue
-            cluster, those = self._obstacles[index].cluster, pairs.take(which)
-            assert cluster is not None
-            verdict = self._over_ground.keep(
-                cluster, poses, rows, self._column.take(those), least.take(those), self._grid(index)
-            )
+        for over, index, cluster, rows, those in self._asked_of_ground(lower < least):
+            verdict = over.keep(cluster, poses, rows, self._column.take(those), least.take(those), self._grid(index))
             kept = verdict == KEPT
             lower[rows[kept], those[kept]] = least[those[kept]]
             nearer.update(rows[verdict == NEARER].tolist())

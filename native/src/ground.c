@@ -121,6 +121,16 @@ static int look_at_map(const Map *map, const Hull *shape, Nearest *found)
     return nearer;
 }
 
+/* The normal, and the two nearest points, of a shape within `radius` of the hull that was compared, from `base`. */
+static void vectors_of(const Nearest *found, double radius, const double *base, double *to)
+{
+    for (int c = 0; c < 3; c++) {
+        to[c] = found->normal[c];
+        to[3 + c] = found->on_shape[c] + radius * found->normal[c] + base[c];
+        to[6 + c] = found->on_ground[c] + base[c];
+    }
+}
+
 PyObject *nearest_on_ground(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Map map;
@@ -155,11 +165,7 @@ PyObject *nearest_on_ground(PyObject *self, PyObject *const *args, Py_ssize_t co
     if (!reading)
         return NULL;
     to[0] = found.distance - radius;
-    for (int c = 0; c < 3; c++) {
-        to[1 + c] = found.normal[c];
-        to[4 + c] = found.on_shape[c] + radius * found.normal[c] + map.base[c];
-        to[7 + c] = found.on_ground[c] + map.base[c];
-    }
+    vectors_of(&found, radius, map.base, to + 1);
     return Py_BuildValue("(N)", reading);
 }
 
@@ -371,11 +377,7 @@ static int read_shape(const Ground *g, double *points, npy_intp count, double ra
     if (!(found.distance > radius))
         return -1;
     double own[9];
-    for (int c = 0; c < 3; c++) {
-        own[c] = found.normal[c];
-        own[3 + c] = found.on_shape[c] + radius * found.normal[c] + map.base[c];
-        own[6 + c] = found.on_ground[c] + map.base[c];
-    }
+    vectors_of(&found, radius, map.base, own);
     put_reading(g, found.distance - radius, own, to);
     return 1;
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -180,29 +179,3 @@ def test_what_was_expected_changes_no_answer_but_depths_asked_for_as_roughly(
                 assert (one is None) == (other is None)
                 if one is not None and other is not None:
                     assert one.distance == pytest.approx(other.distance, abs=1e-9)
-
-
-@needs_native
-def test_the_plain_version_reads_the_same_depths() -> None:
-    rng, depths = np.random.default_rng(7), 0
-    for _ in range(100):
-        arguments = read_over_ground_arguments(rng)
-        states, found = over_ground.read_over_ground(*arguments)
-        plain_states, plain = plain_versions()["read_over_ground"](*arguments)
-        sunk = plain_states == 2
-        np.testing.assert_array_equal(states == 2, sunk)
-        np.testing.assert_allclose(found[sunk], plain[sunk], atol=1e-12)
-        depths += int(sunk.sum())
-    assert depths > 100
-
-
-def read_over_ground_arguments(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Of two pieces on two joints in three configurations, in uneven ground and over it."""
-    R = np.array([[pin.rpy.rpyToMatrix(rng.uniform(-3.0, 3.0, 3)) for _ in range(2)] for _ in range(3)])
-    t = rng.normal([0.0, 0.0, 0.3], 0.6, (3, 2, 3))
-    return (
-        R, t, np.array([0, 1]), rng.normal(scale=0.3, size=(9, 3)), np.array([0, 4, 9]), np.array([0.0, 0.1]),
-        np.repeat(np.arange(3), 2), np.tile([0, 1], 3), np.full(6, 0.3),
-        pin.rpy.rpyToMatrix(rng.uniform(-0.3, 0.3, 3)), rng.normal(scale=0.1, size=3), 0.2 * rng.normal(size=(7, 9)),
-        np.linspace(-2.0, 2.0, 9), np.linspace(-1.5, 1.5, 7), (-3.0, 0.8),
-    )  # fmt: skip

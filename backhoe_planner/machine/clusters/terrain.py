@@ -175,18 +175,11 @@ class TerrainSolid:
 
         The shape is out of the ground no sooner than that corner. A triangle is left sooner, aside or down.
         """
-        points = link.hull
-        at = (points[:, :2] - self._low) / self._cell
-        cell = np.floor(at).astype(int)
-        over = np.logical_and.reduce((cell >= 0) & (cell < (len(self._x) - 1, len(self._y) - 1)), axis=1)
-        over &= points[:, 2] >= self._floor
-        if not over.any():
+        points = link.hull[link.hull[:, 2] >= self._floor]
+        height, _ = surface_under(points, self._heights, self._x, self._y)
+        if not np.isfinite(height).any():
             return found
-        points, (column, row), (u, v) = points[over], cell[over].T, (at - cell)[over].T
-        z = self._heights
-        above = points[:, 2] - _surface(
-            z[row, column], z[row, column + 1], z[row + 1, column], z[row + 1, column + 1], u, v
-        )
+        above = points[:, 2] - height
         lowest = int(above.argmin())
         if link.radius - above[lowest] <= -found.distance:  # the surface is no further than straight up
             return found
@@ -392,19 +385,43 @@ def _tops(heights: Matrix, parts: int) -> Matrix:
     """
     a, b, c, d = (h[:, None, :, None] for h in (heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]))
     v, u = (np.linspace(0.0, 1.0, parts + 1).reshape(shape) for shape in ((1, -1, 1, 1), (1, 1, 1, -1)))
-    z = _surface(a, b, c, d, u, v)
+    z = np.minimum(*_planes(a, b, c, d, u, v))
     top = np.maximum(np.maximum(z[:, :-1, :, :-1], z[:, :-1, :, 1:]), np.maximum(z[:, 1:, :, :-1], z[:, 1:, :, 1:]))
     return np.asarray(top.reshape(parts * (len(heights) - 1), -1))
 
 
-def _surface(a: Array, b: Array, c: Array, d: Array, u: Array, v: Array) -> Array:
-    """The height of the surface at u along x and v along y, parts of a cell's edges [m].
+def surface_under(points: Matrix, heights: Matrix, x: Vector, y: Vector) -> tuple[Vector, Matrix]:
+    """(k,) how high a height map is straight under points (k, 3), or above [m], and (k, 2) its slopes along x and y.
 
-    The cell's corners are at the heights a and b, then c and d.
+    Minus infinity beside the map.
+
+    Parameters
+    ----------
+    heights, x, y: as in `HeightMap`.
     """
-    along_ad = np.minimum(a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
-    along_bc = np.minimum(a + u * (b - a) + v * (c - a), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d))
-    return np.where(a + d >= b + c, along_ad, along_bc)
+    wide, deep = x[1] - x[0], y[1] - y[0]
+    across, up = (points[:, 0] - x[0]) / wide, (points[:, 1] - y[0]) / deep
+    over = (across >= 0.0) & (across < len(x) - 1) & (up >= 0.0) & (up < len(y) - 1)
+    j, i = across[over].astype(int), up[over].astype(int)
+    a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
+    first, second = _planes(a, b, c, d, across[over] - j, up[over] - i)
+    is_first = first <= second
+    height, slopes = np.full(len(points), -np.inf), np.zeros((len(points), 2))
+    height[over] = np.where(is_first, first, second)
+    slopes[over, 0] = np.where(is_first, b - a, d - c) / wide
+    slopes[over, 1] = np.where(is_first == (a + d >= b + c), d - b, c - a) / deep
+    return height, slopes
+
+
+def _planes(a: Array, b: Array, c: Array, d: Array, u: Array, v: Array) -> tuple[Array, Array]:
+    """The heights of a cell's two triangles, or beside them of their planes, at u along x and v along y [m].
+
+    The surface is at the lower one. The cell's corners are at the heights a and b, then c and d; u and v are parts of
+    its edges.
+    """
+    main = a + d >= b + c  # cut along a d, else along b c
+    first = a + u * (b - a) + v * np.where(main, d - b, c - a)
+    return first, np.where(main, a + v * (c - a) + u * (d - c), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d))
 
 
 def _most_in(values: Matrix, first: Indices, last: Indices, count: int) -> Matrix:

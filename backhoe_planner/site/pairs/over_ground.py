@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine import Cluster, Distances, HeightMap, LinkPiece, Reading
+from backhoe_planner.machine import Cluster, Distances, HeightMap, LinkPiece, Reading, surface_under
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
 
@@ -52,7 +52,7 @@ class OverGround:
         bounds: of the cluster.
         """
         if cluster.solid.ground is None or bounds.heights is None:
-            return np.full(len(rows), -1, dtype=np.intp)
+            return np.full(len(rows), _UNKNOWN, dtype=np.intp)
         asked = self._asked(cluster, cluster.solid.ground, poses, rows, pieces, least)
         arguments: Any = (*asked, *self._balls, *bounds.heights.rings, bounds.bounds)
         return kept_over_ground(*arguments)
@@ -109,7 +109,7 @@ def kept_over_ground(
     balls: (S, 4) centres of balls that cover the pieces, in the frames of the joints, and radii [m]; those of piece k
         begin at `ball_starts[k]`, (K + 1,). The others are arguments of `lower_over_heights`.
     """
-    return np.full(len(row), -1, dtype=np.intp)
+    return np.full(len(row), _UNKNOWN, dtype=np.intp)
 
 
 @compiled
@@ -124,30 +124,17 @@ def read_over_ground(
     the first of `kept_over_ground`.
     """
     states, found = np.full(len(row), _UNKNOWN, dtype=np.intp), np.zeros((len(row), 10))
-    wide, deep = x[1] - x[0], y[1] - y[0]
     for k, (at, which) in enumerate(zip(row.tolist(), piece.tolist(), strict=True)):
         joint = slot[which]
         points = corners[starts[which] : starts[which + 1]] @ R[at, joint].T + t[at, joint]
         points = (points - origin) @ frame
-        across, up = (points[:, 0] - x[0]) / wide, (points[:, 1] - y[0]) / deep
-        over = (across >= 0.0) & (across < len(x) - 1) & (up >= 0.0) & (up < len(y) - 1) & (points[:, 2] >= levels[0])
-        if not over.any():
+        points = points[points[:, 2] >= levels[0]]
+        height, slopes = surface_under(points, heights, x, y)
+        above = points[:, 2] - height
+        if not (above <= 0.0).any():
             continue
-        points, across, up = points[over], across[over], up[over]
-        j, i = across.astype(int), up.astype(int)
-        u, v = across - j, up - i
-        a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
-        main = a + d >= b + c
-        first = a + u * (b - a) + v * np.where(main, d - b, c - a)
-        second = np.where(main, a + v * (c - a) + u * (d - c), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d))
-        above = points[:, 2] - np.minimum(first, second)
         low = int(above.argmin())
-        if above[low] > 0.0:
-            continue
-        is_first = first[low] <= second[low]
-        rise_x = ((b - a) if is_first else (d - c))[low] / wide
-        rise_y = ((d - b) if is_first == main[low] else (c - a))[low] / deep
-        normal = np.array([rise_x, rise_y, -1.0]) / np.sqrt(1.0 + rise_x**2 + rise_y**2)
+        normal = np.array([*slopes[low], -1.0]) / np.sqrt(1.0 + slopes[low] @ slopes[low])
         distance = -above[low] * normal[2] - radius[which]
         point = points[low] + radius[which] * normal
         states[k] = _SUNK
