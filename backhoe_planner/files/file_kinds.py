@@ -28,7 +28,9 @@ _KINDS: dict[Kind, _FileKind] = {
     "plan": _FileKind("a plan", "`backhoe-planner view`, `check`, `plot` and `export` take it"),
     "job plan": _FileKind("the plan of a job", "`backhoe-planner check`, `view --html` and `export` take it"),
     "stand": _FileKind("the answer of `backhoe-planner stand`", "the jobs and the plans of its places lie beside it"),
-    "urdf": _FileKind("a URDF", "`backhoe-planner inspect {0}` and `backhoe-planner plan {0} SCENE` take it"),
+    "urdf": _FileKind(
+        "a URDF", "`backhoe-planner plan {0} SCENE` takes it, before the scene, and `backhoe-planner inspect {0}`"
+    ),
 }
 _KEYS: dict[Kind, frozenset[str]] = {  # of which one is in every file of that kind, and in no other
     "scene": frozenset({"task"}),

@@ -12,8 +12,8 @@ import inspect
 import itertools
 import math
 import textwrap
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, get_args, get_origin
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import (
     BaseModel,
@@ -26,6 +26,7 @@ from pydantic import (
 )
 
 from backhoe_planner.errors import InputError, nearest_name
+from backhoe_planner.files.schema_keys import entries_at, key_below, keys_of, record_at, variants
 from backhoe_planner.files.yaml_text import KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
@@ -119,7 +120,7 @@ def explain(
     root: the schema, or one that holds it.
     lines: the line of every key, where it is known.
     """
-    variants = _variants(root)
+    tagged = variants(root)
     problems = []
     found = list(_of_one_kind(error.errors(include_url=False)))
     for detail in found:
@@ -130,10 +131,14 @@ def explain(
         line = next((lines[part] for part in above if part in lines), None) if lines else None
         where = _spell(place) + (f" (line {line})" if line is not None else "")
         if detail["type"] == "extra_forbidden":
-            keys = sorted(_keys_at(detail["loc"], root, variants))
-            what = f"there is no such key{_nearest(str(place[-1]), keys)} Allowed: {', '.join(keys)}"
+            record = record_at(detail["loc"], root, tagged)
+            keys = sorted(keys_of(record))
+            near = nearest_name(str(place[-1]), keys) or key_below(str(place[-1]), _at(place[:-1], content), record)
+            what = f"there is no such key{_meant(near)} Allowed: {', '.join(keys)}"
         elif detail["type"].startswith("union_tag"):
-            what = _wrong_tag(detail, variants)
+            what = _wrong_tag(detail, tagged)
+        elif detail["type"] == "tuple_type" and detail["input"] is not None:
+            what = f"{describe(detail)}{entries_at(detail['loc'], root, tagged)}"
         else:
             what = describe(detail)
         problems.append(": ".join(part for part in (where, what) if part))
@@ -186,37 +191,20 @@ def _not_a_choice(found: str, shown: str, expected: str) -> str:
     )
 
 
-def _wrong_tag(detail: Any, variants: Mapping[str, type[BaseModel]]) -> str:
+def _wrong_tag(detail: Any, tagged: Mapping[str, type[BaseModel]]) -> str:
     """The message for a key that chooses between records, where it is missing or chooses none."""
     key = str(detail["ctx"]["discriminator"]).strip("'")
-    choices = sorted(tag for tag, record in variants.items() if key in record.model_fields)
+    choices = sorted(tag for tag, record in tagged.items() if key in record.model_fields)
     if detail["type"] == "union_tag_not_found":
         return f"{key} is missing; allowed: {', '.join(choices)}"
     tag = str(detail["ctx"]["tag"])
     if key.endswith("()"):  # what chooses is the kind of value, not a key
         return f"is a {tag}; allowed: {{key: value, ...}}"
-    return f"there is no {key} {tag!r}{_nearest(tag, choices)} Allowed: {', '.join(choices)}"
+    return f"there is no {key} {tag!r}{_meant(nearest_name(tag, choices))} Allowed: {', '.join(choices)}"
 
 
-def _nearest(name: str, names: list[str]) -> str:
-    near = nearest_name(name, names)
-    return f"; did you mean {near!r}?" if near else "."
-
-
-def _variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Every record within `root` that a tag chooses, by its tag."""
-    found: dict[str, type[BaseModel]] = {}
-    seen, todo = set[type[BaseModel]](), [root]
-    while todo:
-        record = todo.pop()
-        if record in seen:
-            continue
-        seen.add(record)
-        for field in record.model_fields.values():
-            tags = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
-            found |= {tag: record for tag in tags[:1] if len(tags) == 1 and isinstance(tag, str)}
-            todo += _models_in(field.annotation)
-    return found
+def _meant(name: str | None) -> str:
+    return f"; did you mean {name!r}?" if name else "."
 
 
 def _of_one_kind(details: list[Any]) -> list[Any]:
@@ -261,29 +249,14 @@ def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -
     return (*place, *loc[-1:]) if missing else tuple(place)
 
 
+def _at(place: KeyPath, content: Any) -> Any:
+    for part in place:
+        content = content[part]
+    return content
+
+
 def _spell(place: KeyPath) -> str:
     text = ""
     for part in place:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
-
-
-def _keys_at(loc: tuple[str | int, ...], root: type[BaseModel], variants: Mapping[str, type[BaseModel]]) -> list[str]:
-    """The keys that may stand where `loc` points, from the schema itself."""
-    node, choices = root, [root]
-    for part in loc[:-1]:
-        fields = [field for name, field in node.model_fields.items() if part in (name, field.alias)]
-        below = [record for field in fields for record in _models_in(field.annotation)]
-        if below:
-            node, choices = below[0], below
-        else:  # an index, or what pydantic adds for the member of a union: its tag, or the name of its record
-            named = [record for record in choices if record.__name__ == part]
-            node = named[0] if named else variants.get(str(part), node)
-    return [field.alias or name for name, field in node.model_fields.items()]
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in getattr(annotation, "__args__", ()):
-        yield from _models_in(argument)

@@ -32,7 +32,10 @@ TAKEN = {
     "plan.json": ("a plan", "`backhoe-planner view`, `check`, `plot` and `export` take it"),
     "job_plan.json": ("the plan of a job", "`backhoe-planner check`, `view --html` and `export` take it"),
     "stand.json": ("the answer of `backhoe-planner stand`", "the jobs and the plans of its places lie beside it"),
-    "arm.urdf": ("a URDF", "`backhoe-planner inspect arm.urdf` and `backhoe-planner plan arm.urdf SCENE` take it"),
+    "arm.urdf": (
+        "a URDF",
+        "`backhoe-planner plan arm.urdf SCENE` takes it, before the scene, and `backhoe-planner inspect arm.urdf`",
+    ),
 }
 READERS: dict[str, tuple[Callable[[Path], object], type[bp.InputError]]] = {
     "a scene": (bp.load_scene, bp.SceneError),

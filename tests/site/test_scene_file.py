@@ -264,6 +264,21 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "unknown key of a path": (path(*POINTS, sped=1), ["task.path.sped", "did you mean 'speed'?"]),
     "unknown key of gains": (scene(gains={"s_x": 1}), ["gains.s_x", "s_e, s_k, s_o"]),
     "unknown key of limits": (scene(limits={"velocity_scal": 1}), ["limits.velocity_scal", "'velocity_scale'"]),
+    "joints one level too high": (
+        scene(start={"swing": 0.0, "boom": 1}),
+        ["start.swing: there is no such key; did you mean 'joints.swing'? Allowed: joints, tip"],
+    ),
+    "unknown key beside joints": (scene(start={"joints": {}, "swing": 0.0}), ["start.swing", "no such key. Allowed"]),
+    "goal outside its task": (
+        scene(goal={"position": [3.0, 0.0, 1.0]}),
+        ["goal: there is no such key; did you mean 'task.goal'?"],
+    ),
+    "speed outside its path": (scene(speed=0.3), ["speed: there is no such key; did you mean 'task.path.speed'?"]),
+    "key with many places": (scene(pitch=0.3), ["pitch: there is no such key. Allowed"]),
+    "number for a list": (
+        shaped("box", size=12),
+        ["obstacles[0].size: is not a list; found 12; allowed: [...], 3 numbers"],
+    ),
     "unknown key of soil": (scene(soil={"densty": 1}), ["soil.densty", "did you mean 'density'?"]),
     "unknown key of the start": (scene(start={"joint": {}}), ["start.joint", "did you mean 'joints'?"]),
     "key that is no text": (scene(obstacles=[]) | {1: 2}, ["1", "strings"]),  # type: ignore[dict-item]
