@@ -24,7 +24,7 @@ from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
 from backhoe_planner.planning.descent.linear_model import LinearModel, Margin
-from backhoe_planner.planning.descent.own_time import OwnTime
+from backhoe_planner.planning.descent.own_time import FINE_PLACES, OwnTime
 
 PIECES, DURATION = 8, 3.0
 
@@ -61,15 +61,27 @@ UNEVEN = (0.0, 0.05, 0.15, 0.3, 0.5, 0.6, 0.8, 0.95, 1.0)
 
 
 @pytest.mark.parametrize(("objective", "width"), [("work", 1e-9), ("work", 20.0), ("kinetic", 1.0), ("effort", 1.0)])
-@pytest.mark.parametrize("knots", [(), UNEVEN])
+@pytest.mark.parametrize(("knots", "places"), [((), 4), (UNEVEN, 4), (UNEVEN, FINE_PLACES)])
 def test_the_slope_of_a_cost_is_that_of_differences(
-    planar4: bp.Robot, objective: str, width: float, knots: tuple[float, ...]
+    planar4: bp.Robot, objective: str, width: float, knots: tuple[float, ...], places: int
 ) -> None:
     problem, curve = problem_of(planar4, objective), JointCurve(bent_curve(planar4).control, knots)
-    own = OwnTime(problem, drive_of(problem))
+    own = OwnTime(problem, drive_of(problem), places)
     slope = own.slope(curve, DURATION, slice(1, -1), width=width).slope
     expected = differences(lambda *at: own.cost(*at, width=width), curve, 1e-5)
     np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))
+
+
+def test_what_lies_between_more_places_is_seen_better(planar4: bp.Robot) -> None:
+    """Beside a sum over 400 places of each piece; the power of every joint changes its sign on the way."""
+    problem, curve = problem_of(planar4, "work"), JointCurve(bent_curve(planar4).control)
+    exact = OwnTime(problem, drive_of(problem), 400).cost(curve, DURATION, width=1e-9)
+    few, more = (
+        abs(OwnTime(problem, drive_of(problem), places).cost(curve, DURATION, width=1e-9) - exact)
+        for places in (2, FINE_PLACES)
+    )
+    assert more < 0.5 * few
+    assert more < 0.01 * exact
 
 
 def test_the_slope_of_kinks_turns_as_that_of_their_rounded_sum() -> None:

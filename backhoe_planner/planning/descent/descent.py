@@ -37,7 +37,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
-from backhoe_planner.planning.descent.own_time import OwnTime
+from backhoe_planner.planning.descent.own_time import FINE_PLACES, OwnTime
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
@@ -139,7 +139,9 @@ class Descent:
         self._problem, self._proximity, self._kinematics = problem, proximity, kinematics
         self._time, self._brake, self._hurried = time, brake, hurried
         self._drive = drive_of(problem)
-        self._own_time = None if problem.objective.is_time else OwnTime(problem, self._drive)
+        own = None if problem.objective.is_time else OwnTime(problem, self._drive)
+        self._coarse_time, self._fine_time = own, own and replace(own, places=FINE_PLACES)
+        self._own_time = own  # of this descent
         self.rate = rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
@@ -154,6 +156,7 @@ class Descent:
         self, curve: JointCurve, duration: float, goal: Goal, *,
         most_rounds: int, spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
         longest: float = np.inf, unsampled: bool = False, rough: bool = False, clear_first: bool = False,
+        fine: bool = False,
     ) -> Timed | None:  # fmt: skip
         """Bend a curve until its cost falls no more.
 
@@ -172,6 +175,7 @@ class Descent:
         rough: whether the descent ends at larger gains, as a finer curve goes on from where it ends; not for the time.
         clear_first: whether what a curve misses costs much more than usual, so that it gets out of an obstacle that
             is cheap to go through.
+        fine: whether the cost is looked at in more places, where it is not the time; the last descents are worth it.
         is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
 
         Returns
@@ -182,6 +186,7 @@ class Descent:
         ------
         OutOfTime: the budget is used up.
         """
+        self._own_time = self._fine_time if fine else self._coarse_time
         self._rough, self._times_missed = rough, _CLEAR_FIRST if clear_first else 1.0
         down = partial(self._down, goal=goal, spare=spare, density=density)
         if self._own_time is None:

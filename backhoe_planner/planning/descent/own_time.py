@@ -19,7 +19,9 @@ from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 
-_PLACES_PER_PIECE = 4  # of the sum; chosen, with 3 what lies between them may cost three times as much as is seen
+# of the sum, for each piece; chosen. With 3 what lies between them may cost three times as much as is seen; with 4 a
+# tenth more where a descent is fine, at worst a half, and 1 to 4 % with 6
+_PLACES, FINE_PLACES = 4, 6
 _STRETCHES = 8  # in which the least T is found; chosen, mostly two are needed
 _WITHIN = 1e-3  # part of a limit that may be exceeded at the places; the samples of a motion are checked later
 
@@ -50,37 +52,39 @@ class OwnTime:
     Attributes
     ----------
     drive: of the problem's machine.
+    places: of the sum, for each piece. A descent lowers what is seen there, and raises what lies between.
     """
 
     problem: Problem
     drive: Drive
+    places: int = _PLACES
 
     def cost(self, curve: JointCurve, duration: float, *, width: float) -> float:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
         return float(self.costs([curve], np.array([duration]), width=width)[0])
 
     def costs(
-        self, curves: Sequence[JointCurve], durations: Vector, *, width: float, places: int = _PLACES_PER_PIECE
+        self, curves: Sequence[JointCurve], durations: Vector, *, width: float, places: int | None = None
     ) -> Vector:
         """(C,) the same of several curves of the same pieces with `durations` (C,), at once.
 
         Parameters
         ----------
-        places: of the sum, for each piece.
+        places: of the sum, for each piece, if not as usual.
         """
-        moments = _moments_of_all(curves, durations, places)
+        moments = _moments_of_all(curves, durations, self.places if places is None else places)
         parts, kinked = self.parts(*(each.reshape(-1, each.shape[2]) for each in moments))
         rate = np.sum(rounded(parts, width) if kinked else parts, axis=1).reshape(len(curves), -1)
         return np.asarray(rate @ curves[0].shares(rate.shape[1]) * durations)
 
     def gross(self, curve: JointCurve, duration: float) -> float:
         """What the motion would cost where what counts only as far as it is positive counted by its size."""
-        parts, _ = self.parts(*_moments(curve, duration))
+        parts, _ = self.parts(*self._moments(curve, duration))
         return float(curve.shares(len(parts)) @ np.sum(np.abs(parts), axis=1)) * duration
 
     def slope(self, curve: JointCurve, duration: float, moving: slice, *, width: float) -> Slope:
         """How the cost changes with the control points `moving` and T."""
-        moments = _moments(curve, duration)
+        moments = self._moments(curve, duration)
         change = _Change(curve, duration, moving, moments)
         share = duration * curve.shares(len(moments[0]))
         if not self.problem.objective.is_positive_power:
@@ -101,6 +105,11 @@ class OwnTime:
         # (torque v)'' = torque' v' + v' torque' + v torque'', the last of which is left out
         crossed = of_v.T @ ((kinks.share * kinks.rising())[:, None] * of_torque)
         return Slope(slope, _convex(crossed + crossed.T), kinks)
+
+    def _moments(self, curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
+        """(K, n) q, v, a at the places of the sum."""
+        q, v, a = _moments_of_all([curve], np.array([duration]), self.places)
+        return q[0], v[0], a[0]
 
     def _torques(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
         return np.asarray(self.drive.rigid_torques(q, v, a) + self.drive.soil_torques(q, v))
@@ -198,12 +207,6 @@ def _convex(H: Matrix) -> Matrix:
     """(m, m) a symmetric matrix H without what bends down."""
     bends, along = np.linalg.eigh(H)
     return np.asarray((along * np.maximum(bends, 0.0)) @ along.T)
-
-
-def _moments(curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
-    """(K, n) q, v, a at the places of the sum."""
-    q, v, a = _moments_of_all([curve], np.array([duration]), _PLACES_PER_PIECE)
-    return q[0], v[0], a[0]
 
 
 def _moments_of_all(curves: Sequence[JointCurve], durations: Vector, each: int) -> tuple[Array, Array, Array]:

@@ -228,7 +228,7 @@ class MotionDescents:
                 curve, duration = curve.finer(pieces, limits.velocity), min(duration, self.longest)
             found = self._bend(
                 curve, duration, best.goal, FINE_ROUNDS * (1 if is_time else _FINER),
-                spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
+                spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False, fine=True,
             )  # fmt: skip
             if found is not None and found.missed <= KEPT_PART * _SPARE:
                 self.offer(replace(best, motion=found.motion, cost=found.cost, curve=None if is_time else found.curve))
@@ -266,7 +266,7 @@ class MotionDescents:
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
         spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
-        unsampled: bool = False, rough: bool = False, clear_first: bool = False,
+        unsampled: bool = False, rough: bool = False, clear_first: bool = False, fine: bool = False,
     ) -> Timed | None:  # fmt: skip
         work, descent = self._world.work, self._descent
         before = descent.rounds
@@ -275,7 +275,7 @@ class MotionDescents:
             curve, duration, goal,
             most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
             longest=self.longest if np.isfinite(self.longest) else _SLOWER * duration,
-            unsampled=unsampled, rough=rough, clear_first=clear_first,
+            unsampled=unsampled, rough=rough, clear_first=clear_first, fine=fine,
         )  # fmt: skip
         work.descent_rounds -= -(-(descent.rounds - before) // self._rounds_in_one)
         return found
