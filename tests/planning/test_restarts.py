@@ -99,11 +99,11 @@ def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkey
     assert (way, searches.seeds) == ("search 1", [5])
 
 
-@pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 6)])
+@pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 3)])
 def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, leads_round: bool, count: int
 ) -> None:
-    found = iter([(10.0 - number, DURATION if number == 0 else 4.0) for number in range(6)])
+    found = iter([(10.0 - number, DURATION if number == 0 else 4.0) for number in range(3)])
     way, searches = way_of(
         planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], leads_round=leads_round
     )  # fmt: skip

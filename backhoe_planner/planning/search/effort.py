@@ -98,7 +98,7 @@ _NORMAL = Effort(
     ways_at_once=3,
     dull_searches=1,
     restarts=0,
-    restarts_round=5,
+    restarts_round=2,
     rough=True,
 )
 
