@@ -77,7 +77,7 @@ def test_an_interrupted_job_says_what_is_done_and_goes_on(run: Run, resumed: lis
 def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A machine without masses, and a crate without its front on its site."""
+    """A machine without masses, a crate without its front on its site, and a pipe whose place is in millimetres."""
     urdf = bp.load_robot("example:backhoe").urdf.path.read_text()
     Path("light.urdf").write_text(re.sub("<inertial>.*?</inertial>", "", urdf, flags=re.DOTALL))
     corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
@@ -85,7 +85,9 @@ def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
     lines = [*("v {} {} {}".format(*at) for at in corners), *("f {} {} {} {}".format(*side) for side in sides)]
     Path("crate.obj").write_text("\n".join(lines))
     crate = {"name": "crate", "shape": "mesh", "file": "crate.obj", "position": [-6.0, 5.0, 0.0]}
-    Path("light.yaml").write_text(yaml.safe_dump(TINY | {"machine": "light.urdf", "site": {"obstacles": [crate]}}))
+    pipe = {"name": "pipe", "shape": "sphere", "radius": 0.1, "position": [0.0, 7000.0, 0.0]}
+    site = {"obstacles": [crate, pipe]}
+    Path("light.yaml").write_text(yaml.safe_dump(TINY | {"machine": "light.urdf", "site": site}))
 
     def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
@@ -97,6 +99,7 @@ def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
         assert told.count("warning: no link that moves has a mass in the URDF") == 1
         assert "those of payload and soil alone" in told  # cuts take work all the same
         assert told.count("warning: the mesh crate.obj (crate) is not closed") == 1
+        assert re.search(r"warning: pipe is [67],[09]\d\d m away, .* sizes, positions and points of files are in metres", told)
         assert "warning" not in run(command, "job.yaml", "-o", "part.json")[2]
 
 

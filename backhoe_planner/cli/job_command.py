@@ -75,9 +75,7 @@ def job(
     kept: list[int] = []  # cycles that the output holds
     with (
         _telling_where_it_is(kept, output),
-        ERR.console.status("choosing the pattern of cuts ...")
-        if ERR.is_terminal and not as_json
-        else contextlib.nullcontext() as status,
+        ERR.status("choosing the pattern of cuts ...", quiet=as_json) as status,
     ):
 
         def told(step: jobs.JobStep) -> None:
@@ -91,7 +89,9 @@ def job(
         found = bp.plan_job(loaded, effort=effort, seed=seed, terrain=terrain, resume=resume, watch=told)
     found.save(output)
     if html is not None:
-        print_warnings(show.write_job_page(found, html))
+        with ERR.status("drawing the page ..."):
+            warnings = show.write_job_page(found, html)
+        print_warnings(warnings)
     print_job(found, output, as_json)
     if html is not None and not as_json:
         OUT.print(f"page          {html}")
@@ -230,13 +230,16 @@ def print_figures(plan: bp.JobPlan) -> None:
 def print_job_warnings(loaded: bp.Job) -> None:
     """Print what is assumed of a job's machine and site, before anything is planned."""
     scene = loaded.site_scene
-    print_warnings(site.input_warnings(site.load_machine(loaded.machine_source, scene), scene, with_task=False))
+    robot = site.load_machine(loaded.machine_source, scene)
+    print_warnings(site.input_warnings(robot, scene, with_task=False))
+    print_warnings(site.far_warnings(robot, site.build_obstacles(scene, robot)))
 
 
 def check_job(file: Path, urdf: str | None) -> int:
     """Prove the plan of a job anew, and print what holds."""
     begun = clock.monotonic()
-    found = bp.load_job_plan(file, urdf=urdf)
+    with ERR.status("digging the ground anew, for what stands at every moment ..."):
+        found = bp.load_job_plan(file, urdf=urdf)
     print_warnings(site.input_warnings(found.robot, found.job.site_scene, with_task=False))
     print_figures(found)
     OUT.print(f"{'checked in':<14}{clock.monotonic() - begun:.1f} s")

@@ -67,8 +67,7 @@ def plan(
             _wait_for_browser(viewer)
             found = compute(watch=lambda step: viewer.show_step(step.q, step.time))
         else:
-            moving = ERR.is_terminal and not as_json
-            with ERR.console.status("planning ...") if moving else contextlib.nullcontext() as status:
+            with ERR.status("planning ...", quiet=as_json) as status:
                 found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
         found.save(output)
         print_warnings(site.far_warnings(robot, found.problem.obstacles))
@@ -102,7 +101,11 @@ def view(
     if job.is_job_plan(plan_file):
         if html is None:
             raise _refused(plan_file, "is played from a page", hint="view PLAN --html PAGE writes one")
-        print_warnings(show.write_job_page(bp.load_job_plan(plan_file, urdf=urdf), html))
+        with ERR.status("digging the ground anew, for what stands at every moment ..."):
+            planned = bp.load_job_plan(plan_file, urdf=urdf)
+        with ERR.status("drawing the page ..."):
+            warnings = show.write_job_page(planned, html)
+        print_warnings(warnings)
         _print_page(html)
         return VERIFIED
     loaded = bp.load_plan(plan_file, urdf=urdf)

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TextIO, cast
@@ -15,6 +16,7 @@ import typer
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
     from rich.table import Table
 
 Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
@@ -74,6 +76,15 @@ class Stream:
             self.console.print(Text.assemble((words, style), rest))
         else:
             self.print(words + rest)
+
+    def status(self, words: str, *, quiet: bool = False) -> AbstractContextManager[Status | None]:
+        """What is going on, in a line that moves as long as the context lasts; None unless a person reads it.
+
+        Parameters
+        ----------
+        quiet: whether there is none in any case.
+        """
+        return self.console.status(words) if self.is_terminal and not quiet else contextlib.nullcontext()
 
     @property
     def _stream(self) -> TextIO:

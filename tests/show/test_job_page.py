@@ -45,14 +45,22 @@ def test_the_parts_follow_each_other_over_the_whole_job(plan: JobPlan) -> None:
 
 
 def test_the_changes_one_after_the_other_make_the_ground_at_the_end(plan: JobPlan) -> None:
+    """And so do those of how much loose soil covers it: wholly from 4 cm on."""
     heights = unpacked(start_of(plan.start)["heights"], "<i2").astype(float)
+    cover = unpacked(start_of(plan.start)["loose"], "u1").astype(float)
     changes = changes_of(plan, job_parts(plan))
     times = [change["time"] for change in changes]
     assert times == sorted(times)
     assert times[-1] <= plan.duration + 1e-9
     for change in changes:
-        heights[unpacked(change["columns"], "<u4")] = unpacked(change["heights"], "<i2")
+        columns = unpacked(change["columns"], "<u4")
+        heights[columns] = unpacked(change["heights"], "<i2")
+        cover[columns] = unpacked(change["loose"], "u1")
     assert np.abs(heights - 1000.0 * plan.end.surface.ravel()).max() <= 1.01  # they are told to the millimetre
+    loose = plan.end.loose.ravel()
+    told = loose > 5e-4  # less than that is no change
+    assert told.any()
+    np.testing.assert_allclose(cover[told] / 255.0, np.minimum(loose[told] / 0.04, 1.0), atol=0.02)
 
 
 @pytest.mark.long

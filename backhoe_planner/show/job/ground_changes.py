@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Flags, Matrix
+from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.job import BladeSweep, Cycle, JobPlan, Terrain, swept
 from backhoe_planner.show.job.job_frames import Part
 
@@ -17,7 +17,8 @@ _CUT_MOMENTS = 10  # of one cut; chosen, two a second
 _DUMP_MOMENTS = 5  # of one dump; chosen
 _POURS_FROM = 0.35  # part of the dump after which the soil falls; chosen, the bucket has half opened by then
 _MILLIMETRES = 1000.0
-_VISIBLE = 5e-4  # m of loose soil or of change that is shown
+_VISIBLE = 5e-4  # m of change that is shown
+_COVERS = 0.04  # m of loose soil through which what is below does not show; chosen, a heap's rim then has no teeth
 
 
 def start_of(ground: Terrain) -> dict[str, Any]:
@@ -27,12 +28,12 @@ def start_of(ground: Terrain) -> dict[str, Any]:
         "cell": ground.cell,
         "shape": ground.shape,
         "heights": _packed(_millimetres(ground.surface), "<i2"),
-        "loose": _packed(ground.loose > _VISIBLE, "u1"),
+        "loose": _packed(_cover(ground.loose), "u1"),
     }
 
 
 def changes_of(plan: JobPlan, parts: Sequence[Part]) -> list[dict[str, Any]]:
-    """What changes and when: time [s], indices of columns, their heights [mm], whether they are loose."""
+    """What changes and when: time [s], indices of columns, their heights [mm], how much loose soil covers them."""
     found: list[dict[str, Any]] = []
     for cycle in plan.cycles:
         own = {part.name: part for part in parts if part.cycle == cycle.number}
@@ -62,7 +63,7 @@ def _dump(cycle: Cycle, part: Part) -> list[dict[str, Any]]:
     if not len(columns):
         return []
     below, above = dug.surface.ravel()[columns], after.surface.ravel()[columns]
-    loose = after.loose.ravel()[columns] > _VISIBLE
+    loose = _cover(after.loose.ravel()[columns])
     begin = part.begin + _POURS_FROM * (part.end - part.begin)
     found = []
     for step in range(1, _DUMP_MOMENTS + 1):
@@ -76,16 +77,21 @@ def _between(before: Terrain, after: Terrain, time: float) -> list[dict[str, Any
     columns = np.flatnonzero(np.abs(after.surface - before.surface) > _VISIBLE)
     if not len(columns):
         return []
-    return [_change(time, columns, after.surface.ravel()[columns], after.loose.ravel()[columns] > _VISIBLE)]
+    return [_change(time, columns, after.surface.ravel()[columns], _cover(after.loose.ravel()[columns]))]
 
 
-def _change(time: float, columns: NDArray[np.intp], heights: Array, loose: Flags) -> dict[str, Any]:
+def _change(time: float, columns: NDArray[np.intp], heights: Array, cover: Array) -> dict[str, Any]:
     return {
         "time": time,
         "columns": _packed(columns, "<u4"),
         "heights": _packed(_millimetres(heights), "<i2"),
-        "loose": _packed(loose, "u1"),
+        "loose": _packed(cover, "u1"),
     }
+
+
+def _cover(loose: Array) -> Array:
+    """From 0 for none to 255 where loose soil hides what is below."""
+    return np.round(255.0 * np.clip(loose / _COVERS, 0.0, 1.0))
 
 
 def _millimetres(heights: Matrix) -> Array:

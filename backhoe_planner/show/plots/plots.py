@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Problem, Trajectory, limit_usage, trajectory_energy
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
@@ -135,9 +135,11 @@ def _velocities(
     time = plan.trajectory.time
     if len(time) > 1:
         steps = plan.trajectory.segment_velocities()
+        # a rate holds from sample to sample: a line through the middles of short intervals, level within long ones
+        inside = np.minimum(0.5 * np.diff(time), 0.5 * SAMPLE_PERIOD)
+        moments = np.column_stack((time[:-1] + inside, time[1:] - inside)).ravel()
         for joint in np.flatnonzero(which):
-            held = np.append(steps[:, joint], steps[-1, joint])
-            axes.plot(time, unit * held, drawstyle="steps-post", color=_colour(int(joint)), linewidth=1.6)
+            axes.plot(moments, unit * np.repeat(steps[:, joint], 2), color=_colour(int(joint)), linewidth=1.6)
     for joint in np.flatnonzero(which):
         for sign in (-1.0, 1.0):
             limit = sign * unit * problem.limits.velocity[joint]
@@ -159,11 +161,9 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     if tightest is not None:
         lowest = min(lowest, tightest.margin)
         axes.plot(tightest.time, tightest.margin, "o", markersize=6, markerfacecolor="none", color="#1d2731", zorder=5)
-        late = tightest.time > frames.time[0] + 0.7 * plan.trajectory.duration
-        axes.annotate(
-            f"{tightest.margin:.3f} m ({plain_text(tightest.link)})", (tightest.time, tightest.margin),
-            xytext=(-8 if late else 8, 9), textcoords="offset points", fontsize=8.5, ha="right" if late else "left",
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+        axes.text(
+            0.0, 1.02, f"least (o): {tightest.margin:.3f} m at {tightest.time:.2f} s ({plain_text(tightest.link)})",
+            transform=axes.transAxes, fontsize=8.5, ha="left", va="bottom",
         )  # fmt: skip
     axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)
     axes.set_ylabel("margin [m]")

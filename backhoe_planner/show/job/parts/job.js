@@ -21,14 +21,16 @@
   const position = new Float32Array(3 * rows * columns), colours = new Float32Array(3 * rows * columns);
   const [soil, spoil] = job.ground.colours;
 
-  function put(index, millimetres, colour) {
+  // Loose soil, from 0 for none to 255 where it hides what is below: dug soil where the ground is lower than at first.
+  function put(index, millimetres, loose, changed) {
     heights[index] = position[3 * index + 2] = millimetres / 1000;
-    colours.set(colour, 3 * index);
+    const below = changed && (millimetres < first[index] || loose === 0) ? soil : UNTOUCHED, part = loose / 255;
+    for (let k = 0; k < 3; k++) colours[3 * index + k] = below[k] + part * (spoil[k] - below[k]);
   }
 
   let applied = 0, shown = -1;
   function reset() {
-    for (let k = 0; k < first.length; k++) put(k, first[k], firstLoose[k] ? spoil : UNTOUCHED);
+    for (let k = 0; k < first.length; k++) put(k, first[k], firstLoose[k], false);
     applied = 0;
   }
 
@@ -37,7 +39,7 @@
     const before = applied;
     while (applied < changes.length && changes[applied].time <= time + 1e-6) {
       const { columns: where, heights: high, loose } = changes[applied++];
-      for (let k = 0; k < where.length; k++) put(where[k], high[k], loose[k] ? spoil : soil);
+      for (let k = 0; k < where.length; k++) put(where[k], high[k], loose[k], true);
     }
     if (time < shown || applied !== before || shown < 0) {
       geometry.attributes.position.needsUpdate = geometry.attributes.color.needsUpdate = true;
@@ -78,7 +80,8 @@
     viewer.scene_tree.find(["site", name]).object.traverse((one) => { if (one.isMesh) solids.push(one); });
     for (const solid of solids) {
       const through = new THREE.Mesh(solid.geometry, solid.material.clone());
-      Object.assign(through.material, { depthFunc: THREE.GreaterDepth, depthWrite: false, transparent: true, opacity: 0.25 });
+      Object.assign(through.material, { depthFunc: THREE.GreaterDepth, depthWrite: false, transparent: true, opacity: 0.16,
+        side: THREE.FrontSide });
       solid.add(through);
     }
   }
