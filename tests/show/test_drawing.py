@@ -30,12 +30,13 @@ from backhoe_planner.show import (
     margin_rgb,
     node_name,
     node_names,
+    site_mesh,
     solid,
     timeline,
     together,
     tube,
 )
-from backhoe_planner.site import scene_from_dict
+from backhoe_planner.site import build_obstacles, scene_from_dict
 
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 
@@ -78,6 +79,28 @@ def test_a_box_keeps_its_edges_and_a_ball_is_smooth() -> None:
     ball = facets(trimesh.creation.icosphere(subdivisions=3))
     assert len(ball.vertices) == 642
     np.testing.assert_allclose(ball.normals, ball.vertices, atol=0.02)
+
+
+@pytest.mark.parametrize(("roughness", "walls"), [(0.06, 0), (0.0, 2 * 4 * 11)])
+def test_ground_is_seen_from_above_and_has_no_edges_but_walls(tmp_path: Path, roughness: float, walls: int) -> None:
+    """20 x 20 cells: rough ones that meet at up to 60 degrees, or a pit, 2 m deep, between upright walls."""
+    heights = roughness * np.random.default_rng(2).normal(size=(21, 21))
+    if walls:
+        heights[5:15, 5:15] -= 2.0
+    np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
+    turn = [0.3, 0.0, 1.0]
+    ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [4.0, 4.0], "rpy": turn}
+    task = {"goal": {"position": [1.0, 0.0, 1.0]}}
+    content = {"version": 1, "start": {"joints": {}}, "task": task, "obstacles": [ground]}
+    scene = scene_from_dict(content, folder=tmp_path)
+    (obstacle,) = build_obstacles(scene, load_robot("example:planar4"))
+    drawn = site_mesh(obstacle, scene, centre=np.zeros(3), reach=5.0)
+    assert drawn.one_sided
+    assert (drawn.facets.normals @ pin.rpy.rpyToMatrix(*turn)[:, 2] > 0.0).all()
+    corners = len(np.unique(drawn.facets.vertices.round(9), axis=0))
+    assert corners == heights.size
+    split = len(drawn.facets.vertices) - corners
+    assert min(walls, 4 * 9) <= split <= walls  # there is one vertex more at most of those along both rims
 
 
 def test_a_tube_follows_its_line() -> None:

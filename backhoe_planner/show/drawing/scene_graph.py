@@ -184,7 +184,8 @@ class SceneGraph:
 
     def _draw_solid(self, name: str, drawn: SiteMesh, *, order: int) -> None:
         """One obstacle and its clearance shell."""
-        solid = mesh(drawn.facets, drawn.rgba, lit=drawn.bounds is not None or drawn.rgba[3] > 0.5)
+        lit = drawn.bounds is not None or drawn.rgba[3] > 0.5
+        solid = mesh(drawn.facets, drawn.rgba, lit=lit, one_sided=drawn.one_sided)
         draw(self._tree["site"][name], solid, shadow=drawn.rgba[3] == 1.0)
         if drawn.shell is None:
             return

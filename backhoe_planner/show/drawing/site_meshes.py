@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +31,7 @@ _COLOURS = {
     "mesh": SOIL, "pointcloud": _SCAN, "sphere": _ROCK, "cylinder": _STEEL, "capsule": _STEEL,
 }  # any other shape is slate  # fmt: skip
 _LEVEL, _PIPE = 0.05, 0.3  # m: a box that ends below the one is ground, a capsule below the other a pipe; chosen
+_CREASE_OF_GROUND = 1.3  # rad: walls of a pit are edges, single rough cells are not; chosen
 _SLENDER = 6.0  # times as high as wide: what is more slender looks like a pole; chosen
 
 
@@ -46,6 +46,7 @@ class SiteMesh:
     shell, shell_rgba: the surface at its clearance; None where that is 0, and of scans and fine meshes.
     anchor: (3,) where its name is written [m].
     bounds: (2, 3) lowest and highest corner [m]; None for what has no end.
+    one_sided: whether it is seen from outside alone, as ground is from above.
     """
 
     name: str
@@ -55,6 +56,7 @@ class SiteMesh:
     shell_rgba: Rgba
     anchor: Vector
     bounds: Vector | None
+    one_sided: bool = False
 
 
 def is_ground(obstacle: Obstacle) -> bool:
@@ -78,10 +80,7 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     if obstacle.cluster is not None:
         return _cluster(obstacle, obstacle.cluster)
     if isinstance(spec, obstacle_shapes.HeightMap):
-        surface = _terrain(spec, scene)
-        top = surface.vertices[np.argmax(surface.vertices[:, 2])]
-        lift = [0.0, 0.0, obstacle.clearance]
-        return _mesh(obstacle, surface, lambda: surface.copy().apply_translation(lift), (*SOIL, 1.0), top)
+        return _ground(obstacle, _terrain(spec, scene))
     if isinstance(spec, obstacle_shapes.Mesh):
         drawn = load_mesh(scene.folder / spec.file)
         drawn.apply_scale(spec.scale)
@@ -93,7 +92,12 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
     if isinstance(spec, obstacle_shapes.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
         anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
-    return _mesh(obstacle, drawn, lambda: _shell(obstacle), _colour(obstacle, drawn), anchor)
+    rgba = _colour(obstacle, drawn)
+    return SiteMesh(
+        name=obstacle.name, facets=facets(drawn), rgba=rgba,
+        shell=None if obstacle.clearance == 0.0 else facets(_shell(obstacle)), shell_rgba=(*rgba[:3], 0.16),
+        anchor=np.asarray(anchor, dtype=float), bounds=np.asarray(drawn.bounds, dtype=float),
+    )  # fmt: skip
 
 
 def _cluster(obstacle: Obstacle, cluster: Cluster) -> SiteMesh:
@@ -102,28 +106,21 @@ def _cluster(obstacle: Obstacle, cluster: Cluster) -> SiteMesh:
     low, high = drawn.bounds
     anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
     if isinstance(obstacle.spec, obstacle_shapes.HeightMap):
-        lift = [0.0, 0.0, obstacle.clearance]
-        top = drawn.vertices[np.argmax(drawn.vertices[:, 2])]
-        return _mesh(obstacle, drawn, lambda: drawn.copy().apply_translation(lift), (*SOIL, 1.0), top)
-    found = SiteMesh(
+        return _ground(obstacle, drawn)
+    return SiteMesh(
         name=obstacle.name, facets=facets(drawn), rgba=_colour(obstacle, drawn), shell=None,
         shell_rgba=(0.0, 0.0, 0.0, 0.0), anchor=anchor, bounds=np.asarray(drawn.bounds, dtype=float),
     )  # fmt: skip
-    return found
 
 
-def _mesh(
-    obstacle: Obstacle, drawn: trimesh.Trimesh, shell: Callable[[], trimesh.Trimesh], rgba: Rgba, anchor: Vector
-) -> SiteMesh:
+def _ground(obstacle: Obstacle, surface: trimesh.Trimesh) -> SiteMesh:
+    """Uneven ground; the surface at its clearance is its own, lifted."""
+    lifted = surface.copy().apply_translation([0.0, 0.0, obstacle.clearance])
     return SiteMesh(
-        name=obstacle.name,
-        facets=facets(drawn),
-        rgba=rgba,
-        shell=None if obstacle.clearance == 0.0 else facets(shell()),
-        shell_rgba=(*rgba[:3], 0.16),
-        anchor=np.asarray(anchor, dtype=float),
-        bounds=np.asarray(drawn.bounds, dtype=float),
-    )
+        name=obstacle.name, facets=facets(surface, _CREASE_OF_GROUND), rgba=(*SOIL, 1.0),
+        shell=None if obstacle.clearance == 0.0 else facets(lifted, _CREASE_OF_GROUND), shell_rgba=(*SOIL, 0.16),
+        anchor=surface.vertices[np.argmax(surface.vertices[:, 2])], bounds=surface.bounds, one_sided=True,
+    )  # fmt: skip
 
 
 def _shell(obstacle: Obstacle) -> trimesh.Trimesh:

@@ -64,13 +64,13 @@ def _hull(points: Matrix) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(points)
 
 
-def facets(mesh: trimesh.Trimesh) -> Facets:
+def facets(mesh: trimesh.Trimesh, crease: float = _CREASE) -> Facets:
     """`mesh` ready to be drawn: smooth where it is round, sharp at its edges.
 
-    Faces that meet at less than the crease angle share their normals at a vertex. This is what
+    Faces that meet at less than the angle `crease` [rad] share their normals at a vertex. This is what
     `trimesh.graph.smooth_shade` does, which is five times slower for thousands of boxes.
     """
-    smooth = mesh.face_adjacency[mesh.face_adjacency_angles < _CREASE]
+    smooth = mesh.face_adjacency[mesh.face_adjacency_angles < crease]
     patch = trimesh.graph.connected_component_labels(smooth, node_count=len(mesh.faces))
     corners = np.column_stack((np.ravel(mesh.faces), np.repeat(patch, 3)))
     distinct, index = np.unique(corners, axis=0, return_inverse=True)
