@@ -26,7 +26,7 @@ from pydantic import (
 )
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.files.schema_keys import entries_at, key_below, keys_of, record_at, variants
+from backhoe_planner.files.schema_keys import entries_at, keys_of, meant_by, record_at, variants
 from backhoe_planner.files.yaml_text import KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
@@ -133,8 +133,8 @@ def explain(
         if detail["type"] == "extra_forbidden":
             record = record_at(detail["loc"], root, tagged)
             keys = sorted(keys_of(record))
-            near = nearest_name(str(place[-1]), keys) or key_below(str(place[-1]), _at(place[:-1], content), record)
-            what = f"there is no such key{_meant(near)} Allowed: {', '.join(keys)}"
+            meant = meant_by(str(place[-1]), _at(place[:-1], content), record)
+            what = f"there is no such key{_meant(meant)} Allowed: {', '.join(keys)}"
         elif detail["type"].startswith("union_tag"):
             what = _wrong_tag(detail, tagged)
         elif detail["type"] == "tuple_type" and detail["input"] is not None:

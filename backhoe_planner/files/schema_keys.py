@@ -8,6 +8,8 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from backhoe_planner.errors import nearest_name
+
 _HINTED_LEVELS = 2  # below a key that is not allowed, in which a place for it is looked for
 
 
@@ -51,22 +53,26 @@ def keys_of(record: type[BaseModel]) -> list[str]:
     return [field.alias or name for name, field in record.model_fields.items()]
 
 
-def key_below(key: str, given: Mapping[str, Any], record: type[BaseModel]) -> str | None:
-    """Where `key`, one of those `given`, may stand below `record`, as `task.goal`; None where that is not clear.
+def meant_by(key: str, given: Mapping[str, Any], record: type[BaseModel]) -> str | None:
+    """What `key`, one of those `given` for a record that does not have it, seems to stand for; None where that is open.
 
-    Names with numbers count as a mapping of them where nothing else is given.
+    That is the only place below where such a key may stand, as `task.goal`, else the key of the record that is spelt
+    nearly so. Names with numbers count as a mapping of them where nothing else is given.
     """
+    found = _places_below(key, [("", record)], depth=_HINTED_LEVELS)
+    near = None if found else nearest_name(key, sorted(keys_of(record)))
+    if found or near:
+        return near or (found.pop() if len(found) == 1 else None)
     if all(isinstance(value, (int, float)) for value in given.values()) and not set(given) & set(keys_of(record)):
-        found = [
+        found = {
             f"{field.alias or name}.{key}"
             for name, field in record.model_fields.items()
             if _takes_numbers_by_name(field.annotation)
-        ]
-        return found[0] if len(found) == 1 else None
-    return _only_place(key, [("", record)], depth=_HINTED_LEVELS)
+        }
+    return found.pop() if len(found) == 1 else None
 
 
-def _only_place(key: str, records: Sequence[tuple[str, type[BaseModel]]], *, depth: int) -> str | None:
+def _places_below(key: str, records: Sequence[tuple[str, type[BaseModel]]], *, depth: int) -> set[str]:
     """Where `key` may stand in what the `records` hold, each with how its place begins, at the least depth."""
     below = [
         (f"{beginning}{field.alias or name}.", inner)
@@ -75,9 +81,7 @@ def _only_place(key: str, records: Sequence[tuple[str, type[BaseModel]]], *, dep
         for inner in _single_models_in(field.annotation)
     ]
     found = {f"{beginning}{key}" for beginning, inner in below if key in keys_of(inner)}
-    if found or depth == 1:
-        return found.pop() if len(found) == 1 else None
-    return _only_place(key, below, depth=depth - 1)
+    return found if found or depth == 1 else _places_below(key, below, depth=depth - 1)
 
 
 def _single_models_in(annotation: Any) -> Iterator[type[BaseModel]]:

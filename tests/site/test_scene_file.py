@@ -275,6 +275,10 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     ),
     "speed outside its path": (scene(speed=0.3), ["speed: there is no such key; did you mean 'task.path.speed'?"]),
     "key with many places": (scene(pitch=0.3), ["pitch: there is no such key. Allowed"]),
+    "key with many places, spelt nearly as another": (
+        scene(task={"pitch": 0.3, "goal": {"position": [1.0, 0.0, 0.0]}}),
+        ["task.pitch: there is no such key. Allowed"],
+    ),
     "number for a list": (
         shaped("box", size=12),
         ["obstacles[0].size: is not a list; found 12; allowed: [...], 3 numbers"],
