@@ -89,9 +89,7 @@ def job(
         found = bp.plan_job(loaded, effort=effort, seed=seed, terrain=terrain, resume=resume, watch=told)
     found.save(output)
     if html is not None:
-        with ERR.status("drawing the page ..."):
-            warnings = show.write_job_page(found, html)
-        print_warnings(warnings)
+        draw_job_page(found, html)
     print_job(found, output, as_json)
     if html is not None and not as_json:
         OUT.print(f"page          {html}")
@@ -235,11 +233,23 @@ def print_job_warnings(loaded: bp.Job) -> None:
     print_warnings(site.far_warnings(robot, site.build_obstacles(scene, robot)))
 
 
+def read_job_plan(file: Path, urdf: str | None) -> bp.JobPlan:
+    """The plan of a job; a terminal says meanwhile what takes so long."""
+    with ERR.status("digging the ground anew, for what stands at every moment ..."):
+        return bp.load_job_plan(file, urdf=urdf)
+
+
+def draw_job_page(plan: bp.JobPlan, html: Path) -> None:
+    """Write the page of a job, and print what there is to say of it; a terminal says meanwhile what takes so long."""
+    with ERR.status("drawing the page ..."):
+        warnings = show.write_job_page(plan, html)
+    print_warnings(warnings)
+
+
 def check_job(file: Path, urdf: str | None) -> int:
     """Prove the plan of a job anew, and print what holds."""
     begun = clock.monotonic()
-    with ERR.status("digging the ground anew, for what stands at every moment ..."):
-        found = bp.load_job_plan(file, urdf=urdf)
+    found = read_job_plan(file, urdf)
     print_warnings(site.input_warnings(found.robot, found.job.site_scene, with_task=False))
     print_figures(found)
     OUT.print(f"{'checked in':<14}{clock.monotonic() - begun:.1f} s")

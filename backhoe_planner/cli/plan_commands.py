@@ -13,7 +13,7 @@ import typer
 
 import backhoe_planner as bp
 from backhoe_planner import job, motion, planning, show, site
-from backhoe_planner.cli.job_command import check_job
+from backhoe_planner.cli.job_command import check_job, draw_job_page, read_job_plan
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_ending, check_output
@@ -101,11 +101,7 @@ def view(
     if job.is_job_plan(plan_file):
         if html is None:
             raise _refused(plan_file, "is played from a page", hint="view PLAN --html PAGE writes one")
-        with ERR.status("digging the ground anew, for what stands at every moment ..."):
-            planned = bp.load_job_plan(plan_file, urdf=urdf)
-        with ERR.status("drawing the page ..."):
-            warnings = show.write_job_page(planned, html)
-        print_warnings(warnings)
+        draw_job_page(read_job_plan(plan_file, urdf), html)
         _print_page(html)
         return VERIFIED
     loaded = bp.load_plan(plan_file, urdf=urdf)
@@ -156,7 +152,7 @@ def export(
     """Write a plan's motion for other tools; of a job's every cycle."""
     if job.is_job_plan(plan_file):
         check_output(file, [plan_file])
-        job.export_job(bp.load_job_plan(plan_file, urdf=urdf), file)
+        job.export_job(read_job_plan(plan_file, urdf), file)
         OUT.print(f"wrote {file}")
         return VERIFIED
     return _write(planning.export_plan, plan_file, urdf, file)

@@ -26,7 +26,7 @@ from pydantic import (
 )
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.files.schema_keys import entries_at, keys_of, meant_by, record_at, variants
+from backhoe_planner.files.schema_keys import entries_at, fields_of, meant_by, record_at, variants
 from backhoe_planner.files.yaml_text import KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
@@ -132,7 +132,7 @@ def explain(
         where = _spell(place) + (f" (line {line})" if line is not None else "")
         if detail["type"] == "extra_forbidden":
             record = record_at(detail["loc"], root, tagged)
-            keys = sorted(keys_of(record))
+            keys = sorted(fields_of(record))
             meant = meant_by(str(place[-1]), _at(place[:-1], content), record)
             what = f"there is no such key{_meant(meant)} Allowed: {', '.join(keys)}"
         elif detail["type"].startswith("union_tag"):

@@ -48,9 +48,9 @@ def _fields_called(key: str | int, record: type[BaseModel]) -> list[FieldInfo]:
     return [field for name, field in record.model_fields.items() if key in (name, field.alias)]
 
 
-def keys_of(record: type[BaseModel]) -> list[str]:
-    """The keys of a record as they stand in a file."""
-    return [field.alias or name for name, field in record.model_fields.items()]
+def fields_of(record: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a record by their keys as they stand in a file."""
+    return {field.alias or name: field for name, field in record.model_fields.items()}
 
 
 def meant_by(key: str, given: Mapping[str, Any], record: type[BaseModel]) -> str | None:
@@ -59,38 +59,26 @@ def meant_by(key: str, given: Mapping[str, Any], record: type[BaseModel]) -> str
     That is the only place below where such a key may stand, as `task.goal`, else the key of the record that is spelt
     nearly so. Names with numbers count as a mapping of them where nothing else is given.
     """
-    found = _places_below(key, [("", record)], depth=_HINTED_LEVELS)
-    near = None if found else nearest_name(key, sorted(keys_of(record)))
-    if found or near:
-        return near or (found.pop() if len(found) == 1 else None)
-    if all(isinstance(value, (int, float)) for value in given.values()) and not set(given) & set(keys_of(record)):
-        found = {
-            f"{field.alias or name}.{key}"
-            for name, field in record.model_fields.items()
-            if _takes_numbers_by_name(field.annotation)
-        }
+    found, fields = _places_below(key, [("", record)], depth=_HINTED_LEVELS), fields_of(record)
+    if not found:
+        near = nearest_name(key, sorted(fields))
+        if near is not None:
+            return near
+        if all(isinstance(value, (int, float)) for value in given.values()) and fields.keys().isdisjoint(given):
+            found = {f"{name}.{key}" for name, field in fields.items() if _takes_numbers_by_name(field.annotation)}
     return found.pop() if len(found) == 1 else None
 
 
 def _places_below(key: str, records: Sequence[tuple[str, type[BaseModel]]], *, depth: int) -> set[str]:
     """Where `key` may stand in what the `records` hold, each with how its place begins, at the least depth."""
     below = [
-        (f"{beginning}{field.alias or name}.", inner)
+        (f"{beginning}{name}.", inner)
         for beginning, record in records
-        for name, field in record.model_fields.items()
-        for inner in _single_models_in(field.annotation)
+        for name, field in fields_of(record).items()
+        for inner in _models_in(field.annotation, in_lists=False)
     ]
-    found = {f"{beginning}{key}" for beginning, inner in below if key in keys_of(inner)}
+    found = {f"{beginning}{key}" for beginning, inner in below if key in fields_of(inner)}
     return found if found or depth == 1 else _places_below(key, below, depth=depth - 1)
-
-
-def _single_models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The records of which `annotation` takes one, not a list of them."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    if get_origin(annotation) is not tuple:
-        for argument in getattr(annotation, "__args__", ()):
-            yield from _single_models_in(argument)
 
 
 def _takes_numbers_by_name(annotation: Any) -> bool:
@@ -110,8 +98,10 @@ def entries_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mappin
     return ""
 
 
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+def _models_in(annotation: Any, *, in_lists: bool = True) -> Iterator[type[BaseModel]]:
+    """The records that `annotation` takes; without `in_lists` those of which it takes one, not a list of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
-    for argument in getattr(annotation, "__args__", ()):
-        yield from _models_in(argument)
+    if in_lists or get_origin(annotation) is not tuple:
+        for argument in getattr(annotation, "__args__", ()):
+            yield from _models_in(argument, in_lists=in_lists)

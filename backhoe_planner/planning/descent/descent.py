@@ -37,7 +37,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
-from backhoe_planner.planning.descent.own_time import FINE_PLACES, OwnTime
+from backhoe_planner.planning.descent.own_time import FINE_PLACES, PLACES, OwnTime
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
@@ -139,9 +139,7 @@ class Descent:
         self._problem, self._proximity, self._kinematics = problem, proximity, kinematics
         self._time, self._brake, self._hurried = time, brake, hurried
         self._drive = drive_of(problem)
-        own = None if problem.objective.is_time else OwnTime(problem, self._drive)
-        self._coarse_time, self._fine_time = own, own and replace(own, places=FINE_PLACES)
-        self._own_time = own  # of this descent
+        self._own_time = None if problem.objective.is_time else OwnTime(problem, self._drive)
         self.rate = rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
@@ -186,7 +184,8 @@ class Descent:
         ------
         OutOfTime: the budget is used up.
         """
-        self._own_time = self._fine_time if fine else self._coarse_time
+        if self._own_time is not None:
+            self._own_time = replace(self._own_time, places=FINE_PLACES if fine else PLACES)
         self._rough, self._times_missed = rough, _CLEAR_FIRST if clear_first else 1.0
         down = partial(self._down, goal=goal, spare=spare, density=density)
         if self._own_time is None:

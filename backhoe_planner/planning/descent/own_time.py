@@ -21,7 +21,7 @@ from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 
 # of the sum, for each piece; chosen. With 3 what lies between them may cost three times as much as is seen; with 4 a
 # tenth more where a descent is fine, at worst a half, and 1 to 4 % with 6
-_PLACES, FINE_PLACES = 4, 6
+PLACES, FINE_PLACES = 4, 6
 _STRETCHES = 8  # in which the least T is found; chosen, mostly two are needed
 _WITHIN = 1e-3  # part of a limit that may be exceeded at the places; the samples of a motion are checked later
 
@@ -57,7 +57,7 @@ class OwnTime:
 
     problem: Problem
     drive: Drive
-    places: int = _PLACES
+    places: int = PLACES
 
     def cost(self, curve: JointCurve, duration: float, *, width: float) -> float:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -115,10 +115,11 @@ def _cluster(obstacle: Obstacle, cluster: Cluster) -> SiteMesh:
 
 def _ground(obstacle: Obstacle, surface: trimesh.Trimesh) -> SiteMesh:
     """Uneven ground; the surface at its clearance is its own, lifted."""
-    lifted = surface.copy().apply_translation([0.0, 0.0, obstacle.clearance])
+    drawn = facets(surface, _CREASE_OF_GROUND)
+    lifted = replace(drawn, vertices=drawn.vertices + np.array([0.0, 0.0, obstacle.clearance]))
     return SiteMesh(
-        name=obstacle.name, facets=facets(surface, _CREASE_OF_GROUND), rgba=(*SOIL, 1.0),
-        shell=None if obstacle.clearance == 0.0 else facets(lifted, _CREASE_OF_GROUND), shell_rgba=(*SOIL, 0.16),
+        name=obstacle.name, facets=drawn, rgba=(*SOIL, 1.0),
+        shell=None if obstacle.clearance == 0.0 else lifted, shell_rgba=(*SOIL, 0.16),
         anchor=surface.vertices[np.argmax(surface.vertices[:, 2])], bounds=surface.bounds, one_sided=True,
     )  # fmt: skip
 
