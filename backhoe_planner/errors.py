@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 _Kind = TypeVar("_Kind")
 _LONG = 200  # characters; chosen
+# part of the letters of two names, in order, from which on one may be meant for the other; chosen: one wrong letter in
+# four is enough, the ending of another word is not
+_SIMILAR = 0.7
 
 
 class PlannerError(Exception):
@@ -118,7 +121,7 @@ class OutputError(InputError):
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """The entry of `names` that is most similar to `name`; None where none is similar."""
-    close = difflib.get_close_matches(name, list(names), n=1)
+    close = difflib.get_close_matches(name, list(names), n=1, cutoff=_SIMILAR)
     return close[0] if close else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import trimesh
 import umsgpack
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.motion import Trajectory, build_problem
@@ -30,6 +32,7 @@ from backhoe_planner.show import (
     margin_rgb,
     node_name,
     node_names,
+    part_behind,
     site_mesh,
     solid,
     timeline,
@@ -133,6 +136,35 @@ def test_every_point_is_in_view(aspect: float, ceiling: float | None) -> None:
     assert np.max(np.abs((points - eye) @ up) / depth) <= half
     assert np.max(np.abs((points - eye) @ right) / depth) <= half * aspect * 1.03  # the table is interpolated
     assert view.direction[1] > 0.0
+
+
+def test_a_box_hides_what_is_behind_it_alone() -> None:
+    """Seen from the origin its near face, 1 m wide and 2 m away, covers what is 3 m wide at 6 m."""
+    boxes, eye = np.array([[[2.0, -0.5, -1.0], [2.5, 0.5, 1.0]]]), np.zeros(3)
+    points = np.array([[6.0, y, 0.0] for y in (-3.0, -1.6, -1.4, 0.0, 1.4, 1.6, 3.0, 9.0)])
+    assert part_behind(boxes, points, eye) == 3 / 8
+    assert part_behind(boxes, points[3:4] / 3.0, eye) == 0.0  # on its face
+    assert part_behind(boxes, np.array([[2.2, 0.1, 0.0]]), eye) == 0.0  # in it
+    assert part_behind(boxes, -points, eye) == 0.0  # behind the camera
+    assert part_behind(boxes, points, np.array([2.2, 0.0, 0.0])) == 0.0  # from within
+    assert part_behind(np.zeros((0, 2, 3)), points, eye) == 0.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_camera_goes_to_where_the_machine_is_seen(side: float) -> None:
+    points = np.random.default_rng(4).uniform([-2, -1, 0], [4, 1, 2], size=(60, 3))
+    left = np.array([[-9.0, 1.5, 0.0], [9.0, 1.8, 6.0]])
+    right = np.array([[-9.0, -1.8, 0.0], [9.0, -1.5, 6.0]])
+
+    def seen(walls: list[Matrix]) -> tuple[float, float]:
+        """The camera's side, and the part of the machine that walls hide."""
+        view = frame(points, side=side, hidden=partial(part_behind, np.array(walls), points))
+        return float(np.sign(view.direction[1])), part_behind(np.array(walls), points, view.eye())
+
+    assert seen([left if side < 0.0 else right]) == (side, 0.0)  # it stands behind the machine
+    assert seen([left if side > 0.0 else right]) == (-side, 0.0)
+    blind = part_behind(np.array([left, right]), points, frame(points, side=side).eye())
+    assert seen([left, right])[1] < 0.5 * blind
 
 
 def test_of_several_messages_about_one_thing_the_last_is_kept() -> None:

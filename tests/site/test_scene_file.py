@@ -284,6 +284,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         ["obstacles[0].size: is not a list; found 12; allowed: [...], 3 numbers"],
     ),
     "unknown key of soil": (scene(soil={"densty": 1}), ["soil.densty", "did you mean 'density'?"]),
+    "a key of something else": (scene(soil={"position": 1}), ["soil.position: there is no such key. Allowed: "]),
     "unknown key of the start": (scene(start={"joint": {}}), ["start.joint", "did you mean 'joints'?"]),
     "key that is no text": (scene(obstacles=[]) | {1: 2}, ["1", "strings"]),  # type: ignore[dict-item]
     "no version": ({"task": GOAL["task"], "start": GOAL["start"]}, ["version: is missing"]),

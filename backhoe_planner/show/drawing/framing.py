@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 
 FIELD_OF_VIEW = np.radians(38.0)  # rad, vertical; chosen, wide enough for depth and too narrow to distort
 _ELEVATIONS = np.radians([20.0, 17.0, 14.0, 11.0, 9.0])  # rad, the first that stays under a ceiling; chosen
 _UNDER = 0.08  # part of the distance by which the camera stays under a ceiling; chosen
 _AZIMUTH = np.radians(52.0)  # rad from the x axis, along which the arm points; chosen, between side and front
+# rad, from the same side and from the other one in turn, where something hides the machine; chosen
+_OTHER_AZIMUTHS = np.radians([52.0, 20.0, 95.0, 140.0])
+_STEEP = np.radians(48.0)  # rad of elevation, where it is hidden from all sides; chosen
+_LITTLE_HIDDEN = 0.1  # part of what is to be seen that may be hidden; chosen
 _ASPECTS = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5)  # width / height, for which distances are computed
 _ASPECT = 1.5  # width / height of a common picture
 _ROOM = 1.07  # size of the picture beside what is in it; chosen, a narrow rim
@@ -39,15 +44,34 @@ class View:
         return np.asarray(self.target + self.direction * np.interp(aspect, aspects, distances))
 
 
-def frame(points: Matrix, *, side: float = -1.0, ceiling: float | None = None) -> View:
-    """The three-quarter view that has all `points` (k, 3) in it [m], world.
+def frame(
+    points: Matrix, *, side: float = -1.0, ceiling: float | None = None,
+    hidden: Callable[[Vector], float] = lambda eye: 0.0,
+) -> View:  # fmt: skip
+    """The three-quarter view that has all `points` (k, 3) in it [m], world; another one where that hides too much.
 
     Parameters
     ----------
     side: its sign is the sign of the camera's y: left or right of the arm.
     ceiling: height of something wide overhead, under which the camera stays [m].
+    hidden: the part of what is to be seen, 0 to 1, that something hides from a camera at (3,) [m].
     """
-    views = [_view(points, side, elevation) for elevation in _ELEVATIONS]
+    side = np.sign(side or -1.0)
+    best, least = _below(ceiling, points, side * _AZIMUTH), np.inf
+    for azimuth in (sign * side * turned for turned in _OTHER_AZIMUTHS for sign in (1.0, -1.0)):
+        view = _below(ceiling, points, azimuth)
+        part = hidden(view.eye())
+        if part < least:
+            best, least = view, part
+        if least <= _LITTLE_HIDDEN:
+            return best
+    steep = _view(points, side * _AZIMUTH, _STEEP)
+    return steep if ceiling is None and hidden(steep.eye()) < least else best
+
+
+def _below(ceiling: float | None, points: Matrix, azimuth: float) -> View:
+    """The view from there that stays under a ceiling, if it can."""
+    views = [_view(points, azimuth, elevation) for elevation in (_ELEVATIONS[:1] if ceiling is None else _ELEVATIONS)]
     if ceiling is not None:
         for view in views:
             eye = view.eye()
@@ -56,8 +80,8 @@ def frame(points: Matrix, *, side: float = -1.0, ceiling: float | None = None) -
     return views[0]
 
 
-def _view(points: Matrix, side: float, elevation: float) -> View:
-    level = np.array([np.cos(_AZIMUTH), np.sign(side or -1.0) * np.sin(_AZIMUTH), 0.0])
+def _view(points: Matrix, azimuth: float, elevation: float) -> View:
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     direction = np.cos(elevation) * level + np.array([0.0, 0.0, np.sin(elevation)])
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)
@@ -65,6 +89,21 @@ def _view(points: Matrix, side: float, elevation: float) -> View:
     target = _centred(points, direction, right, up)
     distances = tuple((aspect, _distance(points - target, direction, right, up, aspect)) for aspect in _ASPECTS)
     return View(target=target, direction=direction, distances=distances)
+
+
+def part_behind(boxes: Array, points: Matrix, eye: Vector) -> float:
+    """The part of `points` (k, 3) [m], 0 to 1, that at least one of `boxes` (B, 2, 3) hides from a camera at (3,).
+
+    Boxes along the axes, each with its lowest and its highest corner. One in which the camera stands hides nothing, nor
+    does one hide the points in it.
+    """
+    way = points - eye
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enters, leaves = np.sort((boxes[:, :, None, :] - eye) / way, axis=1).transpose(1, 0, 2, 3)
+    # of a way along a face both are infinite or nothing
+    enters, leaves = np.nan_to_num(enters, nan=-np.inf).max(axis=2), np.nan_to_num(leaves, nan=np.inf).min(axis=2)
+    behind = (enters > 0.0) & (enters < leaves) & (leaves < 1.0)  # (B, k)
+    return float(np.mean(behind.any(axis=0))) if len(boxes) and len(points) else 0.0
 
 
 def _distance(relative: Matrix, direction: Vector, right: Vector, up: Vector, aspect: float) -> float:

@@ -14,13 +14,14 @@ Names are those of the URDF and of the scene file.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import trimesh
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import Kinematics, TipTarget, tip_travel_bound
 from backhoe_planner.motion import Problem
 from backhoe_planner.show.drawing.drawing import (
@@ -34,7 +35,7 @@ from backhoe_planner.show.drawing.drawing import (
     set_property,
     set_stage,
 )
-from backhoe_planner.show.drawing.framing import View, frame
+from backhoe_planner.show.drawing.framing import View, frame, part_behind
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
 from backhoe_planner.show.drawing.loads import load_meshes
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
@@ -267,7 +268,19 @@ class SceneGraph:
         if self.problem.path is not None:
             seen.append(self.problem.path.points)
         # what is large and tall belongs behind the machine
-        return frame(np.vstack(seen), side=-1.0 if side >= 0.0 else 1.0, ceiling=ceiling)
+        return frame(
+            np.vstack(seen), side=-1.0 if side >= 0.0 else 1.0, ceiling=ceiling,
+            hidden=partial(part_behind, self._opaque_boxes(), seen[0]),
+        )  # fmt: skip
+
+    def _opaque_boxes(self) -> Array:
+        """(B, 2, 3) lowest and highest corners of what the machine cannot be seen through [m], world."""
+        boxes = [
+            drawn.bounds
+            for obstacle, drawn in zip(self._drawn, self._site, strict=True)
+            if drawn.bounds is not None and drawn.rgba[3] == 1.0 and not is_ground(obstacle)
+        ]
+        return np.array(boxes).reshape(-1, 2, 3)
 
     def look(self, points: Matrix) -> View:
         """Point the camera so that the site and all `points` (k, 3) are in view [m], world."""
