@@ -60,6 +60,7 @@ from .search.motion_check import MotionCheck as MotionCheck
 from .search.motion_check import places as places
 from .search.postures import find_distinct as find_distinct
 from .search.reach import Reach as Reach
+from .search.reach import beyond_limits as beyond_limits
 from .search.roadmap import Roadmap as Roadmap
 from .search.roadmap import joint_time as joint_time
 from .search.sampled_check import SampledCheck as SampledCheck

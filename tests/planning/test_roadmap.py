@@ -12,7 +12,7 @@ from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Problem
-from backhoe_planner.planning import EFFORTS, JointPath, Reach, Roadmap, SampledCheck, joint_time
+from backhoe_planner.planning import EFFORTS, JointPath, Reach, Roadmap, SampledCheck, beyond_limits, joint_time
 from backhoe_planner.site import Proximity
 from validation.goal_runs import with_objective
 from validation.habitats import load_machine
@@ -49,6 +49,14 @@ def test_what_a_joint_can_go_beyond_start_and_end_and_back(planar4: bp.Robot, be
     assert reach.holds(np.array([before, after, aside])).tolist() == [within] * 3
     lower, upper = reach.box()
     assert bool(lower[0] <= -beyond and 1.5 + beyond <= upper[0]) is within
+
+
+def test_configurations_are_drawn_beyond_limits_alone(planar4: bp.Robot) -> None:
+    lower, upper = planar4.limits.lower, planar4.limits.upper
+    low, high = beyond_limits(planar4.limits, np.array([lower, lower + 0.1]), np.array([upper - 0.1, upper]))
+    wide = upper - lower - 0.1
+    np.testing.assert_allclose(low, [lower - 0.25 * wide, lower + 0.1], atol=1e-12)
+    np.testing.assert_allclose(high, [upper - 0.1, upper + 0.25 * wide], atol=1e-12)
 
 
 def test_any_of_several_ends_will_do(planar4: bp.Robot) -> None:

@@ -20,7 +20,7 @@ from waiting import PATIENCE
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import Problem, drive_of, time_way
+from backhoe_planner.motion import Problem, build_problem, drive_of, time_way
 from backhoe_planner.planning import (
     EFFORTS,
     Brake,
@@ -28,13 +28,18 @@ from backhoe_planner.planning import (
     JointPath,
     MotionCheck,
     OutOfTime,
+    SampledCheck,
     Work,
     blend,
     sample_path,
     shorten,
 )
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.site import Proximity
+from validation.habitats import load_machine
+from validation.sites import SiteKey, random_site
 
 Data = dict[str, Any]
 
@@ -98,6 +103,24 @@ def test_a_way_round_keeps_clearance_and_spare(planar4: Robot) -> None:
     assert least_margin(proximity, way.q) >= 0.002 - 1e-9
     assert np.all(way.q >= problem.limits.lower)
     assert np.all(way.q <= problem.limits.upper)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_way_along_a_joint_limit_is_found(seed: int) -> None:
+    """The boom leads past only at its highest: drawn between its limits alone, 72,000 motions were mostly too few."""
+    robot = load_machine("backhoe")
+    problem = build_problem(robot, random_site(robot, SiteKey("backhoe", "open", "goal", 81, 3201)).scene)
+    world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
+    assert problem.start_q is not None
+    found = find_goal_postures(world, problem.goals, near=problem.start_q, time=0.0)
+    assert isinstance(found, GoalPostures)
+    check = SampledCheck(problem, world.proximity, [problem.start_q, *found.clear], spare=0.002)
+    way = sample_path(check, problem.start_q, list(found.clear), seed=seed, work=Work(EFFORTS["normal"]))
+    assert way is not None
+    boom = robot.joint_names.index("boom")
+    assert way.q[:, boom].max() > 0.98 * problem.limits.upper[boom]
+    assert (way.q <= problem.limits.upper).all()
+    assert (way.q >= problem.limits.lower).all()
 
 
 def test_goals_in_collision_are_left_out(planar4: Robot) -> None:

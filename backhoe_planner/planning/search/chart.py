@@ -20,7 +20,7 @@ class Chart:
     """
 
     def __init__(self, check: MotionCheck) -> None:
-        limits = check.problem.limits
+        self._limits = limits = check.problem.limits
         self._rate = check.rate
         self._band = None if check.problem.keep is None else check.problem.keep.band
         self._joint = 0
@@ -44,8 +44,8 @@ class Chart:
         return np.asarray(found)
 
     def joints(self, places: Matrix) -> Matrix:
-        """(..., n) joints at `places` (..., n)."""
-        q = places * self._rate
+        """(..., n) joints at `places` (..., n), held within their limits; the one that the pitch stands for is not."""
+        q = np.clip(places * self._rate, self._limits.lower, self._limits.upper)
         if self._band is not None:
             off = q[..., self._joint].copy()
             q[..., self._joint] = 0.0

@@ -52,6 +52,8 @@ class Effort:
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
     restarts_round: further ones where the best motion leads round something, each of which goes on with what is known.
+    restarts_long: further searches for the time, each begun anew with the normal effort, where the best motion takes
+        much longer than the joints need, until one finds a shorter one than that.
     rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve goes
         on from there, and mostly it costs no more at the end.
     """
@@ -73,6 +75,7 @@ class Effort:
     dull_searches: int
     restarts: int
     restarts_round: int
+    restarts_long: int
     rough: bool
 
     @property
@@ -99,6 +102,7 @@ _NORMAL = Effort(
     dull_searches=1,
     restarts=0,
     restarts_round=2,
+    restarts_long=1,
     rough=True,
 )
 
@@ -123,6 +127,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             ways_at_once=1,
             dull_searches=0,
             restarts_round=0,
+            restarts_long=0,
         ),
         "normal": _NORMAL,
         "thorough": replace(
@@ -133,6 +138,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             dull_searches=3,
             restarts=8,
             restarts_round=0,
+            restarts_long=2,
         ),
     }
 )

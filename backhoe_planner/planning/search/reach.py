@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import JointLimits
+
+# part of a box by which configurations are drawn beyond the limits of joints; chosen among 0.05 to 0.8: in four of the
+# hardest cases a way was found after 1,400 looks at motions instead of 50,000, nowhere are more needed
+_BEYOND = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,3 +65,13 @@ def travel_within(limits: JointLimits, time: float) -> Vector:
     """(n,) how far each joint gets in a time [s] from rest to rest [rad or m]."""
     peak = np.minimum(limits.velocity, 0.5 * limits.acceleration * time)
     return np.asarray(peak * (time - peak / limits.acceleration))
+
+
+def beyond_limits(limits: JointLimits, low: Array, high: Array) -> tuple[Array, Array]:
+    """Bounds from which to draw configurations between `low` and `high` (..., n), to be held within limits afterwards.
+
+    They are further out where they are limits of joints, so that many a joint is right at one. That is often where
+    ways lead, as of an arm that is folded up, and hardly where chance puts a joint.
+    """
+    room = _BEYOND * (high - low)
+    return low - np.where(low <= limits.lower, room, 0.0), high + np.where(high >= limits.upper, room, 0.0)

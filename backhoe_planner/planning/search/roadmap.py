@@ -16,7 +16,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.planning.search.chart import Chart
-from backhoe_planner.planning.search.reach import Reach
+from backhoe_planner.planning.search.reach import Reach, beyond_limits
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
@@ -135,7 +135,12 @@ class Roadmap:
                 low, high = np.maximum(low - beside, lower), np.minimum(high + beside, upper)
             else:
                 low, high = np.broadcast_to(lower, ends.shape), np.broadcast_to(upper, ends.shape)
-            q = chart.into_band(low + rng.random(ends.shape) * (high - low), rng)
+            low, high = np.array(low), np.array(high)
+            low[::2], high[::2] = beyond_limits(
+                reach.limits, low[::2], high[::2]
+            )  # of seven joints one is mostly there
+            q = low + rng.random(ends.shape) * (high - low)
+            q = chart.into_band(np.clip(q, reach.limits.lower, reach.limits.upper), rng)
             q = self._within(q, lower, upper)[: count - have]
             clear = self._check.keeps(q)
             found += [q[clear], self._bridges(q[~clear], lower, upper, rng)]

@@ -22,7 +22,7 @@ from backhoe_planner.planning.search.chart import Chart
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.kept_trees import KeptTrees
 from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.reach import Reach
+from backhoe_planner.planning.search.reach import Reach, beyond_limits
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
 _MOST_OF_BOX = 0.4  # part of the box's diagonal that such a motion may be at most: chosen, so that trees branch
@@ -162,7 +162,7 @@ class _Search:
         self._chart.begin_at(start)
         limits = self._check.problem.limits
         reach = Reach(limits, start, np.array(goals), self._longest)
-        low, high = self._chart.box(*reach.box())
+        low, high = self._chart.box(*beyond_limits(limits, *reach.box()))
         # OMPL waits for ever for an end outside of the box
         goals = [goal for goal in goals if reach.holds(goal[None])[0] and self._is_within(low, high, goal)]
         if not goals or not self._is_within(low, high, start):
