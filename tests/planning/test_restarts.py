@@ -1,4 +1,4 @@
-"""Further searches for the least work, each with random choices of its own."""
+"""Further searches for a motion to a goal, each with random choices of its own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.goals import goal_planning
+from backhoe_planner.planning.goals import searches as goal_searches
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.motion_descents import MotionDescents
@@ -24,6 +24,7 @@ from backhoe_planner.planning.world.world import World
 
 START, END = np.full(4, 0.1), np.array([0.5, 0.1, 0.1, 0.1])
 DURATION = 4.0  # s of the first motion, which may take 5 s
+LONG = 5.0  # a cost above this counts as much longer than the joints need, where the time is the cost
 
 
 def scene(robot: bp.Robot, objective: str) -> bp.Scene:
@@ -35,8 +36,10 @@ def scene(robot: bp.Robot, objective: str) -> bp.Scene:
 class Searches:
     """Searches that find what they are told to, and remember the seeds of their worlds."""
 
-    def __init__(self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False) -> None:
-        self._goal, self._left, self.leads_round = goal, iter(found), leads_round
+    def __init__(
+        self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False
+    ) -> None:  # fmt: skip
+        self._goal, self._left, self.leads_round, self.is_for_time = goal, iter(found), leads_round, is_for_time
         self.seeds: list[int] = []
         self.efforts: list[Any] = []
         self.longest: list[float] = []
@@ -54,6 +57,10 @@ class Searches:
         self.efforts.append(world.work.effort)
         return self
 
+    @property
+    def takes_long(self) -> bool:
+        return self.is_for_time and self.best is not None and self.best.cost > LONG
+
     def run(self) -> str:
         cost, duration = next(self._left)
         motion = time_evenly(JointCurve.straight(START, END, 12), duration)
@@ -67,8 +74,10 @@ def way_of(
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
-    searches = Searches(world.problem.goals[0], list(found), leads_round=leads_round)
-    patch.setattr(goal_planning, "MotionSearch", searches)
+    searches = Searches(
+        world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time"
+    )  # fmt: skip
+    patch.setattr(goal_searches, "MotionSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
     assert not outcome.reason
     return outcome.findings.way or "", searches
@@ -94,9 +103,26 @@ def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
     assert searches.before == [None] * 4  # each begins anew
 
 
-def test_for_the_time_the_first_search_is_the_only_one(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    way, searches = way_of(planar4, "time", iter([(10.0, DURATION)]), monkeypatch)
-    assert (way, searches.seeds) == ("search 1", [5])
+@pytest.mark.parametrize(
+    ("effort", "costs", "best"),
+    [
+        ("normal", [4.0], "search 1"),
+        ("normal", [10.0, 4.0], "search 2"),
+        ("normal", [10.0, 11.0], "search 1"),
+        ("thorough", [4.0], "search 1"),
+        ("thorough", [10.0, 4.0], "search 2"),
+        ("thorough", [10.0, 9.0, 9.5], "search 2"),
+        ("quick", [10.0], "search 1"),
+    ],
+)
+def test_for_the_time_it_is_searched_again_where_the_best_takes_long(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, effort: Any, costs: list[float], best: str
+) -> None:
+    found = iter([(cost, DURATION) for cost in costs])
+    way, searches = way_of(planar4, "time", found, monkeypatch, effort=EFFORTS[effort])
+    assert (way, len(searches.seeds)) == (best, len(costs))
+    assert len(set(searches.seeds)) == len(costs)
+    assert searches.before == [None] * len(costs)
 
 
 @pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 3)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,14 +10,13 @@ import numpy as np
 from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.motion_search import MotionSearch
-from backhoe_planner.planning.goals.ways import FoundMotion
+from backhoe_planner.planning.goals.searches import search_motion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.search.effort import EFFORTS, Brake
+from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture
 from backhoe_planner.planning.world.world import World
 
@@ -51,20 +49,17 @@ class ToGoal:
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
-        search = MotionSearch(world, stepper.q, found, time=stepper.time)
-        ended = search.run()
-        if search.best is not None:
-            best = search.best
-            if not ended:
-                best, ended = self._after_restarts(world, stepper, best, search)
+        searched = search_motion(world, stepper.q, found, self.goals, time=stepper.time)
+        best, ended = searched.best, searched.ended
+        if best is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             branch.play(best.motion)
             message = f"{ended}; a better motion was not looked for any more" if ended else ""
-            allowed = None if search.allowed_time is None else stepper.time + search.allowed_time
+            allowed = None if searched.allowed_time is None else stepper.time + searched.allowed_time
             findings = Findings(way=best.way, allowed_time=allowed)
             return Outcome(branch.trajectory(), message=message, findings=findings)
-        sampled = f"of {search.looked_at:,} motions that sampling looked at none led there"
-        if not search.looked_at:
+        sampled = f"of {searched.looked_at:,} motions that sampling looked at none led there"
+        if not searched.looked_at:
             sampled = "no motions were sampled"
         if self.search_alone or ended:
             reason: Reason = "budget" if ended else "blocked"
@@ -93,32 +88,6 @@ class ToGoal:
         steps = run_iteration(world.problem, stepper.q, target, proximity=world.proximity, kinematics=world.kinematics)
         motion = time_iterates(world.problem, steps, proximity=world.proximity)
         return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
-
-    def _after_restarts(
-        self, world: World, stepper: Stepper, best: FoundMotion, first: MotionSearch
-    ) -> tuple[FoundMotion, str]:
-        """The best motion of the `first` and of further searches, none longer than that allows; and see `run`.
-
-        Which motions of least work a search comes upon depends on the postures and ways that it draws.
-        """
-        effort, allowed = world.work.effort, first.allowed_time
-        longest = math.inf if allowed is None else allowed
-        anew, on = (0, 0) if world.problem.objective.is_time else (effort.restarts, effort.restarts_round)
-        search = first
-        for number in range(1, anew + (on if first.leads_round else 0) + 1):
-            again = world.anew(number, EFFORTS["normal"])
-            found = find_goal_postures(again, self.goals, near=stepper.q, time=stepper.time)
-            if isinstance(found, Outcome):
-                continue
-            before = None if number <= anew else search
-            search = MotionSearch(again, stepper.q, found, time=stepper.time, longest=longest, before=before)
-            ended, other = search.run(), search.best
-            if other is not None and other.motion.duration <= longest and other.cost < best.cost:
-                best = other
-                world.show(best.motion, attempt=number, best=best.cost)
-            if ended:
-                return best, ended
-        return best, ""
 
     def _is_there(self, world: World, stepper: Stepper) -> bool:
         """Whether the joints already stand on a goal, where they may stand."""

@@ -58,6 +58,9 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # and how many of both have a few rounds, for another cost than the time; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _GAIN = 0.005  # part of the cost that counts as a gain
+# times the least time to any posture, from which on another search may find a much shorter motion; chosen: of random
+# sites of backhoe, Panda and telescope one in fifty takes longer
+_MUCH_LONGER = 1.5
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 # for a motion whose time says how long one may take that costs little; where it finds none soon, a longer search does
@@ -143,6 +146,18 @@ class MotionSearch:
     def leads_round(self) -> bool:
         """Whether the best leads round something, or may cost more than one that does; see `goes_straight`."""
         return self.best is not None and not self._costs_nothing and not self._descents.goes_straight(self.best)
+
+    @property
+    def is_for_time(self) -> bool:
+        """Whether the time is the cost."""
+        return self._problem.objective.is_time
+
+    @property
+    def takes_long(self) -> bool:
+        """Whether the best takes much longer than the joints need to some posture, where the time is the cost."""
+        return (
+            self.is_for_time and self.best is not None and self.best.motion.duration > _MUCH_LONGER * self._least_time()
+        )
 
     @property
     def _costs_nothing(self) -> bool:
