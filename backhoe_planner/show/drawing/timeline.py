@@ -16,6 +16,7 @@ from backhoe_planner.site import Proximity
 ITSELF = "the machine itself"
 _RATE = 30.0  # frames a second: chosen, fluent for the eye
 FRAME = 1.0 / _RATE  # s between two frames
+_ROUNDING = 1e-9  # m
 MOST_FRAMES = 3000  # of a page: chosen, 100 s of motion; a longer one has fewer a second
 
 
@@ -142,7 +143,7 @@ def critical_points(
     time: at which the obstacles are where they are [s].
     within: distance beyond which they are far [m].
     """
-    near = proximity.at(q, time=time, within=within)
+    near = proximity.at(q, time=time, within=within, margin=_least_margins(proximity, q, time=time, within=within))
     found: list[CriticalPoint | None] = [None] * len(names)
     for row in np.argsort(near.margin, kind="stable"):
         pair = int(near.pair[row])
@@ -156,3 +157,22 @@ def critical_points(
                 point_obstacle=np.array(near.point_obstacle[row]),
             )
     return tuple(found)
+
+
+def _least_margins(proximity: Proximity, q: Vector, *, time: float, within: float) -> float | Vector:
+    """(P,) for each pair a margin [m] that the least one to its obstacle is not above; infinite where none is known.
+
+    Of ground every link is near, and a distance from it takes as long as a hundred others. So the one link is measured
+    first that was nearest in the posture before.
+    """
+    if not len(proximity.clusters):
+        return np.inf
+    margin = proximity.lower_bounds(q, time=time, floor=np.full(len(proximity.pairs), -np.inf))[0] - proximity.clearance
+    by_margin = np.argsort(margin, kind="stable")
+    _, firsts = np.unique(proximity.owner[by_margin], return_index=True)
+    asked = np.full(len(margin), -np.inf)
+    asked[by_margin[firsts]] = np.inf
+    near = proximity.at(q, time=time, within=within, margin=asked)
+    least = np.full(len(proximity.obstacles) + 1, np.inf)  # the last is the machine itself, -1
+    np.minimum.at(least, proximity.owner[near.pair], near.margin + _ROUNDING)
+    return np.asarray(least[proximity.owner])
