@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import job as jobs
 from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_verdict, print_warnings
-from backhoe_planner.files.output_file import check_ending, check_output
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
 
@@ -51,8 +51,7 @@ def job(
     a job, and in which places it digs one that is longer than it reaches, `backhoe-planner stand JOB` finds.
     """
     effort = jobs.DEFAULT_EFFORT if effort is None else effort
-    if html is not None and html.resolve() == output.resolve():
-        raise bp.OutputError("is where the plan goes too", file=html, key="--html")
+    check_apart([output, html])
     loaded = bp.load_job(file)
     for target in (output, html):
         if target is not None:

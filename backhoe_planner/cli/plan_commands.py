@@ -16,7 +16,7 @@ from backhoe_planner import job, motion, planning, show, site
 from backhoe_planner.cli.job_command import check_job, draw_job_page, read_job_plan
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
-from backhoe_planner.files.output_file import check_ending, check_output
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -49,8 +49,7 @@ def plan(
     ] = False,
 ) -> int:
     """Plan the task of a scene, and write the plan."""
-    if html is not None and html.resolve() == output.resolve():
-        raise bp.OutputError("is where the plan goes too", file=html, key="--html")
+    check_apart([output, html])
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
     for target in (output, html):

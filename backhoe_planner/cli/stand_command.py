@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import show, standing
 from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
-from backhoe_planner.files.output_file import check_ending, check_output
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output
 
 
 def stand(
@@ -48,8 +48,7 @@ def stand(
     The place, or the fewest places in order, from which it is dug in least time or work.
     """
     targets = [target for target in (output, html, plot) if target is not None]
-    if len({target.resolve() for target in targets}) < len(targets):
-        raise bp.OutputError("is where another output goes too", file=targets[-1])
+    check_apart(targets)
     loaded = bp.load_job(file)
     for each in targets:
         check_output(each, loaded.files)

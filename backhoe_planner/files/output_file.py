@@ -27,9 +27,7 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
     ------
     OutputError: the file cannot be written there.
     """
-    target = Path(path)
-    target = target.resolve() if target.is_symlink() else target
-    check_writable(target)
+    target = check_writable(path)
     try:
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     except OSError as error:
@@ -49,14 +47,22 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
         part.unlink(missing_ok=True)
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
-    """Check that a file can be written, before the long work whose result it is to hold.
+def check_writable(path: str | os.PathLike[str]) -> Path:
+    """The file that is written, behind links too; checked before the long work whose result it is to hold.
 
     Raises
     ------
-    OutputError: the path is a folder or a device, or its folder does not exist or may not be written.
+    OutputError: the path is a folder or a device, its folder does not exist or may not be written, links lead round
+        in a circle, or no file can have that name.
     """
     target = Path(path)
+    try:
+        target = target.resolve() if target.is_symlink() else target
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            target.lstat()
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links is a RuntimeError until Python 3.12
+        said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise OutputError(f"cannot be written: {said}", file=os.fspath(path)) from error
     if target.is_dir():
         raise OutputError("is a folder; a file name is needed", file=target)
     if target.exists() and not target.is_file():
@@ -65,6 +71,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise OutputError("the folder does not exist", file=target, found=str(target.parent), hint="create it first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise OutputError("the folder may not be written", file=target, found=str(target.parent))
+    return target
 
 
 def check_ending(path: str | os.PathLike[str], allowed: Sequence[str], *, what: str) -> str:
@@ -88,6 +95,23 @@ def check_ending(path: str | os.PathLike[str], allowed: Sequence[str], *, what: 
     return ending
 
 
+def check_apart(targets: Sequence[Path | None]) -> None:
+    """Check that each of what is written goes to a file of its own, by whatever name; None is not written.
+
+    Raises
+    ------
+    OutputError: two of `targets` are one file.
+    """
+    found: set[str] = set()
+    for target in targets:
+        if target is None:
+            continue
+        place = os.path.realpath(target)
+        if place in found:
+            raise OutputError("is where another output goes too", file=target)
+        found.add(place)
+
+
 def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
     """The same, and that it is none of the files from which its content comes.
 
@@ -95,7 +119,6 @@ def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
     ------
     OutputError: it is one of `inputs`, by whatever name; or see `check_writable`.
     """
-    target = Path(path)
+    target = check_writable(path)
     if target.exists() and any(target.samefile(given) for given in inputs if given.exists()):
         raise OutputError("is an input of this command", file=target, hint="write to another file")
-    check_writable(target)

@@ -31,6 +31,8 @@ def read_text(path: Path, *, what: str, error: type[InputError] = InputError, fo
         raise error(said, file=path, allowed=formats) from problem
     except OSError as problem:
         raise error(f"cannot be read: {problem.strerror}", file=path) from problem
+    except ValueError as problem:  # the name holds what none can
+        raise error(f"no such {what} file", file=path) from problem
     if not text.strip():
         raise error("the file is empty", file=path, allowed=f"a {what}")
     return text

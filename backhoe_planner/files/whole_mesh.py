@@ -1,30 +1,37 @@
-"""Whether a text file of points or triangles holds as much as it says, so that one that was cut short is noticed."""
+"""Whether a text file of points or triangles holds what it says; one that was cut short or broken is noticed."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from backhoe_planner.errors import InputError
 
 _HEADER = 1_000_000  # bytes in which the header of a PLY ends
+_NUMBERS = (3, 4, 6, 7)  # of a vertex in an OBJ: its place, a weight, a colour
+_CONTINUED = re.compile(rb"\\\r?\n")  # the end of a line that goes on in the next one
+_SHOWN = 60  # bytes of a wrong line; chosen
 
 
 def check_whole(path: Path) -> None:
     """Compare the lines of an ASCII PLY or OFF with the counts in its header, and look for the end of an ASCII STL.
 
-    What other files hold says nothing, or is checked where they are read.
+    Of an OBJ, whose reader lets numbers run on from line to line, see that each vertex has its numbers and each face
+    its vertices. What other files hold says nothing, or is checked where they are read.
 
     Raises
     ------
-    InputError: the file has other counts than it says, or no end.
+    InputError: the file has other counts than it says, or no end; a vertex or face of an OBJ is none.
     OSError: it cannot be read.
     """
     kind = path.suffix.lower()
-    content = path.read_bytes() if kind in (".ply", ".off", ".stl") else b""
+    content = path.read_bytes() if kind in (".ply", ".off", ".stl", ".obj") else b""
     if kind == ".ply":
         _check_ply(path, content)
     elif kind == ".off":
         _check_off(path, content)
+    elif kind == ".obj":
+        _check_obj(path, content)
     elif kind == ".stl" and _is_text_stl(content) and b"endsolid" not in content[-_HEADER:]:
         raise InputError("the file is cut short", file=path, found="no line with endsolid", allowed="a whole file")
 
@@ -61,6 +68,42 @@ def _check_off(path: Path, content: bytes) -> None:
     # the counts stand on the first line or on one of their own
     rows = len(written) - (1 if len(written[0].split()) > 1 else 2)
     _check_rows(path, rows, vertices + faces, f"{vertices} of vertices and {faces} of faces")
+
+
+def _check_obj(path: Path, content: bytes) -> None:
+    vertices, sizes, faces = 0, set[int](), list[tuple[int, list[int]]]()
+    counted_back = 0  # vertices there were where the first face counts back from the last of them
+    for number, line in enumerate(_CONTINUED.sub(b" ", content).splitlines(), start=1):
+        words = line.split()
+        if words[:1] == [b"v"]:
+            vertices += 1
+            sizes.add(len(words) - 1)
+            if len(words) - 1 not in _NUMBERS or len(sizes) > 1:
+                allowed = "v x y z, with or without a weight or a colour, the same in all lines"
+                raise _wrong_line(path, number, line, "a vertex as those before", allowed)
+        elif words[:1] == [b"f"]:
+            corners = [word.partition(b"/")[0] for word in words[1:]]
+            if len(corners) < 3 or not all(word.removeprefix(b"-").isdigit() and int(word) for word in corners):
+                raise _wrong_line(path, number, line, "a face", "f and three vertices or more, numbered from 1")
+            own = [int(word) for word in corners]
+            faces.append((number, own))
+            if min(own) < 0:
+                counted_back = counted_back or vertices
+                own.append(-min(own))  # as many there must be
+    for number, own in faces:
+        if max(own) > vertices:
+            raise InputError(
+                "a face has a vertex that is not there", file=path, key=f"line {number}", found=f"{vertices} vertices"
+            )
+    if 0 < counted_back < vertices:
+        raise InputError(
+            "a face counts vertices back from the last one, and others follow", file=path, allowed="numbers from 1"
+        )
+
+
+def _wrong_line(path: Path, number: int, line: bytes, what: str, allowed: str) -> InputError:
+    found = line[:_SHOWN].decode(errors="replace").strip()
+    return InputError(f"is not {what}", file=path, key=f"line {number}", found=found, allowed=allowed)
 
 
 def _is_text_stl(content: bytes) -> bool:

@@ -25,6 +25,10 @@ KeyPath = tuple[str | int, ...]
 _MOST_KEYS = 200_000
 
 
+_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null"))
+_HALF_CHARACTER = re.compile("[\ud800-\udfff]")  # surrogates, which no file in UTF-8 can hold
+
+
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2's core schema."""
 
@@ -84,6 +88,8 @@ def read_yaml(
         raise error(_describe(problem), file=path) from problem
     except InputError:
         raise
+    except (AttributeError, LookupError, TypeError) as problem:  # as PyYAML's constructors run into
+        raise error("cannot be understood: a tag does not suit its value", file=path) from problem
     except (ValueError, RecursionError) as problem:
         raise error(f"cannot be understood: {problem}", file=path) from problem
     finally:
@@ -96,6 +102,12 @@ def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: P
     """Add the line of every key and entry below `node`, which stands at `at`, to `lines`."""
     if len(lines) > _MOST_KEYS:
         raise error(f"holds more than {_MOST_KEYS} entries, counting what its aliases stand for", file=path)
+    where = f"{'.'.join(map(str, at))} (line {node.start_mark.line + 1})" if at else None
+    if node.tag not in _TAGS:
+        allowed = ", ".join(f"!!{tag.rpartition(':')[2]}" for tag in _TAGS)
+        raise error("the tag is none of YAML's core schema", file=path, key=where, found=node.tag, allowed=allowed)
+    if isinstance(node, yaml.ScalarNode) and _HALF_CHARACTER.search(node.value):
+        raise error("a text holds half of a character", file=path, key=where, found=ascii(node.value))
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             place = (*at, str(key.value))

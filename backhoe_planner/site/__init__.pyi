@@ -36,6 +36,7 @@ from .scene_file import obstacle_from_dict as obstacle_from_dict
 from .scene_file import scene_from_dict as scene_from_dict
 from .scene_file import scene_schema as scene_schema
 from .schema.digging import Soil as Soil
+from .schema.names import Title as Title
 from .schema.names import check_name as check_name
 from .schema.obstacle_shapes import Box as Box
 from .schema.obstacle_shapes import Capsule as Capsule

@@ -21,7 +21,7 @@ from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped_file
 from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.joint_limits import Limits
-from backhoe_planner.site.schema.names import check_name
+from backhoe_planner.site.schema.names import Title, check_name
 from backhoe_planner.site.schema.obstacle_shapes import Mesh, ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Turn, Vector3
@@ -63,7 +63,7 @@ class Scene(FileRecord):
     """A task, and the site in which it is to be done."""
 
     version: Literal[1]
-    name: str = ""
+    name: Title = ""
     tip: str | None = None
     """The link that is moved; bucket_tip, else the only leaf frame."""
     hold: dict[str, Finite] = Field(default_factory=dict)

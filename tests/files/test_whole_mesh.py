@@ -58,3 +58,39 @@ def test_what_is_binary_has_no_lines_to_be_counted(tmp_path: Path) -> None:
         path.write_bytes(path.read_bytes()[:-30])
         with pytest.raises(bp.InputError):
             load_mesh(path)
+
+
+BROKEN_OBJ = {
+    "a vertex of two numbers": ("v 3 0 0\nv 3 1\nv 4 1 1 7\nf 1 2 3\n", "line 2: is not a vertex.*found v 3 1;"),
+    "all vertices of two numbers": ("v 3 0\nv 3 1\nv 4 1\nf 1 2 3\n", "line 1: is not a vertex"),
+    "a vertex of five numbers": ("v 3 0 0 1 1\nv 3 1 0\nf 1 2 1\n", "line 1: is not a vertex"),
+    "a vertex counted from 0": ("v 3 0 0\nv 3 1 0\nv 4 1 1\nf 0 1 2\n", "line 4: is not a face.*numbered from 1"),
+    "a face of two vertices": ("v 3 0 0\nv 3 1 0\nv 4 1 1\nf 1 2\n", "line 4: is not a face"),
+    "a face of a vertex too many": ("v 3 0 0\nv 3 1 0\nv 4 1 1\nf 1 2 4\n", "line 4: .* not there; found 3 vertices"),
+    "counted back too far": ("v 3 0 0\nv 3 1 0\nv 4 1 1\nf -1 -2 -4\n", "line 4: .* not there"),
+    "counted back, and more": ("v 3 0 0\nv 3 1 0\nv 4 1 1\nf -3 -2 -1\nv 9 9 9\nf -3 -2 -1\n", "counts vertices back"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BROKEN_OBJ.values(), ids=BROKEN_OBJ.keys())
+def test_what_is_no_vertex_or_face_of_an_obj_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    """The reader lets numbers run on: without this, the first of these is a triangle elsewhere."""
+    file = tmp_path / "broken.obj"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(bp.InputError, match=said):
+        load_mesh(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "v 3 0 0\nv 3 1 0\nv 4 1 1\nf -3 -2 -1\n",
+        "# a triangle\nvn 0 0 1\nv 3 0 0 1\nv 3 1 0 1\nv 4 1 1 1\nf 1//1 2//1 \\\n3//1\n",
+        "v 3 0 0 .5 .5 .5\nv 3 1 0 .5 .5 .5\nv 4 1 1 .5 .5 .5\nf 1/1/1 2/2/1 3/3/1\n",
+    ],
+)
+def test_an_obj_may_be_written_in_several_ways(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "triangle.obj"
+    file.write_text(text, encoding="utf-8")
+    mesh = load_mesh(file)
+    np.testing.assert_array_equal(mesh.triangles, [[[3, 0, 0], [3, 1, 0], [4, 1, 1]]])

@@ -87,6 +87,22 @@ BROKEN = {
     "two numbers for one": (limit('lower="-1" upper="1 2"'), ["joint 'hinge' > limit @upper", "has 2 numbers"]),
     "negative rate": (limit('lower="-1" upper="1" effort="1" velocity="-1"'), ["joint 'hinge'", "negative", "-1"]),
     "negative effort": (limit('lower="-1" upper="1" effort="-5"'), ["joint 'hinge' > limit @effort", "negative"]),
+    "rate of no machine": (
+        limit('lower="-1" upper="1" velocity="1e-5"'),
+        ["@velocity", "too small", "at least 0.0001"],
+    ),
+    "effort of no machine": (limit('lower="-1" upper="1" effort="1e-300"'), ["@effort", "too small", "1e-06, or 0"]),
+    "endless rate": (limit('lower="-1" upper="1" velocity="1e100"'), ["@velocity", "too large", "up to 1e+12"]),
+    "endless range": (limit('lower="-1e300" upper="1"'), ["@lower", "too large", "a joint that turns for ever is"]),
+    "shape out of sight": (
+        robot_xml(arm=solid('<sphere radius="1"/>').replace("<geo", '<origin xyz="1e200 0 0"/><geo')),
+        ["link 'arm' > collision > origin @xyz", "too large", "up to 100000"],
+    ),
+    "sphere beyond any site": (robot_xml(arm=solid('<sphere radius="1e300"/>')), ["sphere @radius", "too large"]),
+    "entities": (
+        '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]>' + robot_xml().replace('"tiny"', '"&b;"'),
+        ["entities of its own", "written out"],
+    ),
     "no acceleration": (
         robot_xml(JOINT.replace("/></joint>", ' acceleration="0"/></joint>')),
         ["limit @acceleration", "greater than 0"],

@@ -13,7 +13,7 @@ from backhoe_planner.files.file_record import FileRecord
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSoil, PatternChoice
 from backhoe_planner.machine import shipped_file
-from backhoe_planner.site import Scene, load_scene, scene_from_dict
+from backhoe_planner.site import Scene, Title, load_scene, scene_from_dict
 
 SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
 
@@ -22,7 +22,7 @@ class Job(FileRecord):
     """A job for one machine that stands still: all cycles from the first cut to the last."""
 
     version: Literal[1]
-    name: str = ""
+    name: Title = ""
     machine: str = "example:backhoe"
     """A URDF file, relative to the job file, or example:NAME."""
     site: str | dict[str, Any] = Field(default_factory=dict)

@@ -23,6 +23,7 @@ from lxml import etree
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import RobotError
 from backhoe_planner.files.file_kinds import refuse_other_kind
+from backhoe_planner.files.found_file import is_file, is_folder
 from backhoe_planner.files.provenance import relative_path
 from backhoe_planner.machine.description.urdf_tree import Joint, Tree, names_a_mesh, read_tree
 from backhoe_planner.machine.description.yourdfpy_check import check_by_yourdfpy
@@ -119,7 +120,7 @@ class Urdf:
 
     def mesh_path(self, uri: str) -> Path | None:
         """The file of a mesh that the URDF names by `uri`; None where there is no such file."""
-        return next(filter(Path.is_file, _mesh_candidates(uri, self.path)), None)
+        return next(filter(is_file, _mesh_candidates(uri, self.path)), None)
 
 
 def axis_of(joint: Joint) -> Vector:
@@ -154,7 +155,7 @@ def shipped_file(file: Path, folder: str) -> Path:
     inner, *outer = Path(folder).parts
     own = shipped_folder(inner).joinpath(*outer, file.name)
     named = file.parent in (Path(folder), *Path(folder).parents)
-    return own if not file.exists() and named and own.is_file() else file
+    return own if named and is_file(own) and not (is_file(file) or is_folder(file)) else file
 
 
 def example_names() -> list[str]:
@@ -213,12 +214,12 @@ def _locate(source: str) -> Path:
     if source.startswith("example:"):
         return _locate_example(source.removeprefix("example:"))
     path = Path(source)
-    if path.is_file():
+    if is_file(path):
         return path
-    if path.is_dir():
+    if is_folder(path):
         raise RobotError("is a folder, not a URDF file", file=path)
     own = shipped_folder("models") / path.name
-    if path.parent in (Path("models"), Path()) and own.is_file():
+    if path.parent in (Path("models"), Path()) and is_file(own):
         return own
     raise RobotError(
         "no such URDF file",
@@ -230,7 +231,7 @@ def _locate(source: str) -> Path:
 
 def _locate_example(name: str) -> Path:
     own = shipped_folder("models") / f"{name}.urdf"
-    if own.is_file():
+    if is_file(own):
         return own
     root = _example_root()
     if root is None:
@@ -240,7 +241,7 @@ def _locate_example(name: str) -> Path:
     candidates = [root / _EXAMPLE_ALIASES[name]] if name in _EXAMPLE_ALIASES else []
     candidates += sorted(root.glob(f"*/*/{name}.urdf"))
     for candidate in candidates:
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate
     problem, key = "no such example robot", f"example:{name}"
     raise RobotError.unknown_name(problem, name, names=example_names(), key=key, other_words=_ALSO_CALLED)
@@ -289,6 +290,9 @@ def _parse_xml(data: bytes, path: Path) -> etree._Element:
     except etree.XMLSyntaxError as error:
         refuse_other_kind(data.decode(errors="replace"), "urdf", file=path, error=RobotError)
         raise RobotError(f"is not well-formed XML: {error.msg}", file=path) from error
+    dtd = root.getroottree().docinfo.internalDTD
+    if dtd is not None and any(True for _ in dtd.iterentities()):
+        raise RobotError("has entities of its own", file=path, allowed="a URDF in which they are written out")
     if root.tag != "robot":
         raise RobotError("the outermost element is not a robot", file=path, found=f"<{root.tag}>", allowed="<robot>")
     if not root.get("name"):
@@ -332,8 +336,21 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
                 raise RobotError("must not be 0", file=path, key=key, found=repr(text))
             if (attribute in ("effort", "velocity") or element.tag == "mass") and min(numbers) < 0.0:
                 raise RobotError("is negative", file=path, key=key, found=repr(text))
+            most = _MOST.get(str(attribute), _LARGEST)
+            if max(map(abs, numbers)) > most:
+                hint = "a joint that turns for ever is continuous" if attribute in ("lower", "upper") else None
+                allowed = f"up to {most:g}"
+                raise RobotError("is too large", file=path, key=key, found=repr(text), allowed=allowed, hint=hint)
+            if 0.0 < numbers[0] < (least := _LEAST.get(str(attribute), 0.0)):
+                allowed = f"at least {least:g}, or 0 where nothing is known"
+                raise RobotError("is too small", file=path, key=key, found=repr(text), allowed=allowed)
 
 
+# m, rad, and of a scale: as far as anything of a scene; ranges of 1e16 are used for what turns for ever
+_MOST = dict.fromkeys(("xyz", "rpy", "size", "radius", "length", "scale"), 1e5) | {"lower": 1e30, "upper": 1e30}
+_LARGEST = 1e12  # in any other unit: products of a few such numbers are finite; chosen
+# rad/s or m/s, and per second: a motion of 1 rad then takes hours; N m or N; chosen
+_LEAST = {"velocity": 1e-4, "acceleration": 1e-4, "effort": 1e-6}
 _GEOMETRY = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("filename",)}
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 

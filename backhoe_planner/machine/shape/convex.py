@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.machine.shape.closed_bodies import find_closed, open_edges
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
@@ -50,7 +51,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     """
     import trimesh
 
-    if not path.is_file():
+    if not is_file(path):
         raise InputError("no such mesh file", file=path)
     if path.stat().st_size == 0:
         raise InputError("the mesh file is empty", file=path)

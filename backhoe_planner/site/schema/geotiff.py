@@ -15,6 +15,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.found_file import is_file
 
 # numbers of tags and keys in the standard
 _SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
@@ -48,7 +49,7 @@ def read_geotiff(path: Path) -> HeightTable:
     """
     from PIL import Image, UnidentifiedImageError
 
-    if not path.is_file():
+    if not is_file(path):
         raise InputError("no such height map file", file=path)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)

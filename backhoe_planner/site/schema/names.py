@@ -1,4 +1,4 @@
-"""Names of obstacles and zones: one rule for the scene, the servo and the driving page."""
+"""Names of obstacles and zones: one rule for the scene, the servo and the driving page; and titles of files."""
 
 from __future__ import annotations
 
@@ -26,12 +26,7 @@ def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: st
     ------
     InputError: it is no text, blank, more than a line, in use, or begins as reports begin to speak of the machine.
     """
-    if (
-        not isinstance(name, str)
-        or not name.strip()
-        or any(unicodedata.category(sign) == "Cc" for sign in name)
-        or name.startswith(_RESERVED)
-    ):
+    if not isinstance(name, str) or not name.strip() or not _is_printable(name) or name.startswith(_RESERVED):
         allowed = "one line of printable text that is not blank and does not begin with " + " or ".join(
             map(repr, _RESERVED)
         )
@@ -41,8 +36,21 @@ def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: st
     return name
 
 
+def _is_printable(text: str) -> bool:
+    """Whether a text is one line that can be written: no control characters, no halves of characters."""
+    return not any(unicodedata.category(sign) in ("Cc", "Cs") for sign in text)
+
+
+def _title(text: str) -> str:
+    if not _is_printable(text):
+        raise InputError("is no title", found=ascii(text), allowed="one line of printable text, or nothing")
+    return text
+
+
 def _of_a_record(name: str) -> str:
     return check_name(name, key=None)  # whoever reads the record says the place
 
 
 Name = Annotated[str, Field(min_length=1), AfterValidator(_of_a_record)]
+Title = Annotated[str, AfterValidator(_title)]
+"""What a scene, a job or a study is called, in reports and on pages; may be empty."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
@@ -71,6 +72,8 @@ def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> flo
     if holes and not cell.strip():
         return np.nan
     try:
+        if "_" in cell or not cell.isascii():  # as Python takes in numbers
+            raise ValueError
         return float(cell)
     except ValueError:
         key = f"row {row}, column {column}"
@@ -85,7 +88,7 @@ def read_points(path: Path) -> Matrix:
     ------
     InputError: missing, empty, cut short, or with a coordinate that is not finite or beyond `LARGEST`.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise InputError("no such point cloud file", file=path)
     if path.suffix.lower() in (".ply", ".obj", ".stl"):
         import trimesh

@@ -15,6 +15,7 @@ from backhoe_planner.files.file_record import FileRecord
 from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped_file
+from backhoe_planner.site import Title
 from backhoe_planner.studies.schema.values import MOST_VALUES, Values, plain, read_values
 
 
@@ -58,7 +59,7 @@ class Study(FileRecord):
     wrong = StudyError
 
     version: Literal[1]
-    name: str = ""
+    name: Title = ""
     machine: str | None = None
     """A URDF file, relative to the study file, or example:NAME; with a scene. A job names its own."""
     scene: str | dict[str, Any] | None = None
