@@ -676,7 +676,7 @@ def test_inspect_shows_small_limits_of_torques(run: Run, tmp_path: Path, given: 
 
 
 def test_the_page_does_not_overwrite_the_plan(run: Run, tmp_path: Path) -> None:
-    assert "where the plan goes" in refused(
+    assert "where another output goes" in refused(
         run, tmp_path, "plan", PLANAR4, scene_file(tmp_path), "-o", "both.json", "--html", "both.json"
     )
 

@@ -55,22 +55,22 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     OutputError: the path is a folder or a device, its folder does not exist or may not be written, links lead round
         in a circle, or no file can have that name.
     """
-    target = Path(path)
+    target, file = Path(path), os.fspath(path)  # messages say what was given
     try:
         target = target.resolve() if target.is_symlink() else target
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             target.lstat()
     except (OSError, RuntimeError, ValueError) as error:  # a circle of links is a RuntimeError until Python 3.12
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise OutputError(f"cannot be written: {said}", file=os.fspath(path)) from error
+        raise OutputError(f"cannot be written: {said}", file=file) from error
     if target.is_dir():
-        raise OutputError("is a folder; a file name is needed", file=target)
+        raise OutputError("is a folder; a file name is needed", file=file)
     if target.exists() and not target.is_file():
-        raise OutputError("is not a regular file", file=target)
+        raise OutputError("is not a regular file", file=file)
     if not target.parent.is_dir():
-        raise OutputError("the folder does not exist", file=target, found=str(target.parent), hint="create it first")
+        raise OutputError("the folder does not exist", file=file, found=str(target.parent), hint="create it first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise OutputError("the folder may not be written", file=target, found=str(target.parent))
+        raise OutputError("the folder may not be written", file=file, found=str(target.parent))
     return target
 
 
@@ -121,4 +121,4 @@ def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
     """
     target = check_writable(path)
     if target.exists() and any(target.samefile(given) for given in inputs if given.exists()):
-        raise OutputError("is an input of this command", file=target, hint="write to another file")
+        raise OutputError("is an input of this command", file=os.fspath(path), hint="write to another file")
