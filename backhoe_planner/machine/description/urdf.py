@@ -342,7 +342,8 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
                 allowed = f"up to {most:g}"
                 raise RobotError("is too large", file=path, key=key, found=repr(text), allowed=allowed, hint=hint)
             if 0.0 < numbers[0] < (least := _LEAST.get(str(attribute), 0.0)):
-                allowed = f"at least {least:g}, or 0 where nothing is known"
+                unknown = "" if attribute == "acceleration" else ", or 0 where nothing is known"
+                allowed = f"at least {least:g}{unknown}"
                 raise RobotError("is too small", file=path, key=key, found=repr(text), allowed=allowed)
 
 
