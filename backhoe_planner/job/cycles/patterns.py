@@ -34,6 +34,7 @@ _EVERY = 3  # places of a cut from one at which the arm is held against the grou
 _MOST_LAYERS = 1000
 _AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
 _SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
+_THINNEST = 0.01  # m: a shallower cut is not looked for, as where a lane is dug but for a strip at its edge; chosen
 _FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
 _CLOSE = 0.97  # of the wanted volume: near enough
 _MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
@@ -168,7 +169,7 @@ def _best(tries: _Tries, lane: Lane, left: Vector, pattern: Pattern) -> Cut | No
     depth = pattern.depth if pattern.kind == "face" else float(np.max(profile.mean)) - float(np.min(floor)) + 1.0
     # parts of what there is to cut, which may be less than a cut of the pattern
     high = min(depth, float(np.max(profile.height(left) - np.interp(left, lane.r, floor))))
-    shallower = () if tries.drawn_in else tuple(part * high for part in _SHALLOWER)
+    shallower = () if tries.drawn_in else tuple(part * high for part in _SHALLOWER if part * high > _THINNEST)
     entries = _ENTRIES[:1] if tries.drawn_in else _ENTRIES
     places = left[::-1][:: max(int(_INWARD / (left[1] - left[0])), 1)] if len(left) > 1 else left
     for entry, place, most in itertools.product(entries, places.tolist(), (depth, *shallower)):
