@@ -145,6 +145,11 @@ class _Run:
         at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
         done: dict[int, float] = {}
         failure, note, stopped, refused = "", "", "", 0
+
+        def leave_out(cut: NextCut) -> None:
+            number = self._lanes.index(cut.lane)
+            done[number] = min(done.get(number, np.inf), float(cut.cut.r[0])) - _BESIDE
+
         self._tell(watch, cycles, own.cycles)
         while len(cycles) < _MOST_CYCLES:
             found = next_cut(site, self._lanes, pattern, state.ground, done=tuple(done.items()))
@@ -168,16 +173,18 @@ class _Run:
                     failure = "full" if cycles else made.part
                     break
                 stopped = made.words
-                number = self._lanes.index(found.lane)
-                done[number] = min(done.get(number, np.inf), float(found.cut.r[0])) - _BESIDE
+                leave_out(found)
                 if refused > _MOST_REFUSED:
                     failure = "blocked"
                     break
                 continue
             cycle, state = made
             if cycle.bank + cycle.taken < _NO_PROGRESS:
-                note = f"the cut at cycle {cycle.number} takes nothing any more"
-                break
+                note, refused = f"the cut at cycle {cycle.number} takes nothing any more", refused + 1
+                if refused > _MOST_REFUSED:
+                    break
+                leave_out(found)
+                continue
             cycles.append(cycle)
             at, refused, note = cycle.legs[-1].trajectory.q[-1], 0, ""
             done, stopped = {}, ""

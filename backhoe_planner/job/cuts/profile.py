@@ -14,7 +14,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 
 _LANES = 7  # across the blade; chosen: a lane of a bucket of 0.6 m is then less than two cells of 5 cm wide
-_RIM = 1.71  # cells: half a diagonal, which the blade may cover in part, and one over which is interpolated
+RIM = 1.71  # cells: half a diagonal, which the blade may cover in part, and one over which is interpolated
 _STEP = 0.0125  # m along the radius: a quarter of a cell of 5 cm
 _WALL = 3.5  # cells over which interpolation may draw out a wall that stands askew to the grid
 _SLOPING = 1.2  # dz/dr, 50 degrees: what is steeper over so short a way counts as a wall; chosen
@@ -97,7 +97,7 @@ class Profile:
         left = np.array([-np.sin(turn), np.cos(turn)])
         middle = plane.world(swing, r, np.zeros(len(r)))[:, :2]
         # what a blade covers in part is known by its mean height alone: what is looked at is covered whole
-        half = max(0.5 * width - _RIM * terrain.cell, 0.0)
+        half = max(0.5 * width - RIM * terrain.cell, 0.0)
         lanes = half * np.linspace(-1.0, 1.0, _LANES)
         points = (middle[:, None, :] + lanes[:, None] * left - terrain.low) / terrain.cell
         inside = np.all((points >= 0.0) & (points <= [columns - 1, rows - 1]), axis=(1, 2))

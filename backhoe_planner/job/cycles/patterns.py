@@ -17,6 +17,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.job.cuts.cut import Cut, NoCut
 from backhoe_planner.job.cuts.finding import find_cut
 from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.job.cycles.walls import cut_of_walls
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.work import Face, Layers
@@ -31,6 +32,7 @@ _LAYERS = (0.1, 0.2, 0.3)  # m, depths of level layers that are compared beside 
 _RUN_INS = (0.3, 0.0)  # m beyond what is left, where a cut begins: at the end of a trench along its wall; chosen
 _INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
 _EVERY = 3  # places of a cut from one at which the arm is held against the ground to the next: 9 cm
+_EVEN = 0.1  # m of radius: lanes whose far ends are so near to each other are dug in their order; chosen
 _MOST_LAYERS = 1000
 _AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
 _SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
@@ -121,7 +123,8 @@ def next_cut(
             refused = refused or found
         if refused is None or refused.kind != "reach":
             break
-    return refused
+    beside = cut_of_walls(site, lanes, ground, limits)
+    return NextCut(*beside, "walls") if beside is not None else refused
 
 
 class _Tries:
@@ -238,7 +241,7 @@ def _floors(
         # the lane that reaches farthest out first, so that the face retreats evenly
         def far(number: int) -> float:
             places = _left(site, lanes[number], profiles[number], lanes[number].line)
-            return float(places[-1]) if len(places) else -np.inf
+            return round(float(places[-1]) / _EVEN) if len(places) else -np.inf
 
         order = sorted(every, key=far, reverse=True)
         return [(number, (f"lane {number + 1}" if len(lanes) > 1 else "face", lanes[number].line)) for number in order]

@@ -33,6 +33,12 @@ _BACK = 0.05  # m from the bucket's back to the ground that is left; chosen: cut
 _ARM = 0.05  # m that boom and stick keep from it beyond the clearance; chosen, for the same reason
 _AGAIN = 3  # times that is looked at, as what is left beside a place is raised too; chosen
 _FAN = 0.04  # rad between lanes of a wide design: 20 cm at 5 m; chosen, a third of a bucket's width
+_BESIDE = 1e-3  # m to each side of the blade: a trench that is not wider than that is dug in one lane; chosen
+_OUT = 0.98  # of the tolerance, by which a blade along a wall stands out of it at most; chosen, below 1 for rounding
+_NEAREST = 0.2  # of the distance to a trench's far end: nearer nothing can be dug
+_ENTERING = 0.05  # m; chosen: the corners of an edge's line are rounded
+_CLOSEST = 0.15  # m of radius from one lane along a wall to the next; chosen
+_OVERLAP = 0.8  # of the blade's width from one lane to the next, at the far end of a trench; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +80,8 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
     count = int(half / _FAN)
     swings = middle + _FAN * np.arange(-count, count + 1)
     if site.job.dig.trench is not None:
-        own = _radial(site, middle)
-        swings = swings if own is None else np.array([own])
+        own = _along_trench(site, middle)
+        swings = swings if own is None else own
     screen = ClearanceScreen(Proximity(site.robot, site.problem.obstacles), spare=_SPARE)
     found = [_lane(site, float(swing), screen) for swing in swings]
     return tuple(lane for lane in found if lane is not None)
@@ -85,17 +91,64 @@ def _wrapped(angle: float) -> float:
     return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def _radial(site: Worksite, near: float) -> float | None:
-    """The one swing angle at which a blade fills a trench that points at the machine; None where it is another."""
+def _along_trench(site: Worksite, near: float) -> Vector | None:
+    """(L,) the swing angles that fill a trench that points at the machine; None for any other.
+
+    Parameters
+    ----------
+    near: swing angle of its middle [rad].
+
+    The blade runs along a wall where its plane crosses it: further out it stands out of the trench, by the tolerance
+    at most, and further in it leaves a wedge, for which there is another lane.
+    """
     trench = site.job.dig.trench
     assert trench is not None
     plane, slack = site.plane, trench.tolerance
     offsets = np.array([trench.start, trench.end]) - plane.axis
-    heading = plane.heading(near)
-    left = np.array([-np.sin(heading), np.cos(heading)])
-    aside = np.abs(offsets @ left)
-    too_wide = trench.width - site.bucket.width > 2.0 * slack
-    return None if too_wide or float(aside.max()) > slack else near
+    far, close = sorted(offsets.tolist(), key=lambda one: -float(np.hypot(*one)))
+    ahead = np.subtract(far, close) / trench.length
+    left = np.array([-ahead[1], ahead[0]])
+    aside = float(np.mean(offsets @ left))
+    reach = float(np.dot(far, ahead))
+    room = 0.5 * (trench.width - site.bucket.width)
+    if room <= _BESIDE:
+        # one lane, which a blade of another width fills too, within the tolerance
+        outward = np.array([-np.sin(plane.heading(near)), np.cos(plane.heading(near))])
+        return np.array([near]) if float(np.abs(offsets @ outward).max()) <= slack else None
+    if reach <= 0.0 or abs(aside) >= room:
+        return None
+    nearest = max(float(np.dot(close, ahead)), _NEAREST * reach)
+    # the edge goes down at an angle at the far end of every lane
+    entry = (trench.depth + max(trench.slope, 0.0) * trench.length) / np.tan(ENTRY) + _ENTERING
+    walls = [side * np.array(_wall(room + side * aside, slack, (reach, nearest), entry)) for side in (1.0, -1.0)]
+    first, last = walls[1][0], walls[0][0]
+    between = int(np.ceil((last - first) * reach / (_OVERLAP * site.bucket.width)))
+    turned = np.unique(np.concatenate((walls[1], np.linspace(first, last, between + 1)[1:-1], walls[0])))
+    zero = plane.heading(0.0)
+    turn = 1.0 if plane.heading(1.0) > zero else -1.0
+    heading = float(np.arctan2(ahead[1], ahead[0]))
+    return np.sort([turn * _wrapped(heading + one - zero) for one in turned.tolist()])
+
+
+def _wall(room: float, slack: float, between: tuple[float, float], entry: float) -> list[float]:
+    """Angles from the direction of a trench [rad] at which the blade's end runs along a wall, the first farthest out.
+
+    Parameters
+    ----------
+    room: from the blade's end to the wall, with the blade in the trench's direction [m].
+    slack: by which it may stand out of the wall [m].
+    between: the trench's far and near end from the swing axis [m].
+    entry: length at the far end of a lane over which its edge goes down [m].
+    """
+    reach, nearest = between
+    found: list[float] = []
+    while True:
+        out = (room + _OUT * slack) / reach
+        along = room / nearest
+        found.append(float(np.arctan(min(out, along))))
+        if along <= out:
+            return found
+        reach = min(room / out + entry, reach - _CLOSEST)
 
 
 def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
