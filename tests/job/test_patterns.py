@@ -38,6 +38,33 @@ def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: 
     assert bank == pytest.approx((1.8 * 0.8 - wedges) * site.bucket.width, rel=0.05)
 
 
+@pytest.mark.parametrize("width", [0.7, 0.9])
+def test_a_trench_wider_than_the_bucket_is_dug_to_its_walls(width: float) -> None:
+    """In a trench of 1.5 m, 0.4 m deep, no whole column stands more than the tolerance above what may be dug."""
+    dig = {"trench": {"from": [4.2, 0.0], "to": [2.7, 0.0], "width": width, "depth": 0.4}}
+    ground = {"low": [0.5, -1.5], "high": [5.5, 1.5]}
+    site = build_worksite(
+        small_job(ground=ground, dig=dig, site={"clearance": 0.1}, dump={"heap": {"at": [2.5, -1.3]}})
+    )
+    lanes, design = lanes_of(site), site.design_heights()
+    allowed, _ = allowed_heights(site, lanes, design)
+    assert len(lanes) > 1
+    now, bank, cuts = site.ground, 0.0, 0
+    while isinstance(found := next_cut(site, lanes, Pattern("face", 0.4), now), NextCut):
+        sweep = swept(now, BladeSweep(found.cut.position, found.cut.across, found.cut.bucket.width))
+        now, bank, cuts = sweep.terrain, bank + float(sweep.bank[-1]), cuts + 1
+        assert cuts < 15
+    whole = site.share > 1.0 - 1e-9
+    assert np.max((now.surface - allowed)[whole]) <= 0.05
+    # the middle of its length has no wedges: from wall to wall it is as deep as the design
+    middle = whole & (np.abs(site.nodes[..., 0] - 3.45) < 0.3)
+    assert np.ptp(site.nodes[..., 1][middle]) >= width - 0.11
+    assert np.max(now.surface[middle]) <= -0.35
+    # beside it at most the tolerance on each side, and less than the wedges at both ends is left
+    assert bank <= 1.5 * (width + 0.1) * 0.4
+    assert bank >= 0.9 * (1.5 * 0.4 - 0.5 * 0.4**2 * (1.0 / np.tan(ENTRY) + 1.0 / np.tan(LEAVE))) * width
+
+
 @cache
 def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
     """A trench of 3 m, 1.2 m deep, across a pipe, and its lanes; the machine stands at `x` [m], in line with it."""

@@ -32,7 +32,7 @@ _SPARE = 0.01  # m beyond the clearance of the arm, for what lies between the pl
 
 
 def cut_of_walls(
-    site: Worksite, lanes: tuple[Lane, ...], ground: Terrain, limits: Mapping[int, float]
+    site: Worksite, lanes: Sequence[Lane], ground: Terrain, limits: Mapping[int, float]
 ) -> tuple[Lane, Cut] | None:
     """A cut of what stands beside the others, with its lane; None where nothing does, or can be cut.
 

@@ -8,6 +8,7 @@ and up at no more than two angles.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -312,7 +313,7 @@ class _Places:
         return back_heights(self._site.bucket, at_r, at_z, pitch, below)
 
 
-def allowed_heights(site: Worksite, lanes: tuple[Lane, ...], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
+def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
     """(rows, columns) the lowest heights that can be dug, nan where nothing is to be; and by which lane, -1 by none.
 
     Parameters
