@@ -195,6 +195,11 @@ class _Run:
         if stopped and failure in ("", "unreachable"):
             # there were cuts, and no way to dig them, or from them to the dump
             return self._plan(cycles, "blocked", stopped)
+        if not plan.failure and not plan.note and not plan.is_met and cycles:
+            left = max(plan.over, plan.under, plan.beside)
+            return replace(
+                plan, note=f"the design is missed by {100.0 * left:.1f} cm, and no cut is found that mends it"
+            )
         return plan
 
     def _tell(self, watch: Callable[[JobStep], object] | None, cycles: list[Cycle], expected: int) -> None:

@@ -115,9 +115,9 @@ def soil_force(
 ) -> Array:
     """(..., 3) the force of the soil on the teeth [N], world.
 
-    It acts while the teeth are below the ground and move along it. Where the blade's back goes ahead, the bucket
-    behind it is in the way, and the soil resists as it does an upright blade. It never drives the motion
-    (F . v <= 0), and is continuous in all arguments.
+    It acts while the teeth are below the ground and move along it. Where the blade's back goes ahead, the soil
+    resists as it does a blade that leans as much the other way. It never drives the motion (F . v <= 0), and is
+    continuous in all arguments.
 
     Parameters
     ----------
@@ -131,18 +131,15 @@ def soil_force(
     velocity, forward = np.asarray(tip_velocity, dtype=float), np.asarray(forward, dtype=float)
     if contact is None:
         contact = LevelGround(soil.surface).contact(tip_position)
-    # the face's normal into the bucket: (faces, -down_facing) out along the arm and up
+    # with the back ahead the plate leans as much the other way
     tilt = np.asarray(pitch, dtype=float) - LIP
-    faces, down_facing = np.sin(tilt), np.cos(tilt)
+    rake = np.arccos(np.clip(-np.cos(tilt), -1.0, 1.0))
     along = np.sum(velocity * forward, axis=-1)
-    rake = np.where(faces * along >= 0.0, np.arccos(np.clip(-down_facing, -1.0, 1.0)), np.pi)
     cutting = np.sign(along)[..., None] * forward
     sigma = _slope_along(contact, cutting)
     depth = np.maximum(contact.depth, 0.0) * np.cos(sigma)
     alpha = _usable(rake + sigma, soil)
-    # a blade that lies flat with its face up slides through; from upright on all of its speed is into the soil
-    into = np.where(down_facing < 0.0, faces, 1.0) * along
-    acting = np.abs(into) / np.hypot(into, _CREEP)
+    acting = np.abs(along) / np.hypot(along, _CREEP)
     load = 0.0 if contact.surcharge is None else contact.surcharge
     F = acting * blade_force(depth, alpha, soil, width=width, slope=sigma, surcharge=load)
     stuck = acting * soil.adhesion * width * depth

@@ -174,3 +174,9 @@ def test_a_plan_has_the_load_of_the_truck_after_each_cycle(steps: list[bp.JobPla
     body = load_body(cycle.truck_load)
     assert body.is_watertight
     assert body.volume == pytest.approx(cycle.held, rel=0.1)  # drawn through every third column
+
+
+def test_a_start_beyond_a_joints_limits_is_refused_before_anything_is_planned() -> None:
+    job = small_job(start={"swing": 0.0, "boom": 40.0, "stick": -1.6, "bucket": -1.8})
+    with pytest.raises(bp.SceneError, match=r"start\.boom: .*found 40; .*40 degrees are 0\.698"):
+        plan_job(job)

@@ -192,18 +192,21 @@ def test_at_rest_and_not_along_the_arm_there_is_no_force(velocity: list[float]) 
     np.testing.assert_array_equal(push(Soil(adhesion=1e3), velocity), 0.0)
 
 
-@pytest.mark.parametrize("pitch", [PITCH, -2.0, LIP + 0.4])
-def test_a_bucket_that_goes_back_first_is_resisted_as_an_upright_blade(pitch: float) -> None:
+@pytest.mark.parametrize(
+    ("pitch", "rake"), [(PITCH, math.pi - LIP + PITCH), (-2.0, math.pi - LIP - 2.0), (1.2, 0.5 * math.pi)]
+)
+def test_a_bucket_that_goes_back_first_is_resisted_as_one_that_leans_the_other_way(pitch: float, rake: float) -> None:
     """The face looks inward below LIP and outward above it: the motion is the one that it looks away from."""
     soil = Soil(density=1700.0, cohesion=5e3, friction=0.55, tool_friction=0.35)
-    F = float(np.min(terms(soil, 0.3, 0.5 * math.pi, np.linspace(0.05, 1.2, 1_000_001), 0.6)))
+    F = float(np.min(terms(soil, 0.3, rake, np.linspace(0.05, 1.2, 1_000_001), 0.6)))
     ahead = 1.0 if pitch < LIP else -1.0
-    expected = [-ahead * F * math.cos(0.35), 0.0, F * math.sin(0.35)]
-    np.testing.assert_allclose(push(soil, [5.0 * ahead, 0.0, 0.0], pitch=pitch), expected, rtol=1e-4, atol=1e-9)
+    expected = [-ahead * F * math.sin(rake + 0.35), 0.0, -F * math.cos(rake + 0.35)]
+    np.testing.assert_allclose(push(soil, [5.0 * ahead, 0.0, 0.0], pitch=pitch), expected, rtol=3e-3, atol=1e-9)
 
 
-def test_a_blade_that_lies_flat_with_its_face_up_slides_through() -> None:
-    np.testing.assert_allclose(push(Soil(), [-5.0, 0.0, 0.0], pitch=LIP - math.pi), 0.0, atol=1e-6)
+def test_a_blade_that_lies_flat_is_not_free() -> None:
+    flat = push(Soil(), [-5.0, 0.0, 0.0], pitch=LIP - math.pi)
+    assert 100.0 < flat[0] < push(Soil(), [-5.0, 0.0, 0.0])[0]
     # with its face down it is the roof of a bucket full of soil
     assert push(Soil(), [-5.0, 0.0, 0.0], pitch=LIP)[0] > 1e3
 
@@ -304,7 +307,7 @@ def test_joint_torques_do_the_work_of_the_force(backhoe: bp.Robot) -> None:
     np.testing.assert_array_equal(reaction.force(q[3], v[3]), force[3])
 
 
-def test_dragging_the_bucket_in_is_resisted_and_pushing_it_out_by_its_back_more(backhoe: bp.Robot) -> None:
+def test_dragging_the_bucket_in_and_pushing_it_out_are_resisted(backhoe: bp.Robot) -> None:
     q = np.array([0.6, -0.4, -1.0, 0.2])
     at = Kinematics(backhoe).at(q)
     assert at.tip_position[2] < -0.6
@@ -316,7 +319,7 @@ def test_dragging_the_bucket_in_is_resisted_and_pushing_it_out_by_its_back_more(
     force = reaction.force(q, v)
     assert force @ inward < -1e4
     np.testing.assert_allclose(np.cross(force - [0.0, 0.0, force[2]], inward), 0.0, atol=1e-6)
-    assert reaction.force(q, -v) @ -inward < force @ inward
+    assert reaction.force(q, -v) @ -inward == pytest.approx(force @ inward, rel=0.01)
 
 
 class Slanted:
