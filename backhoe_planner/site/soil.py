@@ -139,7 +139,9 @@ def soil_force(
     sigma = _slope_along(contact, cutting)
     depth = np.maximum(contact.depth, 0.0) * np.cos(sigma)
     alpha = _usable(rake + sigma, soil)
-    acting = np.abs(along) / np.hypot(along, _CREEP)
+    # a blade that moves within its own plane slides
+    into = np.sin(tilt) * along
+    acting = np.abs(into) / np.hypot(into, _CREEP)
     load = 0.0 if contact.surcharge is None else contact.surcharge
     F = acting * blade_force(depth, alpha, soil, width=width, slope=sigma, surcharge=load)
     stuck = acting * soil.adhesion * width * depth
