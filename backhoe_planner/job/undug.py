@@ -59,8 +59,7 @@ def find_undug(
             add("too_hard" if hard else "left", hard or _EARLY.get(ended, ""), row, column)
         else:
             lane = lanes[number]
-            heading = site.plane.heading(lane.swing)
-            r = float(points[row, column] @ np.array([np.cos(heading), np.sin(heading)]))
+            r = float(points[row, column] @ site.plane.directions(lane.swing)[0])
             add(*_cause(lane, r, site.ground.cell), row, column)
     each = np.where(stays, (surface - design) * site.share, 0.0) * end.cell**2
     undug = [_undug(site, each, flags, reason, cause) for (reason, cause), flags in found.items()]

@@ -93,10 +93,14 @@ class ArmPlane:
             return self._zero_heading
         return self._zero_heading + self._sense * (swing - float(self._zero[0]))
 
+    def directions(self, swing: float) -> tuple[Vector, Vector]:
+        """(2,), (2,) unit vectors outward along the plane at a swing angle [rad], and to its left, world."""
+        turn = self.heading(swing)
+        return np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+
     def world(self, swing: float, r: Array, z: Array) -> Array:
         """(..., 3) the places at radius r and height z [m] of the plane at a swing angle, world."""
-        turn = self.heading(swing)
-        out, left = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+        out, left = self.directions(swing)
         flat = self.axis + np.asarray(r)[..., None] * out + self._beside * left
         return np.concatenate((flat, np.asarray(z, dtype=float)[..., None]), axis=-1)
 

@@ -291,8 +291,7 @@ def _finished(asked: _Asked, r: Vector, z: Vector, held: Attitude, lift: int) ->
     digger, plane, bucket = asked.digger, asked.digger.plane, asked.digger.bucket
     bank, loose = asked.profile.taken(r, z, width=bucket.width)
     mass = digger.soil.density * (bank + loose / digger.swell)
-    turn = plane.heading(asked.swing)
-    outward = np.array([np.cos(turn), np.sin(turn)])
+    outward, left = plane.directions(asked.swing)
     ground = CutGround(asked.profile, plane.axis, outward, r, mass, bucket)
     torque, holding = digger.loads(held.q, ground)
     depth = np.maximum(asked.profile.depth(r, z), 0.0)
@@ -304,7 +303,7 @@ def _finished(asked: _Asked, r: Vector, z: Vector, held: Attitude, lift: int) ->
     time, work = digger.estimated_run(held.q, torque)
     return Cut(
         swing=asked.swing, r=r, z=z, pitch=held.pitch, q=held.q,
-        position=plane.world(asked.swing, r, z), across=np.array([-outward[1], outward[0], 0.0]),
+        position=plane.world(asked.swing, r, z), across=np.append(left, 0.0),
         bank=bank, loose=loose, depth=depth,
         begin=(first, lowest, max(int(out[-1]) + 1, lowest) if len(out) else lowest, lift),
         held=mass, torque=torque, holding=holding,

@@ -93,8 +93,7 @@ class Profile:
         corners = terrain.low + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size
         farthest = float(np.max(np.linalg.norm(corners - plane.axis, axis=1)))
         r = np.arange(0.0, farthest + width, min(_STEP, 0.25 * terrain.cell))
-        turn = plane.heading(swing)
-        left = np.array([-np.sin(turn), np.cos(turn)])
+        _, left = plane.directions(swing)
         middle = plane.world(swing, r, np.zeros(len(r)))[:, :2]
         # what a blade covers in part is known by its mean height alone: what is looked at is covered whole
         half = max(0.5 * width - RIM * terrain.cell, 0.0)

@@ -81,11 +81,10 @@ def cut_problem(site: Worksite, load: Load, problem: Problem, ground: Terrain) -
     problem: of the same motion through the air.
     ground: before the cut.
     """
-    heading = site.plane.heading(load.swing)
     in_plane = CutGround(
         Profile.of_terrain(ground, site.plane, load.swing, width=site.bucket.width),
         site.plane.axis,
-        np.array([np.cos(heading), np.sin(heading)]),
+        site.plane.directions(load.swing)[0],
         load.r,
         load.mass,
         site.bucket,

@@ -249,7 +249,7 @@ def dig_and_spill(site: Worksite, motion: Trajectory, swing: float, ground: Terr
     ground: before it.
     """
     edge = site.plane.kinematics.at(motion.q).tip_position
-    across = across_plane(site, swing)
+    across = np.append(site.plane.directions(swing)[1], 0.0)
     sweep = swept(ground, BladeSweep(edge, across, site.bucket.width))
     bank, taken, volume = float(sweep.bank[-1]), float(sweep.loose[-1]), float(sweep.volume[-1])
     held = min(volume, site.bucket.capacity)
@@ -258,9 +258,3 @@ def dig_and_spill(site: Worksite, motion: Trajectory, swing: float, ground: Terr
     profile = Profile.of_terrain(ground, site.plane, swing, width=site.bucket.width)
     depth = max(float(np.max(profile.depth(*site.plane.place(motion.q)[:2]))), 0.0)
     return Dug(digging, after, bank, taken, held, volume - held, depth)
-
-
-def across_plane(site: Worksite, swing: float) -> Vector:
-    """(3,) unit vector along the cutting edge at a swing angle, world."""
-    heading = site.plane.heading(swing)
-    return np.array([-np.sin(heading), np.cos(heading), 0.0])

@@ -51,9 +51,8 @@ def cut_of_walls(
     points, high, surface = site.nodes[stays] - site.plane.axis, over[stays], ground.surface[stays]
     under: list[tuple[float, int]] = []
     for number, lane in enumerate(lanes):
-        heading = site.plane.heading(lane.swing)
-        along = points @ np.array([np.cos(heading), np.sin(heading)])
-        aside = np.abs(points @ np.array([-np.sin(heading), np.cos(heading)]))
+        out, left = site.plane.directions(lane.swing)
+        along, aside = points @ out, np.abs(points @ left)
         covered = np.clip((0.5 * site.bucket.width - aside) / ground.cell + 0.5, 0.0, 1.0)
         covered[(along < lane.end) | (along > lane.start)] = 0.0
         taken = covered * np.clip(surface - np.interp(along, lane.r, lane.line), 0.0, high)
@@ -76,13 +75,12 @@ def _cut_in(site: Worksite, lane: Lane, ground: Terrain, limit: float) -> Cut | 
     under = Profile.of_terrain(ground, site.plane, lane.swing, width=site.arm.span + 2.0 * RIM * ground.cell)
     at, highest = site.arm.raised(under)
     raised = (at, highest + _SPARE)
-    floor = np.asarray(np.interp(profile.r, lane.r, lane.line))
     for place in np.arange(left[-1], left[0] + _SHORTEST, -_INWARD).tolist():
         start = min(max(place + _RUN_IN, lane.end + _SHORTEST), lane.start)
         for drawn_in in (False, True):
             found = find_cut(
                 site.digger, profile, swing=lane.swing, start=start, end=lane.end, depth=float(np.max(thickness)) + 1.0,
-                floor=(profile.r, floor), volume=site.volume, leave=LEAVE,
+                floor=(lane.r, lane.line), volume=site.volume, leave=LEAVE,
                 clears=(lambda q: site.arm.clears(q, raised)) if drawn_in else None,
             )  # fmt: skip
             if (
@@ -117,6 +115,5 @@ def _spread(site: Worksite, lane: Lane, ground: Terrain) -> tuple[Profile, Vecto
 
 def _sweep(site: Worksite, ground: Terrain, edge: Matrix, swing: float) -> Sweep:
     """What the blade takes on its way."""
-    heading = site.plane.heading(swing)
-    across = np.array([-np.sin(heading), np.cos(heading), 0.0])
+    across = np.append(site.plane.directions(swing)[1], 0.0)
     return swept(ground, BladeSweep(edge, across, site.bucket.width), slump=False)

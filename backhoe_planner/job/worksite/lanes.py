@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.attitude import back_heights
 from backhoe_planner.job.cuts.edge_path import Descent, Underground
 from backhoe_planner.job.cuts.profile import Profile
@@ -74,9 +75,7 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
     plane, outline = site.plane, site.design.outline
     off = outline - plane.axis
     headings = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
-    zero = plane.heading(0.0)
-    turn = 1.0 if plane.heading(1.0) > zero else -1.0
-    middle = turn * _wrapped(np.arctan2(*(outline.mean(axis=0) - plane.axis)[::-1]) - zero)
+    middle = _swing_to(plane, outline.mean(axis=0) - plane.axis)
     half = 0.5 * float(np.ptp(headings))
     count = int(half / _FAN)
     swings = middle + _FAN * np.arange(-count, count + 1)
@@ -88,8 +87,12 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
     return tuple(lane for lane in found if lane is not None)
 
 
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
+def _swing_to(plane: ArmPlane, direction: Vector, *, beside: float = 0.0) -> float:
+    """The swing angle at which the plane lies in a direction (2,), turned by `beside` about z [rad]."""
+    zero = plane.heading(0.0)
+    turned = float(np.arctan2(direction[1], direction[0])) + beside - zero
+    wrapped = float((turned + np.pi) % (2.0 * np.pi) - np.pi)
+    return wrapped if plane.heading(1.0) > zero else -wrapped
 
 
 def _along_trench(site: Worksite, near: float) -> Vector | None:
@@ -114,8 +117,7 @@ def _along_trench(site: Worksite, near: float) -> Vector | None:
     room = 0.5 * (trench.width - site.bucket.width)
     if room <= _BESIDE:
         # one lane, which a blade of another width fills too, within the tolerance
-        outward = np.array([-np.sin(plane.heading(near)), np.cos(plane.heading(near))])
-        return np.array([near]) if float(np.abs(offsets @ outward).max()) <= slack else None
+        return np.array([near]) if float(np.abs(offsets @ plane.directions(near)[1]).max()) <= slack else None
     if reach <= 0.0 or abs(aside) >= room:
         return None
     nearest = max(float(np.dot(close, ahead)), _NEAREST * reach)
@@ -125,10 +127,7 @@ def _along_trench(site: Worksite, near: float) -> Vector | None:
     first, last = walls[1][0], walls[0][0]
     between = int(np.ceil((last - first) * reach / (_OVERLAP * site.bucket.width)))
     turned = np.unique(np.concatenate((walls[1], np.linspace(first, last, between + 1)[1:-1], walls[0])))
-    zero = plane.heading(0.0)
-    turn = 1.0 if plane.heading(1.0) > zero else -1.0
-    heading = float(np.arctan2(ahead[1], ahead[0]))
-    return np.sort([turn * _wrapped(heading + one - zero) for one in turned.tolist()])
+    return np.sort([_swing_to(plane, ahead, beside=one) for one in turned.tolist()])
 
 
 def _wall(room: float, slack: float, between: tuple[float, float], entry: float) -> list[float]:
@@ -209,8 +208,7 @@ def _line(
 
 def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
     """(K, A, 2) x, y under a blade at radii (K,) [m]."""
-    heading = site.plane.heading(swing)
-    left = np.array([-np.sin(heading), np.cos(heading)])
+    _, left = site.plane.directions(swing)
     offsets = site.bucket.width * np.linspace(-0.5, 0.5, _ACROSS)
     middle = site.plane.world(swing, r, np.zeros(len(r)))[:, :2]
     return np.asarray(middle[:, None, :] + offsets[:, None] * left)
@@ -326,8 +324,7 @@ def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tu
     rows, columns = np.nonzero(np.isfinite(design))
     points = nodes[rows, columns] - site.plane.axis
     for number, lane in enumerate(lanes):
-        heading = site.plane.heading(lane.swing)
-        out, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+        out, left = site.plane.directions(lane.swing)
         along, aside = points @ out, points @ left
         # a column on a steep end is measured at the upper end of it
         line = np.max([np.interp(along + off, lane.r, lane.line) for off in (-cell, 0.0, cell)], axis=0)
