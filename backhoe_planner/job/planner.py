@@ -144,7 +144,7 @@ class _Run:
             state = planner.again(state, cycle)
         at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
         done: dict[int, float] = {}
-        failure, note, stopped, refused = "", "", "", 0
+        failure, note, stopped, refused, too_hard = "", "", "", 0, False
 
         def leave_out(cut: NextCut) -> None:
             number = self._lanes.index(cut.lane)
@@ -157,7 +157,7 @@ class _Run:
                 if isinstance(found, NoCut) and not cycles:
                     failure, note = _of_no_cut(found), found.reason
                 elif isinstance(found, NoCut):
-                    note = found.reason
+                    note, too_hard = found.reason, found.kind == "cylinder"
                 break
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):
@@ -195,6 +195,8 @@ class _Run:
         if stopped and failure in ("", "unreachable"):
             # there were cuts, and no way to dig them, or from them to the dump
             return self._plan(cycles, "blocked", stopped)
+        if too_hard and not plan.failure and not plan.is_met:
+            return self._plan(cycles, "too_hard", note)
         if not plan.failure and not plan.note and not plan.is_met and cycles:
             left = max(plan.over, plan.under, plan.beside)
             return replace(

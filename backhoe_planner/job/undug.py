@@ -13,6 +13,7 @@ from backhoe_planner.job.result.job_plan import JobReason, Undug, UndugReason
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 
+_ASKEW = 0.1  # sine of the angle between arm and trench; chosen: along walls that are parallel to the lanes it is less
 _LEAST = 1e-4  # m^3: less is rounding
 _EARLY: dict[JobReason, str] = {
     "full": "not dug: no soil could be dumped any more",
@@ -60,15 +61,15 @@ def find_undug(
         else:
             lane = lanes[number]
             r = float(points[row, column] @ site.plane.directions(lane.swing)[0])
-            add(*_cause(lane, r, site.ground.cell), row, column)
+            add(*_cause(site, lane, r), row, column)
     each = np.where(stays, (surface - design) * site.share, 0.0) * end.cell**2
     undug = [_undug(site, each, flags, reason, cause) for (reason, cause), flags in found.items()]
     return tuple(sorted((one for one in undug if one.volume > _LEAST), key=lambda one: -one.volume))
 
 
-def _cause(lane: Lane, r: float, cell: float) -> tuple[UndugReason, str]:
+def _cause(site: Worksite, lane: Lane, r: float) -> tuple[UndugReason, str]:
     """Why a lane cannot be dug deeper at a radius [m]: what holds the floor up there, or else the steepest line."""
-    reach = np.abs(lane.r - r) <= cell
+    reach = np.abs(lane.r - r) <= site.ground.cell
     causes = lane.cause[reach]
     if causes.any():
         kind, name = lane.causes[int(causes[causes > 0][0])]
@@ -82,13 +83,21 @@ def _cause(lane: Lane, r: float, cell: float) -> tuple[UndugReason, str]:
         if abs(float(lane.r[nearest]) - r) < ends:
             kind, name = lane.causes[int(lane.cause[nearest])]
             return ("protected" if kind == "protected" else "out_of_reach"), name
-    return "out_of_reach", _STEEP
+    return "out_of_reach", _too_steep(site, lane)
 
 
-_STEEP = (
-    f"the ends are too steep: the teeth go in at most at {np.degrees(ENTRY):.0f} and "
-    f"come out at most at {np.degrees(LEAVE):.0f} degrees"
-)
+def _too_steep(site: Worksite, lane: Lane) -> str:
+    how = f"the teeth go in at most at {np.degrees(ENTRY):.0f} and come out at most at {np.degrees(LEAVE):.0f} degrees"
+    trench = site.job.dig.trench
+    if trench is not None:
+        ahead = (np.array(trench.end) - trench.start) / trench.length
+        outward = site.plane.directions(lane.swing)[0][:2]
+        if abs(float(outward[0] * ahead[1] - outward[1] * ahead[0])) > _ASKEW:
+            return (
+                f"the arm is askew to the trench and meets its walls as ends, which are too steep: {how}; it digs all "
+                "of a trench whose line passes through the swing axis (backhoe-planner stand finds such a place)"
+            )
+    return f"the ends are too steep: {how}"
 
 
 def _undug(site: Worksite, each: Matrix, columns: Flags, reason: UndugReason, cause: str) -> Undug:

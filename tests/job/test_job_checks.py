@@ -20,7 +20,8 @@ from backhoe_planner.job.cycles.dumping import NoDump, dump_of, ground_obstacle
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.estimates import choose, in_full
 from backhoe_planner.job.result.job_plan import PatternEstimate
-from backhoe_planner.job.worksite.lanes import lanes_of
+from backhoe_planner.job.undug import find_undug
+from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.show.job.truck_load import load_body
@@ -29,7 +30,7 @@ _TRUCK: dict[str, Any] = {"bed": {"position": [1.8, 2.9, 0.9], "size": [3.6, 1.9
 _WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
 
 
-def trench(**keys: float) -> dict[str, Any]:
+def trench(**keys: Any) -> dict[str, Any]:
     return {"trench": {"from": [4.4, 0.0], "to": [3.2, 0.0], "width": 0.6, "depth": 0.3} | keys}
 
 
@@ -180,3 +181,29 @@ def test_a_start_beyond_a_joints_limits_is_refused_before_anything_is_planned() 
     job = small_job(start={"swing": 0.0, "boom": 40.0, "stick": -1.6, "bucket": -1.8})
     with pytest.raises(bp.SceneError, match=r"start\.boom: .*found 40; .*40 degrees are 0\.698"):
         plan_job(job)
+
+
+def test_soil_that_is_too_hard_below_a_first_scratch_ends_as_too_hard() -> None:
+    """Of 80 times the cohesion of common earth: 3 cm of it hold as 2.4 m of that would."""
+    plan = plan_job(small_job(soil={"cohesion": 400e3}), effort="quick")
+    assert plan.reason == "too_hard"
+    assert "cannot be cut at any depth" in plan.note
+    assert plan.undug[0].reason == "too_hard"
+
+
+def test_a_trench_askew_to_the_arm_is_not_said_to_have_steep_ends() -> None:
+    site = build_worksite(small_job(dig=trench(**{"from": [4.4, -0.4], "to": [2.8, 0.4], "width": 0.8})))
+    lanes, design = lanes_of(site), site.design_heights()
+    undug = find_undug(site, lanes, (design, *allowed_heights(site, lanes, design)), site.ground)
+    askew = [one for one in undug if "the arm is askew to the trench" in one.words]
+    assert askew
+    assert not any("the ends are too steep" in one.words for one in undug)
+
+
+@pytest.mark.parametrize("pattern", ["layer", {"layer": 0.2}, 3, ["face"], None])
+def test_what_is_no_pattern_is_said_in_one_line(pattern: object) -> None:
+    with pytest.raises(bp.InputError) as refused:
+        small_job(pattern=pattern)
+    assert "pattern: is no pattern; found" in str(refused.value)
+    assert "allowed: auto, plain, {layers: DEPTH}, {face: DEPTH}" in str(refused.value)
+    assert "\n" not in str(refused.value)

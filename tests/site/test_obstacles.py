@@ -241,7 +241,7 @@ def test_height_map_is_centred_and_reaches_50_m_below_its_lowest_point(planar4: 
     np.testing.assert_allclose(extent(found), [[8, -3, 2 - 50], [12, 3, 2 + 1]], atol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["0,1\n2,3\n", "0;1\r\n2;3\r\n", "\ufeff0, 1,\n2, 3,\n\n"])
+@pytest.mark.parametrize("text", ["0,1\n2,3\n", "0;1\r\n2;3\r\n", "\ufeff0, 1,\n2, 3,\n\n", "0,0;1,0\n2,0;3,0\n"])
 def test_heights_are_read_with_commas_semicolons_and_what_spreadsheets_leave(text: str, tmp_path: Path) -> None:
     path = tmp_path / "heights.csv"
     path.write_text(text, encoding="utf-8")
@@ -253,6 +253,7 @@ def test_heights_are_read_with_commas_semicolons_and_what_spreadsheets_leave(tex
     [
         ("scan.xyz", "1 2 3\n4 5 6\n"),
         ("scan.csv", "x,y,z,intensity\n1,2,3,9\n4,5,6,9\n"),
+        ("decimals.csv", "x;y;z\n1,0;2,0;3,0\n4,0;5,0;6,0\n"),
         ("scan.txt", "# a scan\n1 2 3 255 0 0\n\n4 5 6 255 0 0\n"),
         (
             "scan.ply",
@@ -304,6 +305,20 @@ def test_errors_of_readers_are_input_errors(tmp_path: Path) -> None:
         read_heights(tmp_path / "nowhere.csv")
     with pytest.raises(InputError, match="no such point cloud file"):
         read_points(tmp_path / "nowhere.xyz")
+
+
+def test_a_survey_in_the_other_form_is_refused(tmp_path: Path) -> None:
+    nodes = [(x, y, 0.1 * x - 0.2 * y) for y in range(3) for x in range(4)]
+    np.savetxt(tmp_path / "nodes.csv", nodes, delimiter=",", fmt="%.3f")
+    with pytest.raises(InputError, match=r"holds x, y, z of points.*12 rows of 3"):
+        read_heights(tmp_path / "nodes.csv")
+    np.testing.assert_allclose(read_points(tmp_path / "nodes.csv"), nodes, atol=1e-9)
+    np.savetxt(tmp_path / "grid.xyz", np.zeros((40, 40)))
+    with pytest.raises(InputError, match="too many numbers in a row for a list of points; found 40"):
+        read_points(tmp_path / "grid.xyz")
+    # three columns of heights alone are none
+    np.savetxt(tmp_path / "strip.csv", np.random.default_rng(0).normal(size=(30, 3)), delimiter=",")
+    assert read_heights(tmp_path / "strip.csv").shape == (30, 3)
 
 
 def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: Path) -> None:

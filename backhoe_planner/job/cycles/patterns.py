@@ -144,9 +144,12 @@ class _Tries:
         self._raised = site.arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span))
         self.best: Cut | None = None
         self.refused: NoCut | None = None
+        self._too_hard = set[float]()  # radii [m] from which the thinnest cut is too much for a cylinder
 
     def find(self, start: float, depth: float, entry: float | None) -> Cut | None:
         """The cut from a radius [m] of at most a depth [m]; None where there is none."""
+        if start in self._too_hard:
+            return None
         site, lane, arm = self._site, self._lane, self._site.arm
         found = find_cut(
             site.digger, self.profile, swing=lane.swing, start=start, end=lane.end, depth=depth,
@@ -158,6 +161,8 @@ class _Tries:
             found = NoCut("reach", words, start)
         if isinstance(found, NoCut):
             self.refused = self.refused or found
+            if found.kind == "cylinder":
+                self._too_hard.add(start)
             return None
         self.best = found if self.best is None or _rate(found) > _rate(self.best) else self.best
         return found

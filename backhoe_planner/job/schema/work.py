@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from backhoe_planner.files.records import Record, exactly_one
-from backhoe_planner.site import Finite, Soil
+from backhoe_planner.site import Finite, Slope, Soil
 
 _LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
 _STEEPEST = 1.0  # m per m of a trench's bottom; chosen, no bucket follows a steeper one
 _Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 _Point = tuple[Finite, Finite]
 _WALL = 0.08  # m, thickness of the walls of a truck's bed; chosen
+_BRIEF = 60  # characters: a longer value is not repeated in a message
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 
 
@@ -23,7 +25,7 @@ class JobSoil(Soil):
 
     swell: Annotated[float, Field(strict=True, ge=1.0, le=2.0)] = 1.25
     """Loose volume over the volume in the ground; 1.25 by default, usual are 1.1 (sand) to 1.4 (clay)."""
-    repose: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.6
+    repose: Annotated[Slope, Field(gt=0.0)] = 0.6
     """Angle at which a heap of it lies [rad]; 0.6 by default, usual are 0.5 to 0.8."""
 
 
@@ -205,4 +207,25 @@ class Face(Record):
     """Greatest depth of one cut below the ground there [m]."""
 
 
-PatternChoice = Literal["auto", "plain"] | Layers | Face
+_NAMED_PATTERNS = ("auto", "plain")
+
+
+def _kind_of_pattern(value: Any) -> str:
+    kinds = {"layers": "Layers", "face": "Face"}
+    if isinstance(value, Mapping):
+        return next((kind for key, kind in kinds.items() if key in value), "")
+    return type(value).__name__
+
+
+def _some_pattern(value: Any) -> Any:
+    if value not in _NAMED_PATTERNS and _kind_of_pattern(value) not in ("Layers", "Face"):
+        found = repr(value) if len(repr(value)) < _BRIEF else f"a {type(value).__name__}"
+        raise ValueError(f"is no pattern; found {found}; allowed: auto, plain, {{layers: DEPTH}}, {{face: DEPTH}}")
+    return value
+
+
+PatternChoice = Annotated[
+    Annotated[Literal["auto", "plain"], Tag("str")] | Annotated[Layers, Tag("Layers")] | Annotated[Face, Tag("Face")],
+    Discriminator(_kind_of_pattern),
+    BeforeValidator(_some_pattern),
+]

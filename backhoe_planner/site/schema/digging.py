@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from backhoe_planner.files.records import Record
-from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive
+from backhoe_planner.site.schema.quantities import LARGEST, Finite, NonNegative, Positive, Slope
+
+_LIGHTEST = 10.0  # kg/m^3: loose snow has 50
+
+
+def _in_kilograms(density: Any) -> Any:
+    if isinstance(density, (int, float)) and 0.0 < density < _LIGHTEST:
+        raise ValueError(
+            f"density is in kg/m^3, at least {_LIGHTEST:g}; {density:g} t/m^3 are {1e3 * density:g} kg/m^3"
+        )
+    return density
 
 
 class Soil(Record):
@@ -17,15 +26,15 @@ class Soil(Record):
     Every key may be left out: the defaults are those of a soil of medium strength.
     """
 
-    density: Positive = 1700.0
+    density: Annotated[float, Field(strict=True, ge=_LIGHTEST, le=LARGEST), BeforeValidator(_in_kilograms)] = 1700.0
     """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
     cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
     """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
-    friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
+    friction: Annotated[Slope, Field(gt=0.0)] = 0.55
     """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
     adhesion: NonNegative = 0.0
     """Between soil and blade [Pa]; 0 by default."""
-    tool_friction: Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0)] | None = None
+    tool_friction: Slope | None = None
     """Between soil and blade [rad]; 2/3 of `friction` by default."""
     surface: Finite = 0.0
     """Height z of the ground, below which the soil resists [m], world; 0 by default."""

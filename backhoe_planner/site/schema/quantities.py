@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from backhoe_planner.arrays import Matrix
 
@@ -37,7 +37,19 @@ def _one_turn(angle: float) -> float:
     return angle
 
 
+_SURELY_DEGREES = 5.0  # of an acute angle: nobody who thinks in radians writes that
+
+
+def _slope(angle: Any) -> Any:
+    if isinstance(angle, (int, float)) and _SURELY_DEGREES <= angle < 90.0:
+        raise ValueError(
+            f"the angle is in radians, below {math.pi / 2.0:.4g}; {angle:g} degrees are {math.radians(angle):.4g} rad"
+        )
+    return angle
+
+
 Turn = Annotated[Finite, AfterValidator(_one_turn)]
+Slope = Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0, allow_inf_nan=False), BeforeValidator(_slope)]
 RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
 
 _ROUNDING = 1e-14  # a length this near 1 is 1, so that what was normalised once stays as it is

@@ -14,6 +14,8 @@ from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.schema.quantities import LARGEST
 
+_FEWEST_POINTS = 9  # in a list of those at the nodes of a grid, 3 each way; chosen
+_MOST_COLUMNS = 32  # of a list of points: what scanners write beside x, y, z are colour, normal, time, ...; chosen
 _POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
 
 
@@ -43,6 +45,11 @@ def _read_heights(path: Path, *, holes: bool) -> HeightTable:
     found = read_geotiff(path) if is_tiff else HeightTable(_heights_from_text(path, holes=holes))
     if min(found.heights.shape) < 2:
         raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(found.heights.shape))
+    if not is_tiff and _is_list_of_points(found.heights):
+        raise InputError(
+            "holds x, y, z of points, not heights on a grid", file=path, found=f"{len(found.heights)} rows of 3",
+            allowed="one row for each y, with one height for each x", hint="as a pointcloud, or as a .xyz, it is read",
+        )  # fmt: skip
     _check_size(found.heights, "a height", path, ("row", "column"), holes=holes)
     return found
 
@@ -52,7 +59,7 @@ def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
     heights = _plain_table(text)
     if heights is not None and min(heights.shape) >= 2:
         return heights
-    rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
+    rows = [_cells(line) for line in text.splitlines() if line.strip()]
     # a comma at the end of every line ends the last cell; one at the end of some lines has a hole behind it
     ended = not holes or not any(row[-1].strip() for row in rows)
     values = [
@@ -66,6 +73,20 @@ def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
     if len(widths) != 1:
         raise InputError("the rows have different lengths", file=path, found=sorted(widths))
     return np.array(values)
+
+
+def _cells(line: str) -> list[str]:
+    """The cells between semicolons, in which a comma is a decimal point, or else between commas."""
+    return line.replace(",", ".").split(";") if ";" in line else line.split(",")
+
+
+def _is_list_of_points(table: Matrix) -> bool:
+    """Whether a table of three columns is x, y, z at the nodes of a grid: every x stands beside every y once."""
+    if table.shape[1] != 3 or len(table) < _FEWEST_POINTS or not np.isfinite(table).all():
+        return False
+    x, y = (np.unique(column) for column in table[:, :2].T)
+    pairs = np.unique(table[:, :2], axis=0)
+    return min(len(x), len(y)) > 1 and len(pairs) == len(table) == len(x) * len(y)
 
 
 def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> float:
@@ -143,17 +164,23 @@ def _plain_table(text: str) -> Matrix | None:
 def _points_from_text(path: Path) -> Matrix:
     text = read_text(path, what="point cloud", formats=_POINT_FORMATS)
     table = _plain_table(text)
+    if table is not None and table.shape[1] > _MOST_COLUMNS:
+        raise InputError(
+            "has too many numbers in a row for a list of points", file=path, found=table.shape[1],
+            allowed=f"x, y, z and up to {_MOST_COLUMNS - 3} more", hint="heights on a grid are a heightmap",
+        )  # fmt: skip
     if table is not None and table.shape[1] >= 3:
         return np.ascontiguousarray(table[:, :3])
     rows = []
     for number, line in enumerate(text.splitlines(), start=1):
-        if len(line.split()) > 1 and any("," in cell[:-1] for cell in line.split()) and not line.startswith("#"):
+        words = [] if ";" in line or line.startswith("#") else line.split()
+        if len(words) > 1 and any("," in word[:-1] for word in words):
             if number == 1:
                 continue  # a header
             hint = "a comma stands between numbers, not in them"
             raise InputError("has commas and blanks", file=path, key=f"line {number}", found=line.strip(), hint=hint)
-        cells = line.replace(",", " ").split()
-        if not cells or cells[0].startswith("#"):
+        cells = _cells(line) if ";" in line else line.replace(",", " ").split()
+        if not line.strip() or cells[0].startswith("#"):
             continue
         try:
             rows.append([float(cell) for cell in cells[:3]])
