@@ -661,3 +661,10 @@ def test_log_of_zones_refuses_times_that_run_backwards_and_goes_on() -> None:
             log.note(time, Q)
     log.note(1.0, Q)
     log.note(2.0, Q)
+
+
+def test_what_is_made_of_a_scene_does_not_change_in_it() -> None:
+    with pytest.raises(InputError, match=r"Scene\.clearance: does not change once it is made"):
+        scene().clearance = 0.3
+    with pytest.raises(InputError, match=r"obstacles: is a scene; .*build_obstacles\(scene, robot\)"):
+        bp.Proximity(robot(), scene())  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import job as jobs
 from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_verdict, print_warnings
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
 
@@ -53,10 +53,11 @@ def job(
     effort = jobs.DEFAULT_EFFORT if effort is None else effort
     check_apart([output, html])
     loaded = bp.load_job(file)
-    for target in (output, html):
-        if target is not None:
-            check_output(target, (*loaded.files, *(() if from_terrain is None else (from_terrain,))))
+    inputs = (*loaded.files, *(() if from_terrain is None else (from_terrain,)))
+    if output is not None:
+        check_record(output, inputs)
     if html is not None:
+        check_output(html, inputs)
         check_ending(html, show.PAGE_FORMATS, what="a page")
     print_job_warnings(loaded)
     terrain = None

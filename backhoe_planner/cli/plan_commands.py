@@ -16,7 +16,7 @@ from backhoe_planner import job, motion, planning, show, site
 from backhoe_planner.cli.job_command import check_job, draw_job_page, read_job_plan
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -52,10 +52,11 @@ def plan(
     check_apart([output, html])
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
-    for target in (output, html):
-        if target is not None:
-            check_output(target, (*robot.files, *loaded.files))
+    inputs = (*robot.files, *loaded.files)
+    if output is not None:
+        check_record(output, inputs)
     if html is not None:
+        check_output(html, inputs)
         check_ending(html, show.PAGE_FORMATS, what="a page")
     print_warnings(site.input_warnings(robot, loaded))
     unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of what is shown on the way to a goal

@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import show, standing
 from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
 
 def stand(
@@ -52,6 +52,7 @@ def stand(
     loaded = bp.load_job(file)
     for each in targets:
         check_output(each, loaded.files)
+    check_record(output, loaded.files)
     if html is not None:
         check_ending(html, show.PAGE_FORMATS, what="a page")
     if plot is not None:

@@ -11,6 +11,11 @@ from typing import IO, Any
 
 from backhoe_planner.errors import OutputError
 
+# endings of what this project writes or reads in other formats: under one of them JSON would be taken for that
+_OTHERS = frozenset(
+    [".html", ".htm", ".yaml", ".yml", ".urdf", ".png", ".svg", ".pdf", ".csv", ".npz", ".parquet", ".xyz", ".tif"]
+)
+
 
 @contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
@@ -110,6 +115,21 @@ def check_apart(targets: Sequence[Path | None]) -> None:
         if place in found:
             raise OutputError("is where another output goes too", file=target)
         found.add(place)
+
+
+def check_record(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
+    """As `check_output`, and that the name is none of a page, a figure, a table or a scene: what is written is JSON.
+
+    Raises
+    ------
+    OutputError: the name ends as that of another kind of file; or see `check_output`.
+    """
+    check_output(path, inputs)
+    ending = Path(path).suffix.lower()
+    if ending in _OTHERS:
+        raise OutputError(
+            "is the name of another kind of file than JSON", file=os.fspath(path), found=ending, allowed=".json",
+        )  # fmt: skip
 
 
 def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:

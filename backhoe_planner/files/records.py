@@ -55,6 +55,13 @@ class Record(BaseModel):
         except ValidationError as error:
             raise InputError(explain(error, data, root=type(self)), key=type(self).__name__) from None
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refused for what is in the file; the class keeps notes of its own under names with an underscore."""
+        if not name.startswith("_"):
+            hint = f"model_copy(update={{{name!r}: ...}}) makes another, of which nothing is checked"
+            raise InputError("does not change once it is made", key=f"{type(self).__name__}.{name}", hint=hint)
+        super().__setattr__(name, value)
+
     # to pydantic this is its own: records within records are read as without it
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 

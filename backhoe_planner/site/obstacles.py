@@ -100,6 +100,20 @@ def far_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]
     return tuple(found)
 
 
+def as_obstacles(given: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
+    """Obstacles as they are handed to a public name.
+
+    Raises
+    ------
+    InputError: it is a scene, or not several obstacles.
+    """
+    if isinstance(given, Scene):
+        hint = "build_obstacles(scene, robot) makes the obstacles of a scene"
+        raise InputError("is a scene", key="obstacles", found="Scene", allowed="several Obstacle", hint=hint)
+    several = enumerate(check_kind(given, Iterable, key="obstacles"))  # type: ignore[type-abstract]
+    return tuple(check_kind(one, Obstacle, key=f"obstacles[{index}]") for index, one in several)
+
+
 def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
     """Every obstacle of a scene, then every zone that is solid; `links` are checked against the machine.
 

@@ -20,7 +20,7 @@ moved by dq, so pairs that are provably still out of reach are not measured agai
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -37,7 +37,7 @@ from backhoe_planner.machine import (
 )
 from backhoe_planner.native import find_compiled
 from backhoe_planner.site.cluster_distances import AHEAD, EXACT_WITHIN, ClusterDistances
-from backhoe_planner.site.obstacles import Obstacle, offset_at
+from backhoe_planner.site.obstacles import Obstacle, as_obstacles, offset_at
 from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds
@@ -88,8 +88,7 @@ class Proximity:
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
         self.robot = check_kind(robot, Robot, key="robot")
-        given = enumerate(check_kind(obstacles, Iterable, key="obstacles"))  # type: ignore[type-abstract]
-        self.obstacles = tuple(check_kind(one, Obstacle, key=f"obstacles[{index}]") for index, one in given)
+        self.obstacles = as_obstacles(obstacles)
         self_collision = check_flag(self_collision, key="self_collision")
         self._n = robot.n
         self._pieces = self_pieces(robot) if self_collision else robot.pieces

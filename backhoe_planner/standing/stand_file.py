@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.output_file import check_output, check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.job import Job
 from backhoe_planner.standing.result import Place, RankedPlace, StandPlan
@@ -47,6 +47,7 @@ def save_stand(plan: StandPlan, path: Path) -> None:
     ------
     OutputError: the folder does not exist or cannot be written; or a file is one of the job's.
     """
+    check_record(path, plan.job.files)
     own = files_of(path, len(plan.places))
     for file in own:
         check_output(file, plan.job.files)

@@ -365,6 +365,17 @@ def test_yaml_holds_a_joint_trajectory(solved: bp.Plan, tmp_path: Path) -> None:
     np.testing.assert_allclose([s["sec"] + 1e-9 * s["nanosec"] for s in stamps], motion.time, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["plan.html", "plan.yaml", "plan.PNG"])
+def test_a_plan_is_not_written_under_the_name_of_another_kind_of_file(
+    solved: bp.Plan, tmp_path: Path, name: str
+) -> None:
+    with pytest.raises(bp.OutputError, match=r"another kind of file than JSON; found \..*allowed: \.json"):
+        solved.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+    solved.save(tmp_path / "plan")
+    assert (tmp_path / "plan").exists()
+
+
 @pytest.mark.parametrize("name", ["motion.txt", "motion"])
 def test_an_unknown_ending(solved: bp.Plan, tmp_path: Path, name: str) -> None:
     with pytest.raises(bp.OutputError, match=r"\.csv, \.npz, \.yaml"):

@@ -204,7 +204,7 @@ def test_normal_of_any_length_becomes_a_unit_vector() -> None:
 
 
 def test_scene_cannot_be_changed_after_reading() -> None:
-    with pytest.raises(ValueError, match="frozen"):
+    with pytest.raises(ValueError, match="does not change once it is made"):
         scene_from_dict(GOAL).clearance = 1.0
 
 

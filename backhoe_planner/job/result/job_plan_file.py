@@ -18,7 +18,7 @@ from pydantic import Field, StrictInt, ValidationError
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.file_kinds import refuse_other_kind
-from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
@@ -334,7 +334,7 @@ def save_job_plan(plan: JobPlan, path: Path) -> None:
     ------
     OutputError: the folder does not exist or cannot be written; or the file is one of the job's.
     """
-    check_output(path, (*plan.job.files, *plan.robot.files))
+    check_record(path, (*plan.job.files, *plan.robot.files))
     with whole_file(path) as stream:
         stream.write(job_plan_record(plan, path.parent).model_dump_json() + "\n")
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
-from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.machine import BatchKinematics, MotionEnergy, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
@@ -203,7 +203,7 @@ class Plan:
         OutputError: the folder does not exist or cannot be written; or the file is of the machine or the scene.
         """
         path = check_path(path, key="path")
-        check_output(path, self.input_files)
+        check_record(path, self.input_files)
         with whole_file(path) as stream:
             stream.write(_record(self, path.parent).model_dump_json() + "\n")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.files.output_file import check_output
+from backhoe_planner.files.output_file import check_record
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.timeline import FRAME
@@ -110,7 +110,7 @@ class TeleopStation:
         say: Callable[[str], None] | None = None,
     ) -> None:
         self._output = Path(output)
-        check_output(self._output, (*robot.files, *scene.files))
+        check_record(self._output, (*robot.files, *scene.files))
         self.session = Session(robot, scene, dt=dt)
         self._server = TeleopServer(self.session, host=host, port=port, password=password, allow_anyone=allow_anyone)
         try:
