@@ -148,10 +148,11 @@ def _velocities(
 
 def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     influence = plan.scene.influence
-    lowest = 0.0
+    lowest, far = 0.0, 0
     for index, name in enumerate(frames.obstacles):
         margin = frames.margins(index)
         if np.all(np.isnan(margin)) or np.nanmin(margin) > 2.0 * influence:
+            far += 1
             continue
         lowest = min(lowest, float(np.nanmin(margin)))
         _curve(axes, frames.time, margin, _colour(index), name)
@@ -167,6 +168,8 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
         )  # fmt: skip
     axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)
     axes.set_ylabel("margin [m]")
+    if far:
+        axes.plot([], [], linestyle="", label=f"({far} further off)")
     _legend(axes)
     _say(axes, "distance beyond the required clearance; shaded: obstacles act")
 
@@ -233,7 +236,7 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     axes.set_ylabel("limit used [%]")
     if any(named):
         _legend(axes)
-    _say(axes, "the limit that is used most; coloured where it binds")
+    _say(axes, "the limit that is used most, but for positions; coloured where it binds")
 
 
 def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
