@@ -163,13 +163,13 @@ def print_patterns(plan: bp.JobPlan) -> None:
     if len(plan.compared) < 2:
         return
     unit = "s/m^3" if plan.job.objective == "time" else "kJ/m^3"
-    OUT.print(f"{'compared, by estimates':<38}  cycles  bank [m^3]  time [s]  work [kJ]  {unit:>8}")
+    OUT.print(f"{'compared, by estimates':<38}  cycles  bank [m^3]  time [s]  work [kJ]  {unit:>8}  remark")
     for one in plan.compared:
         cost = one.cost if plan.job.objective == "time" else one.cost / 1e3
-        mark = "  chosen" if one.chosen else "" if one.finished else "  leaves some"
+        mark = ", ".join(["chosen"] * one.chosen + ["leaves some"] * (not one.finished))
         OUT.print(
             f"{one.name:<38}  {one.cycles:6d}  {one.bank:10.2f}  {one.duration:8.0f}  {one.work / 1e3:9.0f}  "
-            f"{cost:8.1f}{mark}"
+            f"{cost:8.1f}  {mark}".rstrip()
         )
 
 

@@ -131,15 +131,16 @@ def _print_ranking(plan: bp.StandPlan, unit: str, scale: float) -> None:
     if not plan.ranking:
         return
     OUT.print(f"compared [{unit}]")
-    OUT.print(" x [m]   y [m]  heading [deg]   rough  estimated  planned  bank [m^3]")
+    OUT.print(" x [m]   y [m]  heading [deg]   rough  estimated  planned  bank [m^3]  remark")
+    chosen = [place.base for place in plan.places]
     for one in plan.ranking:
         x, y = one.base.position
         rough, estimated, planned = (
             f"{scale * cost:.1f}" if math.isfinite(cost) else "-" for cost in (one.rough, one.estimated, one.planned)
         )
         bank = f"{one.bank:.2f}" if math.isfinite(one.bank) else "-"
-        marks = [text for text in ("given" if one.given else "", one.note) if text]
+        marks = ["chosen"] * (one.base in chosen) + ["given"] * one.given + [one.note] * bool(one.note)
         OUT.print(
             f"{x:6.2f}  {y:6.2f}  {DEGREES * one.base.heading:13.0f}  {rough:>6}  {estimated:>9}  {planned:>7}  "
-            f"{bank:>10}  {': '.join(marks)}".rstrip()
+            f"{bank:>10}  {'; '.join(marks)}".rstrip()
         )

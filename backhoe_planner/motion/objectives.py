@@ -147,6 +147,7 @@ class Objective(ABC, Generic[Parts]):
     needs_hydraulics: whether it is defined only for a machine with a hydraulic description.
     is_time: whether it is the duration itself.
     is_positive_power: whether its rate is the sum of the joints' powers, of each of which only what is positive counts.
+    lifts: whether what is lifted is a part of it, so that it is at least the gain of potential energy.
     is_quadratic: whether it grows with the squared rates, and so holds every motion back.
     time_share: for one that is not quadratic, the price of a lost second, as a part of the
         usual load at the usual rate.
@@ -157,6 +158,7 @@ class Objective(ABC, Generic[Parts]):
     needs_hydraulics: ClassVar[bool] = False
     is_time: ClassVar[bool] = False
     is_positive_power: ClassVar[bool] = False
+    lifts: ClassVar[bool] = False
     is_quadratic: ClassVar[bool] = False
     time_share: ClassVar[float] = 0.1
 
@@ -263,7 +265,7 @@ class Effort(_OfTorques):
 class Work(_OfTorques):
     """sum_i max(tau_i dq_i, 0): the integral of the power that joints deliver; none is recovered."""
 
-    name, unit, is_positive_power = "work", "J", True
+    name, unit, is_positive_power, lifts = "work", "J", True, True
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load
@@ -287,7 +289,7 @@ class Hydraulic(Objective[_Forces]):
     costs the margin by which the pump's pressure exceeds the highest load.
     """
 
-    name, unit, needs_hydraulics, time_share = "hydraulic", "J", True, 1.0
+    name, unit, needs_hydraulics, lifts, time_share = "hydraulic", "J", True, True, 1.0
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load

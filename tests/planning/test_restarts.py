@@ -37,9 +37,11 @@ class Searches:
     """Searches that find what they are told to, and remember the seeds of their worlds."""
 
     def __init__(
-        self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False
+        self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
+        rounds: int = 0,
     ) -> None:  # fmt: skip
         self._goal, self._left, self.leads_round, self.is_for_time = goal, iter(found), leads_round, is_for_time
+        self.rounds = rounds
         self.seeds: list[int] = []
         self.efforts: list[Any] = []
         self.longest: list[float] = []
@@ -70,12 +72,13 @@ class Searches:
 
 def way_of(
     robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
-    effort: Effort | None = None, leads_round: bool = False,
+    effort: Effort | None = None, leads_round: bool = False, rounds: int = 0,
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
     searches = Searches(
-        world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time"
+        world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time",
+        rounds=rounds,
     )  # fmt: skip
     patch.setattr(goal_searches, "MotionSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
@@ -135,6 +138,25 @@ def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
     )  # fmt: skip
     assert (way, len(searches.seeds)) == (f"search {count}", count)
     assert searches.before == [None, searches, searches][:count]  # each goes on
+
+
+@pytest.mark.parametrize(
+    ("rounds", "costs", "best"),
+    [
+        (10, [10.0], "search 1"),  # what is found soon is found again
+        (90, [10.0, 10.2], "search 1"),  # two are alike
+        (90, [10.0, 8.0, 8.1], "search 2"),
+        (90, [10.0, 8.0, 6.0, 4.0], "search 4"),  # and no fifth
+        (90, [1e-3], "search 1"),  # less than lifts all that moves by half a millimetre
+    ],
+)
+def test_after_a_long_search_for_little_work_others_are_begun_anew_until_two_are_alike(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, rounds: int, costs: list[float], best: str
+) -> None:
+    found = iter([(cost, DURATION) for cost in costs])
+    way, searches = way_of(planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=rounds)
+    assert (way, len(searches.seeds)) == (best, len(costs))
+    assert searches.before == [None] * len(costs)
 
 
 def test_a_quick_plan_never_searches_again() -> None:

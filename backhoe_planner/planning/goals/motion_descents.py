@@ -121,6 +121,11 @@ class MotionDescents:
         return self._world.work.descent_rounds - self._reserved
 
     @property
+    def rounds(self) -> int:
+        """How many rounds were made."""
+        return self._descent.rounds
+
+    @property
     def has_gained(self) -> bool:
         """Whether the best is better than what was known before."""
         return self.best is not self._known_best

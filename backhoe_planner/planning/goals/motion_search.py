@@ -138,6 +138,11 @@ class MotionSearch:
         return ""
 
     @property
+    def rounds(self) -> int:
+        """How many rounds its descents have made, but for those for a fast motion."""
+        return self._descents.rounds
+
+    @property
     def allowed_time(self) -> float | None:
         """How long a motion may take [s]; None where its time is the cost, or no motion is known."""
         return self._descents.longest if np.isfinite(self._descents.longest) else None

@@ -13,11 +13,19 @@ from dataclasses import dataclass
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.lift import Lift
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS, Effort
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
+
+# rounds of the descents of a search for another cost than the time, above which another may find a much cheaper motion;
+# chosen: two sites in five have more, and a plan takes no longer in the median
+_HARD = 50
+# parts of the cost: above what is lifted, within which another search is not worth its time, and within which two
+# searches have found as much; chosen
+_LIFTED, _ALIKE = 0.05, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,25 +59,49 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
     ended, is_long = search.run(), search.takes_long
     best, allowed, looked_at = search.best, search.allowed_time, search.looked_at
     longest = math.inf if allowed is None else allowed
-    anew, on = (0, 0) if ended or best is None else _further(search, world.work.effort)
-    for number in range(1, anew + on + 1):
+    searches = () if ended or best is None else _further(search, world.work.effort)
+    lift = Lift(world.problem) if world.problem.objective.lifts else None
+    worth, lifted = (0.0, 0.0) if lift is None else (lift.worth, lift.least(start, found.clear))
+    enough = (1.0 + _LIFTED) * lifted + worth
+    # of the first search with those that go on after it, and of each that was begun anew
+    costs = [] if best is None else [best.cost]
+    for number, goes_on in enumerate(searches, start=1):
+        assert best is not None
+        if not goes_on and not search.is_for_time and not _may_find_less(costs, enough, worth, world.work.effort):
+            break
         again = world.anew(number, EFFORTS["normal"])
         postures = find_goal_postures(again, goals, near=start, time=time)
         if isinstance(postures, Outcome):
             continue
-        before = None if number <= anew else search
-        search = MotionSearch(again, start, postures, time=time, longest=longest, before=before)
+        search = MotionSearch(again, start, postures, time=time, longest=longest, before=search if goes_on else None)
         ended, other = search.run(), search.best
-        if other is not None and other.motion.duration <= longest and (best is None or other.cost < best.cost):
+        cost = math.inf if other is None or other.motion.duration > longest else other.cost
+        if other is not None and cost < best.cost:
             best = other
             world.show(best.motion, attempt=number, best=best.cost)
+        costs = [best.cost] if goes_on else [*costs, cost]
         if ended or (is_long and other is not None and not search.takes_long):
             break
     return Searched(best, allowed, looked_at, ended)
 
 
-def _further(first: MotionSearch, effort: Effort) -> tuple[int, int]:
-    """How many further searches are begun anew, and how many go on, after one that has found a motion."""
+def _further(first: MotionSearch, effort: Effort) -> tuple[bool, ...]:
+    """The further searches after one that has found a motion: whether each goes on, or is begun anew."""
     if first.is_for_time:
-        return (effort.restarts_long if first.takes_long else 0), 0
-    return effort.restarts, effort.restarts_round if first.leads_round else 0
+        return (False,) * (effort.restarts_long if first.takes_long else 0)
+    # what is found soon is mostly found again
+    anew = effort.restarts if not effort.alike or first.rounds > _HARD else 0
+    return (True,) * (effort.restarts_round if first.leads_round else 0) + (False,) * anew
+
+
+def _may_find_less(costs: Sequence[float], enough: float, worth: float, effort: Effort) -> bool:
+    """Whether another search that is begun anew may come upon a motion that costs clearly less.
+
+    Not where one costs no more than `enough`, or several of the `costs` of searches from the same start come near
+    the least: within a few per cent, or within what is `worth` another search.
+    """
+    if not effort.alike:
+        return True
+    least = min(costs)
+    near = max((1.0 + _ALIKE) * least, least + worth)
+    return least > enough and sum(cost <= near for cost in costs) < effort.alike

@@ -8,7 +8,6 @@ from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate, least_duration, least_duration_of_all, least_work
 
-_LIFTING = ("work", "hydraulic")  # the objectives of which what is lifted is a part
 _SHORTEST = 0.005  # s: less is printed as 0.00 s, and a percentage of it says nothing
 
 
@@ -59,8 +58,8 @@ def measure_bound(problem: Problem, trajectory: Trajectory, certificate: Certifi
         least, settled = max(least, alone), settled and alone <= least
     longer = 100.0 * (duration / least - 1.0) if least > 0.0 else 0.0
     # of what is minimised alone: where that is the time, the work's bound is a third of the time for both
-    lifts = problem.objective.name in _LIFTING
-    energy = _least_energy(problem, least_work(problem, q[0], end=q[-1], boxes=boxes) if lifts else None)
+    lifted = least_work(problem, q[0], end=q[-1], boxes=boxes) if problem.objective.lifts else None
+    energy = _least_energy(problem, lifted)
     return Bound(duration=least, longer_percent=longer, settled=settled, energy=energy)
 
 

@@ -51,6 +51,8 @@ class Effort:
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
+    alike: so many searches that cost alike end them, one that costs little more than is lifted, and one that was
+        short; 0 for none.
     restarts_round: further ones where the best motion leads round something, each of which goes on with what is known.
     restarts_long: further searches for the time, each begun anew with the normal effort, where the best motion takes
         much longer than the joints need, until one finds a shorter one than that.
@@ -74,6 +76,7 @@ class Effort:
     ways_at_once: int
     dull_searches: int
     restarts: int
+    alike: int
     restarts_round: int
     restarts_long: int
     rough: bool
@@ -100,7 +103,8 @@ _NORMAL = Effort(
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
-    restarts=0,
+    restarts=3,
+    alike=2,
     restarts_round=2,
     restarts_long=1,
     rough=True,
@@ -126,6 +130,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             pieces=8,
             ways_at_once=1,
             dull_searches=0,
+            restarts=0,
             restarts_round=0,
             restarts_long=0,
         ),
@@ -137,6 +142,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             ways_at_once=6,
             dull_searches=3,
             restarts=8,
+            alike=0,
             restarts_round=0,
             restarts_long=2,
         ),

@@ -1,0 +1,33 @@
+"""What is lifted on the way to a goal, and how much of that is worth another search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import GRAVITY, Dynamics
+from backhoe_planner.motion import Problem
+
+_WORTH = 5e-4  # m that all that moves is lifted by what is worth another search; chosen
+
+
+class Lift:
+    """The potential energy of a problem's machine with its payload.
+
+    Attributes
+    ----------
+    worth: of so much energy it is worth to search once more [J].
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        scene = problem.scene
+        self._dynamics = Dynamics(problem.robot, payload=scene.payload, payload_at=scene.payload_at)
+        masses, _ = self._dynamics.bodies()
+        self.worth = float(np.sum(masses)) * GRAVITY * _WORTH
+
+    def least(self, start: Vector, ends: Iterable[Vector]) -> float:
+        """By how much `start` (n,) is below the lowest of `ends`, (n,) each [J]; 0 where it is not."""
+        lowest = min(map(self._dynamics.potential_energy, ends))
+        return max(lowest - self._dynamics.potential_energy(start), 0.0)
