@@ -89,6 +89,11 @@ class Problem:
             goals = (Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name="place"),)
         return replace(self, start_q=q, start_target=None, goals=goals, obstacles=self._obstacles_from(time))
 
+    def in_degrees(self, q: Vector) -> Vector:
+        """(n,) angles [rad] where `q` (n,) seems to be in degrees: beyond a turn, then within limits; else nan."""
+        turned = np.where(self.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
+        return np.where((turned >= self.limits.lower) & (turned <= self.limits.upper), turned, np.nan)
+
     def _obstacles_from(self, time: float) -> tuple[Obstacle, ...]:
         if time == 0.0 or not self.is_dynamic:
             return self.obstacles

@@ -28,7 +28,6 @@ def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Ma
     ------
     SceneError: names the key, what was found, and what would do.
     """
-    _check_start(site)
     _check_width(site)
     _check_cell(site)
     _check_design(site, design)
@@ -37,17 +36,22 @@ def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Ma
     _check_depth(site, lanes)
 
 
-def _check_start(site: Worksite) -> None:
-    q, limits, robot = site.problem.start_q, site.problem.limits, site.robot
+def check_start(site: Worksite) -> None:
+    """Check where a job begins.
+
+    Raises
+    ------
+    SceneError: beyond a joint's limits.
+    """
+    q, limits = site.problem.start_q, site.problem.limits
     if q is None:
         return
+    meant = site.problem.in_degrees(q)
     for j in np.flatnonzero((q < limits.lower) | (q > limits.upper)).tolist():
-        turned = np.radians(q[j])
-        degrees = not robot.prismatic[j] and abs(q[j]) > 2.0 * np.pi and limits.lower[j] <= turned <= limits.upper[j]
         raise SceneError(
-            "is beyond the joint's limits", file=site.job.file, key=f"start.{robot.joint_names[j]}",
+            "is beyond the joint's limits", file=site.job.file, key=f"start.{site.robot.joint_names[j]}",
             found=f"{q[j]:.4g}", allowed=f"{limits.lower[j]:.4g} to {limits.upper[j]:.4g}",
-            hint=f"angles are in radians: {q[j]:.4g} degrees are {turned:.4g}" if degrees else None,
+            hint=f"angles are in radians: {q[j]:.4g} degrees are {meant[j]:.4g}" if np.isfinite(meant[j]) else None,
         )  # fmt: skip
 
 

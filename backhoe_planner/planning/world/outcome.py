@@ -97,12 +97,11 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
         units = np.where(world.problem.robot.prismatic, "m", "rad")
-        in_degrees = np.where(world.problem.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
-        meant = (in_degrees >= limits.lower) & (in_degrees <= limits.upper)
+        meant = world.problem.in_degrees(q)
         words = "; ".join(
             f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g} {units[j]}, "
             f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} {units[j]}"
-            + (f" ({q[j]:.4g} degrees are {in_degrees[j]:.4g} rad)" if meant[j] else "")
+            + (f" ({q[j]:.4g} degrees are {meant[j]:.4g} rad)" if np.isfinite(meant[j]) else "")
             for j in outside
         )
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
