@@ -15,7 +15,7 @@ from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.dump_checks import check_dump, check_truck
 from backhoe_planner.job.cycles.dumping import dump_of
-from backhoe_planner.job.cycles.patterns import NextCut, next_cut, patterns_to_compare
+from backhoe_planner.job.cycles.patterns import WALLS, NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle
@@ -173,10 +173,11 @@ class _Run:
                     # a heap that has grown out of reach is full
                     failure = "full" if cycles else made.part
                     break
-                stopped = made.words
+                if found.step != WALLS:  # without a last cut along a wall most is dug all the same
+                    stopped = made.words
                 leave_out(found)
                 if refused > _MOST_REFUSED:
-                    failure = "blocked"
+                    failure = "blocked" if stopped else ""
                     break
                 continue
             cycle, state = made
@@ -198,10 +199,10 @@ class _Run:
             return self._plan(cycles, "blocked", stopped)
         if too_hard and not plan.failure and not plan.is_met:
             return self._plan(cycles, "too_hard", note)
-        if not plan.failure and not plan.note and not plan.is_met and cycles:
-            left = max(plan.over, plan.under, plan.beside)
+        if not plan.failure and not plan.is_met and cycles:
+            left, why = max(plan.over, plan.under, plan.beside), f": {plan.note}" if plan.note else ""
             return replace(
-                plan, note=f"the design is missed by {100.0 * left:.1f} cm, and no cut is found that mends it"
+                plan, note=f"the design is missed by {100.0 * left:.1f} cm, and no cut is found that mends it{why}"
             )
         return plan
 

@@ -110,6 +110,23 @@ def test_a_job_that_is_stopped_on_its_way_to_the_dump_is_blocked(monkeypatch: py
     assert (found.verdict, found.reason, found.note) == ("failed", "blocked", words)
 
 
+def test_a_job_of_which_only_a_last_cut_along_a_wall_has_no_way_is_not_blocked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plan = CyclePlanner.plan
+
+    def without_walls(planner: CyclePlanner, number: int, at: Any, state: Any, chosen: NextCut) -> Any:
+        if chosen.step == "walls":
+            return Failed("cut", "the plate rubs")
+        return plan(planner, number, at, state, chosen)
+
+    monkeypatch.setattr(CyclePlanner, "plan", without_walls)
+    found = plan_job(small_job(dig=trench(width=0.8)), effort="quick")
+    assert found.cycles
+    assert found.reason == "not_done"
+    assert re.fullmatch(r"the design is missed by [\d.]+ cm, and no cut .*: the plate rubs", found.note)
+
+
 @pytest.mark.long
 def test_a_cut_that_takes_too_much_force_is_dug_slower_or_less_deep(monkeypatch: pytest.MonkeyPatch) -> None:
     site = build_worksite(small_job())

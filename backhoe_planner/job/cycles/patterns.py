@@ -24,6 +24,7 @@ from backhoe_planner.job.schema.work import Face, Layers
 from backhoe_planner.job.worksite.lanes import LEAVE, Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 
+WALLS = "walls"  # the step of a cut of what others have left along a wall
 PLAIN = 0.15  # m, layers of the plain pattern: what an operator's manual has for cuts after the first
 _LEFT = 0.6  # of the tolerance: what is left above the floor and not worth a cut; chosen
 _SHORTEST = 0.1  # m of radius: a cut that is shorter is not looked for; chosen
@@ -124,7 +125,7 @@ def next_cut(
         if refused is None or refused.kind != "reach":
             break
     beside = cut_of_walls(site, lanes, ground, limits)
-    return NextCut(*beside, "walls") if beside is not None else refused
+    return NextCut(*beside, WALLS) if beside is not None else refused
 
 
 class _Tries:
