@@ -24,6 +24,8 @@ from backhoe_planner.job.worksite.worksite import Worksite
 _WHOLE = 1.0 - 1e-9  # of a column: so much of it lies within the design
 _THIN = 0.05  # m of that for a cut to be found; chosen
 _PROGRESS = 1e-3  # m^3 that a cut takes at least; chosen
+# part of a bucketful that it takes at least where no lane runs along the walls, so that some of it stays anyway; chosen
+_ASKEW_PROGRESS = 0.05
 _WORTH = 1e-3  # m of soil, spread over the width of the blade; chosen
 _INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
 _RUN_IN = 0.3  # m beyond what is left, where a cut begins; chosen
@@ -75,6 +77,7 @@ def _cut_in(site: Worksite, lane: Lane, ground: Terrain, limit: float) -> Cut | 
     under = Profile.of_terrain(ground, site.plane, lane.swing, width=site.arm.span + 2.0 * RIM * ground.cell)
     at, highest = site.arm.raised(under)
     raised = (at, highest + _SPARE)
+    least = _PROGRESS if site.job.dig.trench is not None else max(_PROGRESS, _ASKEW_PROGRESS * site.volume)
     for place in np.arange(left[-1], left[0] + _SHORTEST, -_INWARD).tolist():
         start = min(max(place + _RUN_IN, lane.end + _SHORTEST), lane.start)
         for drawn_in in (False, True):
@@ -86,7 +89,7 @@ def _cut_in(site: Worksite, lane: Lane, ground: Terrain, limit: float) -> Cut | 
             if (
                 isinstance(found, Cut)
                 and site.arm.clears(found.q, raised).all()
-                and float(_sweep(site, ground, found.position, lane.swing).volume[-1]) > _PROGRESS
+                and float(_sweep(site, ground, found.position, lane.swing).volume[-1]) > least
             ):
                 return found
     return None
