@@ -33,6 +33,7 @@ from .path import TipPath as TipPath
 from .path import step_lengths as step_lengths
 from .path import targets_along as targets_along
 from .problem import Problem as Problem
+from .problem import angles_in_degrees as angles_in_degrees
 from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
 from .problem import keep_of as keep_of

@@ -89,11 +89,6 @@ class Problem:
             goals = (Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name="place"),)
         return replace(self, start_q=q, start_target=None, goals=goals, obstacles=self._obstacles_from(time))
 
-    def in_degrees(self, q: Vector) -> Vector:
-        """(n,) angles [rad] where `q` (n,) seems to be in degrees: beyond a turn, then within limits; else nan."""
-        turned = np.where(self.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
-        return np.where((turned >= self.limits.lower) & (turned <= self.limits.upper), turned, np.nan)
-
     def _obstacles_from(self, time: float) -> tuple[Obstacle, ...]:
         if time == 0.0 or not self.is_dynamic:
             return self.obstacles
@@ -227,6 +222,13 @@ def _without_repeats(waypoints: Sequence[Waypoint]) -> list[int]:
         if not (stays and turns[kept[-1]] and not turns[index]):
             kept.append(index)
     return [index + 1 for index in kept] if len(kept) > 1 else [1, 2]
+
+
+def angles_in_degrees(problem: Problem, q: Vector) -> Vector:
+    """(n,) angles [rad] where `q` (n,) seems to be in degrees: beyond a turn, then within limits; else nan."""
+    limits = problem.limits
+    turned = np.where(problem.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
+    return np.where((turned >= limits.lower) & (turned <= limits.upper), turned, np.nan)
 
 
 def hand_set_gains(problem: Problem) -> Gains | None:

@@ -10,6 +10,7 @@ from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import SceneError
 from backhoe_planner.job.worksite.lanes import Lane
 from backhoe_planner.job.worksite.worksite import Worksite
+from backhoe_planner.motion import angles_in_degrees
 
 _COLUMNS = 4  # of the ground side by side under the blade, at least; chosen: of fewer, the edges alone are half
 
@@ -46,7 +47,7 @@ def check_start(site: Worksite) -> None:
     q, limits = site.problem.start_q, site.problem.limits
     if q is None:
         return
-    meant = site.problem.in_degrees(q)
+    meant = angles_in_degrees(site.problem, q)
     for j in np.flatnonzero((q < limits.lower) | (q > limits.upper)).tolist():
         raise SceneError(
             "is beyond the joint's limits", file=site.job.file, key=f"start.{site.robot.joint_names[j]}",

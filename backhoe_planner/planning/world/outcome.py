@@ -11,7 +11,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import InverseKinematics, TipTarget, wrap_angle
-from backhoe_planner.motion import TipPath, Trajectory
+from backhoe_planner.motion import TipPath, Trajectory, angles_in_degrees
 from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
@@ -97,7 +97,7 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
         units = np.where(world.problem.robot.prismatic, "m", "rad")
-        meant = world.problem.in_degrees(q)
+        meant = angles_in_degrees(world.problem, q)
         words = "; ".join(
             f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g} {units[j]}, "
             f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} {units[j]}"
