@@ -22,7 +22,7 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
-from backhoe_planner.planning.paths.path_layers import redundancy_of
+from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.paths.stretch import LawWay, Stretch
@@ -88,8 +88,9 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(world.kinematics.at(stepper.q))) < _ON_PATH
     cost = PathCost(world.problem)
+    robot = world.problem.robot
     # with one free parameter the grid can be dense; layers far apart let a route turn slowly
-    one_free = redundancy_of(world.problem.robot, path.target(0.0)) == 1
+    one_free = redundancy_of(robot, freest(robot, [path.target(station) for station in path.stations])) == 1
     begin = stepper.q if stepper is not None and on_path else None
 
     def resolver_within(joint_steps: Vector | None) -> PathResolver:

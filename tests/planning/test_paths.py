@@ -246,16 +246,20 @@ def test_redundancy(name: str, full: bool, expected: int, request: pytest.Fixtur
     assert redundancy_of(robot, target) == expected
 
 
-@pytest.mark.parametrize(("name", "full"), [("backhoe", False), ("panda", True)])
-def test_no_branch_of_the_solutions_is_missed(name: str, full: bool, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize(("name", "asked"), [("backhoe", ""), ("panda", "rotation"), ("telescope", "pitch")])
+def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     """Whatever the inverse kinematics finds from anywhere has a node within two grid steps."""
-    robot: bp.Robot = request.getfixturevalue(name)
+    robot = load_machine(name)
     rng = np.random.default_rng(3)
     grid = np.radians(5.0)
     missed = 0
     for _ in range(4):
         at = bp.Kinematics(robot).at(robot.random_q(rng))
-        target = TipTarget(at.tip_position.copy(), rotation=at.tip_rotation.copy() if full else None)
+        target = TipTarget(
+            at.tip_position.copy(),
+            pitch=(at.pitch, at.pitch) if asked == "pitch" else None,
+            rotation=at.tip_rotation.copy() if asked == "rotation" else None,
+        )
         # the layers are completed from neighbour to neighbour: here all at one place
         nodes = PathLayers(robot, grid=grid).at(np.linspace(0.0, 2.0, 6), [target] * 6)[-1]
         guesses = np.array([robot.random_q(rng) for _ in range(200)])
@@ -263,6 +267,16 @@ def test_no_branch_of_the_solutions_is_missed(name: str, full: bool, request: py
         near = np.min(np.max(np.abs(q[reached][:, None] - nodes[None]), axis=2), axis=1)
         missed += int(np.sum(near > 2.0 * grid))
     assert missed == 0
+
+
+def test_a_pitch_that_is_given_at_one_end_alone_is_free_from_there_on(backhoe: bp.Robot) -> None:
+    targets = [TipTarget(np.array([4.0, 0.1 * k, 0.0]), pitch=(-2.0, -2.0 + 0.2 * k)) for k in range(5)]
+    layers = PathLayers(backhoe, grid=0.1).at(np.linspace(0.0, 0.4, 5), targets)
+    kinematics = bp.Kinematics(backhoe)
+    for k, nodes in enumerate(layers):
+        pitches = np.array([kinematics.at(q).pitch for q in nodes])
+        assert np.ptp(pitches) == pytest.approx(0.2 * k, abs=1e-6)
+        assert np.max(np.diff(np.sort(pitches)), initial=0.0) < 0.1 + 1e-6
 
 
 def test_nodes_are_on_the_path(backhoe: bp.Robot) -> None:

@@ -75,8 +75,9 @@ class PathLayers:
         if not len(targets):
             return []
         batch = TargetBatch.of(targets)
-        redundancy = redundancy_of(self._robot, targets[0])
-        on_grid = redundancy == 0 or (redundancy == 1 and self._pitch_is_free(targets))
+        free = freest(self._robot, targets)
+        redundancy = redundancy_of(self._robot, free)
+        on_grid = redundancy == 0 or (redundancy == 1 and _pitch_is_free(self._robot, free))
         if redundancy >= 2:
             found = self._on_samples(batch)
         elif not on_grid:
@@ -126,9 +127,6 @@ class PathLayers:
             q, reached = solve_batch(self._kinematics, targets, before[alone], iterations=10)
             near = np.max(np.abs(q - before[alone]), axis=1) < _CARRIED
             found[row] = self._distinct(np.vstack((here, q[reached & near])))
-
-    def _pitch_is_free(self, targets: Sequence[TipTarget]) -> bool:
-        return self._robot.has_pitch and all(target.rotation is None for target in targets)
 
     # --- one parameter, or none --------------------------------------------------
 
@@ -347,6 +345,16 @@ class PathLayers:
         turned = np.mod(q[:, continuous], 2.0 * np.pi)
         q[:, continuous] = np.where(turned < 2.0 * np.pi, turned, 0.0)  # rounding
         return q
+
+
+def freest(robot: Robot, targets: Sequence[TipTarget]) -> TipTarget:
+    """Of targets along a path the first that leaves the joints most: one with a free pitch, if there is one."""
+    return next((target for target in targets if _pitch_is_free(robot, target)), targets[0])
+
+
+def _pitch_is_free(robot: Robot, target: TipTarget) -> bool:
+    is_given = target.pitch is not None and target.pitch[1] <= target.pitch[0]
+    return robot.has_pitch and target.rotation is None and not is_given
 
 
 def redundancy_of(robot: Robot, target: TipTarget) -> int:
