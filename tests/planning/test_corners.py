@@ -65,6 +65,18 @@ def test_the_way_back_is_stopped_at(planar4: bp.Robot) -> None:
     np.testing.assert_allclose(left, [0.6])
 
 
+def test_waypoints_half_a_micrometre_apart_before_a_corner_are_no_trouble(backhoe: bp.Robot) -> None:
+    """The direction is taken 1 um beside a waypoint: beyond the next one, so that the first seems to bend."""
+    points = [[4.0, 0.0, 0.0], [4.0, 0.5, 0.0], [4.0, 0.5 + 5e-7, 0.0], [3.6, 0.5, 0.0]]
+    path = {"waypoints": [{"position": point} for point in points]}
+    scene = bp.scene_from_dict({"version": 1, "task": {"path": path}})
+    problem = build_problem(backhoe, scene)
+    assert problem.path is not None
+    assert problem.path.corners(corners.SHARP)[0] == pytest.approx(0.5, abs=1e-9)
+    plan = bp.plan(backhoe, scene, effort="quick")
+    assert plan.verified, plan.message
+
+
 def test_a_fine_polyline_is_not_stopped_at(backhoe: bp.Robot) -> None:
     """9 points on an arc: but for the ends the tip never stands."""
     points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.3] for a in np.linspace(-0.4, 0.4, 9)]

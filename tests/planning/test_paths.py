@@ -269,6 +269,17 @@ def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     assert missed == 0
 
 
+@pytest.mark.parametrize(("machine", "index", "seed"), [("telescope", 7, 99131), ("panda", 8, 98911)])
+def test_a_path_to_which_a_way_is_known_is_not_called_blocked(machine: str, index: int, seed: int) -> None:
+    """One needs postures far from those of the usual guesses, the other a curve of self-motion beside another."""
+    robot = load_machine(machine)
+    site = random_site(robot, SiteKey(machine, "narrow", "path", index, seed))
+    assert site.way_known
+    plan = bp.plan(robot, site.scene, effort="quick")
+    assert plan.verified, plan.message
+    assert refutations(plan) == []
+
+
 def test_a_pitch_that_is_given_at_one_end_alone_is_free_from_there_on(backhoe: bp.Robot) -> None:
     targets = [TipTarget(np.array([4.0, 0.1 * k, 0.0]), pitch=(-2.0, -2.0 + 0.2 * k)) for k in range(5)]
     layers = PathLayers(backhoe, grid=0.1).at(np.linspace(0.0, 0.4, 5), targets)

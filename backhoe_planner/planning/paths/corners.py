@@ -242,7 +242,8 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
         return None
     # the parabola's middle is half of cut * sin(bend / 2) off the corner
     longest = min(_LEG * float(np.min(sizes)), 0.9 * (corner - low), 0.9 * (high - corner))
-    return min(2.0 * off / float(np.sin(0.5 * bend)), longest)
+    # beside legs that are shorter than what a corner is told by, one may not bend at all
+    return longest if longest * np.sin(0.5 * bend) <= 2.0 * off else 2.0 * off / float(np.sin(0.5 * bend))
 
 
 def _round(

@@ -31,6 +31,7 @@ _SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen:
 _SAMPLES = 256  # configurations per layer where the redundancy has several dimensions; chosen
 _RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
 _FOLLOWED = 0.2  # rad or m: chosen, a node with another this near in the next layer is followed there
+_FOLLOWED_STEPS = 1.2  # grid steps: the same on curves of self-motion; chosen: half of it lies between two nodes
 _FOLLOWED_PART = 0.5  # of the longest step, where steps are bounded: the same at most; chosen
 _CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times that
 _MOST = 500  # nodes of a layer to which no more are carried; chosen: twice `_SAMPLES`, since steps grow by its square
@@ -87,8 +88,12 @@ class PathLayers:
         self._brake.check()
         if begin is not None:
             found[0] = self._distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
-        self._carry(batch, found, range(1, len(found)), -1)
-        self._carry(batch, found, range(len(found) - 2, -1, -1), 1)
+        # two curves may come as near to each other as the nodes on each
+        followed = (
+            min(self._followed, _FOLLOWED_STEPS * self._grid) if redundancy == 1 and not on_grid else self._followed
+        )
+        self._carry(batch, found, range(1, len(found)), -1, followed)
+        self._carry(batch, found, range(len(found) - 2, -1, -1), 1, followed)
         return [nodes if len(nodes) <= _MOST or on_grid else self._few(nodes) for nodes in found]
 
     def between(self, targets: Sequence[TipTarget], near: Matrix) -> list[Matrix]:
@@ -106,7 +111,9 @@ class PathLayers:
         q, reached = solve_batch(self._kinematics, batch.take(np.zeros(len(guesses), dtype=int)), guesses)
         return q[reached]
 
-    def _carry(self, batch: TargetBatch, found: list[Matrix], rows: Iterable[int], back: int) -> None:
+    def _carry(
+        self, batch: TargetBatch, found: list[Matrix], rows: Iterable[int], back: int, followed: float
+    ) -> None:  # fmt: skip
         """Carry every node on to the next layer, unless a node is near it there.
 
         Thus a branch that is found anywhere is followed as far as it goes.
@@ -114,19 +121,23 @@ class PathLayers:
         Parameters
         ----------
         rows: layers to carry to, in order; `back`: from each of them to the layer before.
+        followed: what is nearer than that to a node counts as it [rad or m].
         """
         for row in rows:
             self._brake.check()
             before, here = found[row + back], found[row]
             if not len(before) or len(here) >= _MOST:
                 continue
-            alone = self._away(before, here, self._followed)
+            alone = self._away(before, here, followed)
             if not alone.any():
                 continue
             targets = batch.take(np.full(int(alone.sum()), row))
             q, reached = solve_batch(self._kinematics, targets, before[alone], iterations=10)
             near = np.max(np.abs(q - before[alone]), axis=1) < _CARRIED
-            found[row] = self._distinct(np.vstack((here, q[reached & near])))
+            carried = q[reached & near]
+            if followed < self._followed:
+                carried = carried[self._away(carried, here, 0.5 * self._grid)]
+            found[row] = self._distinct(np.vstack((here, carried)))
 
     # --- one parameter, or none --------------------------------------------------
 
