@@ -187,6 +187,11 @@ def _build(robot: Robot, scene: Scene, obstacles: tuple[Obstacle, ...]) -> Probl
             _target(robot, scene, waypoint, f"task.path.waypoints[{index}]")
         numbers = _without_repeats(waypoints)
         path = TipPath([waypoints[number - 1] for number in numbers], numbers=numbers)
+        if path.length == 0.0:
+            raise SceneError(
+                "the waypoints all lie in one point, and none asks for another turn of the tip", file=scene.file,
+                key="task.path", allowed="two that are more than a nanometre apart",
+            )  # fmt: skip
     return Problem(
         robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=obstacles,
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,

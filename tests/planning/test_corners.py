@@ -77,6 +77,19 @@ def test_waypoints_half_a_micrometre_apart_before_a_corner_are_no_trouble(backho
     assert plan.verified, plan.message
 
 
+@pytest.mark.parametrize(
+    "points",
+    [
+        [{"position": [4.0, 0.0, 0.0], "pitch": -1.6}] * 2,
+        [{"position": [4.0, 0.0, 0.0]}, {"position": [4.0, 1e-12, 0.0]}],
+    ],
+)
+def test_a_path_that_goes_nowhere_is_refused(backhoe: bp.Robot, points: list[dict[str, Any]]) -> None:
+    scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points}}})
+    with pytest.raises(bp.SceneError, match=r"task\.path: the waypoints all lie in one point"):
+        bp.plan(backhoe, scene)
+
+
 def test_a_fine_polyline_is_not_stopped_at(backhoe: bp.Robot) -> None:
     """9 points on an arc: but for the ends the tip never stands."""
     points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.3] for a in np.linspace(-0.4, 0.4, 9)]
