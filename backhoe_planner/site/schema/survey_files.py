@@ -98,7 +98,9 @@ def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> flo
         return float(cell)
     except ValueError:
         key = f"row {row}, column {column}"
-        hint = "every cell has a height: fill holes first"
+        hint = (
+            "heights alone, without a header or quotes" if cell.strip() else "every cell has a height: fill holes first"
+        )
         raise InputError("is not a number", file=path, key=key, found=cell.strip() or "nothing", hint=hint) from None
 
 
