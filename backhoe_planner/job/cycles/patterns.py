@@ -38,6 +38,7 @@ _MOST_LAYERS = 1000
 _AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
 _SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
 _THINNEST = 0.01  # m: a shallower cut is not looked for, as where a lane is dug but for a strip at its edge; chosen
+_MEAGRE = 0.15  # of the wanted volume: what fills less is looked for elsewhere, too; chosen
 _FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
 _CLOSE = 0.97  # of the wanted volume: near enough
 _MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
@@ -107,9 +108,12 @@ def next_cut(
     """
     limits = dict(done)
     refused: NoCut | None = None
+    best: tuple[int, str, Vector, Cut] | None = None
+    held_up = False  # whether boom or stick would touch the ground beside a cut
     profiles = [Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width) for lane in lanes]
     floors = _floors(site, lanes, pattern, profiles)
-    # with the bucket drawn in only where there is no other cut: it takes longer to find, and fills less
+    # what fills the bucket by little is left for later as long as there is more elsewhere; and the bucket is drawn in
+    # only where no other cut fills it by more: that takes longer to find
     for drawn_in in (False, True):
         for number, (step, floor) in floors:
             lane, profile = lanes[number], profiles[number]
@@ -119,11 +123,19 @@ def next_cut(
                 continue
             tries = _Tries(site, lane, (profile, ground), floor, drawn_in=drawn_in)
             found = _best(tries, lane, places, pattern)
-            if isinstance(found, Cut):
-                return NextCut(lane, _filled(site, lane, (profile, ground), floor, found), step)
-            refused = refused or found
-        if refused is None or refused.kind != "reach":
+            held_up = held_up or tries.held_up
+            if isinstance(found, NoCut):
+                refused = refused or found
+                continue
+            if best is None or _rate(found) > _rate(best[3]):
+                best = (number, step, floor, found)
+            if found.fill > _MEAGRE:
+                break
+        if not held_up or (best is not None and best[3].fill > _MEAGRE):
             break
+    if best is not None:
+        number, step, floor, cut = best
+        return NextCut(lanes[number], _filled(site, lanes[number], (profiles[number], ground), floor, cut), step)
     beside = cut_of_walls(site, lanes, ground, limits)
     return NextCut(*beside, WALLS) if beside is not None else refused
 
@@ -145,6 +157,7 @@ class _Tries:
         self._raised = site.arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span))
         self.best: Cut | None = None
         self.refused: NoCut | None = None
+        self.held_up = False  # whether one of them is out of reach, as boom or stick would touch the ground beside it
         self._too_hard = set[float]()  # radii [m] from which the thinnest cut is too much for a cylinder
 
     def find(self, start: float, depth: float, entry: float | None) -> Cut | None:
@@ -161,6 +174,7 @@ class _Tries:
             words = f"boom or stick would touch the ground with the teeth at {start:.2f} m from the swing axis"
             found = NoCut("reach", words, start)
         if isinstance(found, NoCut):
+            self.held_up = self.held_up or found.kind == "reach"
             self.refused = self.refused or found
             if found.kind == "cylinder":
                 self._too_hard.add(start)
