@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from backhoe_planner.errors import InputError, PlanFileError, RobotError, check_path
-from backhoe_planner.job.cuts.cut_rules import broken_rules, mass_along
+from backhoe_planner.job.cuts.cut_rules import broken_rules
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.cycles.cut_leg import cut_problem
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Dug, dig_and_spill
@@ -36,8 +36,7 @@ from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite, plain_soil
 
 _SAME_MASS = 1e-6  # kg, of volumes that are the same to 1e-9 m^3
-_ON_GRID = 0.1  # of a full bucket: a cut is found on a profile, which was up to 6 % lighter than the swept grid
-_ON_PROFILE = 0.02  # of a full bucket, by which 54 planned cuts differed by up to 0.8 % from their own profile
+_SAME_LOAD = 0.02  # of a full bucket: the load is that of the columns that are swept, but for rounding; chosen
 _OVERFULL = 1.05  # times the bucket's volume; chosen: sweeps take up to 1 % more than what is wanted of a cut
 _TOLD = 5  # differences that are told one by one; chosen
 
@@ -245,18 +244,14 @@ class _Replay:
             broken.append(f"the cut takes {volume:.2f} m^3 of loose soil, the bucket holds {capacity:.2f} m^3")
         self.problems += [f"cycle {number}: {one}" for one in broken]
         per_volume = digger.soil.density / site.job.soil.swell
-        r, z, _ = site.plane.place(motions["cut"].q)
+        r = site.plane.place(motions["cut"].q)[0]
         said = np.interp(np.minimum.accumulate(r), load.r[::-1], load.mass[::-1])
         swept = per_volume * np.minimum(site.job.soil.swell * digging.bank + digging.loose, capacity)
-        along = mass_along(digger, profile, r, z)
-        for lack, allowed in ((swept - said, _ON_GRID), (along - said, _ON_PROFILE), (said - along, _ON_PROFILE)):
-            if np.any(lack > allowed * per_volume * capacity):
-                at = int(np.argmax(lack))
-                words = (
-                    f"{said[at]:.0f} kg in the bucket with the teeth at r {r[at]:.2f} m, it holds {along[at]:.0f} kg"
-                )
-                self.problems.append(f"cycle {number}: during the cut the file says {words}")
-                break
+        off = np.abs(swept - said)
+        if np.any(off > _SAME_LOAD * per_volume * capacity):
+            at = int(np.argmax(off))
+            words = f"{said[at]:.0f} kg in the bucket with the teeth at r {r[at]:.2f} m, it holds {swept[at]:.0f} kg"
+            self.problems.append(f"cycle {number}: during the cut the file says {words}")
         full = per_volume * dug.held
         for leg in record.legs:
             if leg.name in ("swing", "dump") and abs(leg.payload - full) > _SAME_MASS:
@@ -269,7 +264,7 @@ class _Replay:
         motion = record.trajectory
         problem = self._planner.leg_problem(record.name, motion, state, record.payload)
         if record.name == "cut":
-            problem = cut_problem(self._site, load, problem, ground)
+            problem = cut_problem(self._site, load, motion, problem, ground)
         if self._at is not None and float(np.max(np.abs(motion.q[0] - self._at))) > 1e-9:
             self.problems.append(f"cycle {number}: the {record.name} does not begin where the machine stands")
         self._at = motion.q[-1]

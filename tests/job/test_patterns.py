@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from small_jobs import small_job
 
-from backhoe_planner.job import BladeSweep, Worksite, build_worksite, swept
-from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
+import backhoe_planner as bp
+from backhoe_planner.job import BladeSweep, Worksite, build_worksite, plan_job, swept
+from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path, cut_problem
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, allowed_heights, lanes_of
 
@@ -153,3 +155,22 @@ def test_rows_of_places_have_the_joints_that_each_row_has_alone() -> None:
     assert 10 < np.count_nonzero(found) < found.size
     wanted = np.stack([r, z, np.broadcast_to(pitch, r.shape)])[:, found]
     np.testing.assert_allclose(site.plane.place(q[found]), wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("width", [0.67, 0.75])
+def test_the_proof_of_a_cut_along_a_wall_has_all_of_the_soil_and_is_found_again(width: float, tmp_path: Path) -> None:
+    """Along a wall the ends of the blade take what a profile of its middle does not see."""
+    dig = {"trench": {"from": [4.2, 0.0], "to": [2.9, 0.0], "width": width, "depth": 0.4}}
+    plan = plan_job(small_job(dig=dig, pattern={"face": 0.4}), effort="quick")
+    assert plan.verified, plan.note
+    assert any(cycle.step == "walls" for cycle in plan.cycles)
+    site = build_worksite(plan.job)
+    for cycle in plan.cycles:
+        motion = next(leg.trajectory for leg in cycle.legs if leg.name == "cut")
+        problem = cut_problem(site, cycle.load, motion, site.problem, cycle.before)
+        assert problem.ground is not None
+        depth = problem.ground.contact(site.plane.kinematics.at(motion.q).tip_position).depth
+        seen = site.bucket.width * abs(np.trapezoid(np.maximum(depth, 0.0), site.plane.place(motion.q)[0]))
+        assert seen > 0.9 * (cycle.bank + cycle.taken)
+    plan.save(tmp_path / "job.json")
+    assert bp.load_job_plan(tmp_path / "job.json").verified

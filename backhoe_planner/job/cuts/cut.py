@@ -26,6 +26,7 @@ class CutGround:
     axis: (2,) x, y of the swing axis [m], world; outward: (2,) unit vector of the plane, world.
     r: (M,) radii of the edge, not increasing [m]; mass: (M,) held there [kg].
     bucket: which holds it.
+    beside: (K,) mean depth of what the ends of the blade take beside the profile [m], at its radii; None for nothing.
     """
 
     profile: Profile
@@ -34,6 +35,7 @@ class CutGround:
     r: Vector
     mass: Vector
     bucket: Bucket
+    beside: Vector | None = None
 
     @property
     def held_at(self) -> Vector | None:
@@ -48,8 +50,12 @@ class CutGround:
         tip = np.asarray(tip_position, dtype=float)
         r = (tip[..., :2] - self.axis) @ self.outward
         held = np.interp(r, self.r[::-1], self.mass[::-1])
+        depth = self.profile.depth(r, tip[..., 2])
+        if self.beside is not None:
+            more = np.interp(r, self.profile.r, self.beside)
+            depth = np.where(more > 0.0, np.maximum(depth, 0.0) + more, depth)
         return GroundContact(
-            depth=self.profile.depth(r, tip[..., 2]),
+            depth=depth,
             gradient=np.interp(r, self.profile.r, self.profile.slope)[..., None] * self.outward,
             surcharge=GRAVITY * held / (self.bucket.width * self.bucket.mouth),
             held=held,

@@ -10,6 +10,7 @@ from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.job.cuts.attitude import back_heights
 from backhoe_planner.job.cuts.cut import Cut, CutGround
 from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Load
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -19,6 +20,9 @@ _STEP = 0.05  # m between places of the edge above the ground; chosen
 _PITCHES = 200  # that are tried for a place above the ground, 0.9 degrees apart; chosen
 _BEHIND = 0.6  # m by which the level bucket reaches below its teeth, at most; measured on models/backhoe.urdf, 0.46
 _SPARE = 0.06  # m beyond the clearance at both ends of a cut; chosen
+# part of the depth that a profile says, or m, by which columns and profile differ where all of the blade is in the same
+# ground: a cut is up to a tenth deeper by its columns; chosen
+_SEEN, _SHALLOW = 0.15, 0.05
 _AROUND = 0.5  # m to each side and beyond the bucket in which the ground counts at both ends; chosen
 
 
@@ -72,29 +76,63 @@ def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float = 1.0) ->
     return time_along(stations, path.q, limits, drive=site.digger.drive(cut))
 
 
-def cut_problem(site: Worksite, load: Load, problem: Problem, ground: Terrain) -> Problem:
+def cut_problem(site: Worksite, load: Load, motion: Trajectory, problem: Problem, ground: Terrain) -> Problem:
     """The problem of a motion through the soil.
 
     Parameters
     ----------
     load: what the bucket holds on the way.
+    motion: of the joints.
     problem: of the same motion through the air.
     ground: before the cut.
     """
+    profile = Profile.of_terrain(ground, site.plane, load.swing, width=site.bucket.width)
     in_plane = CutGround(
-        Profile.of_terrain(ground, site.plane, load.swing, width=site.bucket.width),
-        site.plane.axis,
-        site.plane.directions(load.swing)[0],
-        load.r,
-        load.mass,
-        site.bucket,
-    )
+        profile, site.plane.axis, site.plane.directions(load.swing)[0], load.r, load.mass, site.bucket,
+        _beside(site, profile, motion, load.swing, ground),
+    )  # fmt: skip
     return replace(problem, scene=problem.scene.model_copy(update={"soil": site.digger.soil}), ground=in_plane)
 
 
-def load_of(cut: Cut) -> Load:
-    """What the bucket holds along a cut."""
-    return Load(cut.swing, cut.ground.r, cut.ground.mass)
+def load_of(site: Worksite, motion: Trajectory, swing: float, ground: Terrain) -> Load:
+    """What the bucket holds along a motion through the soil, as swept from the columns of the ground.
+
+    Parameters
+    ----------
+    swing: angle of the arm's plane [rad].
+    ground: before the cut.
+    """
+    sweep = swept(ground, blade_of(site, motion, swing), slump=False)
+    mass = site.digger.soil.density / site.job.soil.swell * np.minimum(sweep.volume, site.bucket.capacity)
+    return Load(swing, np.minimum.accumulate(site.plane.place(motion.q)[0]), mass)
+
+
+def blade_of(site: Worksite, motion: Trajectory, swing: float) -> BladeSweep:
+    """The way of the bucket's edge along a motion."""
+    edge = site.plane.kinematics.at(motion.q).tip_position
+    return BladeSweep(edge, np.append(site.plane.directions(swing)[1], 0.0), site.bucket.width)
+
+
+def _beside(site: Worksite, profile: Profile, motion: Trajectory, swing: float, ground: Terrain) -> Vector:
+    """(K,) at the radii of a profile the mean depth that the blade sweeps beyond what the profile says of it [m].
+
+    The profile leaves out the columns at the ends of the blade, which it covers in part: along a wall that stands
+    there is most of the soil.
+    """
+    sweep = swept(ground, blade_of(site, motion, swing), slump=False)
+    r, z, _ = site.plane.place(motion.q)
+    inward = np.minimum.accumulate(r)
+    area = (sweep.bank + sweep.loose) / site.bucket.width
+    own = np.add(*profile.taken(inward, z, width=1.0))
+    # columns are taken at once as the edge passes their middle: what counts is the mean over two of them
+    at, half = profile.r, ground.cell
+
+    def over(total: Vector) -> Vector:
+        ends = [np.interp(at + off, inward[::-1], total[::-1]) for off in (-half, half)]
+        return np.asarray((ends[0] - ends[1]) / (2.0 * half))
+
+    more = np.maximum(over(area) - over(own), 0.0)
+    return np.where(more > _SEEN * np.maximum(over(own), _SHALLOW), more, 0.0)
 
 
 def _top(site: Worksite, cut: Cut, ground: Terrain, r: float) -> float:

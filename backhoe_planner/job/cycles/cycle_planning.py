@@ -10,13 +10,13 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cuts.cut_rules import broken_rules
 from backhoe_planner.job.cuts.profile import Profile
-from backhoe_planner.job.cycles.cut_leg import CutPath, cut_motion, cut_path, cut_problem, load_of
+from backhoe_planner.job.cycles.cut_leg import CutPath, blade_of, cut_motion, cut_path, cut_problem, load_of
 from backhoe_planner.job.cycles.dump_rules import broken_dump_rules
 from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, NoDump, SiteState, ground_obstacle
 from backhoe_planner.job.cycles.patterns import NextCut, shallower
 from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
 from backhoe_planner.job.ground.heaps import poured
-from backhoe_planner.job.ground.sweep import BladeSweep, swept
+from backhoe_planner.job.ground.sweep import swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Digging, LegName
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -156,14 +156,15 @@ class CyclePlanner:
             broken = broken_rules(site.digger, profile, motion.q, swing=cut.swing)
             if broken:
                 return Failed("cut", "; ".join(broken))
-            problem = cut_problem(site, load_of(cut), self.leg_problem("cut", motion, state, 0.0), state.ground)
+            load = load_of(site, motion, cut.swing, state.ground)
+            problem = cut_problem(site, load, motion, self.leg_problem("cut", motion, state, 0.0), state.ground)
             certificate = certify_problem(problem, motion)
             if certificate.limits_kept:
                 break
         if not certificate.verified:
             return Failed("cut" if certificate.limits_kept else "limits", "; ".join(certificate.problems))
         leg = make_leg("cut", problem, motion, certificate)
-        return replace(leg, payload=float(cut.held[-1])), path
+        return replace(leg, payload=float(load.mass[-1])), path
 
     def _after(
         self, number: int, legs: list[CycleLeg], path: CutPath, state: SiteState, chosen: NextCut
@@ -192,7 +193,8 @@ class CyclePlanner:
                 failed = opening
                 continue
             cycle = Cycle(
-                number, (*legs, swing.leg, opening), dug.digging, load_of(cut), before=state.ground, dug=dug.ground,
+                number, (*legs, swing.leg, opening), dug.digging, load_of(site, motion, cut.swing, state.ground),
+                before=state.ground, dug=dug.ground,
                 after=after.ground, bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=option.place,
                 truck=option.number, truck_load=after.truck_load, step=chosen.step,
                 filled=dug.held / site.bucket.capacity, depth=dug.depth,
@@ -248,9 +250,9 @@ def dig_and_spill(site: Worksite, motion: Trajectory, swing: float, ground: Terr
     swing: angle of the arm's plane [rad].
     ground: before it.
     """
-    edge = site.plane.kinematics.at(motion.q).tip_position
-    across = np.append(site.plane.directions(swing)[1], 0.0)
-    sweep = swept(ground, BladeSweep(edge, across, site.bucket.width))
+    blade = blade_of(site, motion, swing)
+    edge, across = blade.edge, np.append(site.plane.directions(swing)[1], 0.0)
+    sweep = swept(ground, blade)
     bank, taken, volume = float(sweep.bank[-1]), float(sweep.loose[-1]), float(sweep.volume[-1])
     held = min(volume, site.bucket.capacity)
     after = sweep.terrain if held == volume else poured(sweep.terrain, edge[-1, :2], volume - held)

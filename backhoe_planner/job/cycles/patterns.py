@@ -38,7 +38,8 @@ _MOST_LAYERS = 1000
 _AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
 _SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
 _THINNEST = 0.01  # m: a shallower cut is not looked for, as where a lane is dug but for a strip at its edge; chosen
-_MEAGRE = 0.15  # of the wanted volume: what fills less is looked for elsewhere, too; chosen
+# of the wanted volume: where a cut fills less, one that fills so much is looked for elsewhere; chosen
+_MEAGRE, _AMPLE = 0.1, 0.8
 _FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
 _CLOSE = 0.97  # of the wanted volume: near enough
 _MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
@@ -112,8 +113,8 @@ def next_cut(
     held_up = False  # whether boom or stick would touch the ground beside a cut
     profiles = [Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width) for lane in lanes]
     floors = _floors(site, lanes, pattern, profiles)
-    # what fills the bucket by little is left for later as long as there is more elsewhere; and the bucket is drawn in
-    # only where no other cut fills it by more: that takes longer to find
+    # what fills the bucket by little is left for later where there is much elsewhere; and the bucket is drawn in only
+    # where no other cut fills it by more: that takes longer to find
     for drawn_in in (False, True):
         for number, (step, floor) in floors:
             lane, profile = lanes[number], profiles[number]
@@ -127,9 +128,9 @@ def next_cut(
             if isinstance(found, NoCut):
                 refused = refused or found
                 continue
-            if best is None or _rate(found) > _rate(best[3]):
+            if best is None or found.fill > _AMPLE:
                 best = (number, step, floor, found)
-            if found.fill > _MEAGRE:
+            if best[3].fill > _MEAGRE:
                 break
         if not held_up or (best is not None and best[3].fill > _MEAGRE):
             break
