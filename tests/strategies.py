@@ -109,7 +109,7 @@ starts = st.one_of(
 )
 soils = record(
     {},
-    density=st.floats(10.0, 1e4),
+    density=st.floats(100.0, 1e4),
     cohesion=amounts,
     friction=st.floats(0.01, 1.5),
     adhesion=amounts,

@@ -12,9 +12,10 @@ from typing import IO, Any
 from backhoe_planner.errors import OutputError
 
 # endings of what this project writes or reads in other formats: under one of them JSON would be taken for that
-_OTHERS = frozenset(
-    [".html", ".htm", ".yaml", ".yml", ".urdf", ".png", ".svg", ".pdf", ".csv", ".npz", ".parquet", ".xyz", ".tif"]
-)
+_TEXTS = (".html", ".htm", ".yaml", ".yml", ".urdf", ".xml")
+_PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
+_TABLES = (".csv", ".npz", ".npy", ".parquet", ".xyz", ".ply", ".stl", ".obj")
+_OTHERS = frozenset((*_TEXTS, *_PICTURES, *_TABLES))
 
 
 @contextlib.contextmanager
@@ -125,7 +126,7 @@ def check_record(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
     OutputError: the name ends as that of another kind of file; or see `check_output`.
     """
     check_output(path, inputs)
-    ending = Path(path).suffix.lower()
+    ending = Path(path).suffix.lower().strip()
     if ending in _OTHERS:
         raise OutputError(
             "is the name of another kind of file than JSON", file=os.fspath(path), found=ending, allowed=".json",

@@ -62,6 +62,10 @@ class Record(BaseModel):
             raise InputError("does not change once it is made", key=f"{type(self).__name__}.{name}", hint=hint)
         super().__setattr__(name, value)
 
+    def __delattr__(self, name: str) -> None:
+        """Refused."""
+        raise InputError("does not change once it is made", key=f"{type(self).__name__}.{name}")
+
     # to pydantic this is its own: records within records are read as without it
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 

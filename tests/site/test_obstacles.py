@@ -313,12 +313,33 @@ def test_a_survey_in_the_other_form_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds x, y, z of points.*12 rows of 3"):
         read_heights(tmp_path / "nodes.csv")
     np.testing.assert_allclose(read_points(tmp_path / "nodes.csv"), nodes, atol=1e-9)
+    coloured = [(*node, 200.0, 100.0, 50.0) for node in nodes[1:]]  # one node is missing
+    np.savetxt(tmp_path / "coloured.csv", coloured, delimiter=",", fmt="%.3f")
+    with pytest.raises(InputError, match=r"holds x, y, z of points.*11 rows of 6"):
+        read_heights(tmp_path / "coloured.csv")
     np.savetxt(tmp_path / "grid.xyz", np.zeros((40, 40)))
     with pytest.raises(InputError, match="too many numbers in a row for a list of points; found 40"):
         read_points(tmp_path / "grid.xyz")
     # three columns of heights alone are none
     np.savetxt(tmp_path / "strip.csv", np.random.default_rng(0).normal(size=(30, 3)), delimiter=",")
     assert read_heights(tmp_path / "strip.csv").shape == (30, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1.0,2.0,,255,0,0\n1,2,3,255,0,0\n", r"line 1: has an empty cell among x, y, z"),
+        ("1;;3\n4;5;6\n", r"line 1: has an empty cell"),
+        ("1.0 2.0 O.3\n4 5 6\n", r"line 1: is not a number"),
+        ("1,5 2 3\n4 5 6\n", r"line 1: has commas and blanks"),
+        ("1_0 2 3\n", r"line 1: is not a number"),
+        ("x,y,z\n", "holds no points"),
+    ],
+)
+def test_a_broken_line_of_points_is_neither_a_header_nor_shifted(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        read_points(tmp_path / "scan.csv")
 
 
 def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: Path) -> None:

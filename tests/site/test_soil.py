@@ -255,7 +255,7 @@ def test_it_is_continuous_where_the_motion_turns_and_where_the_teeth_surface() -
 
 def test_the_force_on_a_slope_is_that_on_level_ground_turned_with_gravity() -> None:
     """Without weight there is no up and down: ground, blade and force turn together."""
-    soil, slope, depth = Soil(density=10.0, cohesion=1e8, adhesion=1e3), 0.25, 0.3
+    soil, slope, depth = Soil(density=100.0, cohesion=1e8, adhesion=1e3), 0.25, 0.3
     level = push(soil, [-5.0, 0.0, 0.0], depth=depth)
     contact = GroundContact(np.array(depth / math.cos(slope)), np.array([-math.tan(slope), 0.0]))
     speed = 5.0 * np.array([-math.cos(slope), 0.0, math.sin(slope)])

@@ -213,7 +213,8 @@ _NAMED_PATTERNS = ("auto", "plain")
 def _kind_of_pattern(value: Any) -> str:
     kinds = {"layers": "Layers", "face": "Face"}
     if isinstance(value, Mapping):
-        return next((kind for key, kind in kinds.items() if key in value), "")
+        found = [kind for key, kind in kinds.items() if key in value]
+        return found[0] if len(found) == 1 else ""
     return type(value).__name__
 
 

@@ -9,11 +9,15 @@ from pydantic import BeforeValidator, Field
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.quantities import LARGEST, Finite, NonNegative, Positive, Slope
 
-_LIGHTEST = 10.0  # kg/m^3: loose snow has 50
+_LIGHTEST = 100.0  # kg/m^3: peat has 300, and nobody digs in what is lighter than new snow
 
 
 def _in_kilograms(density: Any) -> Any:
-    if isinstance(density, (int, float)) and 0.0 < density < _LIGHTEST:
+    if isinstance(density, (int, float)) and 10.0 <= density < 30.0:
+        raise ValueError(
+            f"density is in kg/m^3, at least {_LIGHTEST:g}; {density:g} kN/m^3 are {1e3 * density / 9.81:.0f} kg/m^3"
+        )
+    if isinstance(density, (int, float)) and 0.0 < density < 10.0:
         raise ValueError(
             f"density is in kg/m^3, at least {_LIGHTEST:g}; {density:g} t/m^3 are {1e3 * density:g} kg/m^3"
         )

@@ -15,6 +15,7 @@ from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.schema.quantities import LARGEST
 
 _FEWEST_POINTS = 9  # in a list of those at the nodes of a grid, 3 each way; chosen
+_MOST_HOLES = 1.5  # nodes of its grid for each of them at most; chosen
 _MOST_COLUMNS = 32  # of a list of points: what scanners write beside x, y, z are colour, normal, time, ...; chosen
 _POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
 
@@ -46,8 +47,9 @@ def _read_heights(path: Path, *, holes: bool) -> HeightTable:
     if min(found.heights.shape) < 2:
         raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(found.heights.shape))
     if not is_tiff and _is_list_of_points(found.heights):
+        rows, columns = found.heights.shape
         raise InputError(
-            "holds x, y, z of points, not heights on a grid", file=path, found=f"{len(found.heights)} rows of 3",
+            "holds x, y, z of points, not heights on a grid", file=path, found=f"{rows} rows of {columns}",
             allowed="one row for each y, with one height for each x", hint="as a pointcloud, or as a .xyz, it is read",
         )  # fmt: skip
     _check_size(found.heights, "a height", path, ("row", "column"), holes=holes)
@@ -81,21 +83,19 @@ def _cells(line: str) -> list[str]:
 
 
 def _is_list_of_points(table: Matrix) -> bool:
-    """Whether a table of three columns is x, y, z at the nodes of a grid: every x stands beside every y once."""
-    if table.shape[1] != 3 or len(table) < _FEWEST_POINTS or not np.isfinite(table).all():
+    """Whether a narrow table is x, y, z, ... at the nodes of a grid: nearly every x stands beside every y, once."""
+    if not 3 <= table.shape[1] <= _MOST_COLUMNS or len(table) < _FEWEST_POINTS or not np.isfinite(table).all():
         return False
     x, y = (np.unique(column) for column in table[:, :2].T)
     pairs = np.unique(table[:, :2], axis=0)
-    return min(len(x), len(y)) > 1 and len(pairs) == len(table) == len(x) * len(y)
+    return min(len(x), len(y)) > 1 and len(pairs) == len(table) and len(x) * len(y) <= _MOST_HOLES * len(table)
 
 
 def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> float:
     if holes and not cell.strip():
         return np.nan
     try:
-        if "_" in cell or not cell.isascii():  # as Python takes in numbers
-            raise ValueError
-        return float(cell)
+        return _number(cell)
     except ValueError:
         key = f"row {row}, column {column}"
         hint = (
@@ -175,23 +175,38 @@ def _points_from_text(path: Path) -> Matrix:
         return np.ascontiguousarray(table[:, :3])
     rows = []
     for number, line in enumerate(text.splitlines(), start=1):
-        words = [] if ";" in line or line.startswith("#") else line.split()
+        if not line.strip() or line.startswith("#") or (number == 1 and _is_header(line)):
+            continue
+        words = [] if ";" in line else line.split()
         if len(words) > 1 and any("," in word[:-1] for word in words):
-            if number == 1:
-                continue  # a header
             hint = "a comma stands between numbers, not in them"
             raise InputError("has commas and blanks", file=path, key=f"line {number}", found=line.strip(), hint=hint)
-        cells = _cells(line) if ";" in line else line.replace(",", " ").split()
-        if not line.strip() or cells[0].startswith("#"):
-            continue
+        cells = _cells(line) if ";" in line or "," in line else words
         try:
-            rows.append([float(cell) for cell in cells[:3]])
+            rows.append([_number(cell) for cell in cells[:3]])
         except ValueError:
-            if number == 1:
-                continue  # a header
             raise InputError(
-                "is not a number", file=path, key=f"line {number}", found=line.strip(), allowed=_POINT_FORMATS
-            ) from None
+                "is not a number" if all(cell.strip() for cell in cells[:3]) else "has an empty cell among x, y, z",
+                file=path, key=f"line {number}", found=line.strip(), allowed=_POINT_FORMATS,
+            ) from None  # fmt: skip
         if len(rows[-1]) < 3:
             raise InputError("has fewer than three numbers", file=path, key=f"line {number}", found=line.strip())
     return np.array(rows, dtype=float).reshape(-1, 3)
+
+
+def _is_header(line: str) -> bool:
+    """Whether no word of a line is a number."""
+    for word in line.replace(";", " ").replace(",", " ").split():
+        try:
+            _number(word)
+        except ValueError:
+            continue
+        return False
+    return True
+
+
+def _number(cell: str) -> float:
+    """The number in a cell; unlike Python's own, it has no underscores and no digits of other scripts."""
+    if "_" in cell or not cell.isascii():
+        raise ValueError
+    return float(cell)
