@@ -145,7 +145,7 @@ class _Run:
             state = planner.again(state, cycle)
         at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
         done: dict[int, float] = {}
-        failure, note, stopped, refused, too_hard = "", "", "", 0, False
+        failure, note, stopped, too_hard, refused = "", "", "", "", 0
 
         def leave_out(cut: NextCut) -> None:
             number = self._lanes.index(cut.lane)
@@ -158,7 +158,7 @@ class _Run:
                 if isinstance(found, NoCut) and not cycles:
                     failure, note = _of_no_cut(found), found.reason
                 elif isinstance(found, NoCut):
-                    note, too_hard = found.reason, found.kind == "cylinder"
+                    note, too_hard = found.reason, found.reason if found.kind == "cylinder" else too_hard
                 break
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):
@@ -173,7 +173,9 @@ class _Run:
                     # a heap that has grown out of reach is full
                     failure = "full" if cycles else made.part
                     break
-                if found.step != WALLS:  # without a last cut along a wall most is dug all the same
+                if made.part == "limits":  # of what a shallower cut asks for, too
+                    too_hard = made.words
+                elif found.step != WALLS:  # without a last cut along a wall most is dug all the same
                     stopped = made.words
                 leave_out(found)
                 if refused > _MOST_REFUSED:
@@ -189,7 +191,7 @@ class _Run:
                 continue
             cycles.append(cycle)
             at, refused, note = cycle.legs[-1].trajectory.q[-1], 0, ""
-            done, stopped = {}, ""
+            done, stopped, too_hard = {}, "", ""
             self._tell(watch, cycles, own.cycles)
         plan = self._plan(cycles, failure, note)  # type: ignore[arg-type]
         if plan.verified:
@@ -198,7 +200,7 @@ class _Run:
             # there were cuts, and no way to dig them, or from them to the dump
             return self._plan(cycles, "blocked", stopped)
         if too_hard and not plan.failure and not plan.is_met:
-            return self._plan(cycles, "too_hard", note)
+            return self._plan(cycles, "too_hard", too_hard)
         if not plan.failure and not plan.is_met and cycles:
             left, why = max(plan.over, plan.under, plan.beside), f": {plan.note}" if plan.note else ""
             return replace(

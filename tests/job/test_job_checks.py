@@ -224,3 +224,10 @@ def test_what_is_no_pattern_is_said_in_one_line(pattern: object) -> None:
     assert "pattern: is no pattern; found" in str(refused.value)
     assert "allowed: auto, plain, {layers: DEPTH}, {face: DEPTH}" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_soil_that_no_cut_is_shallow_enough_for_ends_as_too_hard(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = "stick has too little torque"
+    monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("limits", words))
+    found = plan_job(small_job(), effort="quick")
+    assert (found.verdict, found.reason, found.note) == ("failed", "too_hard", words)
