@@ -92,7 +92,9 @@ def _too_steep(site: Worksite, lane: Lane) -> str:
     if trench is not None:
         ahead = (np.array(trench.end) - trench.start) / trench.length
         outward = site.plane.directions(lane.swing)[0][:2]
-        if abs(float(outward[0] * ahead[1] - outward[1] * ahead[0])) > _ASKEW:
+        off = site.plane.axis - np.array(trench.start)
+        passes = abs(float(off[0] * ahead[1] - off[1] * ahead[0]))  # m from the swing axis to the line of the trench
+        if passes > trench.tolerance and abs(float(outward[0] * ahead[1] - outward[1] * ahead[0])) > _ASKEW:
             return (
                 f"the arm is askew to the trench and meets its walls as ends, which are too steep: {how}; it digs all "
                 "of a trench whose line passes through the swing axis (backhoe-planner stand finds such a place)"

@@ -217,6 +217,15 @@ def test_a_trench_askew_to_the_arm_is_not_said_to_have_steep_ends() -> None:
     assert not any("the ends are too steep" in one.words for one in undug)
 
 
+def test_a_wide_trench_in_line_with_the_arm_is_not_askew() -> None:
+    """Its lanes fan out along the walls, the near ones by more than a tenth."""
+    site = build_worksite(small_job(dig=trench(**{"from": [4.4, 0.0], "to": [2.2, 0.0], "width": 1.5})))
+    lanes, design = lanes_of(site), site.design_heights()
+    assert max(abs(lane.swing) for lane in lanes) > 0.11
+    undug = find_undug(site, lanes, (design, *allowed_heights(site, lanes, design)), site.ground)
+    assert not any("askew" in one.words for one in undug)
+
+
 @pytest.mark.parametrize("pattern", ["layer", {"layer": 0.2}, 3, ["face"], None])
 def test_what_is_no_pattern_is_said_in_one_line(pattern: object) -> None:
     with pytest.raises(bp.InputError) as refused:
