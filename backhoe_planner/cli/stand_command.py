@@ -47,15 +47,14 @@ def stand(
 
     The place, or the fewest places in order, from which it is dug in least time or work.
     """
-    targets = [target for target in (output, html, plot) if target is not None]
-    check_apart(targets)
+    check_apart([output, html, plot])
     loaded = bp.load_job(file)
-    for each in targets:
-        check_output(each, loaded.files)
     check_record(output, loaded.files)
     if html is not None:
+        check_output(html, loaded.files)
         check_ending(html, show.PAGE_FORMATS, what="a page")
     if plot is not None:
+        check_output(plot, loaded.files)
         check_ending(plot, show.FIGURE_FORMATS, what="a figure")
     print_job_warnings(loaded)
     with _progress(as_json) as told:

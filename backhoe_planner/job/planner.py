@@ -155,10 +155,10 @@ class _Run:
         while len(cycles) < _MOST_CYCLES:
             found = next_cut(site, self._lanes, pattern, state.ground, done=tuple(done.items()))
             if not isinstance(found, NextCut):
-                if isinstance(found, NoCut) and not cycles:
-                    failure, note = _of_no_cut(found), found.reason
-                elif isinstance(found, NoCut):
-                    note, too_hard = found.reason, found.reason if found.kind == "cylinder" else too_hard
+                if isinstance(found, NoCut):
+                    note = found.reason
+                    failure = "" if cycles else _of_no_cut(found)
+                    too_hard = note if found.kind == "cylinder" else too_hard
                 break
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):

@@ -13,14 +13,14 @@ import numpy as np
 from backhoe_planner.errors import InputError, PlanFileError, RobotError, check_path
 from backhoe_planner.job.cuts.cut_rules import broken_rules
 from backhoe_planner.job.cuts.profile import Profile
-from backhoe_planner.job.cycles.cut_leg import cut_problem
+from backhoe_planner.job.cycles.cut_leg import cut_problem, load_of
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Dug, dig_and_spill
 from backhoe_planner.job.cycles.dump_rules import broken_dump_rules
 from backhoe_planner.job.cycles.dumping import SiteState, dump_of
 from backhoe_planner.job.cycles.patterns import patterns_to_compare
 from backhoe_planner.job.cycles.transfers import make_leg
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName, Load
+from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Digging, LegName, Load
 from backhoe_planner.job.result.file_differences import differences
 from backhoe_planner.job.result.job_plan import JobPlan, PatternEstimate, interruption, same_ground
 from backhoe_planner.job.result.job_plan_file import (
@@ -197,7 +197,7 @@ class _Replay:
         legs = []
         for one in record.legs:
             state = {"approach": before, "cut": before, "swing": after_cut}.get(one.name, after)
-            legs.append(self._leg(number, one, load, state.ground, state))
+            legs.append(self._leg(number, one, load, dug.digging, state))
         self._state = after
         return Cycle(
             number, tuple(legs), dug.digging, load, before=before.ground, dug=dug.ground, after=after.ground,
@@ -233,8 +233,7 @@ class _Replay:
 
     def _check_soil(self, number: int, record: CycleRecord, load: Load, dug: Dug, before: Terrain) -> None:
         """The motions dig and dump, and the legs carry what the cut has dug."""
-        site, digging = self._site, dug.digging
-        digger, capacity = site.digger, site.bucket.capacity
+        site, digger, capacity = self._site, self._site.digger, self._site.bucket.capacity
         motions = {leg.name: leg.trajectory for leg in record.legs}
         profile = Profile.of_terrain(before, site.plane, load.swing, width=site.bucket.width)
         broken = broken_rules(digger, profile, motions["cut"].q, swing=load.swing)
@@ -244,13 +243,13 @@ class _Replay:
             broken.append(f"the cut takes {volume:.2f} m^3 of loose soil, the bucket holds {capacity:.2f} m^3")
         self.problems += [f"cycle {number}: {one}" for one in broken]
         per_volume = digger.soil.density / site.job.soil.swell
-        r = site.plane.place(motions["cut"].q)[0]
-        said = np.interp(np.minimum.accumulate(r), load.r[::-1], load.mass[::-1])
-        swept = per_volume * np.minimum(site.job.soil.swell * digging.bank + digging.loose, capacity)
-        off = np.abs(swept - said)
+        swept = load_of(site, load.swing, dug.digging)
+        said = np.interp(swept.r, load.r[::-1], load.mass[::-1])
+        off = np.abs(swept.mass - said)
         if np.any(off > _SAME_LOAD * per_volume * capacity):
             at = int(np.argmax(off))
-            words = f"{said[at]:.0f} kg in the bucket with the teeth at r {r[at]:.2f} m, it holds {swept[at]:.0f} kg"
+            where = f"with the teeth at r {swept.r[at]:.2f} m"
+            words = f"{said[at]:.0f} kg in the bucket {where}, it holds {swept.mass[at]:.0f} kg"
             self.problems.append(f"cycle {number}: during the cut the file says {words}")
         full = per_volume * dug.held
         for leg in record.legs:
@@ -260,11 +259,11 @@ class _Replay:
             elif leg.name == "approach" and leg.payload != 0.0:
                 self.problems.append(f"cycle {number}, {leg.name}: the bucket is empty, not with {leg.payload:g} kg")
 
-    def _leg(self, number: int, record: LegRecord, load: Load, ground: Terrain, state: SiteState) -> CycleLeg:
+    def _leg(self, number: int, record: LegRecord, load: Load, digging: Digging, state: SiteState) -> CycleLeg:
         motion = record.trajectory
         problem = self._planner.leg_problem(record.name, motion, state, record.payload)
         if record.name == "cut":
-            problem = cut_problem(self._site, load, motion, problem, ground)
+            problem = cut_problem(self._site, load, digging, problem, state.ground)
         if self._at is not None and float(np.max(np.abs(motion.q[0] - self._at))) > 1e-9:
             self.problems.append(f"cycle {number}: the {record.name} does not begin where the machine stands")
         self._at = motion.q[-1]

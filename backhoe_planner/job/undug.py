@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Flags, Matrix
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.job_plan import JobReason, Undug, UndugReason
-from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane
+from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
 
 _ASKEW = 0.1  # sine of the angle between arm and trench; chosen: along walls that are parallel to the lanes it is less
@@ -90,11 +90,8 @@ def _too_steep(site: Worksite, lane: Lane) -> str:
     how = f"the teeth go in at most at {np.degrees(ENTRY):.0f} and come out at most at {np.degrees(LEAVE):.0f} degrees"
     trench = site.job.dig.trench
     if trench is not None:
-        ahead = (np.array(trench.end) - trench.start) / trench.length
-        outward = site.plane.directions(lane.swing)[0][:2]
-        off = site.plane.axis - np.array(trench.start)
-        passes = abs(float(off[0] * ahead[1] - off[1] * ahead[0]))  # m from the swing axis to the line of the trench
-        if passes > trench.tolerance and abs(float(outward[0] * ahead[1] - outward[1] * ahead[0])) > _ASKEW:
+        across = abs(float(trench.ahead @ site.plane.directions(lane.swing)[1]))
+        if across > _ASKEW and passes_beside(site, trench) > trench.tolerance:
             return (
                 f"the arm is askew to the trench and meets its walls as ends, which are too steep: {how}; it digs all "
                 "of a trench whose line passes through the swing axis (backhoe-planner stand finds such a place)"

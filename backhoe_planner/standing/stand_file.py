@@ -49,7 +49,7 @@ def save_stand(plan: StandPlan, path: Path) -> None:
     """
     check_record(path, plan.job.files)
     own = files_of(path, len(plan.places))
-    for file in own:
+    for file in own[1:]:
         check_output(file, plan.job.files)
     for number, place in enumerate(plan.places, start=1):
         job, motions, ground = own[3 * number - 2 : 3 * number + 1]

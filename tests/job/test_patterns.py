@@ -167,7 +167,7 @@ def test_the_proof_of_a_cut_along_a_wall_has_all_of_the_soil_and_is_found_again(
     site = build_worksite(plan.job)
     for cycle in plan.cycles:
         motion = next(leg.trajectory for leg in cycle.legs if leg.name == "cut")
-        problem = cut_problem(site, cycle.load, motion, site.problem, cycle.before)
+        problem = cut_problem(site, cycle.load, cycle.digging, site.problem, cycle.before)
         assert problem.ground is not None
         depth = problem.ground.contact(site.plane.kinematics.at(motion.q).tip_position).depth
         seen = site.bucket.width * abs(np.trapezoid(np.maximum(depth, 0.0), site.plane.place(motion.q)[0]))

@@ -58,15 +58,6 @@ def broken_rules(digger: Digger, profile: Profile, q: Matrix, *, swing: float) -
     return found
 
 
-def mass_along(digger: Digger, profile: Profile, r: Vector, z: Vector) -> Vector:
-    """(K,) what an edge at r, z (K,) [m], one after the other, has taken of a profile [kg]; outward moves take nothing.
-
-    The bucket's capacity is left out, as of the load of a cut.
-    """
-    bank, loose = profile.taken(np.minimum.accumulate(r), z, width=digger.bucket.width)
-    return np.asarray(digger.soil.density * (bank + loose / digger.swell))
-
-
 def _at(r: Vector, wrong: Vector) -> str:
     return f"{r[int(np.argmax(wrong))]:.2f}"
 

@@ -10,9 +10,9 @@ from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.job.cuts.attitude import back_heights
 from backhoe_planner.job.cuts.cut import Cut, CutGround
 from backhoe_planner.job.cuts.profile import Profile
-from backhoe_planner.job.ground.sweep import BladeSweep, swept
+from backhoe_planner.job.ground.sweep import BladeSweep, Sweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.cycles import Load
+from backhoe_planner.job.result.cycles import Digging, Load
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Problem, Trajectory, time_along
 
@@ -76,63 +76,73 @@ def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float = 1.0) ->
     return time_along(stations, path.q, limits, drive=site.digger.drive(cut))
 
 
-def cut_problem(site: Worksite, load: Load, motion: Trajectory, problem: Problem, ground: Terrain) -> Problem:
+def blade_of(site: Worksite, edge: Matrix, swing: float) -> BladeSweep:
+    """The bucket's edge on a way (K, 3) [m] of its middle, world, in the arm's plane at a swing angle [rad]."""
+    return BladeSweep(edge, np.append(site.plane.directions(swing)[1], 0.0), site.bucket.width)
+
+
+def dig(
+    site: Worksite, motion: Trajectory, swing: float, ground: Terrain, *, slump: bool = False
+) -> tuple[Digging, Sweep]:  # fmt: skip
+    """What a motion in the arm's plane at a swing angle [rad] takes out of the ground before it; see `swept`."""
+    blade = blade_of(site, site.plane.kinematics.at(motion.q).tip_position, swing)
+    sweep = swept(ground, blade, slump=slump)
+    return Digging(motion.time, blade.edge, blade.across[0], blade.width, sweep.bank, sweep.loose), sweep
+
+
+def load_of(site: Worksite, swing: float, digging: Digging) -> Load:
+    """What the bucket holds along a cut in the arm's plane at a swing angle [rad]."""
+    volume = np.minimum(site.job.soil.swell * digging.bank + digging.loose, site.bucket.capacity)
+    inward = np.minimum.accumulate(_radii(site, swing, digging))
+    return Load(swing, inward, site.digger.soil.density / site.job.soil.swell * volume)
+
+
+def cut_problem(site: Worksite, load: Load, digging: Digging, problem: Problem, ground: Terrain) -> Problem:
     """The problem of a motion through the soil.
 
     Parameters
     ----------
     load: what the bucket holds on the way.
-    motion: of the joints.
+    digging: what the motion takes out of the ground.
     problem: of the same motion through the air.
     ground: before the cut.
     """
     profile = Profile.of_terrain(ground, site.plane, load.swing, width=site.bucket.width)
     in_plane = CutGround(
         profile, site.plane.axis, site.plane.directions(load.swing)[0], load.r, load.mass, site.bucket,
-        _beside(site, profile, motion, load.swing, ground),
+        _beside(profile, _radii(site, load.swing, digging), digging, cell=ground.cell),
     )  # fmt: skip
     return replace(problem, scene=problem.scene.model_copy(update={"soil": site.digger.soil}), ground=in_plane)
 
 
-def load_of(site: Worksite, motion: Trajectory, swing: float, ground: Terrain) -> Load:
-    """What the bucket holds along a motion through the soil, as swept from the columns of the ground.
-
-    Parameters
-    ----------
-    swing: angle of the arm's plane [rad].
-    ground: before the cut.
-    """
-    sweep = swept(ground, blade_of(site, motion, swing), slump=False)
-    mass = site.digger.soil.density / site.job.soil.swell * np.minimum(sweep.volume, site.bucket.capacity)
-    return Load(swing, np.minimum.accumulate(site.plane.place(motion.q)[0]), mass)
+def _radii(site: Worksite, swing: float, digging: Digging) -> Vector:
+    """(K,) distances of the edge from the swing axis [m]."""
+    return np.asarray((digging.edge[:, :2] - site.plane.axis) @ site.plane.directions(swing)[0])
 
 
-def blade_of(site: Worksite, motion: Trajectory, swing: float) -> BladeSweep:
-    """The way of the bucket's edge along a motion."""
-    edge = site.plane.kinematics.at(motion.q).tip_position
-    return BladeSweep(edge, np.append(site.plane.directions(swing)[1], 0.0), site.bucket.width)
-
-
-def _beside(site: Worksite, profile: Profile, motion: Trajectory, swing: float, ground: Terrain) -> Vector:
+def _beside(profile: Profile, r: Vector, digging: Digging, *, cell: float) -> Vector:
     """(K,) at the radii of a profile the mean depth that the blade sweeps beyond what the profile says of it [m].
 
     The profile leaves out the columns at the ends of the blade, which it covers in part: along a wall that stands
     there is most of the soil.
+
+    Parameters
+    ----------
+    r: (M,) radii of the edge [m].
+    cell: of the ground [m].
     """
-    sweep = swept(ground, blade_of(site, motion, swing), slump=False)
-    r, z, _ = site.plane.place(motion.q)
     inward = np.minimum.accumulate(r)
-    area = (sweep.bank + sweep.loose) / site.bucket.width
-    own = np.add(*profile.taken(inward, z, width=1.0))
+    area = (digging.bank + digging.loose) / digging.width
+    own = np.add(*profile.taken(inward, digging.edge[:, 2], width=1.0))
     # columns are taken at once as the edge passes their middle: what counts is the mean over two of them
-    at, half = profile.r, ground.cell
 
     def over(total: Vector) -> Vector:
-        ends = [np.interp(at + off, inward[::-1], total[::-1]) for off in (-half, half)]
-        return np.asarray((ends[0] - ends[1]) / (2.0 * half))
+        ends = [np.interp(profile.r + off, inward[::-1], total[::-1]) for off in (-cell, cell)]
+        return np.asarray((ends[0] - ends[1]) / (2.0 * cell))
 
-    more = np.maximum(over(area) - over(own), 0.0)
-    return np.where(more > _SEEN * np.maximum(over(own), _SHALLOW), more, 0.0)
+    said = over(own)
+    more = over(area) - said
+    return np.where(more > _SEEN * np.maximum(said, _SHALLOW), more, 0.0)
 
 
 def _top(site: Worksite, cut: Cut, ground: Terrain, r: float) -> float:

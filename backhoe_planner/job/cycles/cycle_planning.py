@@ -10,13 +10,12 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cuts.cut_rules import broken_rules
 from backhoe_planner.job.cuts.profile import Profile
-from backhoe_planner.job.cycles.cut_leg import CutPath, blade_of, cut_motion, cut_path, cut_problem, load_of
+from backhoe_planner.job.cycles.cut_leg import CutPath, cut_motion, cut_path, cut_problem, dig, load_of
 from backhoe_planner.job.cycles.dump_rules import broken_dump_rules
 from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, NoDump, SiteState, ground_obstacle
 from backhoe_planner.job.cycles.patterns import NextCut, shallower
 from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
 from backhoe_planner.job.ground.heaps import poured
-from backhoe_planner.job.ground.sweep import swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Digging, LegName
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -156,8 +155,9 @@ class CyclePlanner:
             broken = broken_rules(site.digger, profile, motion.q, swing=cut.swing)
             if broken:
                 return Failed("cut", "; ".join(broken))
-            load = load_of(site, motion, cut.swing, state.ground)
-            problem = cut_problem(site, load, motion, self.leg_problem("cut", motion, state, 0.0), state.ground)
+            digging, _ = dig(site, motion, cut.swing, state.ground)
+            load = load_of(site, cut.swing, digging)
+            problem = cut_problem(site, load, digging, self.leg_problem("cut", motion, state, 0.0), state.ground)
             certificate = certify_problem(problem, motion)
             if certificate.limits_kept:
                 break
@@ -193,7 +193,7 @@ class CyclePlanner:
                 failed = opening
                 continue
             cycle = Cycle(
-                number, (*legs, swing.leg, opening), dug.digging, load_of(site, motion, cut.swing, state.ground),
+                number, (*legs, swing.leg, opening), dug.digging, load_of(site, cut.swing, dug.digging),
                 before=state.ground, dug=dug.ground,
                 after=after.ground, bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=option.place,
                 truck=option.number, truck_load=after.truck_load, step=chosen.step,
@@ -250,13 +250,10 @@ def dig_and_spill(site: Worksite, motion: Trajectory, swing: float, ground: Terr
     swing: angle of the arm's plane [rad].
     ground: before it.
     """
-    blade = blade_of(site, motion, swing)
-    edge, across = blade.edge, np.append(site.plane.directions(swing)[1], 0.0)
-    sweep = swept(ground, blade)
+    digging, sweep = dig(site, motion, swing, ground, slump=True)
     bank, taken, volume = float(sweep.bank[-1]), float(sweep.loose[-1]), float(sweep.volume[-1])
     held = min(volume, site.bucket.capacity)
-    after = sweep.terrain if held == volume else poured(sweep.terrain, edge[-1, :2], volume - held)
-    digging = Digging(motion.time, edge, across, site.bucket.width, sweep.bank, sweep.loose)
+    after = sweep.terrain if held == volume else poured(sweep.terrain, digging.edge[-1, :2], volume - held)
     profile = Profile.of_terrain(ground, site.plane, swing, width=site.bucket.width)
     depth = max(float(np.max(profile.depth(*site.plane.place(motion.q)[:2]))), 0.0)
     return Dug(digging, after, bank, taken, held, volume - held, depth)

@@ -38,9 +38,9 @@ _MOST_LAYERS = 1000
 _AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
 _SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
 _THINNEST = 0.01  # m: a shallower cut is not looked for, as where a lane is dug but for a strip at its edge; chosen
-# of the wanted volume: where a cut fills less, one that fills so much is looked for elsewhere; chosen
-_MEAGRE, _AMPLE = 0.1, 0.8
-_FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
+# of the wanted volume: nothing better is looked for; less is no cut; and where one fills less, a full one is looked
+# for elsewhere; chosen
+_FULL, _WORTH, _MEAGRE = 0.8, 0.01, 0.1
 _CLOSE = 0.97  # of the wanted volume: near enough
 _MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
 _ENTRIES = (None, 0.8, 0.45)  # rad, of the edge into the ground: steep, and gentler where nothing else will do; chosen
@@ -128,7 +128,7 @@ def next_cut(
             if isinstance(found, NoCut):
                 refused = refused or found
                 continue
-            if best is None or found.fill > _AMPLE:
+            if best is None or found.fill > _FULL:
                 best = (number, step, floor, found)
             if best[3].fill > _MEAGRE:
                 break

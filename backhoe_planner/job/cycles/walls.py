@@ -16,7 +16,8 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cuts.finding import find_cut
 from backhoe_planner.job.cuts.profile import RIM, Profile
-from backhoe_planner.job.ground.sweep import BladeSweep, Sweep, swept
+from backhoe_planner.job.cycles.cut_leg import blade_of
+from backhoe_planner.job.ground.sweep import Sweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.worksite.lanes import LEAVE, Lane, allowed_heights
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -118,5 +119,4 @@ def _spread(site: Worksite, lane: Lane, ground: Terrain) -> tuple[Profile, Vecto
 
 def _sweep(site: Worksite, ground: Terrain, edge: Matrix, swing: float) -> Sweep:
     """What the blade takes on its way."""
-    across = np.append(site.plane.directions(swing)[1], 0.0)
-    return swept(ground, BladeSweep(edge, across, site.bucket.width), slump=False)
+    return swept(ground, blade_of(site, edge, swing), slump=False)

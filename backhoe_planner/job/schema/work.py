@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.site import Finite, Slope, Soil
 
@@ -16,7 +19,6 @@ _STEEPEST = 1.0  # m per m of a trench's bottom; chosen, no bucket follows a ste
 _Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 _Point = tuple[Finite, Finite]
 _WALL = 0.08  # m, thickness of the walls of a truck's bed; chosen
-_BRIEF = 60  # characters: a longer value is not repeated in a message
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 
 
@@ -60,6 +62,11 @@ class Trench(Record):
     def length(self) -> float:
         """From end to end [m]."""
         return math.dist(self.start, self.end)
+
+    @property
+    def ahead(self) -> Vector:
+        """(2,) unit vector from `from` to `to`."""
+        return np.subtract(self.end, self.start) / self.length
 
 
 class Surface(Record):
@@ -220,8 +227,9 @@ def _kind_of_pattern(value: Any) -> str:
 
 def _some_pattern(value: Any) -> Any:
     if value not in _NAMED_PATTERNS and _kind_of_pattern(value) not in ("Layers", "Face"):
-        found = repr(value) if len(repr(value)) < _BRIEF else f"a {type(value).__name__}"
-        raise ValueError(f"is no pattern; found {found}; allowed: auto, plain, {{layers: DEPTH}}, {{face: DEPTH}}")
+        raise ValueError(
+            f"is no pattern; found {reprlib.repr(value)}; allowed: auto, plain, {{layers: DEPTH}}, {{face: DEPTH}}"
+        )
     return value
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import SceneError
-from backhoe_planner.job.worksite.lanes import Lane
+from backhoe_planner.job.worksite.lanes import Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import angles_in_degrees
 
@@ -162,10 +162,7 @@ def _check_any(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: M
 def _beside(site: Worksite) -> str:
     trench = site.job.dig.trench
     assert trench is not None
-    ahead = (np.array(trench.end) - trench.start) / trench.length
-    off = site.plane.axis - np.array(trench.start)
-    beside = abs(float(off[0] * ahead[1] - off[1] * ahead[0]))
-    return f"a trench whose middle passes {beside:.2f} m beside the swing axis"
+    return f"a trench whose middle passes {passes_beside(site, trench):.2f} m beside the swing axis"
 
 
 def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:

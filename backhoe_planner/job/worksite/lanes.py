@@ -19,6 +19,7 @@ from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.attitude import back_heights
 from backhoe_planner.job.cuts.edge_path import Descent, Underground
 from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.job.schema.work import Trench
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.site import ClearanceScreen, Proximity
 
@@ -85,6 +86,12 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
     screen = ClearanceScreen(Proximity(site.robot, site.problem.obstacles), spare=_SPARE)
     found = [_lane(site, float(swing), screen) for swing in swings]
     return tuple(lane for lane in found if lane is not None)
+
+
+def passes_beside(site: Worksite, trench: Trench) -> float:
+    """How far the line of a trench passes beside the swing axis [m]."""
+    off = site.plane.axis - trench.start
+    return abs(float(off[0] * trench.ahead[1] - off[1] * trench.ahead[0]))
 
 
 def _swing_to(plane: ArmPlane, direction: Vector, *, beside: float = 0.0) -> float:

@@ -60,14 +60,11 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
     best, allowed, looked_at = search.best, search.allowed_time, search.looked_at
     longest = math.inf if allowed is None else allowed
     searches = () if ended or best is None else _further(search, world.work.effort)
-    lift = Lift(world.problem) if world.problem.objective.lifts else None
-    worth, lifted = (0.0, 0.0) if lift is None else (lift.worth, lift.least(start, found.clear))
-    enough = (1.0 + _LIFTED) * lifted + worth
     # of the first search with those that go on after it, and of each that was begun anew
     costs = [] if best is None else [best.cost]
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
-        if not goes_on and not search.is_for_time and not _may_find_less(costs, enough, worth, world.work.effort):
+        if not goes_on and not search.is_for_time and not _may_find_less(costs, world, start, found):
             break
         again = world.anew(number, EFFORTS["normal"])
         postures = find_goal_postures(again, goals, near=start, time=time)
@@ -94,14 +91,18 @@ def _further(first: MotionSearch, effort: Effort) -> tuple[bool, ...]:
     return (True,) * (effort.restarts_round if first.leads_round else 0) + (False,) * anew
 
 
-def _may_find_less(costs: Sequence[float], enough: float, worth: float, effort: Effort) -> bool:
+def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: GoalPostures) -> bool:
     """Whether another search that is begun anew may come upon a motion that costs clearly less.
 
-    Not where one costs no more than `enough`, or several of the `costs` of searches from the same start come near
-    the least: within a few per cent, or within what is `worth` another search.
+    Not where one costs little more than is lifted to the lowest posture, or several of the `costs` of searches from
+    the same start come near the least: within a few per cent, or within what is worth another search.
     """
-    if not effort.alike:
+    alike, least = world.work.effort.alike, min(costs)
+    if not alike:
         return True
-    least = min(costs)
+    worth = lifted = 0.0
+    if world.problem.objective.lifts:
+        lift = Lift(world.problem)
+        worth, lifted = lift.worth, lift.least(start, found.clear)
     near = max((1.0 + _ALIKE) * least, least + worth)
-    return least > enough and sum(cost <= near for cost in costs) < effort.alike
+    return least > (1.0 + _LIFTED) * lifted + worth and sum(cost <= near for cost in costs) < alike

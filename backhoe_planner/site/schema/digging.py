@@ -30,7 +30,9 @@ class Soil(Record):
     Every key may be left out: the defaults are those of a soil of medium strength.
     """
 
-    density: Annotated[float, Field(strict=True, ge=_LIGHTEST, le=LARGEST), BeforeValidator(_in_kilograms)] = 1700.0
+    density: Annotated[
+        float, Field(strict=True, ge=_LIGHTEST, le=LARGEST, allow_inf_nan=False), BeforeValidator(_in_kilograms)
+    ] = 1700.0
     """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
     cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
     """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
