@@ -16,17 +16,24 @@ _INTERRUPTED = 128 + signal.SIGINT  # exit status, as shells give it to what Ctr
 
 
 def main() -> NoReturn:
-    """Entry point of the command line. Ctrl-C also works while Python is still importing."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupt)
+    """Entry point of the command line. Ctrl-C also works before the command runs, and after."""
+    catches = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if catches:
+        signal.signal(signal.SIGINT, _end)
     use_one_thread()
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it reads what every installed package offers
     gc.set_threshold(_YOUNG, *gc.get_threshold()[1:])
     from backhoe_planner.cli import main as run
 
     try:
+        if catches:
+            signal.signal(signal.SIGINT, _interrupt)
         run()
+    except KeyboardInterrupt:  # just before the command began, or just after it ended
+        _end()
     finally:
+        if catches:
+            signal.signal(signal.SIGINT, _end)
         if "ompl" not in sys.modules:  # it complains of every object of its own that is left at the end
             gc.freeze()  # the system takes back all memory at once; looking for cycles in it costs 0.1 s
 
@@ -39,11 +46,15 @@ def _interrupt(_: int, frame: FrameType | None) -> None:
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            sys.stderr.write("interrupted\n")
-            sys.stderr.flush()
-            os._exit(_INTERRUPTED)
+            _end()
         frame = frame.f_back
     raise KeyboardInterrupt
+
+
+def _end(*_: object) -> NoReturn:
+    sys.stderr.write("interrupted\n")
+    sys.stderr.flush()
+    os._exit(_INTERRUPTED)
 
 
 if __name__ == "__main__":
