@@ -240,3 +240,12 @@ def test_soil_that_no_cut_is_shallow_enough_for_ends_as_too_hard(monkeypatch: py
     monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("limits", words))
     found = plan_job(small_job(), effort="quick")
     assert (found.verdict, found.reason, found.note) == ("failed", "too_hard", words)
+
+
+def test_a_design_with_figures_for_what_is_missing_is_dug_where_there_are_heights(tmp_path: Path) -> None:
+    heights = [["-9999", "-9999", "-9999"], ["-9999", "-0,2", "-0,2"], ["-9999", "-0,2", "-0,2"]]
+    (tmp_path / "pad.csv").write_text("\n".join(";".join(row) for row in heights), encoding="utf-8")
+    surface = {"file": str(tmp_path / "pad.csv"), "low": [3.0, -0.3], "cell": 0.3}
+    design = build_worksite(small_job(dig={"surface": surface})).design_heights()
+    np.testing.assert_allclose(np.nanmin(design), -0.2)
+    np.testing.assert_allclose(np.nanmax(design), -0.2)

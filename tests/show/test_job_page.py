@@ -97,6 +97,16 @@ def test_a_page_has_an_ending_of_its_own_and_replaces_nothing_of_the_job(plan: J
         write_job_page(plan, plan.robot.urdf.path)
 
 
+def test_a_job_that_ends_before_the_first_cycle_has_a_page_with_its_truck(plan: JobPlan, tmp_path: Path) -> None:
+    dump = {"truck": {"bed": {"position": [1.5, -3.5, 0.4], "size": [2.5, 1.5, 0.5]}, "capacity": 1.3}}
+    unplanned = replace(
+        plan, job=small_job(dump=dump), cycles=(), failure="too_hard", note="stick has too little torque"
+    )
+    assert job_parts(unplanned) == ()
+    write_job_page(unplanned, tmp_path / "job.html")
+    assert "too little torque" in (tmp_path / "job.html").read_text(encoding="utf-8")
+
+
 def opened(browser: Any, file: Path) -> tuple[Any, list[str]]:
     """The page in a browser, and what it complains of or asks of the network."""
     page = browser.new_page(viewport={"width": 900, "height": 600}, reduced_motion="reduce")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         {"size": [1, 1]},
         r"at least 2 x 2 heights; found \(1, 3\)",
     ),
-    "height NaN": ("heightmap", "a.csv", b"1,nan\n2,3\n", {"size": [1, 1]}, "not finite"),
+    "height NaN": ("heightmap", "a.csv", b"1,nan\n2,3\n", {"size": [1, 1]}, "a height is missing"),
     "height infinite": ("heightmap", "a.csv", b"1,inf\n2,3\n", {"size": [1, 1]}, "not finite"),
     "height beyond any site": (
         "heightmap",
@@ -130,7 +131,13 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         {"resolution": 0.1},
         r"a\.npy: is not UTF-8 text: .*; allowed: text with x, y, z in a line \(CSV, XYZ\), or \.ply, \.obj, \.stl",
     ),
-    "point NaN": ("pointcloud", "a.xyz", b"1 2 3\nnan nan nan\n", {"resolution": 0.1}, "not finite"),
+    "point NaN": (
+        "pointcloud",
+        "a.xyz",
+        b"1 2 3\nnan nan nan\n",
+        {"resolution": 0.1},
+        "point 2, coordinate 1: a coordinate is missing",
+    ),
     "points too fine": (
         "pointcloud",
         "a.xyz",
@@ -340,6 +347,74 @@ def test_a_broken_line_of_points_is_neither_a_header_nor_shifted(text: str, said
     (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=said):
         read_points(tmp_path / "scan.csv")
+
+
+_SCAN = ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (7.5, 8.0, 9.0), (1.0, 1.0, -9.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "points"),
+    [
+        ("nr,x,y,z\n1,1,2,3\n2,4,5,6\n3,7.5,8,9\n4,1,1,-9\n", _SCAN),
+        ("Northing;Easting;Code;Elevation\n2;1;a;3\n5;4;b;6\n8;7,5;c;9\n1;1;d;-9\n", _SCAN),
+        ('"x","y","z"\n"1","2","3"\n"4","5","6"\n"7.5","8","9"\n"1","1","-9"\n', _SCAN),
+        ("//Z Y X R\n3 2 1 0\n6 5 4 0\n9 8 7.5 0\n-9 1 1 0\n", _SCAN),
+        ("4\n1 2 3\n4 5 6\n7.5 8 9\n1 1 -9\n", _SCAN),  # PTS
+        ("# a scan\n# x y z\n1 2 3 7\n4 5 6 7\n# and\n7.5 8 9 7\n1 1 -9 7\n", _SCAN),
+        ("Scan of the site\n1,2,3\n4,5,6\n7.5,8,9\n1,1,-9\n", _SCAN),
+        ("1,2,3,1\n4,5,6,2\n7.5,8,9,3\n1,1,-9,4\n", _SCAN),  # numbered at the end
+    ],
+)
+def test_points_are_read_from_the_columns_that_the_header_names(
+    text: str, points: Sequence[Sequence[float]], tmp_path: Path
+) -> None:
+    (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
+    np.testing.assert_array_equal(read_points(tmp_path / "scan.csv"), points)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1,1,2,3\n2,4,5,6\n3,7,8,9\n", r"column 1: has numbers of points.*found 1, 2, 3, \.\.\..*nr,x,y,z"),
+        ("10 1 2 3 grass\n20 4 5 6 road\n30 7 8 9 grass\n", r"column 1: has numbers of points"),
+        ("id,x,y,code\n1,1,2,3\n2,4,5,6\n", r"header: the header does not name x, y and z once each"),
+        ("x,y,z,x\n1,1,2,3\n2,4,5,6\n", r"header: the header does not name x, y and z once each"),
+        ("nr,x,y,z\n1,1,2\n", r"line 2: has fewer cells than the header"),
+        ("1 2 3\n4 5 -9999\n", r"point 2, z: a height is missing; found -9999"),
+        ("455324.5 5412345.5 300\n", r"point 1, coordinate 1: a coordinate is too large.*coordinates of a map"),
+    ],
+)
+def test_points_that_would_be_misread_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        read_points(tmp_path / "scan.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0,0,0\n0,-9999,0\n0,0,0\n", r"row 2, column 2: a height is missing"),
+        ("0,0,0\n0,0,-32768\n0,0,0\n", r"row 2, column 3: a height is missing"),
+        ("0,0,\n0,0,0\n0,0,0\n", r"row 1, column 3: is not a number; found nothing"),
+        ("ncols 3\nnrows 2\n0 0 0\n0 0 0\n", r"of an ESRI grid make a GeoTIFF"),
+        (
+            "".join(f"{5 * i + j + 1},{i},{j},0.1\n" for i in range(5) for j in range(5)),
+            "holds x, y, z of points, not heights on a grid",
+        ),
+    ],
+)
+def test_heights_that_would_be_misread_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "ground.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        read_heights(tmp_path / "ground.csv")
+
+
+def test_quoted_heights_with_decimal_commas_and_remarks_are_read(tmp_path: Path) -> None:
+    (tmp_path / "ground.csv").write_text('# of 3 May\n"0,5";"1,5"\n"2,5";"3,5"\n', encoding="utf-8")
+    np.testing.assert_array_equal(read_heights(tmp_path / "ground.csv"), [[0.5, 1.5], [2.5, 3.5]])
+    (tmp_path / "ground.csv").write_text('"0,5","1,5"\n"2,5","3,5"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="row 1, column 1: is not a number; found 0,5"):
+        read_heights(tmp_path / "ground.csv")
 
 
 def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.files.text_file import read_text
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
@@ -24,7 +23,6 @@ from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
 
-_HIGHEST = 1e4  # m above or below zero that a design may lie; chosen, higher than any mountain
 _AROUND = 1.0  # m of ground around what is dug and heaped
 _ARM_SPARE = 0.015  # m beyond the clearance, for what lies between the places looked at; a few mm were seen
 _HEADINGS = 91  # at which the machine's reach is looked at; chosen
@@ -255,30 +253,15 @@ def _design(job: Job, ground: Terrain) -> Design:
         return TrenchDesign(trench, _height_at(ground, np.array(trench.start), job))
     assert surface is not None
     file = job.folder / surface.file
-    text = read_text(file, what="design surface", error=SceneError)
-    rows = [_heights(line, number, file) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    lengths = sorted({len(row) for row in rows})
-    if len(lengths) != 1:
-        raise SceneError("the rows have different lengths", file=file, found=lengths)
-    z = np.array(rows)
+    try:
+        z = read_height_grid(file, fewest=1).heights
+    except SceneError:
+        raise
+    except InputError as error:
+        raise SceneError(str(error), file=job.file, key="dig.surface.file") from None
     if not np.isfinite(z).any():
         raise SceneError("says nowhere how deep is to be dug", file=file, found="no height in any cell")
     return SurfaceDesign(np.array(surface.low), surface.cell, z)
-
-
-def _heights(line: str, row: int, file: Path) -> list[float]:
-    """The heights in a row of a design surface [m], nan in empty cells."""
-    found = []
-    for column, part in enumerate(line.split(","), start=1):
-        try:
-            height = float(part) if part.strip() else float("nan")
-        except ValueError:
-            height = float("inf")
-        if abs(height) > _HIGHEST:
-            raise SceneError("is no height", file=file, key=f"row {row}, column {column}", found=part.strip()[:40],
-                             allowed=f"a number of metres up to {_HIGHEST:g}, or nothing")  # fmt: skip
-        found.append(height)
-    return found
 
 
 def _height_at(ground: Terrain, point: Vector, job: Job) -> float:

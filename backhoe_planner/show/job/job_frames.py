@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class JobFrames:
 def job_parts(plan: JobPlan) -> tuple[Part, ...]:
     """When each leg is driven, and when the machine waits for a truck."""
     truck, parts, now = plan.job.dump.truck, [], 0.0
-    for cycle, following in zip(plan.cycles, (*plan.cycles[1:], None), strict=True):
+    for cycle, following in zip_longest(plan.cycles, plan.cycles[1:]):
         for leg in cycle.legs:
             parts.append(Part(leg.name, cycle.number, now, now + leg.duration))
             now += leg.duration

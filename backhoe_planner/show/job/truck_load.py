@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ def draw_truck_load(visualizer: Any, prefix: str, plan: JobPlan, parts: tuple[Pa
         return []
     place = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, truck.bed.yaw), np.array(truck.bed.position)).homogeneous
     tracks, before = [], 0.0
-    for cycle, following in zip(plan.cycles, (*plan.cycles[1:], None), strict=True):
+    for cycle, following in zip_longest(plan.cycles, plan.cycles[1:]):
         if cycle.truck_load is None or not cycle.truck_load.loose.any():
             continue
         volume = cycle.truck_load.loose_volume

@@ -277,7 +277,7 @@ class PointCloud(PlacedRecord):
 
     shape: Literal["pointcloud"]
     file: str
-    """PLY, or CSV or XYZ with x, y, z in the first three columns."""
+    """PLY, or CSV or XYZ with x, y, z in the columns that its header names, else in the first three."""
     resolution: Length
     """Edge of a voxel [m]."""
 

@@ -12,12 +12,21 @@ from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
+from backhoe_planner.site.schema.number_tables import (
+    COMMENTS,
+    are_missing,
+    cells_of,
+    counts_rows,
+    number_in,
+    plain_table,
+)
+from backhoe_planner.site.schema.point_lists import read_point_list
 from backhoe_planner.site.schema.quantities import LARGEST
 
+_FEWEST = 2  # heights along x and along y, between which there is ground
 _FEWEST_POINTS = 9  # in a list of those at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # nodes of its grid for each of them at most; chosen
-_MOST_COLUMNS = 32  # of a list of points: what scanners write beside x, y, z are colour, normal, time, ...; chosen
-_POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
+_MOST_COLUMNS = 32  # of a list of points at the nodes of a grid; chosen
 
 
 def read_heights(path: Path) -> Matrix:
@@ -31,39 +40,46 @@ def read_heights(path: Path) -> Matrix:
     return _read_heights(path, holes=False).heights
 
 
-def read_height_grid(path: Path) -> HeightTable:
+def read_height_grid(path: Path, *, fewest: int = _FEWEST) -> HeightTable:
     """The same, with where they lie if the file says so, and NaN where a height is missing.
+
+    Parameters
+    ----------
+    fewest: rows and columns.
 
     Raises
     ------
     InputError: as of `read_heights`, but not for a height that is missing.
     """
-    return _read_heights(path, holes=True)
+    return _read_heights(path, holes=True, fewest=fewest)
 
 
-def _read_heights(path: Path, *, holes: bool) -> HeightTable:
+def _read_heights(path: Path, *, holes: bool, fewest: int = _FEWEST) -> HeightTable:
     is_tiff = path.suffix.lower() in (".tif", ".tiff")
     found = read_geotiff(path) if is_tiff else HeightTable(_heights_from_text(path, holes=holes))
-    if min(found.heights.shape) < 2:
-        raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(found.heights.shape))
+    if min(found.heights.shape) < fewest:
+        raise InputError(
+            f"a height map needs at least {fewest} x {fewest} heights", file=path, found=str(found.heights.shape)
+        )
     if not is_tiff and _is_list_of_points(found.heights):
         rows, columns = found.heights.shape
         raise InputError(
             "holds x, y, z of points, not heights on a grid", file=path, found=f"{rows} rows of {columns}",
             allowed="one row for each y, with one height for each x", hint="as a pointcloud, or as a .xyz, it is read",
         )  # fmt: skip
+    found = found._replace(heights=np.where(are_missing(found.heights), np.nan, found.heights))
     _check_size(found.heights, "a height", path, ("row", "column"), holes=holes)
     return found
 
 
 def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
     text = read_text(path, what="height map", formats="a CSV of heights, or a GeoTIFF (.tif, .tiff)")
-    heights = _plain_table(text)
-    if heights is not None and min(heights.shape) >= 2:
+    heights = plain_table(text)
+    if heights is not None and min(heights.shape) >= _FEWEST:
         return heights
-    rows = [_cells(line) for line in text.splitlines() if line.strip()]
+    rows = [cells_of(line) for line in text.splitlines() if line.strip() and not line.startswith(COMMENTS)]
     # a comma at the end of every line ends the last cell; one at the end of some lines has a hole behind it
-    ended = not holes or not any(row[-1].strip() for row in rows)
+    ended = not any(row[-1].strip() for row in rows)
     values = [
         [
             _height(cell, path, number, column, holes=holes)
@@ -77,13 +93,13 @@ def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
     return np.array(values)
 
 
-def _cells(line: str) -> list[str]:
-    """The cells between semicolons, in which a comma is a decimal point, or else between commas."""
-    return line.replace(",", ".").split(";") if ";" in line else line.split(",")
-
-
 def _is_list_of_points(table: Matrix) -> bool:
-    """Whether a narrow table is x, y, z, ... at the nodes of a grid: nearly every x stands beside every y, once."""
+    """Whether a narrow table is x, y, z, ... at the nodes of a grid, numbered or not.
+
+    There nearly every x stands beside every y, once.
+    """
+    if table.shape[1] > 3 and counts_rows(table[:, 0]):
+        return _is_list_of_points(table[:, 1:])
     if not 3 <= table.shape[1] <= _MOST_COLUMNS or len(table) < _FEWEST_POINTS or not np.isfinite(table).all():
         return False
     x, y = (np.unique(column) for column in table[:, :2].T)
@@ -95,17 +111,17 @@ def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> flo
     if holes and not cell.strip():
         return np.nan
     try:
-        return _number(cell)
+        return number_in(cell)
     except ValueError:
         key = f"row {row}, column {column}"
-        hint = (
-            "heights alone, without a header or quotes" if cell.strip() else "every cell has a height: fill holes first"
-        )
+        hint = "heights alone, without a header" if cell.strip() else "every cell has a height: fill holes first"
+        if cell.lower().startswith("ncols"):
+            hint = "of an ESRI grid make a GeoTIFF: gdal_translate ground.asc ground.tif"
         raise InputError("is not a number", file=path, key=key, found=cell.strip() or "nothing", hint=hint) from None
 
 
 def read_points(path: Path) -> Matrix:
-    """(n, 3) points [m] from a PLY, or from text with x, y, z in the first columns.
+    """(n, 3) points [m] from a PLY, or from text; see `read_point_list`.
 
     Raises
     ------
@@ -125,7 +141,7 @@ def read_points(path: Path) -> Matrix:
             raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
         points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)
     else:
-        points = _points_from_text(path)
+        points = read_point_list(path)
     if len(points) == 0:
         raise InputError("holds no points", file=path)
     _check_size(points, "a coordinate", path, ("point", "coordinate"))
@@ -137,76 +153,18 @@ def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *,
     wrong = ~(np.abs(values) <= LARGEST)
     if holes:
         wrong &= ~np.isnan(values)
-    if wrong.any():
-        row, column = np.argwhere(wrong)[0].tolist()
-        found = float(values[row, column])
-        raise InputError(
-            f"{what} is not finite" if not np.isfinite(found) else f"{what} is too large",
-            file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=f"{found:g}",
-            allowed=f"{-LARGEST:g} to {LARGEST:g} m",
-        )  # fmt: skip
-
-
-def _plain_table(text: str) -> Matrix | None:
-    """(rows, columns) of a text of nothing but numbers with commas, or with blanks, between them; None of any other.
-
-    It takes a tenth of the time that is needed line by line, where messages say what is wrong with which.
-    """
-    first = text.lstrip().partition("\n")[0]
-    comma = "," in first
-    if comma and len(first.replace(",", " ").split()) != first.count(",") + 1:
-        return None
-    try:
-        found = np.loadtxt(text.splitlines(), delimiter="," if comma else None, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return found if found.size else None
-
-
-def _points_from_text(path: Path) -> Matrix:
-    text = read_text(path, what="point cloud", formats=_POINT_FORMATS)
-    table = _plain_table(text)
-    if table is not None and table.shape[1] > _MOST_COLUMNS:
-        raise InputError(
-            "has too many numbers in a row for a list of points", file=path, found=table.shape[1],
-            allowed=f"x, y, z and up to {_MOST_COLUMNS - 3} more", hint="heights on a grid are a heightmap",
-        )  # fmt: skip
-    if table is not None and table.shape[1] >= 3:
-        return np.ascontiguousarray(table[:, :3])
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip() or line.startswith("#") or (number == 1 and _is_header(line)):
-            continue
-        words = [] if ";" in line else line.split()
-        if len(words) > 1 and any("," in word[:-1] for word in words):
-            hint = "a comma stands between numbers, not in them"
-            raise InputError("has commas and blanks", file=path, key=f"line {number}", found=line.strip(), hint=hint)
-        cells = _cells(line) if ";" in line or "," in line else words
-        try:
-            rows.append([_number(cell) for cell in cells[:3]])
-        except ValueError:
-            raise InputError(
-                "is not a number" if all(cell.strip() for cell in cells[:3]) else "has an empty cell among x, y, z",
-                file=path, key=f"line {number}", found=line.strip(), allowed=_POINT_FORMATS,
-            ) from None  # fmt: skip
-        if len(rows[-1]) < 3:
-            raise InputError("has fewer than three numbers", file=path, key=f"line {number}", found=line.strip())
-    return np.array(rows, dtype=float).reshape(-1, 3)
-
-
-def _is_header(line: str) -> bool:
-    """Whether no word of a line is a number."""
-    for word in line.replace(";", " ").replace(",", " ").split():
-        try:
-            _number(word)
-        except ValueError:
-            continue
-        return False
-    return True
-
-
-def _number(cell: str) -> float:
-    """The number in a cell; unlike Python's own, it has no underscores and no digits of other scripts."""
-    if "_" in cell or not cell.isascii():
-        raise ValueError
-    return float(cell)
+    if not wrong.any():
+        return
+    row, column = np.argwhere(wrong)[0].tolist()
+    found, hint = float(values[row, column]), None
+    if np.isnan(found):
+        problem, hint = f"{what} is missing", "fill it first, or leave out that part of the survey"
+    elif np.isinf(found):
+        problem = f"{what} is not finite"
+    else:
+        problem = f"{what} is too large"
+        hint = "coordinates of a map are too far off: take the same off all points, so that the machine is near 0, 0, 0"
+    raise InputError(
+        problem, file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=f"{found:g}",
+        allowed=f"{-LARGEST:g} to {LARGEST:g} m", hint=hint,
+    )  # fmt: skip

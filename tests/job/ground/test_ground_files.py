@@ -77,7 +77,7 @@ def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
     found = build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
     assert max(piece.hull[:, 2].max() for piece in found.pieces) == pytest.approx(11.0)
     write_geotiff(tmp_path / "hill.tif", np.where(heights == 6.0, -9999.0, heights), corner=None, no_data="-9999")
-    with pytest.raises(InputError, match=r"hill\.tif: row 2, column 3: a height is not finite"):
+    with pytest.raises(InputError, match=r"hill\.tif: row 2, column 3: a height is missing"):
         build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
 
 
