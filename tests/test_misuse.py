@@ -218,7 +218,7 @@ def calls() -> dict[str, Call]:
         ),
         "plan": call(
             bp.plan, **site, method=("reactive", TEXT), seed=(0, COUNT), effort=("quick", TEXT),
-            budget=(9.0, Kind((*POSITIVE.bad, INF))), watch=(print, only("text", {"a": 1}, OBJECT, [], 3.0)),
+            budget=(9.0, optional(Kind((*POSITIVE.bad, INF)))), watch=(print, only("text", {"a": 1}, OBJECT, [], 3.0)),
             lists=False,
         ),
         # the machine

@@ -220,7 +220,9 @@ def print_figures(plan: bp.JobPlan) -> None:
             )
     left, below = 100.0 * figures.left, 100.0 * figures.below
     most = f"at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it"
-    OUT.print(f"design        {figures.design:.3f} m^3; {most}")
+    stays = sum(one.volume for one in plan.undug)
+    part = f", of which {stays:.2f} m^3 ({100.0 * stays / figures.design:.0f} %) stays" if stays else ""
+    OUT.print(f"design        {figures.design:.3f} m^3{part}; {most}")
     for one in plan.undug:
         OUT.print(f"undug         {one.words}")
 

@@ -34,12 +34,13 @@ def plan(
         str, typer.Option(help="quick, normal or thorough: bounds the search, in counted work.")
     ] = "normal",
     budget: Annotated[
-        float,
+        float | None,
         typer.Option(
             metavar="S",
-            help="Seconds of computing time after which a search is stopped; --effort is what bounds it.",
+            help="Seconds of computing time after which a search is stopped: 60, of thorough 600. "
+            "--effort is what bounds it.",
         ),
-    ] = planning.DEFAULT_BUDGET,
+    ] = None,
     view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the plan offline.")

@@ -11,6 +11,7 @@ import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
 
+_SAME_PLACE = 0.005  # m along a path between its two ends, below which a detour is a change of posture on the spot
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
 
 
@@ -94,10 +95,10 @@ def _print_motion(found: bp.Plan) -> None:
     _print_keep(found)
     OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most")
     for detour in metrics.detours:
-        OUT.print(
-            f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
-            f"{detour.length:.2f} m long, {detour.size}{_around(detour)}"
-        )
+        where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
+        if detour.path_to - detour.path_from < _SAME_PLACE:
+            where = f"leaves the path at {detour.path_from:.2f} m, back at the same place in another posture"
+        OUT.print(f"detour        {where}: {detour.length:.2f} m long, {detour.size}{_around(detour)}")
     if found.findings.waits > 0.0:
         OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")
     for reaction in found.findings.reactions:
@@ -142,7 +143,8 @@ def print_certificate(plan: bp.Plan) -> None:
         OUT.print(table)
     for kind in ("position", "velocity", "acceleration"):
         use = getattr(certificate, kind)
-        OUT.print(f"{kind:<13}{100.0 * use.ratio:5.1f} % of its limit at most ({use.joint}, {use.time:.2f} s)")
+        limit = "the way from the middle of its range to an end" if kind == "position" else "its limit"
+        OUT.print(f"{kind:<13}{100.0 * use.ratio:5.1f} % of {limit} at most ({use.joint}, {use.time:.2f} s)")
     for kind, load in (("torque", certificate.effort), ("hydraulics", certificate.hydraulics)):
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
@@ -205,6 +207,8 @@ def _print_bound(found: bp.Plan) -> None:
         longer = f" ({found.excess})" if found.excess else ""
         OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s{longer}")
         least = None if cost is None else bound.least_energy(cost.objective)
+        if cost is not None and least is None and cost.objective != "time":
+            OUT.print(f"              of {cost.objective} nothing better than 0 is known as a bound")
         if cost is not None and least is not None:
             more = f"{cost.objective}; this one takes {planning.describe_excess(cost.value, least)}"
             OUT.print(

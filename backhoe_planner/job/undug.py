@@ -103,7 +103,7 @@ def _undug(site: Worksite, each: Matrix, columns: Flags, reason: UndugReason, ca
     nodes = site.nodes[columns]
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     volume = float(np.sum(each[columns]))
-    where = f"{volume:.2f} m^3 from x {low[0]:.2f}, y {low[1]:.2f} to x {high[0]:.2f}, y {high[1]:.2f} m"
+    where = f"{volume:.2f} m^3 {_places(site, each, columns)}"
     why = {
         "protected": f"protected by {cause}",
         "out_of_reach": cause or "out of the machine's reach",
@@ -112,3 +112,15 @@ def _undug(site: Worksite, each: Matrix, columns: Flags, reason: UndugReason, ca
     }[reason]
     by = "" if reason == "left" else cause
     return Undug(reason, by, columns, volume, low, high, f"{where}: {why}")
+
+
+def _places(site: Worksite, each: Matrix, columns: Flags) -> str:
+    """Where `columns` are, in words: from corner to corner, of several places of the largest."""
+    from scipy.ndimage import label  # it takes long to import
+
+    apart, count = label(columns, structure=np.ones((3, 3)))
+    volumes = np.bincount(apart.ravel(), weights=np.where(columns, each, 0.0).ravel())
+    nodes = site.nodes[apart == int(np.argmax(volumes))]
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    where = f"from x {low[0]:.2f}, y {low[1]:.2f} to x {high[0]:.2f}, y {high[1]:.2f} m"
+    return where if count == 1 else f"in {count} places, the largest ({volumes.max():.2f} m^3) {where}"

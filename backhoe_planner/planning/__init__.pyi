@@ -49,7 +49,6 @@ from .result.plan import load_plan as load_plan
 from .result.plan import plan_to_dict as plan_to_dict
 from .result.plan_file import CertificateRecord as CertificateRecord
 from .search.blending import blend as blend
-from .search.effort import DEFAULT_BUDGET as DEFAULT_BUDGET
 from .search.effort import EFFORTS as EFFORTS
 from .search.effort import Brake as Brake
 from .search.effort import Effort as Effort

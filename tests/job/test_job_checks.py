@@ -242,6 +242,30 @@ def test_soil_that_no_cut_is_shallow_enough_for_ends_as_too_hard(monkeypatch: py
     assert (found.verdict, found.reason, found.note) == ("failed", "too_hard", words)
 
 
+def test_the_ground_of_a_csv_lies_where_its_first_height_does(tmp_path: Path) -> None:
+    heights = np.zeros((41, 61))
+    heights[:, 30:] = -0.1
+    np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
+    where = {"file": str(tmp_path / "ground.csv"), "low": [0.5, -2.0], "cell": 0.1}
+    ground = build_worksite(small_job(ground=where, dump={"heap": {"at": [2.5, -1.5]}})).ground
+    assert ground.shape == (41, 61)
+    np.testing.assert_allclose((*ground.low, ground.cell), (0.5, -2.0, 0.1))
+    np.testing.assert_array_equal(ground.surface, heights)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"low": [0.0, 0.0]}, "low is given without high"),
+        ({"high": [0.0, 0.0]}, "high is given without low"),
+        ({"file": "ground.csv", "high": [0.0, 0.0]}, "high is given without low"),
+    ],
+)
+def test_a_corner_of_the_ground_alone_is_refused(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(bp.InputError, match=said):
+        small_job(ground=keys)
+
+
 def test_a_design_with_figures_for_what_is_missing_is_dug_where_there_are_heights(tmp_path: Path) -> None:
     heights = [["-9999", "-9999", "-9999"], ["-9999", "-0,2", "-0,2"], ["-9999", "-0,2", "-0,2"]]
     (tmp_path / "pad.csv").write_text("\n".join(";".join(row) for row in heights), encoding="utf-8")

@@ -183,16 +183,21 @@ class Ground(Record):
     cell: Annotated[float, Field(strict=True, ge=0.02, le=0.5)] = 0.05
     """Between neighbouring columns of the ground [m]; 0.05 by default."""
     low: _Point | None = None
-    """Least x, y of the ground that is followed [m]; by default all that is dug and heaped, and 1 m around it."""
+    """Least x, y of the ground that is followed [m]; by default all that is dug and heaped, and 1 m around it.
+
+    Of a CSV the place of its first height.
+    """
     high: _Point | None = None
-    """Greatest x, y [m]."""
+    """Greatest x, y [m]; with a file that of its last height by default."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Ground:
         if self.level is not None and self.file is not None:
             raise ValueError("only one of level, file may be given")
-        if (self.low is None) != (self.high is None):
-            raise ValueError("low and high are given together, or neither")
+        if self.high is not None and self.low is None:
+            raise ValueError("high is given without low")
+        if self.low is not None and self.high is None and self.file is None:
+            raise ValueError("low is given without high")
         if self.low is not None and self.high is not None and min(
             b - a for a, b in zip(self.low, self.high, strict=True)
         ) < 2.0 * self.cell:  # fmt: skip

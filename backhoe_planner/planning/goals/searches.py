@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
@@ -47,7 +47,7 @@ class Searched:
 
 
 def search_motion(world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float) -> Searched:
-    """The best motion of a first search and of further ones, none longer than the first allows.
+    """The best motion of all searches of the effort, and of those of the effort that it begins with.
 
     Parameters
     ----------
@@ -55,6 +55,31 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
     found: postures on the `goals`; further searches find others.
     time: the obstacles stand where they are at this time [s].
     """
+    usual = _begin(world, start, goals, time=time) if world.work.effort.begins_with else None
+    if usual is not None and usual.ended:
+        return usual
+    searched = _search(world, start, found, goals, time=time)
+    if usual is None or usual.best is None or (searched.best is not None and searched.best.cost <= usual.best.cost):
+        return searched
+    return replace(usual, looked_at=searched.looked_at, ended=searched.ended)
+
+
+def _begin(world: World, start: Vector, goals: Sequence[Goal], *, time: float) -> Searched | None:
+    """What is found from the same seed with the effort that this one begins with; None where that has no posture."""
+    begins_with = world.work.effort.begins_with
+    assert begins_with
+    usual = world.anew(0, EFFORTS[begins_with])
+    postures = find_goal_postures(usual, goals, near=start, time=time)
+    if isinstance(postures, Outcome):
+        return None
+    found = _search(usual, start, postures, goals, time=time)
+    if found.best is not None:
+        world.show(found.best.motion, attempt=0, best=found.best.cost)
+    return found
+
+
+def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float) -> Searched:
+    """The best motion of a first search and of further ones, none longer than the first allows."""
     search = MotionSearch(world, start, found, time=time)
     ended, is_long = search.run(), search.takes_long
     best, allowed, looked_at = search.best, search.allowed_time, search.looked_at

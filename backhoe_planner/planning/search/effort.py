@@ -15,7 +15,8 @@ from typing import Literal
 
 EffortName = Literal["quick", "normal", "thorough"]
 
-DEFAULT_BUDGET = 60.0  # s: several times what `normal` takes on one core, so that plans end by their counts
+# s: several times what plans take on one core, so that they end by their counts
+DEFAULT_BUDGETS: Mapping[EffortName, float] = MappingProxyType({"quick": 60.0, "normal": 60.0, "thorough": 600.0})
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Effort:
     ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
         are brought down.
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
+    begins_with: the effort of a search that comes first, so that more effort never costs more; empty for none.
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
     alike: so many searches that cost alike end them, one that costs little more than is lifted, and one that was
@@ -75,6 +77,7 @@ class Effort:
     pieces: int
     ways_at_once: int
     dull_searches: int
+    begins_with: EffortName | Literal[""]
     restarts: int
     alike: int
     restarts_round: int
@@ -103,6 +106,7 @@ _NORMAL = Effort(
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
+    begins_with="",
     restarts=3,
     alike=2,
     restarts_round=2,
@@ -113,8 +117,8 @@ _NORMAL = Effort(
 
 def _scaled(factor: float) -> Effort:
     """The counts of the normal effort times `factor`, and nothing rough."""
-    counts = {name: count for name, count in asdict(_NORMAL).items() if not isinstance(count, bool)}
-    return Effort(**{name: round(factor * count) for name, count in counts.items()}, rough=False)
+    counts = {name: count for name, count in asdict(_NORMAL).items() if not isinstance(count, bool | str)}
+    return Effort(**{name: round(factor * count) for name, count in counts.items()}, begins_with="", rough=False)
 
 
 EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
@@ -141,6 +145,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             pieces=_NORMAL.pieces,
             ways_at_once=6,
             dull_searches=3,
+            begins_with="normal",
             restarts=8,
             alike=0,
             restarts_round=0,

@@ -18,7 +18,7 @@ from backhoe_planner.planning.result.findings import NOTHING
 from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
-from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, EFFORTS, Brake, EffortName
+from backhoe_planner.planning.search.effort import DEFAULT_BUDGETS, EFFORTS, Brake, EffortName
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Scene
 
@@ -34,7 +34,7 @@ def plan(
     method: str = "auto",
     seed: int = 0,
     effort: str = "normal",
-    budget: float = DEFAULT_BUDGET,
+    budget: float | None = None,
     watch: Watcher | None = None,
 ) -> Plan:
     """Plan the scene's task for a machine.
@@ -48,8 +48,8 @@ def plan(
     seed: of every random choice, not negative.
     effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
         take. The same input, seed and effort give the same plan, however busy the machine.
-    budget: computing time [s] after which the search is ended. A motion that was still made
-        better is delivered, with a note; else the reason is ``budget``.
+    budget: computing time [s] after which the search is ended, by default 60, of ``thorough`` 600.
+        A motion that was still made better is delivered, with a note; else the reason is ``budget``.
     watch: called with every step while the planner works.
 
     Returns
@@ -63,7 +63,7 @@ def plan(
     checked = next((known for known in METHODS if known == method), None)
     if checked is None:
         raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
-    budget, seed = as_number(budget, key="budget", above=0.0), as_count(seed, key="seed")
+    seed = as_count(seed, key="seed")
     if seed > _LARGEST_SEED:
         raise InputError("is too large", key="seed", found=seed, allowed=f"0 to {_LARGEST_SEED}")
     if watch is not None and not callable(watch):
@@ -71,8 +71,9 @@ def plan(
     asked = next((known for known in EFFORTS if known == effort), None)
     if asked is None:
         raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
+    longest = DEFAULT_BUDGETS[asked] if budget is None else as_number(budget, key="budget", above=0.0)
     begun = clock.monotonic()
-    brake = Brake(budget)
+    brake = Brake(longest)
     problem = build_problem(robot, scene)
     return plan_problem(problem, checked, seed=seed, effort=asked, brake=brake, watch=watch, begun=begun)
 

@@ -71,7 +71,10 @@ class World:
         return other
 
     def anew(self, number: int, effort: Effort) -> World:
-        """The same problem with random choices of its own by `number` (from 1), and this effort; nobody watches."""
+        """The same problem with random choices of its own by `number`, and this effort; nobody watches.
+
+        For 0 they are those of this world, from the beginning.
+        """
         other = copy.copy(self)
         other.seed = (self.seed + number * _SEEDS_APART) % 2**32
         other.work, other._watch = Work(effort, self.work.brake), None
