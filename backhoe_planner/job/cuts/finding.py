@@ -173,7 +173,7 @@ def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
     if isinstance(least, NoCut):
         return least
     if least.holding.ratio > allowed:
-        kept = f", of which {100.0 * asked.digger.margin:.0f} % are kept in reserve" if asked.digger.margin else ""
+        kept = f"; a plan uses at most {100.0 * allowed:.0f} %" if asked.digger.margin else ""
         reason = f"this soil cannot be cut at any depth: even at {100.0 * _THINNEST:.0f} cm it takes {{}}{kept}"
         holding = least.holding
         return NoCut("cylinder", reason.format(holding.describe()), holding.r, holding.z, holding)
