@@ -255,8 +255,6 @@ def _design(job: Job, ground: Terrain) -> Design:
     file = job.folder / surface.file
     try:
         z = read_height_grid(file, fewest=1).heights
-    except SceneError:
-        raise
     except InputError as error:
         raise SceneError(str(error), file=job.file, key="dig.surface.file") from None
     if not np.isfinite(z).any():

@@ -55,9 +55,12 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
     found: postures on the `goals`; further searches find others.
     time: the obstacles stand where they are at this time [s].
     """
-    usual = _begin(world, start, goals, time=time) if world.work.effort.begins_with else None
+    begins_with = world.work.effort.begins_with
+    usual = _begin(world.anew(0, EFFORTS[begins_with]), start, goals, time=time) if begins_with else None
     if usual is not None and usual.ended:
         return usual
+    if usual is not None and usual.best is not None:
+        world.show(usual.best.motion, attempt=0, best=usual.best.cost)
     searched = _search(world, start, found, goals, time=time)
     if usual is None or usual.best is None or (searched.best is not None and searched.best.cost <= usual.best.cost):
         return searched
@@ -65,17 +68,9 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
 
 
 def _begin(world: World, start: Vector, goals: Sequence[Goal], *, time: float) -> Searched | None:
-    """What is found from the same seed with the effort that this one begins with; None where that has no posture."""
-    begins_with = world.work.effort.begins_with
-    assert begins_with
-    usual = world.anew(0, EFFORTS[begins_with])
-    postures = find_goal_postures(usual, goals, near=start, time=time)
-    if isinstance(postures, Outcome):
-        return None
-    found = _search(usual, start, postures, goals, time=time)
-    if found.best is not None:
-        world.show(found.best.motion, attempt=0, best=found.best.cost)
-    return found
+    """What the searches find of which no postures are known yet; None where there is none."""
+    found = find_goal_postures(world, goals, near=start, time=time)
+    return None if isinstance(found, Outcome) else _search(world, start, found, goals, time=time)
 
 
 def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float) -> Searched:

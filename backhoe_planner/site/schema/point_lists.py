@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -76,12 +77,12 @@ def _begin(lines: Sequence[str], path: Path) -> tuple[tuple[int, ...] | None, Se
         words = line.lstrip("#/").strip()
         if not line.startswith(COMMENTS) and line and not (first == 0 and (_is_header(line) or _is_count(lines))):
             break
-        columns = columns or _named(words, path, of=lines[first + 1 :])
+        columns = columns or _named(words, path, of=itertools.islice(lines, first + 1, None))
         first += 1
     return columns, lines[first:], first
 
 
-def _named(words: str, path: Path, *, of: Sequence[str]) -> tuple[int, ...] | None:
+def _named(words: str, path: Path, *, of: Iterable[str]) -> tuple[int, ...] | None:
     """Which columns of the lines `of` are x, y and z by the words above them; None where these are no names of them."""
     cells = [cell.strip().strip('"').lower() for cell in cells_of(words)]
     found = [[index for index, cell in enumerate(cells) if cell in names] for names in _NAMES]
@@ -120,9 +121,9 @@ def _line_by_line(lines: Sequence[str], first: int, columns: tuple[int, ...] | N
             ) from None  # fmt: skip
         rows.append(row)
         wider = wider and len(cells) > len(asked)
-    found = np.zeros((len(rows), max(asked) + 1))
+    found = np.zeros((len(rows), max(asked) + 1 + wider))
     found[:, list(asked)] = np.array(rows, dtype=float).reshape(-1, 3)
-    return np.column_stack((found, np.zeros(len(rows)))) if wider else found
+    return found
 
 
 def _is_header(line: str) -> bool:
