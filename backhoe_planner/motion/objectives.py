@@ -149,6 +149,7 @@ class Objective(ABC, Generic[Parts]):
     is_positive_power: whether its rate is the sum of the joints' powers, of each of which only what is positive counts.
     lifts: whether what is lifted is a part of it, so that it is at least the gain of potential energy.
     is_quadratic: whether it grows with the squared rates, and so holds every motion back.
+    jumps: whether its rate jumps where a rod begins to move, so that what lowers it is seen in no small step.
     time_share: for one that is not quadratic, the price of a lost second, as a part of the
         usual load at the usual rate.
     """
@@ -160,6 +161,7 @@ class Objective(ABC, Generic[Parts]):
     is_positive_power: ClassVar[bool] = False
     lifts: ClassVar[bool] = False
     is_quadratic: ClassVar[bool] = False
+    jumps: ClassVar[bool] = False
     time_share: ClassVar[float] = 0.1
 
     def suits(self, robot: Robot) -> bool:
@@ -289,7 +291,7 @@ class Hydraulic(Objective[_Forces]):
     costs the margin by which the pump's pressure exceeds the highest load.
     """
 
-    name, unit, needs_hydraulics, lifts, time_share = "hydraulic", "J", True, True, 1.0
+    name, unit, needs_hydraulics, lifts, jumps, time_share = "hydraulic", "J", True, True, True, 1.0
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load

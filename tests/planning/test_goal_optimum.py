@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -52,6 +53,27 @@ def test_without_obstacles_the_slowest_joint_alone_decides(planar4: bp.Robot, q:
     plan = bp.plan(planar4, planar(q), effort="quick")
     assert plan.verified, plan.message
     assert least * (1.0 - 1e-9) <= plan.trajectory.duration <= 1.01 * least
+
+
+@pytest.mark.parametrize("end", [{"swing": 1.0, "boom": -0.3}, {"swing": 0.8, "boom": 0.0, "stick": -1.2}])
+def test_the_pump_gives_no_more_than_where_one_joint_moves_after_the_other(
+    backhoe: bp.Robot, end: dict[str, float]
+) -> None:
+    """What sinks under its load needs no pressure; while the swing turns alone, little oil has its pressure."""
+    scene = digger({"joints": READY | end}, objective="hydraulic")
+    plan = bp.plan(backhoe, scene, effort="quick")
+    assert plan.verified, plan.message
+    longest = plan.findings.allowed_time
+    assert longest is not None
+    time = np.linspace(0.0, longest, 1 + round(longest / 0.02))
+    each = []
+    for order in itertools.permutations(end):
+        q = np.tile(list(READY.values()), (len(time), 1))
+        for turn, joint in enumerate(order):
+            u = np.clip(len(order) * time / longest - turn, 0.0, 1.0)
+            q[:, list(READY).index(joint)] += u**3 * (10.0 - 15.0 * u + 6.0 * u * u) * (end[joint] - READY[joint])
+        each.append(motion_cost(build_problem(backhoe, scene), bp.Trajectory.from_steps(time, q)))
+    assert plan.metrics.energy["hydraulic"] <= min(each)
 
 
 def test_where_a_pose_is_asked_for_the_posture_moves_along(planar4: bp.Robot) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,8 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
-from backhoe_planner.planning.descent.own_time import FINE_PLACES, PLACES, OwnTime
+from backhoe_planner.planning.descent.own_time import OwnTime
+from backhoe_planner.planning.descent.softening import soft_flows
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
@@ -63,6 +65,7 @@ _NOTHING = 1e-4
 # places of each piece by which many curves are compared: for the cost, and for limits, as accelerations are linear on a
 # piece; chosen, the order of straight lines is the same as with twice as many
 _PLACES_OF_ESTIMATE, _PLACES_OF_LIMITS = 2, 1
+_NEXT_BOX = 0.1  # rad or m: of the first step at most, where a cost that jumps becomes less soft; chosen
 _LATE = 10.0  # part of the cost that a motion costs more that takes longer than it may, for all of that time; chosen
 # part of the longest time that a descent leaves over: samples of a motion are slowed by so much where they are beyond a
 # limit between the places at which steps keep it; chosen, mostly less is needed
@@ -146,6 +149,7 @@ class Descent:
         self._nothing = 0.0  # a cost that counts as nothing, in its unit
         self._width = _LEAST_WIDTH  # of kinks of the cost's rate that are rounded off, in its unit per second
         self._longest = np.inf  # s that the motion of this descent may take
+        self._curved: Matrix | None = None  # what a softer cost was learnt to curve, in its unit
         self._times_missed = 1.0  # the price of what a curve of this descent misses
         self._rough = False  # whether this descent may end at larger gains
         self.rounds = 0
@@ -185,14 +189,19 @@ class Descent:
         OutOfTime: the budget is used up.
         """
         if self._own_time is not None:
-            self._own_time = replace(self._own_time, places=FINE_PLACES if fine else PLACES)
+            self._own_time = self._own_time.looked_at(fine=fine)
         self._rough, self._times_missed = rough, _CLEAR_FIRST if clear_first else 1.0
         down = partial(self._down, goal=goal, spare=spare, density=density)
         if self._own_time is None:
             return down(curve, duration, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=longest)
         within = (1.0 - _TIME_SPARE) * longest
         duration = min(duration, within) if duration <= longest else duration
-        found = down(curve, duration, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=within)
+        flow = self._own_time.mean_flow(curve, duration) if self._problem.objective.jumps else 0.0
+        flows = soft_flows(flow, first=unsampled, fine=fine, hurried=self._hurried)
+        down = partial(self._down_softly, goal=goal, spare=spare, density=density)
+        found = down(
+            curve, duration, flows, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=within
+        )  # fmt: skip
         if found is None or unsampled:
             return found
         found = self._as_sampled(found)
@@ -201,12 +210,33 @@ class Descent:
                 break
             within *= (1.0 - _TIME_SPARE) * longest / found.motion.duration
             sooner = down(
-                found.curve, min(found.duration, within), most_rounds=_HURRY_ROUNDS, box=_SMALLEST_BOX,
+                found.curve, min(found.duration, within), flows[-1:], most_rounds=_HURRY_ROUNDS, box=_SMALLEST_BOX,
                 is_hopeless=lambda here, rounds: False, longest=within,
             )  # fmt: skip
             if sooner is None:
                 break
             found = self._as_sampled(sooner)
+        return found
+
+    def _down_softly(
+        self, curve: JointCurve, duration: float, flows: Sequence[float], *,
+        most_rounds: int, box: float, is_hopeless: Callable[[Timed, int], bool], **how: Any,
+    ) -> Timed | None:  # fmt: skip
+        """One descent for each of the soft `flows`, with what the last one costs by; see `_down`."""
+        assert self._own_time is not None
+        begun, found, self._curved, rough = self.rounds, None, None, self._rough
+        for left, flow in zip(range(len(flows), 0, -1), flows, strict=True):
+            rounds = most_rounds - (self.rounds - begun)
+            self._own_time, self._rough = replace(self._own_time, soft_flow=flow), rough or left > 1
+            there = self._down(
+                curve, duration, most_rounds=-(-rounds // left) if self._hurried else rounds, box=box,
+                is_hopeless=is_hopeless, **how,
+            )  # fmt: skip
+            found = there or found
+            if there is None or is_hopeless(there, most_rounds):
+                break
+            curve, duration, box = there.curve, there.duration, min(box, _NEXT_BOX)
+        self._own_time, self._rough = replace(self._own_time, soft_flow=0.0), rough
         return found
 
     def _down(
@@ -226,6 +256,8 @@ class Descent:
         if self._own_time is not None:
             here = self._rounded_off(here)
             bend = Bend.smooth(*self._slope(here, free, unit), curve.pieces, self._unit, box, here.duration)
+            if self._curved is not None:
+                bend = replace(bend, curvature=self._curved / unit)
         begun, steps, failed, slow = self.rounds, 0, 0, 0
         clear, box_then, bend_then = here, box, bend  # the last curve that was clear, with box and bend of that round
         while self.rounds - begun < most_rounds:
@@ -293,6 +325,8 @@ class Descent:
             if slow >= (1 if bend is None else _SLOW) and here.missed <= _KEPT:
                 break
         found = clear if here.missed > looks.allowed >= clear.missed else here
+        learnt = bend if found is here else bend_then
+        self._curved = None if learnt is None else learnt.curvature * unit
         if self._own_time is None:
             return found
         self._width = _LEAST_WIDTH
@@ -333,6 +367,7 @@ class Descent:
 
     def _as_sampled(self, found: Timed) -> Timed:
         """The same with the motion within all limits, and what that costs."""
+        found = self._priced(found)
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
         return replace(found, motion=motion, cost=motion_cost(self._problem, motion), own_cost=found.cost)
 

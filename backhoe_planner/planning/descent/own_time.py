@@ -8,7 +8,7 @@ The integral is a sum over equally many s of every piece (trapezium rule), and t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,10 +18,12 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
+from backhoe_planner.planning.descent.softening import soft_power
 
 # of the sum, for each piece; chosen. With 3 what lies between them may cost three times as much as is seen; with 4 a
 # tenth more where a descent is fine, at worst a half, and 1 to 4 % with 6
 PLACES, FINE_PLACES = 4, 6
+_PLACES_OF_JUMPS, _FINE_PLACES_OF_JUMPS = 6, 10  # the same for a cost that jumps; chosen
 _STRETCHES = 8  # in which the least T is found; chosen, mostly two are needed
 _WITHIN = 1e-3  # part of a limit that may be exceeded at the places; the samples of a motion are checked later
 
@@ -53,11 +55,20 @@ class OwnTime:
     ----------
     drive: of the problem's machine.
     places: of the sum, for each piece. A descent lowers what is seen there, and raises what lies between.
+    soft_flow: below which cylinders count for a part of their pressure, where the cost jumps as they begin to move
+        [m^3/s]; 0 for the cost as it is.
     """
 
     problem: Problem
     drive: Drive
     places: int = PLACES
+    soft_flow: float = 0.0
+
+    def looked_at(self, *, fine: bool) -> OwnTime:
+        """The same with as many places as suit the cost, more for a `fine` curve; nothing of it is soft."""
+        jumps = self.problem.objective.jumps
+        usual, more = (_PLACES_OF_JUMPS, _FINE_PLACES_OF_JUMPS) if jumps else (PLACES, FINE_PLACES)
+        return replace(self, places=more if fine else usual, soft_flow=0.0)
 
     def cost(self, curve: JointCurve, duration: float, *, width: float) -> float:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
@@ -125,7 +136,16 @@ class OwnTime:
         """(K, U) what moments at q, v, a (K, n) cost a second; and whether only what is positive counts of each."""
         if self.problem.objective.is_positive_power:
             return self._torques(q, v, a) * v, True
+        if self.soft_flow > 0.0:
+            assert self.drive.hydraulics is not None
+            return soft_power(self.drive.hydraulics, q, v, self._torques(q, v, a), flow=self.soft_flow)[:, None], False
         return cost_rate(self.problem, q, v, a)[:, None], False
+
+    def mean_flow(self, curve: JointCurve, duration: float) -> float:
+        """Of one cylinder, over the whole motion [m^3/s]; 0 where there is none."""
+        q, v, _ = self._moments(curve, duration)
+        hydraulics = self.drive.hydraulics
+        return 0.0 if hydraulics is None else float(curve.shares(len(q)) @ np.mean(hydraulics.flows(q, v), axis=1))
 
     def least_duration(self, curve: JointCurve, duration: float) -> float:
         """The least T, not below `duration` [s], that keeps all limits but for loads at rest.

@@ -36,6 +36,7 @@ _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twi
 _ROUNDS = 24  # of a descent at most; chosen, half of them end after 7
 _MORE_ROUNDS = 80  # the same for another cost than the time, which falls for longer; chosen
 _ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no curve is timed in them; measured
+_SOFTENED = 2  # times more rounds for a cost that jumps, which is lowered as ever less soft ones; measured
 _FEW_ROUNDS = 4  # of one that goes on
 FINE_ROUNDS = 6  # of the best curve at the end
 _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each of these must gain for the next; chosen
@@ -96,7 +97,9 @@ class MotionDescents:
         )
         self._tried = self._known.anew()  # from which descents began
         self._begun: list[JointCurve] = []
-        self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
+        objective = world.problem.objective
+        self._more = _SOFTENED if objective.jumps else 1
+        self._rounds_in_one = 1 if objective.is_time else _ROUNDS_IN_ONE * self._more
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds that are kept for what comes later
         self.longest = longest
@@ -180,7 +183,7 @@ class MotionDescents:
         """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
         curve, duration, goal = start.curve, start.duration, start.goal
         is_time = self._problem.objective.is_time
-        rounds = _ROUNDS if is_time else _MORE_ROUNDS
+        rounds = _ROUNDS if is_time else _MORE_ROUNDS * self._more
         box, spare, density = _FIRST_BOX, _SPARE, 2
         least = self._least_to(curve, goal)
 
@@ -232,7 +235,7 @@ class MotionDescents:
             if not is_time:
                 curve, duration = curve.finer(pieces, limits.velocity), min(duration, self.longest)
             found = self._bend(
-                curve, duration, best.goal, FINE_ROUNDS * (1 if is_time else _FINER),
+                curve, duration, best.goal, FINE_ROUNDS * (1 if is_time else _FINER * self._more),
                 spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False, fine=True,
             )  # fmt: skip
             if found is not None and found.missed <= KEPT_PART * _SPARE:

@@ -16,13 +16,14 @@ from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal
 from backhoe_planner.planning.goals.lift import Lift
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.goals.ways import FoundMotion
-from backhoe_planner.planning.search.effort import EFFORTS, Effort
+from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 
 # rounds of the descents of a search for another cost than the time, above which another may find a much cheaper motion;
 # chosen: two sites in five have more, and a plan takes no longer in the median
 _HARD = 50
+_SLOWER = 3  # times fewer further searches for a cost that jumps, each of which takes several times as long; chosen
 # parts of the cost: above what is lifted, within which another search is not worth its time, and within which two
 # searches have found as much; chosen
 _LIFTED, _ALIKE = 0.05, 0.03
@@ -79,7 +80,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     ended, is_long = search.run(), search.takes_long
     best, allowed, looked_at = search.best, search.allowed_time, search.looked_at
     longest = math.inf if allowed is None else allowed
-    searches = () if ended or best is None else _further(search, world.work.effort)
+    searches = () if ended or best is None else _further(search, world)
     # of the first search with those that go on after it, and of each that was begun anew
     costs = [] if best is None else [best.cost]
     for number, goes_on in enumerate(searches, start=1):
@@ -102,13 +103,17 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     return Searched(best, allowed, looked_at, ended)
 
 
-def _further(first: MotionSearch, effort: Effort) -> tuple[bool, ...]:
+def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
     """The further searches after one that has found a motion: whether each goes on, or is begun anew."""
+    effort = world.work.effort
     if first.is_for_time:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
     # what is found soon is mostly found again
     anew = effort.restarts if not effort.alike or first.rounds > _HARD else 0
-    return (True,) * (effort.restarts_round if first.leads_round else 0) + (False,) * anew
+    goes_on = effort.restarts_round if first.leads_round else 0
+    if world.problem.objective.jumps:
+        anew, goes_on = -(-anew // _SLOWER), -(-goes_on // _SLOWER)
+    return (True,) * goes_on + (False,) * anew
 
 
 def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: GoalPostures) -> bool:
