@@ -118,8 +118,9 @@ def _print_motion(found: bp.Plan) -> None:
     _print_bound(found)
     work = f"{planning.describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})"
     OUT.print(f"work          {work}{_minimised(found, 'work')}")
-    if "hydraulic" in metrics.energy and found.minimised != "hydraulic":
-        OUT.print(f"hydraulic     {planning.describe_quantity(metrics.energy['hydraulic'], 'J')} (what the pump gives)")
+    if "hydraulic" in metrics.energy:
+        pump = f"{planning.describe_quantity(metrics.energy['hydraulic'], 'J')} (what the pump gives)"
+        OUT.print(f"hydraulic     {pump}{_minimised(found, 'hydraulic')}")
     _print_cost(found)
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)
@@ -224,7 +225,7 @@ def _minimised(found: bp.Plan, name: str) -> str:
 def _print_cost(found: bp.Plan) -> None:
     """The objective of the whole motion; nothing where its line is there already, or there is none."""
     cost = found.metrics.cost
-    if cost is not None and found.minimised not in ("", "time", "work"):
+    if cost is not None and found.minimised not in ("", "time", "work", "hydraulic"):
         OUT.print(f"objective     {cost.objective} {planning.describe_quantity(cost.value, cost.unit)}")
 
 

@@ -84,12 +84,13 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
     if cost is not None and least is not None:
         needed = f"no motion can take less than {describe_quantity(least, cost.unit)}: this one takes "
         needed += describe_excess(cost.value, least)
+    objective = [word for word in ("the objective", needed) if word]
     if work is not None:
-        words = [word for word in ("the objective", needed) if word and minimised == "work"]
-        facts.append(("Work", describe_quantity(work, "J"), "; ".join(words)))
-    if "hydraulic" in metrics.energy and minimised != "hydraulic":
-        facts.append(("Hydraulic", describe_quantity(metrics.energy["hydraulic"], "J"), "what the pump gives"))
-    if cost is not None and minimised not in ("", "time", "work"):
+        facts.append(("Work", describe_quantity(work, "J"), "; ".join(objective if minimised == "work" else [])))
+    if "hydraulic" in metrics.energy:
+        words = ["what the pump gives", *(objective if minimised == "hydraulic" else [])]
+        facts.append(("Hydraulic", describe_quantity(metrics.energy["hydraulic"], "J"), "; ".join(words)))
+    if cost is not None and minimised not in ("", "time", "work", "hydraulic"):
         facts.append(("Objective", f"{minimised} {describe_quantity(cost.value, cost.unit)}", needed))
     if compared is not None:
         unit = OBJECTIVES[compared.name].unit
