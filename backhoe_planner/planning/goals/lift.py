@@ -10,7 +10,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Problem
 
-_WORTH = 5e-4  # m that all that moves is lifted by what is worth another search; chosen
+_WORTH = 5e-5  # m that all that moves is lifted by what is worth another search; chosen
 
 
 class Lift:
