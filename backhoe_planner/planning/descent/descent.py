@@ -227,6 +227,8 @@ class Descent:
         begun, found, self._curved, rough = self.rounds, None, None, self._rough
         for left, flow in zip(range(len(flows), 0, -1), flows, strict=True):
             rounds = most_rounds - (self.rounds - begun)
+            if found is not None and rounds <= 0:
+                break
             self._own_time, self._rough = replace(self._own_time, soft_flow=flow), rough or left > 1
             there = self._down(
                 curve, duration, most_rounds=-(-rounds // left) if self._hurried else rounds, box=box,
@@ -367,9 +369,9 @@ class Descent:
 
     def _as_sampled(self, found: Timed) -> Timed:
         """The same with the motion within all limits, and what that costs."""
-        found = self._priced(found)
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
-        return replace(found, motion=motion, cost=motion_cost(self._problem, motion), own_cost=found.cost)
+        own_cost = self._own_cost(found.curve, found.duration)  # what `found` has may be that of a softer cost
+        return replace(found, motion=motion, cost=motion_cost(self._problem, motion), own_cost=own_cost)
 
     def _shortened(
         self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, slope: Vector, price: float

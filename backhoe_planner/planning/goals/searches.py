@@ -23,7 +23,7 @@ from backhoe_planner.planning.world.world import World
 # rounds of the descents of a search for another cost than the time, above which another may find a much cheaper motion;
 # chosen: two sites in five have more, and a plan takes no longer in the median
 _HARD = 50
-_SLOWER = 3  # times fewer further searches for a cost that jumps, each of which takes several times as long; chosen
+_FEWER = 3  # times fewer further searches for a cost that jumps, each of which takes several times as long; chosen
 # parts of the cost: above what is lifted, within which another search is not worth its time, and within which two
 # searches have found as much; chosen
 _LIFTED, _ALIKE = 0.05, 0.03
@@ -112,7 +112,7 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
     anew = effort.restarts if not effort.alike or first.rounds > _HARD else 0
     goes_on = effort.restarts_round if first.leads_round else 0
     if world.problem.objective.jumps:
-        anew, goes_on = -(-anew // _SLOWER), -(-goes_on // _SLOWER)
+        anew, goes_on = -(-anew // _FEWER), -(-goes_on // _FEWER)
     return (True,) * goes_on + (False,) * anew
 
 
