@@ -238,6 +238,28 @@ def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
     np.testing.assert_array_equal(plan.trajectory.q, [[0.0, 0.0, 0.0, 0.0]])
 
 
+def test_a_start_in_collision_is_told_with_the_least_move_of_one_joint(planar4: bp.Robot) -> None:
+    """The link's axis keeps 0.263 m from the ball's centre: radius, half of the link, clearance, and 3 mm to plan with.
+
+    Seen from joint1 the centre lies atan(0.1 / 2.5) = 0.040 rad to the left and 2.502 m away, so that joint1 turns to
+    0.040 - asin(0.263 / 2.502) = -0.065 rad; from joint2, 1 m further, it would have to be -0.109 rad.
+    """
+    task, obstacles = goal(2.0, 2.0), [ball(2.5, 0.1, 0.2)]
+    plan = bp.plan(planar4, site(task, obstacles=obstacles), effort="quick")
+    assert plan.message.endswith("inside ball; with joint1 at -0.07 rad instead of 0 it keeps its clearances")
+    moved = {"joints": STRETCHED["joints"] | {"joint1": -0.07}}
+    assert bp.plan(planar4, site(task, start=moved, obstacles=obstacles), effort="quick").verified
+
+
+def test_a_start_that_no_single_joint_clears_is_told_without_a_move(planar4: bp.Robot) -> None:
+    """A ring of radius 1.5 m, 0.4 m thick, crosses link 2: its end stays 2 cos(0.75) = 1.46 m or more from joint1."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
+    around = [ball(1.5 * np.cos(a), 1.5 * np.sin(a), 0.2) | {"name": f"ball {i}"} for i, a in enumerate(angles)]
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=around), effort="quick")
+    assert plan.reason == "start_in_collision"
+    assert "instead of" not in plan.message
+
+
 def test_start_closer_than_allowed(planar4: bp.Robot) -> None:
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.25, 0.2)]), effort="quick")
     assert plan.reason == "start_in_collision"

@@ -16,6 +16,7 @@ from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
+from backhoe_planner.planning.world.clear_joint import find_clear_joint
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
@@ -107,7 +108,7 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
-        message = f"at the {what} {contact.describe()}" + _only_swung(world, contact)
+        message = f"at the {what} {contact.describe()}" + (_only_swung(world, contact) or _moved(world, q, time))
         reason: Reason = "start_in_collision" if starts else "goal_in_collision"
         return Outcome(stays, reason, message, Findings(obstruction=contact))
     keep = world.problem.keep
@@ -127,6 +128,12 @@ def _only_swung(world: World, contact: Obstruction) -> str:
         f"; {robot.joint_names[0]} alone moves {contact.link}: if it belongs there, say which links must keep from "
         f"{contact.obstacle}, with links: [{links}]"
     )
+
+
+def _moved(world: World, q: Vector, time: float) -> str:
+    """What to say of the least move of one joint that takes `q` (n,) out of a collision; nothing without one."""
+    found = find_clear_joint(world, q, time=time)
+    return "" if found is None else f"; {found}"
 
 
 def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Reason, what: str) -> Outcome | None:
