@@ -16,6 +16,7 @@ from .job import PatternEstimate as PatternEstimate
 from .job import Terrain as Terrain
 from .job import Undug as Undug
 from .job import job_from_dict as job_from_dict
+from .job import job_schema as job_schema
 from .job import load_job as load_job
 from .job import load_job_plan as load_job_plan
 from .job import plan_job as plan_job
@@ -101,6 +102,7 @@ from .studies import Study as Study
 from .studies import StudyStep as StudyStep
 from .studies import load_study as load_study
 from .studies import study as study
+from .studies import study_schema as study_schema
 
 __version__: str
 from .standing import Place as Place

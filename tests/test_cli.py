@@ -273,6 +273,48 @@ def test_schema_is_a_json_schema(run: Run) -> None:
     assert status == 0
 
 
+@pytest.mark.parametrize(("kind", "folder"), [("job", "scenes/jobs"), ("study", "scenes/studies")])
+def test_the_schema_of_a_job_or_study_takes_the_examples_and_is_named_in_them(run: Run, kind: str, folder: str) -> None:
+    status, said, _ = run("schema", kind)
+    assert status == 0
+    schema, beside = json.loads(said), ROOT / folder
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert json.loads((beside / f"{kind}.schema.json").read_text(encoding="utf-8")) == schema
+    files = list(beside.glob("*.yaml"))
+    assert files
+    for file in files:
+        text = file.read_text(encoding="utf-8")
+        assert text.startswith(f"# yaml-language-server: $schema={kind}.schema.json\n")
+        jsonschema.validate(yaml.safe_load(text), schema)
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        ("job", {"site": {"clearence": 0.1}}),
+        ("job", {"site": {"obstacles": [{"name": "pipe", "shape": "capsule"}]}}),
+        ("job", {"site": {"task": {"goal": {"position": [3.0, 0.0, 0.0]}}}}),
+        ("job", {"pattern": {"layer": 0.2}}),
+        ("job", {"dig": {"trench": {"from": [4.9, 0.0], "to": [1.9, 0.0], "width": 0.6, "depth": "1.2"}}}),
+        ("study", {"combine": "all"}),
+        ("study", {"best": {"smallest": "duration"}}),
+    ],
+)
+def test_the_schema_of_a_job_or_study_refuses_what_is_wrong(run: Run, kind: str, wrong: Data) -> None:
+    _, said, _ = run("schema", kind)
+    example = {"job": "scenes/jobs/long_trench.yaml", "study": "scenes/studies/clearance_and_place.yaml"}[kind]
+    content = yaml.safe_load((ROOT / example).read_text(encoding="utf-8"))
+    jsonschema.validate(content, json.loads(said))
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(content | wrong, json.loads(said))
+
+
+def test_a_schema_of_another_file_is_refused_with_those_there_are(run: Run) -> None:
+    status, _, told = run("schema", "plan")
+    assert status == 2
+    assert "found plan; allowed: scene, job, study" in told
+
+
 def test_inspect_tells_the_working_envelope(run: Run) -> None:
     status, said, _ = run("inspect", "example:backhoe")
     assert status == 0

@@ -1,4 +1,4 @@
-"""`inspect` and `schema`: what a machine is and can do, and what a scene file may hold."""
+"""`inspect` and `schema`: what a machine is and can do, and what a file may hold."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import json
 import math
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,6 +17,11 @@ from backhoe_planner import machine, show, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings, table_of
 from backhoe_planner.files.output_file import check_ending, check_writable
 
+_SCHEMAS: dict[str, Callable[[], dict[str, Any]]] = {
+    "scene": lambda: bp.scene_schema(),  # each loads its part of the package
+    "job": lambda: bp.job_schema(),
+    "study": lambda: bp.study_schema(),
+}
 _WHOLE = 100.0  # N or N m from which efforts are shown without decimals: less would have fewer than three digits
 
 
@@ -59,9 +65,13 @@ def inspect(
     return VERIFIED
 
 
-def schema() -> int:
-    """Print the scene file's JSON Schema."""
-    sys.stdout.write(json.dumps(bp.scene_schema(), indent=2) + "\n")
+def schema(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="Of which file: scene, job or study.")] = "scene",
+) -> int:
+    """Print the JSON Schema of a scene, job or study file."""
+    if kind not in _SCHEMAS:
+        raise bp.InputError.unknown_name("there is no schema of such a file", kind, names=_SCHEMAS)
+    sys.stdout.write(json.dumps(_SCHEMAS[kind](), indent=2) + "\n")
     return VERIFIED
 
 

@@ -15,6 +15,8 @@ from backhoe_planner.files.yaml_text import KeyPath
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
 
 class FileRecord(Record):
     """A record that is a whole file."""
@@ -34,6 +36,12 @@ class FileRecord(Record):
     def file(self) -> Path | None:
         """The file from which it was read, if any."""
         return self._file
+
+    @classmethod
+    def file_schema(cls, kind: str) -> dict[str, Any]:
+        """The JSON Schema of such a file, of a `kind` in one word."""
+        schema = cls.model_json_schema(by_alias=True)
+        return schema | {"$schema": _DIALECT, "title": f"backhoe_planner {kind}"}
 
     @classmethod
     def of_content(

@@ -40,6 +40,7 @@ from .result.job_plan_file import read_job_plan_file as read_job_plan_file
 from .schema.job_file import SITE_KEYS as SITE_KEYS
 from .schema.job_file import Job as Job
 from .schema.job_file import job_from_dict as job_from_dict
+from .schema.job_file import job_schema as job_schema
 from .schema.job_file import load_job as load_job
 from .schema.work import Trench as Trench
 from .worksite.lanes import LEAVE as LEAVE

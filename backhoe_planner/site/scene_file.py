@@ -252,10 +252,7 @@ def obstacle_from_dict(content: Mapping[str, Any]) -> ObstacleSpec:
 
 def scene_schema() -> dict[str, Any]:
     """The scene file's JSON Schema."""
-    schema = Scene.model_json_schema(by_alias=True)
-    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    schema["title"] = "backhoe_planner scene"
-    return schema
+    return Scene.file_schema("scene")
 
 
 _OBSTACLE: TypeAdapter[Any] = TypeAdapter(ObstacleSpec)

@@ -10,6 +10,7 @@ from .results.summary import trade_offs as trade_offs
 from .schema.study_file import Study as Study
 from .schema.study_file import load_study as load_study
 from .schema.study_file import study_from_dict as study_from_dict
+from .schema.study_file import study_schema as study_schema
 from .study import study as study
 from .study_run import StudyResult as StudyResult
 from .study_run import StudyStep as StudyStep

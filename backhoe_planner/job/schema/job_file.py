@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +15,7 @@ from backhoe_planner.files.file_record import FileRecord
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSoil, PatternChoice
 from backhoe_planner.machine import shipped_file
-from backhoe_planner.site import Scene, Title, load_scene, scene_from_dict
+from backhoe_planner.site import Scene, Title, load_scene, scene_from_dict, scene_schema
 
 SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
 
@@ -112,6 +114,23 @@ def job_from_dict(
     job = Job.of_content(content, folder=folder, file=file, lines=lines)
     job._site = _site(job, job.folder if site_folder is None else check_path(site_folder, key="site_folder"))
     return job
+
+
+def job_schema() -> dict[str, Any]:
+    """The job file's JSON Schema: of the site the keys that it takes of a scene."""
+    schema, scene = Job.file_schema("job"), scene_schema()
+    keys = {key: scene["properties"][key] for key in SITE_KEYS}
+    site = {"type": "object", "properties": keys, "additionalProperties": False}
+    schema["properties"]["site"]["anyOf"] = [{"type": "string"}, site]
+    records, named = scene["$defs"], _records_in(keys)
+    while len(more := named | _records_in([records[name] for name in named])) > len(named):
+        named = more
+    return schema | {"$defs": schema["$defs"] | {name: records[name] for name in sorted(named)}}
+
+
+def _records_in(schema: Any) -> set[str]:
+    """The names of the records that a part of a schema refers to."""
+    return set(re.findall(r"#/\$defs/(\w+)", json.dumps(schema)))
 
 
 def _site(job: Job, folder: Path) -> Scene:

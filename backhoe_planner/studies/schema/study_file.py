@@ -76,7 +76,7 @@ class Study(FileRecord):
     """Of what is drawn at random."""
     metrics: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """Which figures of each plan are kept; by default the usual ones."""
-    best: Annotated[Best | None, BeforeValidator(_compared)] = None
+    best: Annotated[Best | None, BeforeValidator(_compared, json_schema_input_type=str | Best | None)] = None
     """By which figure the best row is found: a metric that is to be least, or {greatest: METRIC}."""
     keep_plans: Literal["none", "failed", "all"] = "none"
     """Which plans are written as files too."""
@@ -175,3 +175,8 @@ def study_from_dict(
     study = Study.of_content(content, folder=folder, file=file, lines=lines)
     study._lines = lines or {}
     return study
+
+
+def study_schema() -> dict[str, Any]:
+    """The study file's JSON Schema; of its scene or job, which a parameter may make whole, it says nothing."""
+    return Study.file_schema("study")
