@@ -48,6 +48,17 @@ def saved(plan: bp.Plan, folder: Path) -> tuple[Path, Data]:
     return file, content
 
 
+def test_figures_and_bound_that_were_changed_in_the_file_are_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
+    file, content = saved(solved, tmp_path)
+    content["metrics"] |= {"duration": 0.1, "tip_length": 99.0, "energy": {"work": 1.0}}
+    content["metrics"]["cost"]["value"] = 0.1
+    content["bound"] |= {"duration": 50.0, "longer_percent": -90.0}
+    file.write_text(json.dumps(content), encoding="utf-8")
+    again = bp.load_plan(file)
+    assert again.metrics == solved.metrics
+    assert again.bound == solved.bound
+
+
 def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     file, _ = saved(solved, tmp_path)
     again = bp.load_plan(file)

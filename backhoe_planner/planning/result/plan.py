@@ -32,7 +32,7 @@ from backhoe_planner.planning.result.plan_file import (
     TrajectoryRecord,
     read_plan_file,
 )
-from backhoe_planner.planning.search.effort import EffortName
+from backhoe_planner.planning.search.effort import EFFORTS, EffortName
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
@@ -89,7 +89,6 @@ class Plan:
     effort: as it was given; None of a motion driven by hand, and of an older file.
     legs: of a sequence, every leg that the motion has begun; else empty.
     boxes: how many boxes of configurations the bound may look at; 0 where the planner made no bound.
-    read_bound: of a plan that was read, the bound that its file has.
     """
 
     problem: Problem
@@ -104,16 +103,15 @@ class Plan:
     effort: EffortName | None = None
     legs: tuple[PlannedLeg, ...] = ()
     boxes: int = 0
-    read_bound: Bound | None = None
 
     @cached_property
     def bound(self) -> Bound | None:
         """What no motion to the goal could fall short of; None along a path, and where the plan is not verified.
 
-        It is worked out when it is first asked for. Of a plan that was read it is what the file has.
+        It is worked out when it is first asked for.
         """
-        if self.read_bound is not None or not self.boxes:
-            return self.read_bound
+        if not self.boxes:
+            return None
         return measure_bound(self.problem, self.trajectory, self.certificate, boxes=self.boxes)
 
     @property
@@ -239,7 +237,9 @@ def plan_to_dict(plan: Plan) -> dict[str, Any]:
 
 
 def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> Plan:
-    """Read a plan file. The certificate is computed anew, not believed.
+    """Read a plan file. Certificate, figures and bound are computed anew, not believed.
+
+    What only planning can tell is taken from the file: findings, message, how long it took, the local law's cost.
 
     Parameters
     ----------
@@ -282,18 +282,24 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     note = record.message
     if record.verdict == "verified" and not certificate.verified:
         note = f"the file says verified, but: {'; '.join(certificate.problems)}"
+    said = record.metrics
+    metrics = measure_motion(
+        problem, trajectory, certificate, planning_time=said.planning_time, detours=record.findings.detours
+    )
+    # an older file does not say what was made small
+    kept: dict[str, Any] = {"objective": said.objective} | ({"cost": None} if said.cost is None else {})
     return Plan(
         problem=problem,
         method=record.method,
         seed=record.seed,
         trajectory=trajectory,
         certificate=certificate,
-        metrics=record.metrics,
+        metrics=metrics.model_copy(update=kept),
         findings=record.findings,
         failure=record.reason,
         note=note,
-        read_bound=record.bound if certificate.verified else None,
         effort=record.effort,
+        boxes=0 if record.bound is None else EFFORTS[record.effort or "normal"].boxes,
         legs=planned_legs(problem, trajectory, certificate, [leg.findings for leg in record.legs]),
     )
 

@@ -1,7 +1,7 @@
 """The plan file: JSON, read with every field checked.
 
 The records below are the schema, for reading and for writing. What a file says of its
-motion (certificate, dynamics, versions) is for other programs: here it is computed anew.
+motion (certificate, dynamics, metrics, bound, versions) is for other programs: here it is computed anew.
 """
 
 from __future__ import annotations
