@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,7 +16,18 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.errors import SceneError
-from backhoe_planner.job import Cut, Digger, Job, Profile, Worksite, build_worksite, find_cut, lanes_of, postures_over
+from backhoe_planner.job import (
+    Cut,
+    Digger,
+    Job,
+    NoCut,
+    Profile,
+    Worksite,
+    build_worksite,
+    find_cut,
+    lanes_of,
+    postures_over,
+)
 from backhoe_planner.machine import Base, Dynamics, JointLimits
 from backhoe_planner.standing.moved_job import job_with
 
@@ -25,6 +37,7 @@ _DEEPER = 0.05  # m: depths that are the same map
 _EVERY = 0.25  # m between radii at which a cut is looked for; chosen
 _DEPTH = 0.3  # m, greatest depth of these cuts; chosen, that of the layers that are chosen most often
 _LENGTH = 2.5  # m of radius in which such a cut must end; chosen, a bucket is full after 0.8 to 1.5 m
+_NEARLY_AS_FULL = 0.5  # of the soil in the fullest cut, where none fills the bucket; chosen
 _DUMPS = np.arange(0.6, _FARTHEST, 0.1)  # m, radii at which emptying the bucket is looked at
 
 
@@ -178,9 +191,7 @@ def _made(machine: _Machine) -> ReachMap:
         raise SceneError("the machine digs nowhere on level ground", file=job.file, key="machine")
     lane = lanes[0]
     known = np.isfinite(lane.design)
-    found = [cut for cut in (_cut_at(site, digger, ground, r) for r in np.arange(1.5, _FARTHEST, _EVERY)) if cut]
-    if not found:
-        raise SceneError("the machine makes no cut in this soil", file=job.file, key="soil")
+    found = _fullest(job, [_cut_at(site, digger, ground, r) for r in np.arange(1.5, _FARTHEST, _EVERY)])
     begin, end = np.array([cut.q[0] for cut in found]), np.array([cut.q[-1] for cut in found])
     begin[:, 0] = end[:, 0] = 0.0
     empty = Dynamics(site.robot)
@@ -218,11 +229,21 @@ def dump_table(site: Worksite, top: float) -> DumpTable:
     return DumpTable(_DUMPS, level, opened, lift, fall)
 
 
-def _cut_at(site: Worksite, digger: Digger, ground: float, r: float) -> Cut | None:
+def _cut_at(site: Worksite, digger: Digger, ground: float, r: float) -> Cut | NoCut:
     profile = Profile.level(ground, 0.0, _FARTHEST + 1.0)
     end = max(r - _LENGTH, _NEAREST)
-    found = find_cut(digger, profile, swing=0.0, start=r, end=end, depth=_DEPTH, volume=site.volume)
-    return found if isinstance(found, Cut) and found.is_full else None
+    return find_cut(digger, profile, swing=0.0, start=r, end=end, depth=_DEPTH, volume=site.volume)
+
+
+def _fullest(job: Job, tried: Sequence[Cut | NoCut]) -> list[Cut]:
+    """The cuts that fill the bucket; where none does, in hard soil or with a large bucket, those that fill most of it."""
+    cuts = [cut for cut in tried if isinstance(cut, Cut)]
+    if not cuts:
+        hard = [cut for cut in tried if isinstance(cut, NoCut) and cut.kind == "cylinder"]
+        why = next((cut.reason for cut in (*hard, *tried) if isinstance(cut, NoCut)), "no radius within reach")
+        raise SceneError("the machine makes no cut in this soil", file=job.file, key="soil", found=why)
+    least = _NEARLY_AS_FULL * max(cut.fill for cut in cuts)
+    return [cut for cut in cuts if cut.is_full] or [cut for cut in cuts if cut.fill >= least]
 
 
 def _at(x: Vector, values: Array, at: Vector) -> Array:

@@ -17,6 +17,7 @@ import backhoe_planner as bp
 from backhoe_planner.job import Job, build_worksite, load_job_plan
 from backhoe_planner.machine import Base, Robot
 from backhoe_planner.standing import MachineFootprint, SiteMap, layout, site_map, spot_finder, stand_to_dict
+from backhoe_planner.standing.reach_map import reach_map
 
 TRENCH = {"width": 0.6, "depth": 0.3}
 AT = (30.0, -12.0)  # m, to where machine and site are moved together
@@ -52,6 +53,28 @@ def answer() -> bp.StandPlan:
         site={"base": {"position": [-0.25, 0.0], "heading": 0.0}},  # a place of the map
     )  # fmt: skip
     return bp.stand(job, count=1)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"soil": {"cohesion": 120_000.0}},
+        {"bucket": {"capacity": 1.5}},
+    ],
+    ids=["hard soil", "large bucket"],
+)
+def test_where_no_cut_fills_the_bucket_the_fullest_count(keys: dict[str, Any]) -> None:
+    """Such jobs are dug; that no cut is full was told as a soil in which none can be made."""
+    found = reach_map(_job(**keys), ground=0.0, depth=0.3)
+    assert len(found.cuts) > 3
+    assert (found.bank > 0.0).all()
+    assert found.bank.min() > 0.4 * found.bank.max()
+    assert found.bank.max() < build_worksite(_job(**keys)).volume / 1.25  # of loose soil, with the swell by default
+
+
+def test_soil_in_which_no_cut_is_made_is_told_with_what_a_cut_would_take() -> None:
+    with pytest.raises(bp.SceneError, match=r"makes no cut in this soil; found .*even at 3 cm it takes \w+: \d+ of"):
+        reach_map(_job(soil={"cohesion": 1e6}), ground=0.0, depth=0.3)
 
 
 def test_a_trench_as_wide_as_the_bucket_is_dug_from_its_own_line(plain: SiteMap) -> None:
