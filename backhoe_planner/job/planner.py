@@ -182,7 +182,7 @@ class _Run:
                     failure = "blocked" if stopped else ""
                     break
                 continue
-            cycle, state = made
+            cycle, after = made
             if cycle.bank + cycle.taken < _NO_PROGRESS:
                 note, refused = f"the cut at cycle {cycle.number} takes nothing any more", refused + 1
                 if refused > _MOST_REFUSED:
@@ -190,6 +190,7 @@ class _Run:
                 leave_out(found)
                 continue
             cycles.append(cycle)
+            state = after
             at, refused, note = cycle.legs[-1].trajectory.q[-1], 0, ""
             done, stopped, too_hard = {}, "", ""
             self._tell(watch, cycles, own.cycles)

@@ -236,7 +236,7 @@ def _cut_at(site: Worksite, digger: Digger, ground: float, r: float) -> Cut | No
 
 
 def _fullest(job: Job, tried: Sequence[Cut | NoCut]) -> list[Cut]:
-    """The cuts that fill the bucket; where none does, in hard soil or with a large bucket, those that fill most of it."""
+    """The cuts that fill the bucket; where none does, as in hard soil, those that fill most of it."""
     cuts = [cut for cut in tried if isinstance(cut, Cut)]
     if not cuts:
         hard = [cut for cut in tried if isinstance(cut, NoCut) and cut.kind == "cylinder"]

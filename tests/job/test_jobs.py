@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,9 @@ import pytest
 from small_jobs import TINY, tiny_plan
 
 import backhoe_planner as bp
+from backhoe_planner.job import Cycle, job_from_dict, plan_job, same_ground
+from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
+from backhoe_planner.job.cycles.dumping import SiteState
 from validation.job_check import leg_refutations, volume_errors
 
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.5, "position": [3.7, 0.0, 0.5]}
@@ -38,6 +43,25 @@ def test_what_is_dug_and_what_stays_make_up_the_design() -> None:
     assert stays + tiny_plan().bank * 0.6 / 0.61 == pytest.approx(0.24, rel=0.03)
     told = " ".join(one.words for one in tiny_plan().undug)
     assert "no plane of the arm" not in told
+
+
+def test_a_cycle_that_takes_nothing_leaves_the_ground_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second cut is said to take nothing; the ground after it was taken for that before the next one."""
+    planned, count = CyclePlanner.plan, itertools.count(1)
+
+    def plan(self: CyclePlanner, *given: Any) -> tuple[Cycle, SiteState] | Failed:
+        found = planned(self, *given)
+        if next(count) == 2:
+            assert not isinstance(found, Failed)
+            cycle, after = found
+            return replace(cycle, bank=0.0, taken=0.0), after
+        return found
+
+    monkeypatch.setattr(CyclePlanner, "plan", plan)
+    cycles = plan_job(job_from_dict(TINY), effort="quick").cycles
+    assert len(cycles) >= 2
+    for before, after in itertools.pairwise(cycles):
+        assert same_ground(after.before, before.after)
 
 
 def test_the_independent_check_does_not_refute_a_cycle() -> None:
