@@ -92,7 +92,7 @@ def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
     if not obstacles:
         OUT.print("\nsite          no obstacles")
         return
-    print_warnings(site.far_warnings(robot, obstacles))
+    print_warnings(site.obstacle_warnings(robot, obstacles))
     OUT.print("\nsite")
     table = table_of("obstacle", "shape", "x [m]", "y [m]", "z [m]", "parts")
     for obstacle in obstacles:

@@ -71,7 +71,7 @@ def plan(
             with ERR.status("planning ...", quiet=as_json) as status:
                 found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
         found.save(output)
-        print_warnings(site.far_warnings(robot, found.problem.obstacles))
+        print_warnings(site.obstacle_warnings(robot, found.problem.obstacles))
         if html is not None:  # before anything is printed: what is printed may not be read to its end
             print_warnings(show.write_page(found, html))
         print_plan(found, output, as_json)
@@ -126,6 +126,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
         return check_job(plan_file, urdf)
     loaded = bp.load_plan(plan_file, urdf=urdf)
     print_warnings(site.input_warnings(loaded.robot, loaded.scene))
+    print_warnings(site.obstacle_warnings(loaded.robot, loaded.problem.obstacles))
     print_certificate(loaded)
     OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if loaded.verified else FAILED

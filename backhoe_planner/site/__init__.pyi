@@ -23,7 +23,7 @@ from .obstacles import Obstacle as Obstacle
 from .obstacles import build_obstacle as build_obstacle
 from .obstacles import build_obstacles as build_obstacles
 from .obstacles import check_links as check_links
-from .obstacles import far_warnings as far_warnings
+from .obstacles import obstacle_warnings as obstacle_warnings
 from .obstacles import offset_at as offset_at
 from .obstacles import sweep as sweep
 from .obstruction import Obstruction as Obstruction

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
-from backhoe_planner.machine import Cluster, Robot, reach_ball
+from backhoe_planner.machine import Cluster, Robot, VoxelSolid, reach_ball
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema import obstacle_shapes
@@ -85,8 +85,8 @@ class Obstacle:
         return bool(np.any(self.velocity))
 
 
-def far_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]:
-    """What stands so far away that its file is likely to be in other units, in words."""
+def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]:
+    """What is likely not to be meant, in words: what stands so far away as in other units, and scans with gaps."""
     centre, radius = reach_ball(robot)
     found = []
     for obstacle in obstacles:
@@ -96,6 +96,13 @@ def far_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]
             found.append(
                 f"{obstacle.name} is {away:,.0f} m away, {away / radius:,.0f} times as far as the machine reaches; "
                 "sizes, positions and points of files are in metres"
+            )
+        solid = None if obstacle.cluster is None else obstacle.cluster.solid
+        if isinstance(solid, VoxelSolid) and (closed := solid.closed_edge()) > solid.finest:
+            found.append(
+                f"{obstacle.name} has gaps: many of its {len(solid):,} voxels of {solid.finest:g} m touch no other, "
+                f"and what is between them counts as free; a resolution of {closed:g} m closes them, and ground is "
+                "better given as a heightmap"
             )
     return tuple(found)
 

@@ -29,6 +29,7 @@ from backhoe_planner.machine.clusters import cluster as cluster_module
 from backhoe_planner.machine.clusters import terrain as terrain_module
 from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
+from backhoe_planner.machine.clusters.voxels import lone_part
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import find_compiled, plain_versions
 
@@ -530,3 +531,25 @@ def test_ground_around_a_sunken_link_lies_in_boxes_with_a_face_above_it() -> Non
                 compared += 1
     assert compared >= 5
     assert cluster.ground_under(LINKS[0], at(0.0, 0.0, 1.5), 0.8) is None
+
+
+def test_the_edge_that_closes_a_scan_is_a_power_of_two_times_the_own_one() -> None:
+    """Points 0.45 m apart each way; in voxels of 0.4 m two that follow each other lie in neighbouring voxels."""
+    nodes = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0]), axis=-1).reshape(-1, 3)
+    thin = VoxelSolid(voxel_keys(0.45 * nodes + 0.01, 0.1), 0.1, most=10**6)
+    assert thin.closed_edge() == pytest.approx(0.4)
+    whole = VoxelSolid(voxel_keys(0.1 * nodes + 0.01, 0.1), 0.1, most=10**6)
+    assert whole.closed_edge() == 0.1
+
+
+def test_a_scanned_cable_has_no_gaps_and_one_voxel_neither() -> None:
+    along = np.arange(0.0, 5.0, 0.04)
+    cable = np.column_stack((along, 0.3 * along, 2.0 + 0.05 * (along - 2.5) ** 2))
+    assert VoxelSolid(voxel_keys(cable, 0.1), 0.1, most=10**6).closed_edge() == 0.1
+    assert VoxelSolid(voxel_keys(cable[:1], 0.1), 0.1, most=10**6).closed_edge() == 0.1
+
+
+def test_which_voxels_touch_no_other_is_seen_by_brute_force() -> None:
+    keys = voxel_keys(np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3)), 0.25)
+    steps = np.abs(keys[:, None] - keys[None]).max(axis=2)
+    assert lone_part(keys) == pytest.approx(float(((steps == 1).sum(axis=1) == 0).mean()))

@@ -16,8 +16,8 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.site import (
     Obstacle,
     build_obstacles,
-    far_warnings,
     load_scene,
+    obstacle_warnings,
     read_heights,
     read_points,
     scene_from_dict,
@@ -47,7 +47,7 @@ def test_what_stands_kilometres_away_is_told(planar4: Robot, tmp_path: Path) -> 
     ground = {"shape": "halfspace", "point": [0, 0, -1], "normal": [0, 0, 1]}
     near, far = ({"shape": "sphere", "radius": 1.0, "position": [x, 0.0, 0.0]} for x in (50.0, 4001.0))
     scan = {"shape": "pointcloud", "file": points.name, "resolution": 0.1}
-    found = [far_warnings(planar4, [build(planar4, tmp_path, **one)]) for one in (ground, near, far, scan)]
+    found = [obstacle_warnings(planar4, [build(planar4, tmp_path, **one)]) for one in (ground, near, far, scan)]
     assert found[:2] == [(), ()]
     assert "thing is 4,000 m away, 1,000 times as far" in found[2][0]
     assert "in metres" in found[3][0]
@@ -421,3 +421,19 @@ def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: P
     (tmp_path / "scan.txt").write_text("x y z\n1,5 2,5 3,5\n", encoding="utf-8")
     with pytest.raises(SceneError, match="line 2: has commas and blanks"):
         build(planar4, tmp_path, shape="pointcloud", file="scan.txt", resolution=0.1)
+
+
+@pytest.mark.parametrize(("points", "told"), [(300, True), (20_000, False)])
+def test_a_scan_with_gaps_is_told_with_a_resolution_that_closes_them(
+    planar4: Robot, tmp_path: Path, points: int, told: bool
+) -> None:
+    """300 points on 100 m^2 are some 0.6 m apart, 20,000 nearly fill the 10,000 squares of 0.1 m."""
+    rng = np.random.default_rng(0)
+    ground = np.column_stack((rng.uniform(-5.0, 5.0, (points, 2)), np.full(points, -2.05)))
+    np.savetxt(tmp_path / "yard.xyz", ground)
+    scan = {"name": "yard", "shape": "pointcloud", "file": "yard.xyz", "resolution": 0.1}
+    found = obstacle_warnings(planar4, [build(planar4, tmp_path, **scan)])
+    assert len(found) == told
+    if told:
+        assert "yard has gaps: many of its 29" in found[0]
+        assert "a resolution of 0.8 m closes them" in found[0] or "a resolution of 0.4 m closes them" in found[0]
