@@ -74,7 +74,7 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     if target.exists() and not target.is_file():
         raise OutputError("is not a regular file", file=file)
     if not target.parent.is_dir():
-        raise OutputError("the folder does not exist", file=file, found=str(target.parent), hint="create it first")
+        raise OutputError("the folder does not exist", file=file, found=f"no {target.parent}", hint="create it first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise OutputError("the folder may not be written", file=file, found=str(target.parent))
     return target

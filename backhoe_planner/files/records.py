@@ -11,6 +11,7 @@ import ast
 import inspect
 import itertools
 import math
+import re
 import textwrap
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -30,6 +31,7 @@ from backhoe_planner.files.schema_keys import entries_at, fields_of, meant_by, r
 from backhoe_planner.files.yaml_text import KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 _BRIEF = 80  # characters, about a line: a longer value is not repeated in a message
 
 
@@ -177,7 +179,10 @@ def describe(detail: Any) -> str:
         return str(detail["ctx"]["error"])
     brief = f"; found {found!r}" if len(str(found)) < _BRIEF else ""
     if kind == "too_long":
-        return f"has {detail['ctx']['actual_length']} entries, allowed: at most {detail['ctx']['max_length']}{brief}"
+        count, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
+        commas = isinstance(found, list) and count <= 2 * most and all(type(one) is int for one in found)
+        hint = "; a number takes a decimal point, not a comma" if commas else ""
+        return f"has {count} entries, allowed: at most {most}{brief}{hint}"
     if kind == "too_short":
         return f"has {detail['ctx']['actual_length']} entries, allowed: at least {detail['ctx']['min_length']}{brief}"
     shown = brief if isinstance(found, (Mapping, list)) else f"; found {found!r}"
@@ -191,6 +196,8 @@ def describe(detail: Any) -> str:
         return f"is not a list{shown}; allowed: [...]"
     if kind in ("bool_type", "bool_parsing"):
         return f"is not true or false{shown}"
+    if kind in ("float_type", "float_parsing") and isinstance(found, str) and _DECIMAL_COMMA.fullmatch(found):
+        return f"a number takes a decimal point, not a comma{shown}; allowed: {found.replace(',', '.')}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
 
 

@@ -9,6 +9,7 @@ this, and reading a scene of 20 lines took two to three times as long.
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,8 @@ for _tag, _pattern, _first in (
 ):
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
 
+
+_WHOLE_NUMBER = re.compile(r"[-+]?[0-9]+")
 
 _Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
 _Loader.add_constructor(
@@ -109,6 +112,7 @@ def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: P
     if isinstance(node, yaml.ScalarNode) and _HALF_CHARACTER.search(node.value):
         raise error("a text holds half of a character", file=path, key=where, found=ascii(node.value))
     if isinstance(node, yaml.MappingNode):
+        _refuse_decimal_comma(node, at, path, error)
         for key, value in node.value:
             place = (*at, str(key.value))
             if place in lines:
@@ -126,11 +130,23 @@ def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: P
             _note_lines(value, (*at, index), lines, path, error)
 
 
+def _refuse_decimal_comma(node: yaml.MappingNode, at: KeyPath, path: Path, error: type[InputError]) -> None:
+    """An error where a number was written with a comma: {a: 0,9} is a and another key, 9, without a value."""
+    for (name, before), (key, after) in itertools.pairwise(node.value if node.flow_style else ()):
+        whole, part = str(before.value), str(key.value)
+        if after.value == "" and part.isdecimal() and _WHOLE_NUMBER.fullmatch(whole):
+            where = ".".join(map(str, (*at, name.value)))
+            raise error(
+                "a number takes a decimal point, not a comma", file=path,
+                key=f"{where} (line {name.start_mark.line + 1})", found=f"{whole},{part}", allowed=f"{whole}.{part}",
+            )  # fmt: skip
+
+
 def _describe(error: yaml.YAMLError) -> str:
     """What is wrong with the text, with line and column."""
     mark = getattr(error, "problem_mark", None)
     problem = getattr(error, "problem", None) or str(error)
     where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
     if "'\\t'" in problem:
-        return f"{where}a tab is used for indentation; YAML allows only spaces"
+        return f"{where}there is a tab; YAML allows only spaces before and between keys and values"
     return f"{where}is not YAML: {problem}"

@@ -297,6 +297,11 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "unknown shape": (shaped("sfere"), ["no shape 'sfere'", "did you mean 'sphere'?", "halfspace, heightmap"]),
     "no end of a capsule": (shaped("capsule", **{"from": [0, 0, 0], "radius": 1}), ["obstacles[0].to: is missing"]),
     "obstacle that is text": (scene(obstacles=["boulder"]), ["obstacles[0]", "found 'boulder'"]),
+    "decimal comma": (obstacle(radius="0,3"), ["radius", "takes a decimal point", "found '0,3'", "allowed: 0.3"]),
+    "decimal commas in a vector": (
+        obstacle(position=[3, 0, 2, 0, 0, 8]),
+        ["position", "at most 3", "takes a decimal point, not a comma"],
+    ),
     "text for a number": (obstacle(radius="big"), ["obstacles[0].radius", "valid number", "found 'big'"]),
     "quoted number": (obstacle(radius="0.3"), ["obstacles[0].radius", "valid number", "found '0.3'"]),
     "truth for a number": (obstacle(radius=True), ["obstacles[0].radius", "valid number", "found True"]),
@@ -465,6 +470,10 @@ BAD_YAML = {
         "version: 1\nobstacles:\n  - name: a\n    radius: 1\n    radius: 2\n",
         ["obstacles.0.radius|obstacles[0].radius", "line 4 and line 5"],
     ),
+    "decimal comma in a line": (
+        "version: 1\nstart: {joints: {boom: 0,9, stick: -1}}\n",
+        ["start.joints.boom (line 2)", "takes a decimal point", "found 0,9", "allowed: 0.9"],
+    ),
     "tab": ("version: 1\ntask:\n\tgoal: 1\n", ["line 3", "tab", "spaces"]),
     "empty": ("", ["the file is empty"]),
     "blank": (" \n\n", ["the file is empty"]),
@@ -577,6 +586,11 @@ def test_path_file_of_positions(tmp_path: Path) -> None:
 def test_path_file_with_pitch_in_any_order_of_columns(tmp_path: Path) -> None:
     found = from_path_file(tmp_path, "pitch, z, y, x\n-1.4, 3, 2, 1\n\n-1.5, 6, 5, 4\n").waypoints()
     assert [(waypoint.position, waypoint.pitch) for waypoint in found] == [((1, 2, 3), -1.4), ((4, 5, 6), -1.5)]
+
+
+def test_path_file_with_semicolons_has_decimal_commas_and_its_header_may_be_in_capitals(tmp_path: Path) -> None:
+    found = from_path_file(tmp_path, "X;Y;Z;Pitch\n1,5;2;-0,25;-1,4\n4;5;6;-1,5\n").waypoints()
+    assert [(waypoint.position, waypoint.pitch) for waypoint in found] == [((1.5, 2, -0.25), -1.4), ((4, 5, 6), -1.5)]
 
 
 def test_path_file_with_quaternions(tmp_path: Path) -> None:

@@ -38,17 +38,24 @@ class PathFile:
 def read_path_file(path: Path) -> PathFile:
     """The waypoints of a CSV with a header. Columns that mean nothing here may hold anything.
 
+    Where semicolons stand between the names of the header, a comma in a cell is a decimal point.
+
     Raises
     ------
     SceneError: no such file, no header, a missing column, a cell that is not a finite number, a
         row that is no waypoint, fewer than two rows.
     """
     text = read_text(path, what="path", error=SceneError)
+    between = ";" if ";" in text.lstrip().partition("\n")[0] else ","
     try:
-        rows = [(f"line {number}", row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1)]
+        table = csv.reader(io.StringIO(text), delimiter=between)
+        rows = [(f"line {number}", row) for number, row in enumerate(table, start=1)]
     except csv.Error as error:
         raise SceneError(f"cannot be read: {error}", file=path) from error
     (_, header), *rows = [(line, [cell.strip() for cell in row]) for line, row in rows if any(map(str.strip, row))]
+    header = [name.lower() if name.lower() in _COLUMNS else name for name in header]
+    if between == ";":
+        rows = [(line, [cell.replace(",", ".") for cell in row]) for line, row in rows]
     turned = any(column in header for column in _QUATERNION)
     missing = [column for column in (*_POSITION, *(_QUATERNION if turned else ())) if column not in header]
     if missing:
