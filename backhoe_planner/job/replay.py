@@ -244,12 +244,14 @@ class _Replay:
         self.problems += [f"cycle {number}: {one}" for one in broken]
         per_volume = digger.soil.density / site.job.soil.swell
         swept = load_of(site, load.swing, dug.digging)
-        said = np.interp(swept.r, load.r[::-1], load.mass[::-1])
-        off = np.abs(swept.mass - said)
+        # at the places of both: between those of one the other may say anything
+        r = np.concatenate((swept.r, load.r))
+        holds, said = (np.interp(r, one.r[::-1], one.mass[::-1]) for one in (swept, load))
+        off = np.abs(holds - said)
         if np.any(off > _SAME_LOAD * per_volume * capacity):
             at = int(np.argmax(off))
-            where = f"with the teeth at r {swept.r[at]:.2f} m"
-            words = f"{said[at]:.0f} kg in the bucket {where}, it holds {swept.mass[at]:.0f} kg"
+            where = f"with the teeth at r {r[at]:.2f} m"
+            words = f"{said[at]:.0f} kg in the bucket {where}, it holds {holds[at]:.0f} kg"
             self.problems.append(f"cycle {number}: during the cut the file says {words}")
         full = per_volume * dug.held
         for leg in record.legs:

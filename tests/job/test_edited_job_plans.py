@@ -61,6 +61,14 @@ def test_motions_and_loads_that_do_not_dig_what_the_file_says(tmp_path: Path) ->
         assert said in found.note, said
 
 
+def test_one_place_at_which_the_bucket_is_said_to_be_empty(tmp_path: Path) -> None:
+    edited = content()
+    load = edited["cycles"][0]["load"]
+    there = int(np.argmax(load["mass"])) + 1  # between places at which it is as full
+    load["mass"][there] = 0.0
+    assert "during the cut the file says 0 kg in the bucket with the teeth at r" in read(edited, tmp_path).note
+
+
 def test_figures_that_are_not_those_of_the_motions(tmp_path: Path) -> None:
     edited = content()
     cycle = edited["cycles"][0]

@@ -52,6 +52,20 @@ def test_what_cannot_come_out_is_refused_before_anything_is_planned(keys: dict[s
     assert refused.value.key == key
 
 
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"dig": trench(depth=0.05)}, r"dig\.trench: is 0\.05 m deep at most, of which the tolerance leaves 0\.05 m"),
+        ({"soil": {"repose": 1.55}}, r"soil\.repose: .*less than or equal to 1\.5; found 1\.55"),
+        ({"bucket": {"capacity": 1e-4}}, r"bucket\.capacity: .*greater than or equal to 0\.002; found 0\.0001"),
+        ({"dig": trench(depth="0,6")}, r"dig\.trench\.depth: a number takes a decimal point.*allowed: 0\.6"),
+    ],
+)
+def test_what_no_job_can_be_is_refused_by_its_key(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(bp.SceneError, match=said):
+        small_job(**keys)
+
+
 def test_a_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "surface.csv"
     np.savetxt(file, np.full((7, 11), -0.3), delimiter=",")

@@ -395,6 +395,7 @@ def test_points_that_would_be_misread_are_refused(text: str, said: str, tmp_path
     [
         ("0,0,0\n0,-9999,0\n0,0,0\n", r"row 2, column 2: a height is missing"),
         ("0,0,0\n0,0,-32768\n0,0,0\n", r"row 2, column 3: a height is missing"),
+        ("0,0,0\n0,-3.4028235e38,0\n0,0,0\n", r"row 2, column 2: a height is missing; found none, or a figure that"),
         ("0,0,\n0,0,0\n0,0,0\n", r"row 1, column 3: is not a number; found nothing"),
         ("ncols 3\nnrows 2\n0 0 0\n0 0 0\n", r"of an ESRI grid make a GeoTIFF"),
         (

@@ -14,6 +14,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.site import Finite, Slope, Soil
 
+_LEAST_BUCKET = 0.002  # m^3; chosen: no cut is found that takes much less
 _LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
 _STEEPEST = 1.0  # m per m of a trench's bottom; chosen, no bucket follows a steeper one
 _Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
@@ -27,7 +28,7 @@ class JobSoil(Soil):
 
     swell: Annotated[float, Field(strict=True, ge=1.0, le=2.0)] = 1.25
     """Loose volume over the volume in the ground; 1.25 by default, usual are 1.1 (sand) to 1.4 (clay)."""
-    repose: Annotated[Slope, Field(gt=0.0)] = 0.6
+    repose: Annotated[Slope, Field(gt=0.0, le=1.5)] = 0.6
     """Angle at which a heap of it lies [rad]; 0.6 by default, usual are 0.5 to 0.8."""
 
 
@@ -51,6 +52,11 @@ class Trench(Record):
     def _some_length(self) -> Trench:
         if self.length < _ONE_POINT:
             raise ValueError(f"from and to are {self.length:g} m apart; allowed: at least {_ONE_POINT:g} m")
+        deepest = self.depth + max(self.slope, 0.0) * self.length
+        if deepest <= self.tolerance:
+            raise ValueError(
+                f"is {deepest:g} m deep at most, of which the tolerance leaves {self.tolerance:g} m: nothing is to dig"
+            )
         if self.depth + self.slope * self.length <= 0.0:
             raise ValueError(
                 f"a slope of {self.slope:g} brings the bottom above the ground at `to`: the design would lie "
@@ -165,7 +171,7 @@ class Dump(Record):
 class BucketSize(Record):
     """What the bucket holds."""
 
-    capacity: Annotated[float, Field(strict=True, gt=0.0, le=20.0)] | None = None
+    capacity: Annotated[float, Field(strict=True, ge=_LEAST_BUCKET, le=20.0)] | None = None
     """Heaped, loose [m^3]; by default that of its collision shape."""
     fill: Annotated[float, Field(strict=True, gt=0.0, le=1.2)] = 0.95
     """Part of the capacity that one cut fills; 0.95 by default, usual are 0.8 (hard clay) to 1.0 (moist loam)."""

@@ -12,6 +12,7 @@ COMMENTS = ("#", "//")  # begin a line that says something of the table
 
 # what stands in place of a height that is missing, by custom: no site lies so deep
 _MISSING = (-9999.0, -32767.0, -32768.0, -99999.0)
+_LARGEST_OF_32_BITS = float(np.finfo(np.float32).max)  # either way it stands for one, too
 _FEWEST_NUMBERED = 3  # rows that are counted from the first on are numbered; chosen
 
 
@@ -56,7 +57,7 @@ def plain_table(text: str) -> Matrix | None:
 
 def are_missing(heights: Matrix | Vector) -> Flags:
     """Which of `heights`, of any shape, are figures that stand for a missing one."""
-    return np.isin(heights, _MISSING)
+    return np.isin(heights, _MISSING) | np.isclose(np.abs(heights), _LARGEST_OF_32_BITS, rtol=1e-6, atol=0.0)
 
 
 def counts_rows(column: Vector) -> bool:

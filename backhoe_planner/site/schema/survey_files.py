@@ -156,15 +156,17 @@ def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *,
     if not wrong.any():
         return
     row, column = np.argwhere(wrong)[0].tolist()
-    found, hint = float(values[row, column]), None
-    if np.isnan(found):
+    value, hint = float(values[row, column]), None
+    found = f"{value:g}"
+    if np.isnan(value):
+        found = "none, or a figure that stands for one, such as -9999"
         problem, hint = f"{what} is missing", "fill it first, or leave out that part of the survey"
-    elif np.isinf(found):
+    elif np.isinf(value):
         problem = f"{what} is not finite"
     else:
         problem = f"{what} is too large"
         hint = "coordinates of a map are too far off: take the same off all points, so that the machine is near 0, 0, 0"
     raise InputError(
-        problem, file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=f"{found:g}",
+        problem, file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=found,
         allowed=f"{-LARGEST:g} to {LARGEST:g} m", hint=hint,
     )  # fmt: skip
