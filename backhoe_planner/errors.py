@@ -29,6 +29,7 @@ _LONG = 200  # characters; chosen
 # part of the letters of two names, in order, from which on one may be meant for the other; chosen: one wrong letter in
 # four is enough, the ending of another word is not
 _SIMILAR = 0.7
+_FEWEST_LETTERS = 3  # of a name that is cut short, as pos; chosen
 
 
 class PlannerError(Exception):
@@ -120,9 +121,11 @@ class OutputError(InputError):
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
-    """The entry of `names` that is most similar to `name`; None where none is similar."""
-    close = difflib.get_close_matches(name, list(names), n=1, cutoff=_SIMILAR)
-    return close[0] if close else None
+    """The entry of `names` that is most similar to `name`, or is the only one that begins so; None where none is."""
+    names = list(names)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=_SIMILAR)
+    longer = [one for one in names if one.startswith(name)] if len(name) >= _FEWEST_LETTERS else []
+    return close[0] if close else longer[0] if len(longer) == 1 else None
 
 
 def check_kind(value: Any, kind: type[_Kind], *, key: str) -> _Kind:

@@ -671,6 +671,7 @@ def test_files_that_are_not_there(run: Run, tmp_path: Path) -> None:
     scene = scene_file(tmp_path)
     assert "none.yaml: no such scene file" in refused(run, tmp_path, "plan", PLANAR4, "none.yaml")
     assert "none.urdf" in refused(run, tmp_path, "plan", "none.urdf", scene)
+    assert "a machine stands before the file" in refused(run, tmp_path, "plan", scene, "example:planar4")
     assert "none.json: no such plan file" in refused(run, tmp_path, "check", "none.json")
     assert "create it first" in refused(run, tmp_path, "plan", PLANAR4, scene, "-o", "none/plan.json")
     assert "create it first" in refused(run, tmp_path, "plan", PLANAR4, scene, "--html", "none/page.html")

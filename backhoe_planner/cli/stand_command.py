@@ -18,6 +18,8 @@ from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
 from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
+_LITTLE = 0.02  # part of the cost, by which estimates and searches differ anyway; chosen
+
 
 def stand(
     file: JobFile,
@@ -118,7 +120,8 @@ def print_stand(plan: bp.StandPlan, output: Path) -> None:
         moved = f", without the machine's own travel of {plan.travel:.1f} m" if plan.travel else ""
         OUT.print(f"cost          {scale * plan.cost:.1f} {unit}{moved}")
     if math.isfinite(plan.gain):
-        OUT.print(f"gain          {100.0 * plan.gain:.1f} % less than from the given place")
+        little = ", which is hardly worth a move" if 0.0 < plan.gain < _LITTLE else ""
+        OUT.print(f"gain          {100.0 * plan.gain:.1f} % less than from the given place{little}")
     for number, place in enumerate(plan.places, start=1):
         for one in place.plan.undug:
             OUT.print(f"undug         from place {number}: {one.words}")
@@ -138,7 +141,9 @@ def _print_ranking(plan: bp.StandPlan, unit: str, scale: float) -> None:
             f"{scale * cost:.1f}" if math.isfinite(cost) else "-" for cost in (one.rough, one.estimated, one.planned)
         )
         bank = f"{one.bank:.2f}" if math.isfinite(one.bank) else "-"
-        marks = ["chosen"] * (one.base in chosen) + ["given"] * one.given + [one.note] * bool(one.note)
+        # what stays where it is dug is told below
+        marks = ["chosen"] if one.base in chosen else [one.note] * bool(one.note)
+        marks += ["given"] * one.given
         OUT.print(
             f"{x:6.2f}  {y:6.2f}  {DEGREES * one.base.heading:13.0f}  {rough:>6}  {estimated:>9}  {planned:>7}  "
             f"{bank:>10}  {'; '.join(marks)}".rstrip()

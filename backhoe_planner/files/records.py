@@ -152,6 +152,8 @@ def explain(
             what = _wrong_tag(detail, tagged)
         elif detail["type"] == "tuple_type" and detail["input"] is not None:
             what = f"{describe(detail)}{entries_at(detail['loc'], root, tagged)}"
+        elif detail["type"] == "missing" and place == ("version",):
+            what = f"{describe(detail)}; allowed: version: 1"
         else:
             what = describe(detail)
         problems.append(": ".join(part for part in (where, what) if part))

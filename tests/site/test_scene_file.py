@@ -254,6 +254,7 @@ def test_what_is_wrong_with_one_obstacle_is_said_as_of_a_scene(data: Data, said:
 BAD: dict[str, tuple[Data, list[str]]] = {
     "unknown key": (scene(clearence=0.1), ["clearence", "no such key", "did you mean 'clearance'?", "influence"]),
     "unknown key, like none": (scene(wibble=1), ["wibble: there is no such key. Allowed: base, clearance"]),
+    "key that is cut short": (scene(clear=0.1), ["clear: there is no such key; did you mean 'clearance'?"]),
     "unknown key of an obstacle": (obstacle(radios=1), ["obstacles[0].radios", "did you mean 'radius'?", "velocity"]),
     "key of another shape": (obstacle(length=1), ["obstacles[0].length", "no such key"]),
     "unknown key of a goal": (goal(pich=1), ["task.goal.pich", "did you mean 'pitch'?"]),
@@ -287,7 +288,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "a key of something else": (scene(soil={"position": 1}), ["soil.position: there is no such key. Allowed: "]),
     "unknown key of the start": (scene(start={"joint": {}}), ["start.joint", "did you mean 'joints'?"]),
     "key that is no text": (scene(obstacles=[]) | {1: 2}, ["1", "strings"]),  # type: ignore[dict-item]
-    "no version": ({"task": GOAL["task"], "start": GOAL["start"]}, ["version: is missing"]),
+    "no version": ({"task": GOAL["task"], "start": GOAL["start"]}, ["version: is missing; allowed: version: 1"]),
     "later version": (scene(version=2), ["version", "1", "found 2"]),
     "no task": ({"version": 1}, ["task: is missing"]),
     "no radius": (shaped("sphere"), ["obstacles[0].radius: is missing"]),
