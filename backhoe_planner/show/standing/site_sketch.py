@@ -16,7 +16,7 @@ from backhoe_planner.standing import Place, Spot, StandPlan
 COSTS = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear; the ends differ in brightness too
 WHY = {  # why a machine cannot stand somewhere: a colour and words; places out of reach or off the line are not drawn
     "edge": ("#e9d3cf", "on the dig, or too near its edge"),
-    "dump": ("#e3e7ec", "no place to dump in reach"),
+    "dump": ("#cfe0ee", "no place to dump in reach"),
     "heap": ("#d9cdb8", "on the heap or the truck"),
     "obstacle": ("#cfc6dd", "an obstacle in the way"),
     "ground": ("#d8d8cf", "not level there, or not known"),

@@ -62,9 +62,9 @@ def _drawing(sketch: Sketch) -> str:
         f'<svg id="map" viewBox="{x0:.3f} {-y1:.3f} {x1 - x0:.3f} {y1 - y0:.3f}" role="img" '
         'aria-label="the site from above, coloured by cost">'
     ]
-    for machine in sketch.machines:
-        bodies = "".join(f'<polygon points="{_points(one)}"/>' for one in machine.outlines)
-        parts.append(f'<g class="body" fill="{MACHINE}">{bodies}</g>')
+    if sketch.given is not None:
+        parts.append(_body(sketch.given, "given", GIVEN))
+    parts += [_body(machine, "machine", MACHINE) for machine in sketch.machines]
     for cell in sketch.cells:
         spot = cell.spot
         (x, y), finite = spot.base.position, math.isfinite(spot.cost)
@@ -85,19 +85,24 @@ def _drawing(sketch: Sketch) -> str:
         place = name_place(sketch, outline)
         if place is not None:
             parts.append(f'<text class="name" x="{place[0]:.2f}" y="{-place[1]:.2f}">{html.escape(name)}</text>')
-    if sketch.given is not None:
-        parts += [f'<polygon class="given" points="{_points(one)}" stroke="{GIVEN}"/>' for one in sketch.given.outlines]
     for machine in sketch.machines:
-        parts += _machine(machine)
+        parts += _arm(machine)
     parts.append(_ruler(sketch))
     parts.append("</svg>")
     return "".join(parts)
 
 
-def _machine(machine: Machine) -> list[str]:
+def _body(machine: Machine, kind: str, shade: str) -> str:
+    """The parts that do not move, all rims below all faces: the outline around them is left."""
+    every = [f'points="{_points(one)}"' for one in machine.outlines]
+    rims = "".join(f"<polygon {one}/>" for one in every)
+    faces = "".join(f"<polygon {one}/>" for one in every)
+    return f'<g class="{kind}"><g class="rims" stroke="{shade}">{rims}</g><g class="faces">{faces}</g></g>'
+
+
+def _arm(machine: Machine) -> list[str]:
     (x, y), (to_x, to_y) = machine.axis.tolist(), machine.digs.tolist()
     return [
-        *(f'<polygon class="machine" points="{_points(one)}" stroke="{MACHINE}"/>' for one in machine.outlines),
         f'<line class="arm" x1="{x:.3f}" y1="{-y:.3f}" x2="{to_x:.3f}" y2="{-to_y:.3f}" stroke="{MACHINE}"/>',
         f'<circle class="axis" cx="{x:.3f}" cy="{-y:.3f}" r=".3" stroke="{MACHINE}"/>',
         f'<text class="number" x="{x:.3f}" y="{-y:.3f}">{machine.label}</text>',

@@ -96,12 +96,13 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
 def _machine(axes: Axes, machine: Machine, shade: str, *, filled: bool) -> None:
     from matplotlib.patches import Polygon
 
-    style = "-" if filled else "--"
+    # all rims below all faces: of parts that overlap the outline around all of them is left
+    level, style, face = (0.4, "-", _BODY) if filled else (0.2, "--", "white")
     for outline in machine.outlines:
-        if filled:
-            axes.add_patch(Polygon(outline, facecolor=_BODY, edgecolor="none", zorder=0.5))
-        rim = Polygon(outline, facecolor="none", edgecolor=shade, linestyle=style, linewidth=0.7, alpha=0.7, zorder=5)
-        axes.add_patch(rim)
+        axes.add_patch(
+            Polygon(outline, facecolor="none", edgecolor=shade, linestyle=style, linewidth=1.6, zorder=level)
+        )
+        axes.add_patch(Polygon(outline, facecolor=face, edgecolor="none", zorder=level + 0.1))
     if filled:
         (x, y), (to_x, to_y) = machine.axis.tolist(), machine.digs.tolist()
         arrow = {"arrowstyle": "->", "color": shade, "linewidth": 1.4}
