@@ -120,6 +120,8 @@ def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: P
     if summary.best is not None:
         which = "least" if best.least is not None else "greatest"
         OUT.print(f"best          row {summary.best.number}: {best.metric} {summary.best_value:.4g}, the {which}")
+        if summary.doubt:
+            OUT.print(f"  {summary.doubt}")
         for name, value in summary.best.values.items():
             shown = f"{value:.6g}" if isinstance(value, float) else value
             OUT.print(f"  {name:<28}{shown}")

@@ -11,6 +11,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,18 @@ def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path
     assert "<script" not in text
     assert f"row 2: {html.escape(whole.outcomes[2].message)}" in text
     assert f"Row {summary.best.number} has the least cost.value" in text
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [(1.019, "1 other is within 2 %, by which plans with other seeds may differ"), (1.05, "")],
+)
+def test_rows_that_are_about_as_good_as_the_best_are_told(whole: StudyResult, other: float, said: str) -> None:
+    metric = whole.template.best.metric
+    outcomes = dict(whole.outcomes)
+    for number, value in ((0, 1.0), (4, other)):
+        outcomes[number] = replace(outcomes[number], metrics={**outcomes[number].metrics, metric: value})
+    assert summarise_study(replace(whole, outcomes=outcomes)).doubt == said
 
 
 # --- interrupted, killed, refused -------------------------------------------------------

@@ -87,9 +87,10 @@ def _best(result: StudyResult, summary: Summary) -> str:
         if regions
         else ""
     )
+    doubt = f"; {_text(summary.doubt)}" if summary.doubt else ""
     return (
         f"<h2>The best row and the best region</h2>\n<p>Row {best.number} has the {which} {_text(asked.metric)}: "
-        f'<b>{_figure(summary.best_value)}</b></p>\n<div class="cards">'
+        f'<b>{_figure(summary.best_value)}</b>{doubt}</p>\n<div class="cards">'
         f'<div class="card"><h3>Its parameters</h3><table>{values}</table></div>'
         f'<div class="card"><h3>Its figures</h3><table>{figures}</table></div>{region}</div>'
     )

@@ -18,6 +18,7 @@ from backhoe_planner.studies.schema.study_file import Best
 
 _MOST_VALUES = 12  # of a parameter that are shown one by one; chosen, more are shown in bins
 _BINS = 8  # of a parameter that is drawn; chosen
+ALIKE = 0.02  # part of a figure; chosen, plans of one site with two seeds mostly differ by less
 _BEST_PART = 0.1  # of the verified rows that make the best region; chosen
 _FEWEST_BEST = 5  # rows of it, so that it says something of a short study; chosen
 
@@ -65,6 +66,7 @@ class Summary:
     messages: of the first row with each verdict that gives no reason (`invalid`, `error`), with its number.
     best: the best verified row; None where none is verified or has the metric.
     best_value: of its metric.
+    alike: how many others come within `ALIKE` of that, by which searches with other seeds may differ.
     shares: of every parameter that differs.
     regions: where each of these lies in the best rows.
     in_region: how many rows these are.
@@ -74,9 +76,18 @@ class Summary:
     messages: Mapping[str, tuple[int, str]]
     best: StudyRow | None
     best_value: float
+    alike: int
     shares: Mapping[str, tuple[Share, ...]]
     regions: tuple[Region, ...]
     in_region: int
+
+    @property
+    def doubt(self) -> str:
+        """How many rows are about as good as the best, in words; empty where none is."""
+        if not self.alike:
+            return ""
+        others = "1 other is" if self.alike == 1 else f"{self.alike} others are"
+        return f"{others} within {100.0 * ALIKE:.0f} %, by which plans with other seeds may differ"
 
 
 @dataclass(frozen=True)
@@ -111,6 +122,7 @@ def summarise(rows: Sequence[StudyRow], outcomes: Mapping[int, Outcome], best: B
         messages=_first_messages(outcomes[row.number] for row in done),
         best=ranked[0] if ranked else None,
         best_value=figures[ranked[0].number] if ranked else math.nan,
+        alike=sum(math.isclose(figures[row.number], figures[ranked[0].number], rel_tol=ALIKE) for row in ranked[1:]),
         shares={name: _shares(name, done, outcomes, figures) for name in varied},
         regions=tuple(Region(name, _extent(name, top), _extent(name, done)) for name in varied if top),
         in_region=len(top),
