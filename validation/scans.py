@@ -7,6 +7,7 @@ the package's distances.
 
 from __future__ import annotations
 
+import gc
 import resource
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -213,6 +214,7 @@ class Cost:
 def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vector) -> Cost:
     """The cost of the yard with these kinds of surveys, and of one motion to a goal (3,) [m]."""
     scene = site_scene(survey, goal, kinds=kinds)
+    gc.collect()  # what an earlier call took in would be known
     begun = time.process_time()
     problem = build_problem(robot, scene)
     intake = time.process_time() - begun

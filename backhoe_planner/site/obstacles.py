@@ -20,6 +20,7 @@ from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.machine import Cluster, Robot, VoxelSolid, reach_ball
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.known_clusters import body_of
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
@@ -210,7 +211,7 @@ def build_obstacle(
 def _body(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece] | Cluster:
     """What an obstacle is made of; errors name its file."""
     try:
-        return spec.body(folder)
+        return body_of(spec, folder)
     except InputError as error:
         file = getattr(spec, "file", None)
         if error.file is not None or file is None:

@@ -1,0 +1,52 @@
+"""Scans, terrains and fine meshes that are in use already, by what their files hold."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from weakref import WeakValueDictionary
+
+from backhoe_planner.machine import Cluster
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.schema import obstacle_shapes
+
+# what else an obstacle's record says of it, which its solid does not depend on
+_BESIDE = {"name", "clearance", "links", "legs", "appears_at"}
+_NOT_WHOLE = (".gltf",)  # suffixes of files whose mesh may lie in another one
+
+_KNOWN: WeakValueDictionary[tuple[str, bytes], Cluster] = WeakValueDictionary()
+
+
+def body_of(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece] | Cluster:
+    """What an obstacle is made of: of the same file, with the same record, the solid that is in use.
+
+    To take in a scan of a million points takes some seconds, and a program plans to many goals on one site. What nobody
+    uses any more is forgotten.
+
+    Raises
+    ------
+    InputError: its file is missing, empty or malformed, or takes too many pieces.
+    """
+    key = _key(spec, folder)
+    known = None if key is None else _KNOWN.get(key)
+    if known is not None:
+        found: list[shapes.Piece] | Cluster = known.moved_to(known.placement)
+    else:
+        found = spec.body(folder)
+        if key != _key(spec, folder):  # the file was written meanwhile
+            return found
+    if key is not None and isinstance(found, Cluster):
+        _KNOWN[key] = found  # the newest is used for longest
+    return found
+
+
+def _key(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> tuple[str, bytes] | None:
+    """What the solid depends on; None where there is no file, or none that can be read."""
+    name = getattr(spec, "file", None)
+    if name is None or name.lower().endswith(_NOT_WHOLE):
+        return None
+    try:
+        content = (folder / name).read_bytes()
+    except (OSError, ValueError):  # told by who reads it in full
+        return None
+    return spec.model_dump_json(exclude=_BESIDE), hashlib.sha256(content).digest()

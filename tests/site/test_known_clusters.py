@@ -1,0 +1,92 @@
+"""Scans and terrains that are in use are taken in once, as long as their files hold the same."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Obstacle, Proximity, build_obstacles, known_clusters, scene_from_dict
+from backhoe_planner.site.schema.obstacle_shapes import PointCloud
+
+
+def write(folder: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    np.savetxt(folder / "yard.xyz", np.column_stack((rng.uniform(-4.0, 4.0, (3000, 2)), rng.normal(-2.5, 0.1, 3000))))
+
+
+def built(robot: Robot, folder: Path, **keys: Any) -> Obstacle:
+    scan = {"name": "yard", "shape": "pointcloud", "file": "yard.xyz", "resolution": 0.1} | keys
+    joints = dict.fromkeys(robot.joint_names, 0.0)
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"joints": joints}}, "obstacles": [scan]}
+    (found,) = build_obstacles(scene_from_dict(content, folder=folder), robot)
+    return found
+
+
+def solid(obstacle: Obstacle) -> object:
+    assert obstacle.cluster is not None
+    return obstacle.cluster.solid
+
+
+def test_a_file_in_use_is_taken_in_once_whatever_stands_beside_it(planar4: Robot, tmp_path: Path) -> None:
+    write(tmp_path, 0)
+    first = built(planar4, tmp_path)
+    assert solid(built(planar4, tmp_path, name="ground", clearance=0.3, links=["link4"])) is solid(first)
+    for keys in ({"resolution": 0.2}, {"position": [0.0, 0.0, 0.5]}):
+        assert solid(built(planar4, tmp_path, **keys)) is not solid(first)
+
+
+def test_a_file_that_was_changed_is_read_again(planar4: Robot, tmp_path: Path) -> None:
+    write(tmp_path, 0)
+    first = built(planar4, tmp_path)
+    write(tmp_path, 1)
+    second = built(planar4, tmp_path)
+    assert solid(second) is not solid(first)
+    write(tmp_path, 0)
+    assert solid(built(planar4, tmp_path)) is solid(first)
+    assert solid(second) is not solid(first)
+
+
+def test_distances_are_those_of_what_is_taken_in_anew(planar4: Robot, tmp_path: Path) -> None:
+    write(tmp_path, 0)
+    first = built(planar4, tmp_path)
+    again = built(planar4, tmp_path)
+    known_clusters._KNOWN.clear()
+    anew = built(planar4, tmp_path)
+    assert solid(again) is solid(first)
+    assert solid(anew) is not solid(first)
+    rng = np.random.default_rng(2)
+    known, other = (Proximity(planar4, [one]) for one in (again, anew))
+    for q in rng.uniform(-1.5, 1.5, (20, planar4.n)):
+        np.testing.assert_array_equal(known.distances(q), other.distances(q))
+
+
+def test_what_nobody_uses_is_forgotten(planar4: Robot, tmp_path: Path) -> None:
+    write(tmp_path, 0)
+    found = built(planar4, tmp_path)
+    key = known_clusters._key(found.spec, tmp_path)
+    assert key in known_clusters._KNOWN
+    del found
+    gc.collect()
+    assert key not in known_clusters._KNOWN
+
+
+def test_a_file_that_is_written_while_it_is_read_is_not_kept(
+    planar4: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, 0)
+    read = PointCloud.body
+
+    def body(self: PointCloud, folder: Path) -> Any:
+        write(folder, 1)
+        return read(self, folder)
+
+    monkeypatch.setattr(PointCloud, "body", body)
+    first = built(planar4, tmp_path)
+    monkeypatch.undo()
+    write(tmp_path, 0)
+    assert solid(built(planar4, tmp_path)) is not solid(first)
