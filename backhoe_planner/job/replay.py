@@ -114,6 +114,8 @@ def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list
     found = []
     if not plan.surveyed and not same_ground(site.own_ground, plan.start):
         found.append("the ground before the first cycle is not that of the job")
+    if plan.surveyed and same_ground(site.own_ground, plan.start):
+        found.append("the file says that the ground was surveyed, which is that of the job")
     if record.choices != record.choices_digest:
         found.append("effort, seed, compared patterns or steps were changed after the job was planned")
     if plan.beside > plan.job.dig.tolerance:

@@ -61,6 +61,11 @@ def test_motions_and_loads_that_do_not_dig_what_the_file_says(tmp_path: Path) ->
         assert said in found.note, said
 
 
+def test_a_survey_that_there_was_not(tmp_path: Path) -> None:
+    note = read(content() | {"surveyed": True}, tmp_path).note
+    assert "the file says that the ground was surveyed, which is that of the job" in note
+
+
 def test_one_place_at_which_the_bucket_is_said_to_be_empty(tmp_path: Path) -> None:
     edited = content()
     load = edited["cycles"][0]["load"]
