@@ -124,8 +124,9 @@ def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """The entry of `names` that is most similar to `name`, or is the only one that begins so; None where none is."""
     names = list(names)
     close = difflib.get_close_matches(name, names, n=1, cutoff=_SIMILAR)
-    longer = [one for one in names if one.startswith(name)] if len(name) >= _FEWEST_LETTERS else []
-    return close[0] if close else longer[0] if len(longer) == 1 else None
+    if not close and len(name) >= _FEWEST_LETTERS:
+        close = [one for one in names if one.startswith(name)]
+    return close[0] if len(close) == 1 else None
 
 
 def check_kind(value: Any, kind: type[_Kind], *, key: str) -> _Kind:

@@ -28,10 +28,10 @@ from pydantic import (
 
 from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.files.schema_keys import entries_at, fields_of, meant_by, record_at, variants
-from backhoe_planner.files.yaml_text import KeyPath
+from backhoe_planner.files.yaml_text import DECIMAL_COMMA, KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
+_WITH_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 _BRIEF = 80  # characters, about a line: a longer value is not repeated in a message
 
 
@@ -183,7 +183,7 @@ def describe(detail: Any) -> str:
     if kind == "too_long":
         count, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
         commas = isinstance(found, list) and count <= 2 * most and all(type(one) is int for one in found)
-        hint = "; a number takes a decimal point, not a comma" if commas else ""
+        hint = f"; {DECIMAL_COMMA}" if commas else ""
         return f"has {count} entries, allowed: at most {most}{brief}{hint}"
     if kind == "too_short":
         return f"has {detail['ctx']['actual_length']} entries, allowed: at least {detail['ctx']['min_length']}{brief}"
@@ -198,8 +198,8 @@ def describe(detail: Any) -> str:
         return f"is not a list{shown}; allowed: [...]"
     if kind in ("bool_type", "bool_parsing"):
         return f"is not true or false{shown}"
-    if kind in ("float_type", "float_parsing") and isinstance(found, str) and _DECIMAL_COMMA.fullmatch(found):
-        return f"a number takes a decimal point, not a comma{shown}; allowed: {found.replace(',', '.')}"
+    if kind in ("float_type", "float_parsing") and isinstance(found, str) and _WITH_COMMA.fullmatch(found):
+        return f"{DECIMAL_COMMA}{shown}; allowed: {found.replace(',', '.')}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
 
 

@@ -27,6 +27,8 @@ _MOST_KEYS = 200_000
 
 
 _TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null"))
+DECIMAL_COMMA = "a number takes a decimal point, not a comma"
+_WHOLE_NUMBER = re.compile(r"[-+]?[0-9]+")
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")  # surrogates, which no file in UTF-8 can hold
 
 
@@ -44,8 +46,6 @@ for _tag, _pattern, _first in (
 ):
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
 
-
-_WHOLE_NUMBER = re.compile(r"[-+]?[0-9]+")
 
 _Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
 _Loader.add_constructor(
@@ -137,7 +137,7 @@ def _refuse_decimal_comma(node: yaml.MappingNode, at: KeyPath, path: Path, error
         if after.value == "" and part.isdecimal() and _WHOLE_NUMBER.fullmatch(whole):
             where = ".".join(map(str, (*at, name.value)))
             raise error(
-                "a number takes a decimal point, not a comma", file=path,
+                DECIMAL_COMMA, file=path,
                 key=f"{where} (line {name.start_mark.line + 1})", found=f"{whole},{part}", allowed=f"{whole}.{part}",
             )  # fmt: skip
 

@@ -112,9 +112,10 @@ def _errors_of(file: Path, key: str) -> Iterator[None]:
 def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list[str]:
     """What else a file says that does not hold: the ground at the beginning, what was chosen, and all figures."""
     found = []
-    if not plan.surveyed and not same_ground(site.own_ground, plan.start):
+    is_own = same_ground(site.own_ground, plan.start)
+    if not plan.surveyed and not is_own:
         found.append("the ground before the first cycle is not that of the job")
-    if plan.surveyed and same_ground(site.own_ground, plan.start):
+    if plan.surveyed and is_own:
         found.append("the file says that the ground was surveyed, which is that of the job")
     if record.choices != record.choices_digest:
         found.append("effort, seed, compared patterns or steps were changed after the job was planned")

@@ -29,13 +29,10 @@ def body_of(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Pie
     """
     key = _key(spec, folder)
     known = None if key is None else _KNOWN.get(key)
-    if known is not None:
-        found: list[shapes.Piece] | Cluster = known.moved_to(known.placement)
-    else:
-        found = spec.body(folder)
-        if key != _key(spec, folder):  # the file was written meanwhile
-            return found
-    if key is not None and isinstance(found, Cluster):
+    found = spec.body(folder) if known is None else known.moved_to(known.placement)
+    if key is None or not isinstance(found, Cluster):
+        return found
+    if known is not None or key == _key(spec, folder):  # else the file was written meanwhile
         _KNOWN[key] = found  # the newest is used for longest
     return found
 

@@ -57,7 +57,7 @@ def find_clear_joint(world: World, q: Vector, *, time: float = 0.0) -> ClearJoin
         joints, values = joints[within], values[within]
         tried = np.tile(q, (len(joints), 1))
         tried[np.arange(len(joints)), joints] = values
-        kept = screen.keeps(tried) if len(tried) else np.zeros(0, dtype=bool)
+        kept = screen.keeps(tried)
         if problem.keep is not None and kept.any():
             kept = kept & problem.keep.holds_each(tried)
         if kept.any():

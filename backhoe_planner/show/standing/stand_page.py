@@ -94,10 +94,8 @@ def _drawing(sketch: Sketch) -> str:
 
 def _body(machine: Machine, kind: str, shade: str) -> str:
     """The parts that do not move, all rims below all faces: the outline around them is left."""
-    every = [f'points="{_points(one)}"' for one in machine.outlines]
-    rims = "".join(f"<polygon {one}/>" for one in every)
-    faces = "".join(f"<polygon {one}/>" for one in every)
-    return f'<g class="{kind}"><g class="rims" stroke="{shade}">{rims}</g><g class="faces">{faces}</g></g>'
+    every = "".join(f'<polygon points="{_points(one)}"/>' for one in machine.outlines)
+    return f'<g class="{kind}"><g class="rims" stroke="{shade}">{every}</g><g class="faces">{every}</g></g>'
 
 
 def _arm(machine: Machine) -> list[str]:
