@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, StackedRows, solve_program
 from backhoe_planner.native import compiled
 
@@ -35,6 +35,7 @@ _NONE: Indices = np.zeros(0, dtype=np.intp)
 # part of the most that a row can come to within the bounds; one that allows more than it is left out at first; chosen
 # among 0.02 to 0.3, of a hundred programs with 0.1 seven are solved again
 _FAR = 0.1
+_UNCHANGED = 1e-5  # in the units of the conditions: a row that no x within the bounds changes by more is noise; chosen
 _MISSED = 1e-6  # in the units of the conditions, by which a row is missed: the solver's own tolerance
 
 
@@ -81,7 +82,7 @@ def solve_with_binding_rows(
     # a row's miss counts by how far x has to go for it, as the cost measures that
     direction = np.linalg.solve(np.linalg.cholesky(program.H), G.T).T
     size = np.sqrt((direction**2).sum(axis=1))
-    size[size == 0.0] = np.inf  # nothing changes such a row
+    size[~_can_be_changed(G, program.low, program.high)] = np.inf  # see `soft_solution`
     direction /= size[:, None]
     kept, found, iterations = _NONE if first is None else first, None, 0
     for number in range(_ROUNDS + 1):
@@ -129,11 +130,23 @@ def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int) -> 
 def soft_solution(
     H: Matrix, f: Vector, low: Vector, high: Vector, G: Matrix, h: Vector, most_iterations: int, /
 ) -> tuple[Vector, int] | None:
-    """The x (n,) of a program with soft rows G x <= h alone, and the solver's iterations; None where it needs more."""
+    """The x (n,) of a program with soft rows G x <= h alone, and the solver's iterations; None where it needs more.
+
+    A row that is hardly changed by any x within the bounds is left out. Of a link that turns about an axis through what
+    it is too near to, the row has nothing but rounding, and missed it would ask for all that the joints can do.
+    """
+    some = _can_be_changed(G, low, high)
+    if not some.all():
+        G, h = G[some], h[some]
     stacked = StackedRows.of((Rows("soft", G, h),), len(f))
     program = QuadraticProgram(H, f, low, high)
     solution = solve_program(program, most_iterations=most_iterations, stacked=stacked)
     return None if solution is None else (solution.x, solution.iterations)
+
+
+def _can_be_changed(G: Matrix, low: Vector, high: Vector) -> Flags:
+    """(K,) whether x within bounds (n,) can change a row of G (K, n) by more than what is noise, from their middle."""
+    return np.asarray(np.abs(G).dot(0.5 * (high - low)) > _UNCHANGED)
 
 
 def _most_missed(direction: Matrix, missed: Vector, *, beyond: float, count: int) -> Indices:

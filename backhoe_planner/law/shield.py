@@ -13,7 +13,8 @@ that braking in proportion, which keeps the joints' direction, stops within 80 %
 each margin. From a velocity that satisfies the rows, braking satisfies them again: the
 problem stays solvable without slack as long as the obstacles hold still. Outside a
 limit, or closer than the clearance, the bounds ask for the way back. A row that cannot
-be met costs a price instead of an error, and the missing speed is reported.
+be met costs a price instead of an error, and the missing speed is reported. One that no
+velocity within the limits changes asks for nothing, see `soft_solution`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import check_kind
-from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
+from backhoe_planner.law.binding_rows import soft_solution
+from backhoe_planner.law.qp import Rows
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.native import compiled
 from backhoe_planner.site import Nearby
@@ -39,6 +41,7 @@ _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
 _RATES = _STOPPING_PART, _RECOVERY, _FASTEST_RECOVERY
 _NO_PAIRS: Indices = np.zeros(0, dtype=np.intp)
 _FEW = 16  # rows; measured: to find out which can bind takes longer than to solve with all of them
+_MOST_ITERATIONS = 1000  # of the solver; an ordinary step takes up to 10
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
 
 JointTable: TypeAlias = tuple[tuple[float, ...], ...]
@@ -209,14 +212,15 @@ class Shield:
             nearby.drift,
             _RATES,
         )
-        keep = () if kept is None else (self._keep_rows(kept, time, dt),)
-        if is_kept and all(block.are_kept_by(wish) for block in keep):
+        keep = None if kept is None else self._keep_rows(kept, time, dt)
+        if is_kept and (keep is None or keep.are_kept_by(wish)):
             return Shielded(wish, 0.0, _NO_PAIRS)
         # without bounds, what is not kept stands beside the clearances
         low, high = self._bounds(q, v_before, dt) if low_high is None else low_high
         H, f, G, h, pairs = nearest_safe_program(wish, J_tip, nearby.gradient, bound, low, high, _WEIGHTS, _FEW)
-        solution = solve_program(QuadraticProgram(H, f, low, high, (Rows("clearance", G, h), *keep)))
-        x = self._braked(v_before, dt) if solution is None else solution.x
+        rows, most = (G, h) if keep is None else (np.concatenate((G, keep.G)), np.concatenate((h, keep.h)))
+        solution = soft_solution(H, f, low, high, rows, most, _MOST_ITERATIONS)
+        x = self._braked(v_before, dt) if solution is None else solution[0]
         v = np.minimum(np.maximum(x, low), high)
         if len(pairs) == 0:
             return Shielded(v, 0.0, pairs)

@@ -7,13 +7,14 @@
 #define MOST_CONDITIONS (MOST_JOINTS + MOST_ROWS)
 
 static const double KEPT = 1e-6; /* rad/s or m/s, in the measure of the cost: the tolerance of daqp, the plain version */
+static const double UNCHANGED = 1e-5; /* a row that no x within the bounds changes by more is noise; see the plain version */
 static const double PRICE = 1e6; /* of what soft rows miss, as of the plain version */
 
 typedef struct {
     npy_intp n, K;
     double rows[MOST_ROWS * MOST_JOINTS], h[MOST_ROWS], low[MOST_JOINTS], high[MOST_JOINTS];
     double back[MOST_CONDITIONS * MOST_JOINTS]; /* H^-1 g of each condition g: those of the joints come first */
-    double size[MOST_CONDITIONS];               /* how far x moves, as the cost measures it, for a change of 1 */
+    double size[MOST_CONDITIONS];               /* how far x moves, as the cost measures it, for a change of 1; or 0 */
 } Program;
 
 /* A condition that binds: x_j <= high_j, or by the sign -x_j <= -low_j, or a row; and the force that keeps it. */
@@ -50,7 +51,7 @@ static Binding most_broken(const Program *program, const double *x, const Bindin
         int binds = 0;
         for (npy_intp p = 0; p < count; p++)
             binds |= binding[p].of == k;
-        if (binds || !(program->size[k] > 0.0)) /* a row of zeros keeps nobody */
+        if (binds || !(program->size[k] > 0.0)) /* such a row keeps nobody */
             continue;
         for (double sign = 1.0; sign >= (k < program->n ? -1.0 : 1.0); sign -= 2.0) {
             const double missed = beyond(program, k, sign, x) / program->size[k];
@@ -145,10 +146,13 @@ PyObject *soft_solution(PyObject *self, PyObject *const *args, Py_ssize_t given)
                 if (row)
                     row[j] = back[j];
             }
+            double change = 0.0;
             if (row)
                 program.h[k - n] = AT(h, k - n);
+            for (npy_intp j = 0; row && j < n; j++)
+                change += fabs(row[j]) * 0.5 * (program.high[j] - program.low[j]);
             solve_cholesky(L, (int)n, back);
-            program.size[k] = sqrt(along(&program, k, back));
+            program.size[k] = row && !(change > UNCHANGED) ? 0.0 : sqrt(along(&program, k, back));
         }
     }
     while (!fails) {

@@ -116,6 +116,17 @@ def test_a_row_that_the_acceleration_does_not_allow_costs_slack() -> None:
     assert found.slack == pytest.approx(0.28, abs=1e-9)
 
 
+@pytest.mark.parametrize("rounding", [0.0, 1e-16, 1e-5])
+def test_a_row_that_no_velocity_changes_asks_for_nothing(rounding: float) -> None:
+    """Of a link that turns about an axis through what is 8 cm too near to it the gradient is rounding alone."""
+    found = Shield(two_joints()).filter(
+        np.array([0.03, -0.02]), q=np.zeros(2), v_before=np.array([0.03, 0.0]), dt=DT,
+        nearby=rows([[-rounding, rounding], [1.0, 0.0]], [-0.08, 0.5]), J_tip=J_TIP,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.v, [0.03, -0.02], atol=1e-9)
+    assert found.slack == pytest.approx(0.08, abs=1e-6)
+
+
 def test_an_obstacle_that_comes_nearer_is_evaded() -> None:
     """At the clearance, with drift -0.03 m/s: the joint must give way at that speed."""
     found = filtered([0.0, 0.0], rows([[1.0, 0.0]], [0.0], [-0.03]), v_before=[0.03, 0.0])
