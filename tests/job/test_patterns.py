@@ -67,6 +67,30 @@ def test_a_trench_wider_than_the_bucket_is_dug_to_its_walls(width: float) -> Non
     assert bank >= 0.9 * (1.5 * 0.4 - 0.5 * 0.4**2 * (1.0 / np.tan(ENTRY) + 1.0 / np.tan(LEAVE))) * width
 
 
+def test_of_a_column_that_a_blade_covers_in_part_only_that_part_may_be_dug() -> None:
+    """Of one whose middle is 1 cm within the edge of a lane of 0.5 m 0.7 belongs to that, 0.3 to another of 0.2 m."""
+    dig = {"trench": {"from": [4.2, 0.0], "to": [2.7, 0.0], "width": 1.2, "depth": 0.5}}
+    ground = {"low": [0.5, -1.505], "high": [5.5, 1.495]}  # with columns at y = 0.295 and 0.345
+    site = build_worksite(
+        small_job(ground=ground, dig=dig, site={"clearance": 0.1}, dump={"heap": {"at": [2.5, -1.3]}})
+    )
+    assert site.bucket.width == pytest.approx(0.61)
+    r = np.arange(1.5, 5.0, 0.025)
+    level, beside, none = np.full(len(r), -0.5), np.full(len(r), -0.2), np.zeros(len(r), dtype=np.int64)
+    lanes = (
+        Lane(0.0, r, level, level, level, none, (("", ""),), 4.2, 2.7),
+        Lane(0.03, r, level, beside, beside, none, (("", ""),), 4.2, 2.7),
+    )
+    (row, *_), column = np.argwhere(np.isclose(site.ground.y, 0.295))[0], int(np.argmin(np.abs(site.ground.x - 3.5)))
+    allowed, by = allowed_heights(site, lanes[:1], site.design_heights())
+    assert allowed[row, column] == pytest.approx(-0.7 * 0.5, abs=0.0126)  # the rest is the ground, to half a strip
+    assert allowed[row + 1, column] == pytest.approx(0.0)
+    assert by[row + 1, column] == -1
+    allowed, _ = allowed_heights(site, lanes, site.design_heights())
+    assert allowed[row, column] == pytest.approx(-0.7 * 0.5 - 0.3 * 0.2, abs=0.0126)
+    assert allowed[row - 1, column] == pytest.approx(-0.5)
+
+
 @cache
 def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
     """A trench of 3 m, 1.2 m deep, across a pipe, and its lanes; the machine stands at `x` [m], in line with it."""

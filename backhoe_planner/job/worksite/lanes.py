@@ -40,6 +40,7 @@ _BESIDE = 1e-3  # m to each side of the blade: a trench that is not wider than t
 _OUT = 0.98  # of the tolerance, by which a blade along a wall stands out of it at most; chosen, below 1 for rounding
 _NEAREST = 0.2  # of the distance to a trench's far end: nearer nothing can be dug
 _ENTERING = 0.05  # m; chosen: the corners of an edge's line are rounded
+_STRIPS = 40  # of a column, across, of which it is asked whether a blade reaches them; chosen, 2.5 cm in 1 m
 _CLOSEST = 0.15  # m of radius from one lane along a wall to the next; chosen
 _OVERLAP = 0.8  # of the blade's width from one lane to the next, at the far end of a trench; chosen
 
@@ -321,6 +322,8 @@ class _Places:
 def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
     """(rows, columns) the lowest heights that can be dug, nan where nothing is to be; and by which lane, -1 by none.
 
+    Of a column of which a blade reaches a part, the rest is what another lane leaves there, or the ground.
+
     Parameters
     ----------
     design: (rows, columns) see `Worksite.design_heights`.
@@ -329,17 +332,24 @@ def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tu
     found = np.where(np.isfinite(design), site.ground.surface, np.nan)
     by = np.full(design.shape, -1, dtype=np.int64)
     rows, columns = np.nonzero(np.isfinite(design))
-    points = nodes[rows, columns] - site.plane.axis
+    points, wanted = nodes[rows, columns] - site.plane.axis, design[rows, columns]
+    # strips of each column side by side across the lanes; of a column on the edge of the design only a part is dug,
+    # and it counts as reached where that may be
+    strips = np.tile(found[rows, columns], (_STRIPS, 1))
+    on_edge = site.share[rows, columns] < 1.0
+    sideways = np.where(on_edge, 0.0, cell * ((np.arange(_STRIPS)[:, None] + 0.5) / _STRIPS - 0.5))
+    reach = 0.5 * site.bucket.width + np.where(on_edge, cell, 0.0)
     for number, lane in enumerate(lanes):
         out, left = site.plane.directions(lane.swing)
         along, aside = points @ out, points @ left
         # a column on a steep end is measured at the upper end of it
         line = np.max([np.interp(along + off, lane.r, lane.line) for off in (-cell, 0.0, cell)], axis=0)
-        # of a column on the edge of the design only a part is under the blade
-        slack = np.where(site.share[rows, columns] < 1.0, cell, 0.0)
-        under = np.abs(aside) <= 0.5 * site.bucket.width + slack
-        by[rows[under], columns[under]] = np.maximum(by[rows[under], columns[under]], number)
-        covered = under & (line < found[rows, columns] - _SAME)
-        found[rows[covered], columns[covered]] = np.maximum(line, design[rows, columns])[covered]
-        by[rows[covered], columns[covered]] = number
+        under = np.abs(aside + sideways) <= reach
+        some = under.any(axis=0)
+        by[rows[some], columns[some]] = np.maximum(by[rows[some], columns[some]], number)
+        covered = under & (line < strips - _SAME)
+        strips = np.where(covered, np.maximum(line, wanted), strips)
+        lowered = covered.any(axis=0)
+        by[rows[lowered], columns[lowered]] = number
+    found[rows, columns] = strips.mean(axis=0)
     return found, by
