@@ -271,9 +271,8 @@ def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
     OUT.print("zones visited")
     table = table_of("zone", "distance", "link", "beyond it", "at [s]", "from [s]", "to [s]")
     for visit in visits:
-        unit = "rad" if visit.kind == "swing_sector" else "m"
         moments = (f"{moment:.2f}" for moment in (visit.time, visit.begin, visit.end))
-        table.add_row(visit.zone, visit.level, visit.link, f"{visit.depth:.3f} {unit}", *moments)
+        table.add_row(visit.zone, visit.level, visit.link, f"{visit.depth:.3f} {visit.unit}", *moments)
     OUT.print(table)
 
 

@@ -65,6 +65,7 @@ from .robot import load_robot as load_robot
 from .self_collision import held_overlaps as held_overlaps
 from .self_collision import self_pairs as self_pairs
 from .self_collision import self_pieces as self_pieces
+from .shape.convex import SPLIT_FORMATS as SPLIT_FORMATS
 from .shape.convex import convex_cover as convex_cover
 from .shape.convex import is_closed as is_closed
 from .shape.convex import is_nearly_convex as is_nearly_convex

@@ -164,6 +164,11 @@ class Robot:
         return np.array([self.urdf.joints[name].type == "prismatic" for name in self.joint_names])
 
     @cached_property
+    def joint_units(self) -> tuple[str, ...]:
+        """The unit of each joint's position: rad, or m of one that slides."""
+        return tuple("m" if slides else "rad" for slides in self.prismatic.tolist())
+
+    @cached_property
     def joint_axes(self) -> Matrix:
         """(n, 3) unit axis of each joint in its own frame."""
         return np.array([axis_of(self.urdf.joints[name]) for name in self.joint_names])

@@ -158,8 +158,7 @@ def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
 def describe_step(problem: Problem, step: WaypointStep) -> str:
     """How far a joint moves from one waypoint of the problem's path to another, in words."""
     assert problem.path is not None
-    name = problem.robot.joint_names[step.joint]
-    unit = "m" if problem.robot.prismatic[step.joint] else "rad"
+    name, unit = problem.robot.joint_names[step.joint], problem.robot.joint_units[step.joint]
     places = f"from waypoint {problem.path.number(step.before)} to {problem.path.number(step.after)}"
     return f"{name} moves by {step.size:.4g} {unit} {places}; max_joint_step allows {step.allowed:.4g} {unit}"
 
@@ -167,7 +166,7 @@ def describe_step(problem: Problem, step: WaypointStep) -> str:
 def _describe_turn(problem: Problem, turn: SpotTurn) -> str:
     """How far a joint turns on the spot, in words."""
     assert problem.path is not None
-    name, unit = problem.robot.joint_names[turn.joint], "m" if problem.robot.prismatic[turn.joint] else "rad"
+    name, unit = problem.robot.joint_names[turn.joint], problem.robot.joint_units[turn.joint]
     place = f"at {problem.path.describe(turn.station)} of {problem.path.describe_end()}"
     return f"{name} moves by {turn.size:.4g} {unit} while the tip stands {place}; turn_on_the_spot is false"
 

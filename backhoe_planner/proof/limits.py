@@ -92,7 +92,7 @@ def position_use(problem: Problem, trajectory: Trajectory) -> LimitUse:
     nearest = float(lower[joint] if q - lower[joint] < upper[joint] - q else upper[joint])
     return LimitUse(
         "position", problem.robot.joint_names[joint], float(used[row, joint]), float(trajectory.time[row]),
-        q, _finite(nearest), "m" if problem.robot.prismatic[joint] else "rad",
+        q, _finite(nearest), problem.robot.joint_units[joint],
     )  # fmt: skip
 
 
@@ -139,7 +139,7 @@ def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
     (kind, joint), ratio, moments = usage.limits[column], float(usage.ratio[row, column]), usage.moments
     time, q, v = float(moments.time[row]), moments.q[row : row + 1], moments.v[row : row + 1]
     index = problem.robot.joint_names.index(joint) if joint else 0
-    turns = "m" if problem.robot.prismatic[index] else "rad"
+    turns = problem.robot.joint_units[index]
     hydraulics = problem.robot.hydraulics
     if kind == "torque":
         drive, still = drive_of(problem), np.zeros_like(q)

@@ -6,13 +6,12 @@ import hashlib
 from pathlib import Path
 from weakref import WeakValueDictionary
 
-from backhoe_planner.machine import Cluster
+from backhoe_planner.machine import SPLIT_FORMATS, Cluster
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.schema import obstacle_shapes
 
 # what else an obstacle's record says of it, which its solid does not depend on
 _BESIDE = {"name", "clearance", "links", "legs", "appears_at"}
-_NOT_WHOLE = (".gltf",)  # suffixes of files whose mesh may lie in another one
 
 _KNOWN: WeakValueDictionary[tuple[str, bytes], Cluster] = WeakValueDictionary()
 
@@ -40,7 +39,7 @@ def body_of(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Pie
 def _key(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> tuple[str, bytes] | None:
     """What the solid depends on; None where there is no file, or none that can be read."""
     name = getattr(spec, "file", None)
-    if name is None or name.lower().endswith(_NOT_WHOLE):
+    if name is None or name.lower().endswith(SPLIT_FORMATS):
         return None
     try:
         content = (folder / name).read_bytes()

@@ -75,11 +75,14 @@ class Transgression:
     time: float
     depth: float
 
+    @property
+    def unit(self) -> str:
+        """That of the depth."""
+        return "rad" if self.kind == "swing_sector" else "m"
+
     def __str__(self) -> str:
-        unit = "rad" if self.kind == "swing_sector" else "m"
-        return (
-            f"{self.link} {self.depth:.3f} {unit} beyond the {self.level} distance of {self.zone} at {self.time:.2f} s"
-        )
+        deep = f"{self.depth:.3f} {self.unit}"
+        return f"{self.link} {deep} beyond the {self.level} distance of {self.zone} at {self.time:.2f} s"
 
 
 class Motion(Protocol):

@@ -31,6 +31,7 @@ Block = tuple[int, int, int, int]
 """Of a height map: first and last row, first and last column."""
 
 _FORMATS = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf", ".3mf")
+SPLIT_FORMATS = (".gltf",)  # whose mesh may lie in other files
 """Suffixes of mesh files whose vertices can be looked at as they stand in the file: trimesh drops triangles at NaN."""
 
 _RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge

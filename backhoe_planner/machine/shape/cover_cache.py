@@ -17,9 +17,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.files.cache import caches, keep_entry, maker_digest, read_entry
-from backhoe_planner.machine.shape.convex import cover_with_surface, load_mesh
+from backhoe_planner.machine.shape.convex import SPLIT_FORMATS, cover_with_surface, load_mesh
 
-_WHOLE = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # suffixes of files that hold their mesh in themselves
 _LIBRARIES = ("vhacdx", "trimesh", "pycollada", "scipy", "numpy")
 _MAKERS = ("convex.py", "shapes.py", "thinning.py")  # beside this file
 
@@ -60,7 +59,7 @@ def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: f
     InputError: see `load_mesh` and `convex_cover`.
     """
     entry, key = None, b""
-    if path.suffix.lower() in _WHOLE:
+    if path.suffix.lower() not in SPLIT_FORMATS:
         with contextlib.suppress(OSError, RuntimeError, ImportError):  # `load_mesh` says what is wrong; or no home
             key = _key(path.read_bytes(), scale, pieces, excess)
             entry = cache_folder() / f"{key.hex()}.pieces"

@@ -63,6 +63,6 @@ def find_clear_joint(world: World, q: Vector, *, time: float = 0.0) -> ClearJoin
         if kept.any():
             found = int(np.argmax(kept))
             joint = int(joints[found])
-            unit = "m" if robot.prismatic[joint] else "rad"
-            return ClearJoint(robot.joint_names[joint], float(q[joint]), float(values[found]), unit)
+            name, unit = robot.joint_names[joint], robot.joint_units[joint]
+            return ClearJoint(name, float(q[joint]), float(values[found]), unit)
     return None

@@ -97,7 +97,7 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     limits, names = world.problem.limits, world.problem.robot.joint_names
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
-        units = np.where(world.problem.robot.prismatic, "m", "rad")
+        units = world.problem.robot.joint_units
         meant = angles_in_degrees(world.problem, q)
         words = "; ".join(
             f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g} {units[j]}, "
