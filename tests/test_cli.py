@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time as clock
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,13 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
         return caught.value.code, said.out, said.err
 
     return call
+
+
+@cache
+def validator_of(schema: str) -> jsonschema.Draft202012Validator:
+    """Of a schema as it is printed; that it is one itself is checked here, once, since that takes the longest."""
+    jsonschema.Draft202012Validator.check_schema(json.loads(schema))
+    return jsonschema.Draft202012Validator(json.loads(schema))
 
 
 def scene_file(folder: Path, content: Data | str = REACH) -> Path:
@@ -114,7 +122,7 @@ def test_check_lists_every_zone(run: Run, tmp_path: Path) -> None:
 def test_the_machine_itself_and_what_is_asked_of_the_tip_are_said_in_words(run: Run, tmp_path: Path) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}]
     scene = {"version": 1, "objective": "effort", "task": {"path": {"waypoints": points, "speed": 0.4}}}
-    _, planned, _ = run("plan", "example:backhoe", scene_file(tmp_path, scene), "-o", "out.json")
+    _, planned, _ = run("plan", "example:backhoe", scene_file(tmp_path, scene), "-o", "out.json", *QUICK)
     _, checked, _ = run("check", "out.json")
     assert re.search(r"between \w+ and the machine itself \(\w+\) ", planned)
     assert "the machine itself (" in checked
@@ -216,7 +224,7 @@ def test_a_path_tells_its_speed_and_its_approach(run: Run, tmp_path: Path) -> No
     points = [{"position": [2.0, -0.6, 0.0]}, {"position": [2.0, 0.6, 0.0]}]
     scene = {"version": 1, "start": {"joints": JOINTS}, "task": {"path": {"waypoints": points, "speed": 0.4}}}
     file = scene_file(tmp_path, scene | {"objective": "velocity_norm"})
-    status, said, _ = run("plan", PLANAR4, file, "-o", "out.json")
+    status, said, _ = run("plan", PLANAR4, file, "-o", "out.json", *QUICK)
     assert status == 0
     metrics = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["metrics"]
     kept = metrics["asked_speed"]["kept_percent"]
@@ -265,11 +273,9 @@ def test_json_is_all_that_is_printed(run: Run, tmp_path: Path) -> None:
 
 def test_schema_is_a_json_schema(run: Run) -> None:
     status, said, _ = run("schema")
-    schema = json.loads(said)
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(REACH, schema)
+    validator_of(said).validate(REACH)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(REACH | {"clearence": 0.1}, schema)
+        validator_of(said).validate(REACH | {"clearence": 0.1})
     assert status == 0
 
 
@@ -277,15 +283,14 @@ def test_schema_is_a_json_schema(run: Run) -> None:
 def test_the_schema_of_a_job_or_study_takes_the_examples_and_is_named_in_them(run: Run, kind: str, folder: str) -> None:
     status, said, _ = run("schema", kind)
     assert status == 0
-    schema, beside = json.loads(said), ROOT / folder
-    jsonschema.Draft202012Validator.check_schema(schema)
-    assert json.loads((beside / f"{kind}.schema.json").read_text(encoding="utf-8")) == schema
+    beside = ROOT / folder
+    assert json.loads((beside / f"{kind}.schema.json").read_text(encoding="utf-8")) == json.loads(said)
     files = list(beside.glob("*.yaml"))
     assert files
     for file in files:
         text = file.read_text(encoding="utf-8")
         assert text.startswith(f"# yaml-language-server: $schema={kind}.schema.json\n")
-        jsonschema.validate(yaml.safe_load(text), schema)
+        validator_of(said).validate(yaml.safe_load(text))
 
 
 @pytest.mark.parametrize(
@@ -304,9 +309,9 @@ def test_the_schema_of_a_job_or_study_refuses_what_is_wrong(run: Run, kind: str,
     _, said, _ = run("schema", kind)
     example = {"job": "scenes/jobs/long_trench.yaml", "study": "scenes/studies/clearance_and_place.yaml"}[kind]
     content = yaml.safe_load((ROOT / example).read_text(encoding="utf-8"))
-    jsonschema.validate(content, json.loads(said))
+    validator_of(said).validate(content)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(content | wrong, json.loads(said))
+        validator_of(said).validate(content | wrong)
 
 
 def test_a_schema_of_another_file_is_refused_with_those_there_are(run: Run) -> None:
@@ -407,7 +412,7 @@ def test_a_mesh_that_is_open_is_said_once_by_plan_check_and_inspect(run: Run, tm
 
 def test_one_run_as_a_program(tmp_path: Path) -> None:
     done = subprocess.run(
-        [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), "-o", str(tmp_path / "plan.json")],
+        [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), *QUICK, "-o", str(tmp_path / "plan.json")],
         capture_output=True, text=True, timeout=PATIENCE, env=ENVIRONMENT, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
@@ -418,7 +423,7 @@ LOST = "error: the output cannot be written: {}\n"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-@pytest.mark.parametrize("command", [["schema"], ["inspect", PLANAR4], ["--help"]])
+@pytest.mark.parametrize("command", [pytest.param(["schema"], marks=pytest.mark.long), ["inspect", PLANAR4], ["--help"]])
 def test_where_the_output_is_lost_there_is_no_traceback(command: list[str]) -> None:
     assert with_output("/dev/full", command) == (2, LOST.format("No space left on device"))
 
@@ -507,7 +512,7 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == [scene]
 
 
-@pytest.mark.parametrize("after", [0.05, 0.15, 0.3, 0.5, 0.7])
+@pytest.mark.parametrize("after", [0.05, 0.3, 0.7, *(pytest.param(t, marks=pytest.mark.long) for t in (0.15, 0.5))])
 def test_interrupted_while_it_still_imports_there_is_no_traceback(tmp_path: Path, after: float) -> None:
     scene, plan_file = scene_file(tmp_path, TO_AND_FRO), tmp_path / "plan.json"
     with subprocess.Popen(

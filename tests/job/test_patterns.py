@@ -181,7 +181,7 @@ def test_rows_of_places_have_the_joints_that_each_row_has_alone() -> None:
     np.testing.assert_allclose(site.plane.place(q[found]), wanted, atol=1e-9)
 
 
-@pytest.mark.parametrize("width", [0.67, 0.75])
+@pytest.mark.parametrize("width", [0.67, pytest.param(0.75, marks=pytest.mark.long)])
 def test_the_proof_of_a_cut_along_a_wall_has_all_of_the_soil_and_is_found_again(width: float, tmp_path: Path) -> None:
     """Along a wall the ends of the blade take what a profile of its middle does not see."""
     dig = {"trench": {"from": [4.2, 0.0], "to": [2.9, 0.0], "width": width, "depth": 0.4}}
