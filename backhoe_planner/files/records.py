@@ -8,12 +8,13 @@ allowed, with the nearest name for a key that does not exist.
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import itertools
 import math
 import re
-import textwrap
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 from pydantic import (
@@ -90,11 +91,7 @@ class Record(BaseModel):
 
 def _described_fields(record: type[BaseModel]) -> dict[str, str]:
     """The docstrings below the fields that a record itself adds."""
-    (body,) = (
-        node.body
-        for node in ast.parse(textwrap.dedent(inspect.getsource(record))).body
-        if isinstance(node, ast.ClassDef)
-    )
+    body = _classes_of(record.__module__)[record.__qualname__]
     return {
         field.target.id: inspect.cleandoc(text.value.value)
         for field, text in itertools.pairwise(body)
@@ -104,6 +101,23 @@ def _described_fields(record: type[BaseModel]) -> dict[str, str]:
         and isinstance(text.value, ast.Constant)
         and isinstance(text.value.value, str)
     }
+
+
+@functools.cache
+def _classes_of(module: str) -> dict[str, list[ast.stmt]]:
+    """The bodies of a module's classes by their qualified names; `inspect` reads the whole module for each class."""
+    return dict(_class_bodies(ast.parse(inspect.getsource(sys.modules[module])), ""))
+
+
+def _class_bodies(node: ast.AST, within: str) -> Iterator[tuple[str, list[ast.stmt]]]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.ClassDef):
+            yield within + child.name, child.body
+            yield from _class_bodies(child, f"{within}{child.name}.")
+        elif isinstance(child, ast.FunctionDef):
+            yield from _class_bodies(child, f"{within}{child.name}.<locals>.")
+        elif isinstance(child, ast.stmt):
+            yield from _class_bodies(child, within)
 
 
 def exactly_one(*keys: str) -> Any:
