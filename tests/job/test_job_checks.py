@@ -135,7 +135,7 @@ def test_a_job_of_which_only_a_last_cut_along_a_wall_has_no_way_is_not_blocked(
         return plan(planner, number, at, state, chosen)
 
     monkeypatch.setattr(CyclePlanner, "plan", without_walls)
-    found = plan_job(small_job(dig=trench(width=0.8)), effort="quick")
+    found = plan_job(small_job(dig=trench(**{"from": [4.4, 0.0], "to": [3.7, 0.0], "width": 0.8})), effort="quick")
     assert found.cycles
     assert found.reason == "not_done"
     assert re.fullmatch(r"the design is missed by [\d.]+ cm, and no cut .*: the plate rubs", found.note)

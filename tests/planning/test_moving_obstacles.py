@@ -14,7 +14,8 @@ Data = dict[str, Any]
 
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 GOAL: Data = {"goal": {"position": [1.5, 4.0, 0.5]}}
-PATH: Data = {"path": {"waypoints": [{"position": [4.0, 0.0, 0.3]}, {"position": [3.0, 2.8, 0.3]}], "speed": 0.4}}
+ENDS = ([4.0, 0.0, 0.3], [3.0, 2.8, 0.3])  # with a pitch, so that no joint is left to choose
+PATH: Data = {"path": {"waypoints": [{"position": at, "pitch": -1.6} for at in ENDS], "speed": 0.4}}
 WORKER: Data = {"name": "worker", "shape": "capsule", "radius": 0.3}
 CROSSING = WORKER | {"from": [3.5, 4.0, -0.5], "to": [3.5, 4.0, 1.0], "velocity": [0.0, -0.4, 0.0]}
 

@@ -29,11 +29,12 @@ from backhoe_planner.planning.sequence.plan_task import plan_problem
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
+CUT = ([2.5, 2.0, 1.0], [2.2, 1.8, 1.0])  # with a pitch, so that no joint is left to choose
 LEGS: list[dict[str, Any]] = [
     {"name": "reach", "goal": {"position": [4.0, 0.0, 0.8]}},
     {"name": "swing", "goal": {"position": [2.5, 2.5, 1.2]}, "payload": 250.0, "speed": 1.0, "keep": {"above": 0.5}},
     {"name": "rest", "wait": 0.7},
-    {"name": "cut", "path": {"waypoints": [{"position": [2.5, 2.0, 1.0]}, {"position": [2.2, 1.8, 1.0]}]}},
+    {"name": "cut", "path": {"waypoints": [{"position": at, "pitch": -1.2} for at in CUT]}},
 ]
 
 
