@@ -93,8 +93,8 @@ def test_a_bound_is_exact_where_the_points_of_before_are_hardly_further_apart(ba
     separation.add(0, build_obstacles(scene, backhoe)[0])
     separation.place_at(0, np.zeros(3))
     rng, said = np.random.default_rng(12), []
-    for turn in range(40):
-        q, small = rng.uniform(-0.4, 0.4, 4) + np.array([0.2, 0.3, -0.9, -0.5]), turn < 20
+    for turn in range(16):
+        q, small = rng.uniform(-0.4, 0.4, 4) + np.array([0.2, 0.3, -0.9, -0.5]), turn < 8
         at.place(0, q)
         pairs = range(len(separation))
         before = [separation.renew(pair, at, 0) for pair in pairs]

@@ -576,7 +576,7 @@ def test_flush_faces_are_measured_as_the_closed_formula_for_boxes_has_it(planar4
     (block,) = build(planar4, {"shape": "box", "size": size.tolist()})
     data = planar4.model.createData()
     touching = inside = 0
-    for sample in range(400):
+    for sample in range(200):
         q = rng.choice([0.0, np.pi / 2.0, -np.pi / 2.0], 4)
         at = np.round(2.0 * rng.uniform(-3.0, 3.0, 3)) / 2.0 * [1.0, 1.0, 0.2]
         at += rng.choice([0.0, 1e-12, -1e-12, 1e-9, -1e-9, 1e-7], 3)
