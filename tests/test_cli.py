@@ -157,9 +157,9 @@ def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -
     [
         (None, r"duration +\d+\.\d\d s \(\d+ samples\), the objective\n"),
         ("work", r"work +[\d.]+ J \(gravity and inertia\), the objective\n"),
-        ("velocity_norm", r"objective +velocity_norm [\d.]+ rad\^2/s\n"),
+        pytest.param("velocity_norm", r"objective +velocity_norm [\d.]+ rad\^2/s\n", marks=pytest.mark.long),
         ("kinetic", r"objective +kinetic [\d.]+ J s\n"),
-        ("effort", r"objective +effort [\d.]+ \(kN m\)\^2 s\n"),
+        pytest.param("effort", r"objective +effort [\d.]+ \(kN m\)\^2 s\n", marks=pytest.mark.long),
     ],
 )
 def test_the_objective_of_a_motion_to_a_goal_is_told_with_its_unit(
@@ -423,7 +423,9 @@ LOST = "error: the output cannot be written: {}\n"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-@pytest.mark.parametrize("command", [pytest.param(["schema"], marks=pytest.mark.long), ["inspect", PLANAR4], ["--help"]])
+@pytest.mark.parametrize(
+    "command", [pytest.param(["schema"], marks=pytest.mark.long), ["inspect", PLANAR4], ["--help"]]
+)
 def test_where_the_output_is_lost_there_is_no_traceback(command: list[str]) -> None:
     assert with_output("/dev/full", command) == (2, LOST.format("No space left on device"))
 

@@ -106,7 +106,7 @@ def test_a_command_gives_linear_algebra_one_thread_unless_it_is_told_how_many(as
     assert done.stdout.splitlines()[-1] == f"{['1', given, '1']} True"
 
 
-@pytest.mark.parametrize("scene", ["yard", "wall"])
+@pytest.mark.parametrize("scene", [pytest.param("yard", marks=pytest.mark.long), "wall"])
 def test_a_step_of_the_servo_loads_nothing(scene: str) -> None:
     """Loading would stall the loop."""
     code = (

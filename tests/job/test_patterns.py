@@ -40,7 +40,7 @@ def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: 
     assert bank == pytest.approx((1.8 * 0.8 - wedges) * site.bucket.width, rel=0.05)
 
 
-@pytest.mark.parametrize("width", [0.7, 0.9])
+@pytest.mark.parametrize("width", [0.7, pytest.param(0.9, marks=pytest.mark.long)])
 def test_a_trench_wider_than_the_bucket_is_dug_to_its_walls(width: float) -> None:
     """In a trench of 1.5 m, 0.4 m deep, no whole column stands more than the tolerance above what may be dug."""
     dig = {"trench": {"from": [4.2, 0.0], "to": [2.7, 0.0], "width": width, "depth": 0.4}}
@@ -130,7 +130,7 @@ def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
     assert np.max((now.surface - allowed)[site.share > 1.0 - 1e-9]) <= 0.05
 
 
-@pytest.mark.parametrize("x", [0.3, 0.0])
+@pytest.mark.parametrize("x", [0.3, pytest.param(0.0, marks=pytest.mark.long)])
 def test_the_bucket_has_room_behind_the_teeth_wherever_the_lowest_line_leads_them(x: float) -> None:
     """At the best of many pitches, against the ground that is left there; a cut keeps 3 cm."""
     site, (lane,) = across_a_pipe(x)

@@ -53,7 +53,7 @@ def plain_answer(
     return np.clip(found.x, low, high)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_the_answer_is_that_of_the_whole_program(any_robot: Robot, seed: int) -> None:
     robot, limits = any_robot, any_robot.limits
     rng, kinematics, shield = np.random.default_rng(seed), Kinematics(any_robot), Shield(any_robot.limits)

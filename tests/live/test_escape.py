@@ -177,7 +177,7 @@ def test_where_nothing_leads_out_it_stays_and_gets_no_deeper(backhoe: Robot) -> 
     assert servo.way_to_go is None
 
 
-@pytest.mark.parametrize("joint", [1, 3])
+@pytest.mark.parametrize("joint", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_outside_a_limit_and_inside_an_obstacle_both_shrink(backhoe: Robot, joint: int) -> None:
     q = np.array([0.0, 0.3, -0.9, -0.5])
     q[joint] = backhoe.limits.lower[joint] - 0.06

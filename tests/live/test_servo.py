@@ -89,7 +89,7 @@ def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
 def test_braking_stays_on_the_path_that_was_proven() -> None:
     """Step by step, in proportion, it ends before e and never leaves the line."""
     rng = np.random.default_rng(3)
-    for _ in range(50):
+    for _ in range(12):
         v, acceleration, dt = rng.normal(size=4), rng.uniform(0.3, 3.0, 4), 0.001
         path = BrakingPath(
             np.zeros(4), v, 0.0, acceleration=tuple(acceleration.tolist()), furthest=np.ones(4), turning=np.ones(4)
@@ -424,7 +424,7 @@ def test_from_a_slide_far_outside_its_limit_nothing_is_swung_into(tmp_path: Path
     assert turned > 0.4  # it did come near
 
 
-@pytest.mark.parametrize("depth", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize("depth", [0.02, pytest.param(0.1, marks=pytest.mark.long), 0.2])
 def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Robot, depth: float) -> None:
     clear = bp.Kinematics(backhoe).at(np.array(STANDING)).tip_position
     centre = (clear + np.array([0.0, 0.0, depth - 0.3])).tolist()
@@ -467,7 +467,7 @@ def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity
 
 
 # each shape with each kind of wish; scripts/study_servo.py --recoveries has many more
-@pytest.mark.parametrize("seed", [0, 3, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 4, 5, 8))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 3, 4, 5, 8))])
 def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
     q, scene, proximity = started_inside(backhoe, seed)
     rng = np.random.default_rng(seed)
@@ -691,7 +691,7 @@ def test_the_force_resists_what_is_refused_and_is_bounded() -> None:
     assert np.linalg.norm(force) <= 30.0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 4))])
 def test_the_force_never_feeds_energy_to_the_hand(seed: int) -> None:
     """Random motions of a hand that return to where they began, random refusals: the work is never above 1e-6 J."""
     rng = np.random.default_rng(seed)

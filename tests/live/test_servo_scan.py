@@ -401,7 +401,7 @@ def test_boxes_that_hold_less_of_the_path_than_those_before_are_put_back(
     assert put_back >= 2
 
 
-@pytest.mark.parametrize("depth", [0.1, 0.3])
+@pytest.mark.parametrize("depth", [0.1, pytest.param(0.3, marks=pytest.mark.long)])
 def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: float) -> None:
     q = np.array([0.1, 0.1, -1.3, -0.8])
     data = backhoe.model.createData()
@@ -440,7 +440,7 @@ def slid_along_a_wall(backhoe: Robot, *, most: int = 330) -> Servo:
     return servo
 
 
-@pytest.mark.parametrize("places", [cluster_pairs.SLOTS, 2])
+@pytest.mark.parametrize("places", [cluster_pairs.SLOTS, pytest.param(2, marks=pytest.mark.long)])
 def test_boxes_that_are_found_anew_do_not_lock_it_beside_the_cells(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch, places: int
 ) -> None:

@@ -185,7 +185,7 @@ def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
     assert back[-1].q[0] < forth[-1].q[0] - 0.3
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("is_beside_a_wall", [False, True])
 def test_rounding_decides_nothing(backhoe: Robot, seed: int, *, is_beside_a_wall: bool) -> None:
     """Two machines that stand 1e-13 rad apart go alike, also where joints change by all they can, or slide."""
@@ -280,7 +280,7 @@ def test_the_work_of_a_step_is_bounded_between_hundreds_of_obstacles(panda: Robo
     assert max(work.iterations for work in works) < 48  # two problems of 24 rows
 
 
-@pytest.mark.parametrize("clearance", [0.05, 0.3, 0.5])
+@pytest.mark.parametrize("clearance", [0.05, pytest.param(0.3, marks=pytest.mark.long), 0.5])
 def test_the_work_of_a_step_is_bounded_as_somebody_walks_into_the_machine(panda: Robot, clearance: float) -> None:
     """Somebody of 0.25 m radius comes at 0.4 m/s and walks through the arm: nothing that moves away helps."""
     robot = panda.with_tip("panda_hand")
@@ -300,7 +300,7 @@ def test_the_work_of_a_step_is_bounded_as_somebody_walks_into_the_machine(panda:
     assert most > 10  # it was in the way
 
 
-@pytest.mark.parametrize("clearance", [0.05, 0.3])
+@pytest.mark.parametrize("clearance", [0.05, pytest.param(0.3, marks=pytest.mark.long)])
 def test_between_somebody_and_a_post_every_step_is_proven(panda: Robot, clearance: float) -> None:
     """Standing still keeps clear of the post: somebody who walks into the arm must not weigh against that."""
     robot = panda.with_tip("panda_hand")

@@ -347,7 +347,7 @@ def test_a_shape_beside_the_wall_of_a_map_is_as_far_as_the_wall(cell: float) -> 
         np.testing.assert_allclose(found.normal, [-1.0, 0.0, 0.0], atol=1e-4)
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.3])
+@pytest.mark.parametrize("roughness", [0.0, pytest.param(0.3, marks=pytest.mark.long)])
 def test_what_is_in_the_ground_is_at_least_as_deep_as_is_said(roughness: float) -> None:
     """Moved by less than its depth, whichever way, it still touches; out of even ground it gets straight up."""
     rng, sunk = np.random.default_rng(8), 0
@@ -381,7 +381,7 @@ def test_what_is_in_the_ground_is_at_least_as_deep_as_is_said(roughness: float) 
 
 
 @needs_native
-@pytest.mark.parametrize("roughness", [0.0, 0.02, 0.5])
+@pytest.mark.parametrize("roughness", [0.0, pytest.param(0.02, marks=pytest.mark.long), 0.5])
 def test_ground_is_as_near_as_its_trees_say(roughness: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiled search of the cells beside coal's trees of triangles, for every kind of piece."""
     rng = np.random.default_rng(int(100 * roughness))

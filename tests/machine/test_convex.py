@@ -81,7 +81,10 @@ SOLIDS = {
 
 @pytest.mark.parametrize(
     ("mesh", "open_at"),
-    [pytest.param(*solid, id=name, marks=[pytest.mark.long] * (name == "pipe")) for name, solid in SOLIDS.items()],
+    [
+        pytest.param(*solid, id=name, marks=[pytest.mark.long] * (name in ("pipe", "torus")))
+        for name, solid in SOLIDS.items()
+    ],
 )
 def test_cover_holds_the_whole_surface_and_leaves_the_cavity_open(
     mesh: trimesh.Trimesh, open_at: list[tuple[float, float, float]]
@@ -160,7 +163,17 @@ def gap(piece: shapes.Piece, centre: Matrix, radius: float) -> float:
 SPREAD = [10.0**power for power in (-320, -12, -9, -8, -7, -6, -5, 0)]
 
 
-@pytest.mark.parametrize("size", [1e-300, 1e-6, 0.01, 1.0, 100.0, 1e5])
+@pytest.mark.parametrize(
+    "size",
+    [
+        1e-300,
+        pytest.param(1e-6, marks=pytest.mark.long),
+        0.01,
+        pytest.param(1.0, marks=pytest.mark.long),
+        pytest.param(100.0, marks=pytest.mark.long),
+        1e5,
+    ],
+)
 def test_points_spread_by_however_little_make_a_piece_that_holds_them(size: float) -> None:
     """What is nearly flat, a needle or a point, and bundles of points that nearly coincide."""
     rng = np.random.default_rng(11)

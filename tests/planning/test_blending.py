@@ -180,6 +180,9 @@ def test_the_motion_keeps_to_the_way_and_its_limits_and_wastes_no_time(planar4: 
     assert trajectory.duration < 0.9 * stopping.duration
 
 
+@pytest.mark.parametrize(
+    "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
+)
 def test_between_the_samples_the_motion_is_as_near_the_way_as_promised(any_robot: Robot) -> None:
     """The chord's height moves no link further than the travel bound of the sagitta."""
     rng = np.random.default_rng(5)

@@ -84,7 +84,7 @@ def test_a_plan_along_a_path_has_no_bound(around_a_ball: bp.Plan) -> None:
     assert around_a_ball.bound is None
 
 
-@pytest.mark.parametrize("index", range(2))
+@pytest.mark.parametrize("index", [0, *(pytest.param(index, marks=pytest.mark.long) for index in range(1, 2))])
 @pytest.mark.parametrize("machine", ["planar4", "backhoe", "panda"])
 def test_plans_of_random_sites_take_longer(machine: str, index: int) -> None:
     """Also where the search does not know how long a motion takes, nor where it ends."""

@@ -48,7 +48,7 @@ def circle(turns: float) -> list[dict[str, list[float]]]:
     return [{"position": [RADIUS * np.cos(a), RADIUS * np.sin(a), 0.0]} for a in angles.tolist()]
 
 
-@pytest.mark.parametrize(("turns", "first"), [(1.0, 0.0), (-1.0, 20.0)])
+@pytest.mark.parametrize(("turns", "first"), [(1.0, 0.0), pytest.param(-1.0, 20.0, marks=pytest.mark.long)])
 def test_a_path_around_the_base_turns_the_joint_once(crank: bp.Robot, turns: float, first: float) -> None:
     """Whatever turn the joint begins in; never back by a turn where pi is passed."""
     bend = np.arccos((RADIUS**2 - SHOULDER**2 - ELBOW**2) / (2.0 * SHOULDER * ELBOW))

@@ -91,7 +91,7 @@ def bent_path(corner: list[float], **keys: object) -> bp.Scene:
     return bp.scene_from_dict({"version": 1, "task": {"path": path}})
 
 
-@pytest.mark.parametrize("beyond", [0.002, 0.004])
+@pytest.mark.parametrize("beyond", [pytest.param(0.002, marks=pytest.mark.long), 0.004])
 def test_a_corner_out_of_reach_by_less_than_the_tolerance_is_followed_within_it(beyond: float) -> None:
     """The planar arm is 4 m long: the tip comes no nearer to the corner than by what the corner is beyond."""
     robot = bp.load_robot("example:planar4")

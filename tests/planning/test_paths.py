@@ -269,7 +269,10 @@ def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     assert missed == 0
 
 
-@pytest.mark.parametrize(("machine", "index", "seed"), [("telescope", 7, 99131), ("panda", 8, 98911)])
+@pytest.mark.parametrize(
+    ("machine", "index", "seed"),
+    [("telescope", 7, 99131), pytest.param("panda", 8, 98911, marks=pytest.mark.long)],
+)
 def test_a_path_to_which_a_way_is_known_is_not_called_blocked(machine: str, index: int, seed: int) -> None:
     """One needs postures far from those of the usual guesses, the other a curve of self-motion beside another."""
     robot = load_machine(machine)

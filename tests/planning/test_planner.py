@@ -56,16 +56,16 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("name", "machine", "refine"),
     [
-        ("levelling", "backhoe", 0),
+        pytest.param("levelling", "backhoe", 0, marks=pytest.mark.long),
         ("level_bucket", "backhoe", 0),
-        ("loaded_swing", "backhoe", 0),
+        pytest.param("loaded_swing", "backhoe", 0, marks=pytest.mark.long),
         ("paper_planar", "planar4", 10),
         ("pole", "backhoe", 1),
-        ("trench", "backhoe", 0),
+        pytest.param("trench", "backhoe", 0, marks=pytest.mark.long),
         ("trench_cut", "backhoe", 0),
         ("truck", "backhoe", 0),
         ("wall", "backhoe", 1),
-        ("worker", "backhoe", 1),
+        pytest.param("worker", "backhoe", 1, marks=pytest.mark.long),
     ],
 )
 def test_every_scene_of_the_project_is_solved(

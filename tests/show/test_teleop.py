@@ -567,7 +567,7 @@ def test_what_was_dragged_away_and_back_is_noted(backhoe: Robot) -> None:
     assert recording.notes == [f"pole was moved until {moved:.2f} s; where it was before is left out"]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 3))])
 def test_whatever_is_done_to_the_site_is_in_the_recording_or_in_its_notes(seed: int, backhoe: Robot) -> None:
     """At every moment, what stood there is where the recording has it, or a note names it; so is what did not."""
     rng = np.random.default_rng(seed)

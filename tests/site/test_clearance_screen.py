@@ -68,6 +68,9 @@ def test_pairs_that_are_known_to_be_apart_are(any_robot: bp.Robot, time: float) 
         assert screen.first_not_kept_unchecked(q) == [*kept, False].index(False)
 
 
+@pytest.mark.parametrize(
+    "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
+)
 def test_what_is_told_without_coal_is_what_coal_measures(any_robot: bp.Robot) -> None:
     """Balls, boxes, capsules, prisms and half-spaces that overlap the machine, touch it nearly, and stand away."""
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.0, "obstacles": OBSTACLES[:-1]})

@@ -28,7 +28,7 @@ def ground_beside(robot: Robot, roughness: float, rng: np.random.Generator) -> C
 
 
 @needs_native
-@pytest.mark.parametrize("roughness", [0.0, 0.3])
+@pytest.mark.parametrize("roughness", [0.0, pytest.param(0.3, marks=pytest.mark.long)])
 def test_verdicts_and_readings_are_those_of_each_link_alone(backhoe: Robot, roughness: float) -> None:
     rng = np.random.default_rng(int(10 * roughness))
     pieces = [own for own in backhoe.pieces if own.joint]

@@ -56,7 +56,7 @@ def terms(soil: Soil, depth: float, rake: float, beta: Array, width: float) -> A
 
 
 @pytest.mark.parametrize("soil", SOILS.values(), ids=SOILS.keys())
-@pytest.mark.parametrize("depth", [0.01, 0.2, 1.0])
+@pytest.mark.parametrize("depth", [0.01, pytest.param(0.2, marks=pytest.mark.long), 1.0])
 def test_the_failure_angle_is_the_one_that_brute_force_finds(soil: Soil, depth: float) -> None:
     for rake in np.radians([15.0, 30.0, 45.0, 60.0]):
         delta = 2.0 / 3.0 * soil.friction if soil.tool_friction is None else soil.tool_friction

@@ -110,7 +110,7 @@ def test_building_ends_with_the_first_column_too_many(built: list[Counted]) -> N
     assert calls(built) < 2 * 2 * 25
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.long)])
 def test_counting_first_changes_no_column(seed: int) -> None:
     rng = np.random.default_rng(seed)
     heights = waves(24, 5.0) + rng.uniform(0.0, 0.05 * seed, (24, 24))

@@ -58,10 +58,9 @@ def answer() -> bp.StandPlan:
 @pytest.mark.parametrize(
     "keys",
     [
-        {"soil": {"cohesion": 120_000.0}},
-        {"bucket": {"capacity": 1.5}},
+        pytest.param({"soil": {"cohesion": 120_000.0}}, marks=pytest.mark.long, id="hard soil"),
+        pytest.param({"bucket": {"capacity": 1.5}}, id="large bucket"),
     ],
-    ids=["hard soil", "large bucket"],
 )
 def test_where_no_cut_fills_the_bucket_the_fullest_count(keys: dict[str, Any]) -> None:
     """Such jobs are dug; that no cut is full was told as a soil in which none can be made."""
