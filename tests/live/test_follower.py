@@ -571,12 +571,17 @@ def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be
         assert followed(follower, 6000)[-1].done
 
 
-def test_a_plan_for_other_joints_is_refused(backhoe: Robot, planar4: Robot) -> None:
+@pytest.fixture(scope="module")
+def planar(planar4: Robot) -> bp.Plan:
+    """Of an arm of four joints in a plane, to a goal."""
     joints = dict(zip(planar4.joint_names, [0.3, 0.4, 0.5, 0.2], strict=True))
     content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [1.5, 1.5, 0.0]}}}
-    plan = bp.plan(planar4, bp.scene_from_dict(content))
+    return bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
+
+
+def test_a_plan_for_other_joints_is_refused(backhoe: Robot, planar: bp.Plan) -> None:
     with pytest.raises(bp.InputError, match="for other joints"):
-        PlanFollower(Servo(backhoe, site(backhoe), DT), plan)
+        PlanFollower(Servo(backhoe, site(backhoe), DT), planar)
 
 
 def failed(plan: bp.Plan, samples: int) -> bp.Plan:
@@ -587,9 +592,9 @@ def failed(plan: bp.Plan, samples: int) -> bp.Plan:
     return found
 
 
-def test_a_plan_that_failed_is_refused_unless_it_is_allowed_by_name(around_a_ball: bp.Plan) -> None:
-    robot, scene = around_a_ball.robot, around_a_ball.scene
-    part = failed(around_a_ball, 60)
+def test_a_plan_that_failed_is_refused_unless_it_is_allowed_by_name(planar: bp.Plan) -> None:
+    robot, scene = planar.robot, planar.scene
+    part = failed(planar, len(planar.trajectory) // 2)
     servo = Servo(robot, scene, q=part.trajectory.q[0])
     with pytest.raises(bp.InputError, match=f"plan: .*failed: {part.reason}.*allow_failed=True"):
         PlanFollower(servo, part)
@@ -599,8 +604,8 @@ def test_a_plan_that_failed_is_refused_unless_it_is_allowed_by_name(around_a_bal
 
 
 @pytest.mark.parametrize("allow_failed", [False, True])
-def test_a_plan_that_failed_without_a_motion_never_arrives(around_a_ball: bp.Plan, allow_failed: bool) -> None:
-    alone = failed(around_a_ball, 1)
+def test_a_plan_that_failed_without_a_motion_never_arrives(planar: bp.Plan, allow_failed: bool) -> None:
+    alone = failed(planar, 1)
     servo = Servo(alone.robot, alone.scene, q=alone.trajectory.q[0])
     with pytest.raises(bp.InputError, match="plan: "):
         PlanFollower(servo, alone, allow_failed=allow_failed)

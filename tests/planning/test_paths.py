@@ -208,7 +208,8 @@ def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
 # --- seven joints -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("index", [0, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("index", [0, 4])
 def test_seven_joints_follow_full_poses_among_boxes(index: int) -> None:
     """At most 1 mm and 0.1 degrees off between the waypoints too, without a jump."""
     robot = load_machine("panda")

@@ -15,6 +15,9 @@ from backhoe_planner.site import Proximity
 APART = {False: 0.04, True: 0.08}  # m between two looks, in a hurry or not: midway no distance is less by half of it
 
 
+@pytest.mark.parametrize(
+    "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
+)
 @pytest.mark.parametrize("hurried", [False, True])
 def test_beside_proofs_and_dense_measurements(any_robot: bp.Robot, hurried: bool) -> None:
     """Random motions among balls, corners too."""

@@ -47,7 +47,8 @@ def a_plan(robot: Robot, *, samples: int = 40, name: str = "_a $1 \N{LATIN SMALL
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", [".png", pytest.param(".pdf", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("suffix", [".png", ".pdf"])
 def test_a_plan_is_plotted_in_every_format(backhoe: Robot, tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"plan{suffix.upper() if suffix == '.png' else suffix}"
     plot_plan(a_plan(backhoe), file)
