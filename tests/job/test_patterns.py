@@ -19,10 +19,10 @@ from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, allowed_heigh
 
 @pytest.mark.parametrize(("cell", "off"), [pytest.param(0.025, 0.009, marks=pytest.mark.long), (0.05, 0.031)])
 def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: float, off: float) -> None:
-    """A trench of 1.8 m, 0.8 m deep: near its end boom and stick only clear the ground with the bucket drawn in."""
+    """A trench of 1.4 m, 0.8 m deep: near its end boom and stick only clear the ground with the bucket drawn in."""
     low = np.array([0.5, -1.5]) + off
     ground = {"low": low.tolist(), "high": (low + np.array([5.0, 3.0])).tolist(), "cell": cell}
-    dig = {"trench": {"from": [4.2, 0.0], "to": [2.4, 0.0], "width": 0.6, "depth": 0.8}}
+    dig = {"trench": {"from": [3.8, 0.0], "to": [2.4, 0.0], "width": 0.6, "depth": 0.8}}
     site = build_worksite(
         small_job(ground=ground, dig=dig, site={"clearance": 0.1}, dump={"heap": {"at": [2.5, -1.3]}})
     )
@@ -37,7 +37,7 @@ def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: 
     assert np.max((now.surface - allowed)[site.share > 1.0 - 1e-9]) <= 0.05
     # the section less the wedges at its ends, as wide as the blade
     wedges = 0.5 * 0.8**2 * (1.0 / np.tan(ENTRY) + 1.0 / np.tan(LEAVE))
-    assert bank == pytest.approx((1.8 * 0.8 - wedges) * site.bucket.width, rel=0.05)
+    assert bank == pytest.approx((1.4 * 0.8 - wedges) * site.bucket.width, rel=0.05)
 
 
 @pytest.mark.parametrize("width", [0.7, pytest.param(0.9, marks=pytest.mark.long)])

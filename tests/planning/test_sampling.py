@@ -317,7 +317,10 @@ def test_the_same_seed_gives_the_same_way_bit_for_bit_and_writes_nothing_to_the_
     np.testing.assert_array_equal(first, np.load(tmp_path / "elsewhere.npy"))
 
 
-@pytest.mark.parametrize(("mode", "status"), [pytest.param("fail", 0, marks=pytest.mark.long), ("caught", 7)])
+@pytest.mark.parametrize(
+    ("mode", "status"),
+    [pytest.param("fail", 0, marks=pytest.mark.long), pytest.param("caught", 7, marks=pytest.mark.long)],
+)
 def test_nothing_is_written_to_the_terminal(tmp_path: Path, mode: str, status: int) -> None:
     done = run_script(mode, tmp_path / "way.npy")
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
