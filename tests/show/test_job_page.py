@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_jobs import small_job, tiny_plan
+from small_jobs import small_job
 
 from backhoe_planner.errors import OutputError
-from backhoe_planner.job import JobPlan, job_figures
+from backhoe_planner.job import JobPlan, job_figures, plan_job
 from backhoe_planner.show import write_job_page
 from backhoe_planner.show.job.ground_changes import changes_of, start_of
 from backhoe_planner.show.job.job_facts import job_facts
@@ -23,8 +23,9 @@ from backhoe_planner.show.job.section import section_content
 
 @pytest.fixture(scope="module")
 def plan() -> JobPlan:
-    assert tiny_plan().verified
-    return tiny_plan()
+    made = plan_job(small_job(), effort="quick")
+    assert made.verified
+    return made
 
 
 def unpacked(text: str, kind: str) -> np.ndarray[Any, Any]:
