@@ -13,8 +13,8 @@ that braking in proportion, which keeps the joints' direction, stops within 80 %
 each margin. From a velocity that satisfies the rows, braking satisfies them again: the
 problem stays solvable without slack as long as the obstacles hold still. Outside a
 limit, or closer than the clearance, the bounds ask for the way back. A row that cannot
-be met costs a price instead of an error, and the missing speed is reported. One that no
-velocity within the limits changes asks for nothing, see `soft_solution`.
+be met costs a price instead of an error, and the missing speed is reported. One of
+nothing but rounding asks for nothing, see `soft_solution`.
 """
 
 from __future__ import annotations

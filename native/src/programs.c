@@ -7,7 +7,7 @@
 #define MOST_CONDITIONS (MOST_JOINTS + MOST_ROWS)
 
 static const double KEPT = 1e-6; /* rad/s or m/s, in the measure of the cost: the tolerance of daqp, the plain version */
-static const double UNCHANGED = 1e-5; /* a row that no x within the bounds changes by more is noise; see the plain version */
+static const double ROUNDING = 1e-5; /* a row without a greater entry is noise; see the plain version */
 static const double PRICE = 1e6; /* of what soft rows miss, as of the plain version */
 
 typedef struct {
@@ -146,13 +146,13 @@ PyObject *soft_solution(PyObject *self, PyObject *const *args, Py_ssize_t given)
                 if (row)
                     row[j] = back[j];
             }
-            double change = 0.0;
+            int says = !row;
             if (row)
                 program.h[k - n] = AT(h, k - n);
             for (npy_intp j = 0; row && j < n; j++)
-                change += fabs(row[j]) * 0.5 * (program.high[j] - program.low[j]);
+                says |= fabs(row[j]) > ROUNDING;
             solve_cholesky(L, (int)n, back);
-            program.size[k] = row && !(change > UNCHANGED) ? 0.0 : sqrt(along(&program, k, back));
+            program.size[k] = says ? sqrt(along(&program, k, back)) : 0.0;
         }
     }
     while (!fails) {

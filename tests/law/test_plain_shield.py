@@ -36,7 +36,7 @@ def plain_answer(
 ) -> Vector:
     """(n,) the solution of the whole program, by the module's text.
 
-    Without the rows that no velocity within the bounds changes by 1e-5 m/s.
+    Without the rows of which no entry is above 1e-5 m/rad.
     """
     low, high = plain_bounds(limits, q, v, DT)
     time = float(np.max(np.abs([v, wish]) / limits.acceleration))
@@ -45,7 +45,7 @@ def plain_answer(
     tip = J_tip @ wish
     along = np.outer(tip, tip) / max(float(tip @ tip), 1e-12)
     W = J_tip.T @ (10.0 * (np.eye(3) - along) + along) @ J_tip + 0.05 * np.eye(len(wish))
-    counts = np.abs(nearby.gradient) @ (high - low) > 2e-5
+    counts = np.abs(nearby.gradient).max(axis=1, initial=0.0) > 1e-5
     rows = Rows("clearance", -nearby.gradient[counts], bound[counts])
     program = QuadraticProgram(W, -W @ wish, low, high, (rows,))
     found = solve_program(program)

@@ -117,7 +117,7 @@ def test_a_row_that_the_acceleration_does_not_allow_costs_slack() -> None:
 
 
 @pytest.mark.parametrize("rounding", [0.0, 1e-16, 1e-5])
-def test_a_row_that_no_velocity_changes_asks_for_nothing(rounding: float) -> None:
+def test_a_row_of_rounding_asks_for_nothing(rounding: float) -> None:
     """Of a link that turns about an axis through what is 8 cm too near to it the gradient is rounding alone."""
     found = Shield(two_joints()).filter(
         np.array([0.03, -0.02]), q=np.zeros(2), v_before=np.array([0.03, 0.0]), dt=DT,
@@ -125,6 +125,18 @@ def test_a_row_that_no_velocity_changes_asks_for_nothing(rounding: float) -> Non
     )  # fmt: skip
     np.testing.assert_allclose(found.v, [0.03, -0.02], atol=1e-9)
     assert found.slack == pytest.approx(0.08, abs=1e-6)
+
+
+@pytest.mark.parametrize(("v", "a", "dt"), [(1e-4, 2e-4, 0.02), (0.5, 1.0, 1e-6), (0.5, 1.0, 1e-4)])
+def test_a_slow_machine_and_one_in_short_steps_brake_before_a_wall(v: float, a: float, dt: float) -> None:
+    """A row counts however little a step can change: at full speed, with nothing left, all joints can do is brake."""
+    one = np.ones(2)
+    limits = JointLimits(lower=-one, upper=one.copy(), velocity=v * one, acceleration=a * one, effort=one.copy())
+    found = Shield(limits).filter(
+        np.array([v, 0.0]), q=np.zeros(2), v_before=np.array([v, 0.0]), dt=dt,
+        nearby=rows([[-0.02, 0.0]], [0.0]), J_tip=J_TIP,
+    )  # fmt: skip
+    assert found.v[0] == pytest.approx(v - a * dt, rel=1e-9)
 
 
 def test_an_obstacle_that_comes_nearer_is_evaded() -> None:
