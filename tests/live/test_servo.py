@@ -445,6 +445,20 @@ def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Ro
     assert now >= -1e-6
 
 
+@pytest.mark.parametrize("dt", [1e-3, 1e-4, 1e-5])
+def test_the_way_out_of_an_obstacle_begins_in_short_steps_too(backhoe: Robot, dt: float) -> None:
+    """Beside a post near the swing axis, where a first step from rest gains some 1e-12 m in 10 us."""
+    post = {"name": "post", "shape": "capsule", "from": [0.05, 0.22, 0.3], "to": [0.05, 0.22, 1.2], "radius": 0.02}
+    scene = site(backhoe, [post], [0.0, 0.4, -1.6, -0.9], clearance=0.02)
+    servo = Servo(backhoe, scene, dt=dt)
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    before = float(np.min(proximity.distances(servo.q) - proximity.clearance))
+    assert before < -0.01
+    for _ in range(200):
+        state = servo.step(joint_velocity=[0.8, 0.0, 0.0, 0.0])
+    assert np.min(proximity.distances(state.q) - proximity.clearance) > before
+
+
 def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity]:
     """A random posture with a random obstacle over one of its joints or its tip."""
     rng = np.random.default_rng([seed, 7])

@@ -49,6 +49,11 @@ BROKEN = {
     "joint without a name": (robot_xml(JOINT.replace(' name="hinge"', "")), ["<joint> has no name"]),
     "joint without a parent": (robot_xml(JOINT.replace('<parent link="base"/>', "")), ["joint 'hinge'", "<parent"]),
     "joint without a child": (robot_xml(JOINT.replace('<child link="arm"/>', "")), ["joint 'hinge'", "<child"]),
+    "two geometries in one shape": (
+        robot_xml(arm=solid('<sphere radius="1"/></geometry><geometry><box size="1 1 1"/>')),
+        ["link 'arm' > collision", "more than one <geometry>"],
+    ),
+    "two limits of one joint": (robot_xml(hinge(inside=LIMIT + LIMIT)), ["joint 'hinge'", "more than one <limit>"]),
     "two links of one name": (robot_xml(arm=ARM + ARM), ["two links", "arm"]),
     "two joints of one name": (
         robot_xml(JOINT + JOINT.replace('"arm"', '"hand"'), ARM + '<link name="hand"/>'),

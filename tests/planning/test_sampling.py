@@ -105,6 +105,16 @@ def test_a_way_round_keeps_clearance_and_spare(planar4: Robot) -> None:
     assert np.all(way.q <= problem.limits.upper)
 
 
+def test_a_way_round_is_found_however_slow_the_machine_is(planar4: Robot) -> None:
+    """A hundred thousandth of the speed changes nothing of where the way can be."""
+    problem, proximity = across_bar(planar4)
+    limits = problem.limits
+    slow = replace(limits, velocity=1e-5 * limits.velocity, acceleration=1e-5 * limits.acceleration)
+    way = find_way(replace(problem, limits=slow), proximity, STRETCHED, [TURNED], seed=0, spare=0.03)
+    assert way is not None
+    assert least_margin(proximity, way.q) >= 0.002 - 1e-9
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_way_along_a_joint_limit_is_found(seed: int) -> None:
     """The boom leads past only at its highest: drawn between its limits alone, 72,000 motions were mostly too few."""

@@ -53,13 +53,16 @@ from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
 from backhoe_planner.live.recovery.violation_descent import SMALLEST, by_owner, way_back
 from backhoe_planner.machine import Robot
+from backhoe_planner.motion import SAMPLE_PERIOD
 
 ATTEMPTS = 3  # problems that are solved per step at most; chosen, to bound its work
 BLENDS = (0.5, 0.2)  # parts of the way from braking to the velocity that was tried last; chosen
 _HOLDS = 2.0  # 1/s: k, how soon pairs that are not the deepest are bound; chosen
 _INSIDE_SPEED = 0.5  # m/s that a point may move by one joint; chosen, so that little lies between two looks
 _LEAST_RADIUS = 0.1  # m, of a joint whose points hardly travel; chosen, keeps its rate finite
-_FALLS = 1e-8  # m by which the deepest violation falls in a step at least: above the rounding of a distance
+# m by which the deepest violation falls in a step of 20 ms at least, less by the square in shorter ones, as it begins
+# from rest; and in any: above the rounding of a distance
+_FALLS, _LEAST_FALL = 1e-8, 1e-12
 _LEVEL = 1e-9  # m: a violation that is deeper by less counts as no deeper; rounding
 _FOLLOWED_FALL = 1e-3  # m/s at which V must fall on a falling way; chosen, so that the way decides the direction
 _WAITING_FALL = 1e-4  # m/s while the search is on: about a tenth of that
@@ -145,6 +148,7 @@ class Recovery:
         joints, separation = check.joints, check.separation
         self._robot, self._limits, self._check = robot, joints.limits, check
         self._separation, self._at, self._dt, self._change = separation, check.at, joints.dt, joints.change
+        self._falls = max(min(_FALLS, _FALLS * (joints.dt / SAMPLE_PERIOD) ** 2), _LEAST_FALL)
         self._slow = np.array([_INSIDE_SPEED / max(radius, _LEAST_RADIUS) for radius in separation.furthest])
         self._radius = np.maximum(separation.furthest, _LEAST_RADIUS)
         self._rng = np.random.default_rng(0)
@@ -291,7 +295,7 @@ class Recovery:
         fall elsewhere [m]. None where that would take more distances than the step has left.
         """
         separation, at, owner = self._separation, self._at, self._separation.owner[pairs]
-        before = most + _LEVEL if below else most - _FALLS
+        before = most + _LEVEL if below else most - self._falls
         highest = level = np.zeros(len(pairs))
         for span in self._spans(path):
             at.place(_STEP_END, path.q + path.v * span)
@@ -304,7 +308,7 @@ class Recovery:
             worse = depth > np.maximum(before, 0.0)
             if not below:
                 # V must still be falling there, so that it falls all the way, also while braking
-                worse |= (depth > np.maximum(now - _FALLS, 0.0)) & (falls @ path.v >= 0.0)
+                worse |= (depth > np.maximum(now - self._falls, 0.0)) & (falls @ path.v >= 0.0)
                 before = now
             if span == self._dt:
                 level = now
@@ -329,7 +333,7 @@ class Recovery:
         while True:
             depth = clearance - distance
             deepest = by_owner(np.where(measured, depth, -np.inf), owner)
-            open_ = ~measured & (depth > np.minimum(allowed, np.maximum(deepest - _FALLS, 0.0)))
+            open_ = ~measured & (depth > np.minimum(allowed, np.maximum(deepest - self._falls, 0.0)))
             if not open_.any():
                 return distance, falls
             if self._check.distances_left == 0:

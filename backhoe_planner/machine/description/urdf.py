@@ -353,11 +353,17 @@ _LARGEST = 1e12  # in any other unit: products of a few such numbers are finite;
 # rad/s or m/s, and per second: a motion of 1 rad then takes hours; N m or N; chosen
 _LEAST = {"velocity": 1e-4, "acceleration": 1e-4, "effort": 1e-6}
 _GEOMETRY = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("filename",)}
+# of a joint, or of a link's shape or inertia
+_ONCE = ("origin", "geometry", "mass", "inertia", "parent", "child", "axis", "limit", "mimic")
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def _check_complete(root: etree._Element, path: Path) -> None:
-    """Check that shapes and inertias have all their parts; yourdfpy drops incomplete ones silently."""
+    """Check that shapes and inertias have all their parts, and once; yourdfpy drops others silently."""
+    for element in (*root.iterfind("joint"), *root.iterfind("link/*")):
+        for tag in _ONCE:
+            if len(element.findall(tag)) > 1:
+                raise RobotError(f"has more than one <{tag}>", file=path, key=_element_key(element))
     for link in root.findall("link"):
         for shape in (*link.findall("collision"), *link.findall("visual")):
             geometry = shape.find("geometry")

@@ -25,7 +25,9 @@ from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.reach import Reach, beyond_limits
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
-_MOST_OF_BOX = 0.4  # part of the box's diagonal that such a motion may be at most: chosen, so that trees branch
+# parts of the box's diagonal that such a motion may be at least, for slow machines, and at most; chosen, so that trees
+# come through the box in some hundred motions, and branch
+_LEAST_OF_BOX, _MOST_OF_BOX = 0.025, 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +187,8 @@ class _Search:
             targets.addState(self._state(space, goal))
         definition.setGoal(targets)
         planner = geometric.RRTConnect(space_information)
-        planner.setRange(min(_RANGE, _MOST_OF_BOX * float(np.linalg.norm(high - low))))
+        across = float(np.linalg.norm(high - low))
+        planner.setRange(min(max(_RANGE, _LEAST_OF_BOX * across), _MOST_OF_BOX * across))
         planner.setProblemDefinition(definition)
         planner.setup()
         planner.solve(base.PlannerTerminationCondition(self._ended))

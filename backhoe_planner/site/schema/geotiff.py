@@ -1,13 +1,15 @@
 """Heights from a GeoTIFF, with where they lie.
 
 What is read: one band of numbers; ModelPixelScale and ModelTiepoint, or a ModelTransformation
-without turn; GDAL's tag for missing heights; and of the keys whether a number stands for a point
-or for an area, and the unit (OGC 19-008r4, GeoTIFF Standard 1.1).
+without turn; GDAL's tags for missing heights, and for the scale and offset of numbers; and of the
+keys whether a number stands for a point or for an area, and the units along the ground and upwards
+(OGC 19-008r4, GeoTIFF Standard 1.1).
 """
 
 from __future__ import annotations
 
 import warnings
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +20,8 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
 
 # numbers of tags and keys in the standard
-_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
-_MODEL, _RASTER, _UNIT = 1024, 1025, 3076
+_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 42112, 42113
+_MODEL, _RASTER, _UNIT, _UPRIGHT_UNIT = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
 _SQUARE_WITHIN = 1e-6  # of the cell: the two scales of square cells differ by rounding only
 _FORMATS = ("F", "I", "L", "I;16", "I;16B", "I;16L", "I;16N")  # Pillow's names of one band of numbers
@@ -74,6 +76,8 @@ def read_geotiff(path: Path) -> HeightTable:
     if missing is not None:
         # the tag is decimal text, heights are often floats of 32 bits
         heights[np.isclose(heights, missing, rtol=1e-6, atol=0.0)] = np.nan
+    scale, offset = _scaling(tags, path)
+    heights = scale * heights + offset
     return HeightTable(heights, *_place(tags, heights.shape[0], path))
 
 
@@ -82,6 +86,17 @@ def _number(text: object) -> float | None:
         return float(str(text).strip("\0 \n"))
     except ValueError:
         return None
+
+
+def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
+    """By what the numbers of the first band are multiplied to be heights, and what is added then [m]."""
+    text = str(tags.get(_METADATA, "")).strip("\0 \n")
+    try:
+        items = ElementTree.fromstring(text).iter("Item") if text else ()
+        said = {item.get("role"): item.text for item in items if item.get("sample", "0") == "0"}
+        return float(said.get("scale") or 1.0), float(said.get("offset") or 0.0)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"scale and offset of its heights cannot be read: {error}", file=path) from None
 
 
 def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, float]:
@@ -93,6 +108,9 @@ def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, 
     if values.get(_UNIT, _METRE) != _METRE:
         found = f"unit {values[_UNIT]} of the EPSG registry"
         raise InputError("is not in metres", file=path, found=found, allowed="metres (9001)")
+    if values.get(_UPRIGHT_UNIT, _METRE) != _METRE:
+        found = f"unit {values[_UPRIGHT_UNIT]} of the EPSG registry"
+        raise InputError("its heights are not in metres", file=path, found=found, allowed="metres (9001)")
     if _TRANSFORMATION in tags:
         m = np.array(tags[_TRANSFORMATION], dtype=float).reshape(4, 4)
         if abs(m[0, 1]) + abs(m[1, 0]) > _SQUARE_WITHIN * abs(m[0, 0]):

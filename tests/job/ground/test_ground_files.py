@@ -41,6 +41,8 @@ def write_geotiff(
             tuple(v for key in ((1, 1, 0, len(keys)), *((k, 0, 1, keys[k]) for k in sorted(keys))) for v in key),
             3,
         )
+    if "metadata" in more:
+        tags[42112], tags.tagtype[42112] = more.pop("metadata"), 2
     if "no_data" in more:
         tags[42113], tags.tagtype[42113] = more.pop("no_data"), 2
     Image.fromarray(heights[::-1].astype(np.float32)).save(path, tiffinfo=tags, **more)
@@ -69,6 +71,22 @@ def test_a_geotiff_says_where_it_lies(tmp_path: Path) -> None:
     np.testing.assert_allclose(part.surface, plane(nodes((0.3, 0.2), (13, 21), 0.1)), atol=1e-6)
 
 
+def test_numbers_of_a_geotiff_are_heights_by_their_scale_and_offset(tmp_path: Path) -> None:
+    """As GDAL writes them, whole centimetres above a level; what is missing is told by its number as it stands."""
+    scaled = '<Item name="{}" sample="{}" role="{}">{}</Item>'
+    items = (("SCALE", 0, "scale", 0.01), ("OFFSET", 0, "offset", -2.7), ("SCALE", 1, "scale", 7.0))
+    metadata = f"<GDALMetadata>{''.join(scaled.format(*item) for item in items)}</GDALMetadata>"
+    numbers = np.array([[300.0, 270.0], [-9999.0, 0.0]])
+    file = write_geotiff(tmp_path / "a.tif", numbers, corner=None, metadata=metadata)
+    np.testing.assert_allclose(read_heights(file), [[0.3, 0.0], [-102.69, -2.7]], atol=1e-12)
+    file = write_geotiff(tmp_path / "a.tif", numbers, corner=None, metadata=metadata, no_data="-9999")
+    with pytest.raises(InputError, match="row 2, column 1: a height is missing"):
+        read_heights(file)
+    plain = "<GDALMetadata><Item name='AREA'>here</Item></GDALMetadata>"
+    file = write_geotiff(tmp_path / "b.tif", np.abs(numbers), corner=None, metadata=plain)
+    np.testing.assert_array_equal(read_heights(file), np.abs(numbers))
+
+
 def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
     heights = np.arange(12.0).reshape(3, 4)
     write_geotiff(tmp_path / "hill.tif", heights, corner=None)
@@ -86,6 +104,8 @@ def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
     [
         ({"keys": {1024: 2}}, ["is in degrees", "UTM"]),
         ({"keys": {3076: 9002}}, ["is not in metres", "9002"]),
+        ({"keys": {3076: 9001, 4099: 9003}}, ["heights are not in metres", "9003"]),
+        ({"metadata": "<GDALMetadata><Item"}, ["scale and offset of its heights cannot be read"]),
         ({"cell_y": 0.7}, ["no squares", "0.5 x 0.7 m"]),
     ],
 )
