@@ -255,6 +255,11 @@ def test_check_says_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     run("plan", PLANAR4, scene_file(tmp_path), *QUICK)
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    content["metrics"]["duration"] = 77.0
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    status, _, told = run("check", "plan.json")
+    assert status == 0
+    assert told.startswith("warning: metrics.duration: the file says 77, the motions have ")
     content["trajectory"]["q"][5][0] += 1.0
     (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
     status, said, _ = run("check", "plan.json")

@@ -127,6 +127,8 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     loaded = bp.load_plan(plan_file, urdf=urdf)
     print_warnings(site.input_warnings(loaded.robot, loaded.scene))
     print_warnings(site.obstacle_warnings(loaded.robot, loaded.problem.obstacles))
+    if loaded.verified:  # where the motion itself was changed that says enough
+        print_warnings(planning.plan_differences(plan_file, loaded))
     print_certificate(loaded)
     OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if loaded.verified else FAILED

@@ -21,7 +21,7 @@ from backhoe_planner.job.cycles.patterns import patterns_to_compare
 from backhoe_planner.job.cycles.transfers import make_leg
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Digging, LegName, Load
-from backhoe_planner.job.result.file_differences import differences
+from backhoe_planner.job.result.file_differences import job_differences
 from backhoe_planner.job.result.job_plan import JobPlan, PatternEstimate, interruption, same_ground
 from backhoe_planner.job.result.job_plan_file import (
     CycleRecord,
@@ -38,7 +38,6 @@ from backhoe_planner.job.worksite.worksite import Worksite, build_worksite, plai
 _SAME_MASS = 1e-6  # kg, of volumes that are the same to 1e-9 m^3
 _SAME_LOAD = 0.02  # of a full bucket: the load is that of the columns that are swept, but for rounding; chosen
 _OVERFULL = 1.05  # times the bucket's volume; chosen: sweeps take up to 1 % more than what is wanted of a cut
-_TOLD = 5  # differences that are told one by one; chosen
 
 
 def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> JobPlan:
@@ -121,9 +120,7 @@ def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list
         found.append("effort, seed, compared patterns or steps were changed after the job was planned")
     if plan.beside > plan.job.dig.tolerance:
         found.append(f"the cuts go {plan.beside:.2f} m deep beside what is to be dug")
-    wrong = differences(record, job_plan_record(plan, None))
-    more = [f"and {len(wrong) - _TOLD} figures more"] if len(wrong) > _TOLD else []
-    return found + wrong[:_TOLD] + more
+    return found + job_differences(record, job_plan_record(plan, None))
 
 
 def _job(record: JobPlanRecord, file: Path, urdf: Path | None) -> Job:

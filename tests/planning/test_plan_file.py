@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from reasons import comparison
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.planning import EFFORTS, export_plan
+from backhoe_planner.planning import EFFORTS, export_plan, plan_differences
 from backhoe_planner.planning.search.effort import EffortName
 from backhoe_planner.site import Obstruction
 
@@ -57,6 +58,26 @@ def test_figures_and_bound_that_were_changed_in_the_file_are_not_believed(solved
     again = bp.load_plan(file)
     assert again.metrics == solved.metrics
     assert again.bound == solved.bound
+
+
+def test_what_a_file_says_otherwise_than_its_motion_is_told_by_its_key(solved: bp.Plan, tmp_path: Path) -> None:
+    file, content = saved(solved, tmp_path)
+    assert plan_differences(file, bp.load_plan(file)) == []
+    content["certificate"]["clearances"][0]["margin"] += 0.1
+    content["certificate"]["limits"]["velocity"]["ratio"] = 0.5
+    content["bound"]["duration"] *= 2.0
+    content["metrics"]["planning_time"] = 77.0  # only planning can tell
+    file.write_text(json.dumps(content), encoding="utf-8")
+    told = plan_differences(file, bp.load_plan(file))
+    assert [line.partition(":")[0] for line in told] == [
+        "certificate.clearances[0].margin", "certificate.limits.velocity.ratio", "bound.duration",
+    ]  # fmt: skip
+    assert "the file says 0.5, the motions have " in told[1]
+    content["dynamics"]["torque"] = [[1.0] * 4] * len(content["dynamics"]["torque"])
+    file.write_text(json.dumps(content), encoding="utf-8")
+    told = plan_differences(file, bp.load_plan(file))
+    assert len(told) == 6
+    assert re.fullmatch(r"and \d+ figures more", told[-1])
 
 
 def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
+from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_kind, check_path
+from backhoe_planner.files.differences import differences
 from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.machine import BatchKinematics, MotionEnergy, Robot
@@ -37,6 +38,8 @@ from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
+_COMPUTED = ("dynamics", "certificate", "metrics", "bound", "legs")  # of what a file holds, from its motion
+_NOT_COMPUTED = {"metrics": {"planning_time", "objective"}, "legs": {"findings"}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,6 +305,28 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
         boxes=0 if record.bound is None else EFFORTS[record.effort or "normal"].boxes,
         legs=planned_legs(problem, trajectory, certificate, [leg.findings for leg in record.legs]),
     )
+
+
+def plan_differences(path: str | os.PathLike[str], plan: Plan) -> list[str]:
+    """In words, which figures of a plan file are not those of the plan that was read from it, with their keys.
+
+    Whoever reads the file takes them for what was planned; `load_plan` computes them anew. What only planning can tell
+    is not compared.
+
+    Parameters
+    ----------
+    path: the file.
+    plan: as `load_plan` read it.
+
+    Raises
+    ------
+    PlanFileError: not a plan file, or damaged.
+    """
+    said = read_plan_file(check_path(path, key="path"))
+    found = _record(check_kind(plan, Plan, key="plan"), None)
+    known = {key for key in _COMPUTED if getattr(said, key) is not None}  # an older file has less
+    ours, theirs = (one.model_dump(mode="json", include=known) for one in (said, found))
+    return differences(ours, theirs, left_out=_NOT_COMPUTED)
 
 
 def _begins(record: PlanRecord, problem: Problem, file: Path) -> tuple[int, ...]:
