@@ -106,6 +106,16 @@ def test_where_detours_are_not_allowed_none_is_looked_for_and_the_same_is_said(
     assert found.metrics.detour.max_deviation == 0.0
 
 
+def test_how_far_a_waypoint_that_is_left_out_stays_from_the_tip_is_told(planar4: bp.Robot) -> None:
+    """A spike of 0.5 m to the side, to and fro, into a ball: the way past its foot is on the path all along."""
+    spike = [[2.0, -0.6, 0.0], [2.0, 0.0, 0.0], [2.5, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.6, 0.0]]
+    found = bp.plan(planar4, site(spike, [ball(2.5, 0.0, 0.2)]), effort="quick")
+    assert found.verified, found.message
+    off = np.min(np.linalg.norm(found.tip_path() - [2.5, 0.0, 0.0], axis=1))
+    assert off > 0.2
+    assert found.metrics.detour.max_deviation == pytest.approx(off, abs=2e-3)
+
+
 def beside_a_wall(gap: float) -> bp.Scene:
     """A path past a wall that leaves `gap` beside the ball at the elbow arm's tip [m]."""
     wall = {"name": "wall", "shape": "box", "size": [0.5, 4.0, 1.0], "position": [1.4 + BALL + gap + 0.25, 0.0, 0.0]}

@@ -80,6 +80,11 @@ def test_what_a_file_says_otherwise_than_its_motion_is_told_by_its_key(solved: b
     assert re.fullmatch(r"and \d+ figures more", told[-1])
 
 
+def test_a_plan_is_shown_in_a_line(solved: bp.Plan) -> None:
+    shown = rf"<Plan verified, {solved.trajectory.duration:.2f} s, margin \+\d\.\d{{3}} m between \w+ and [\w ()]+>"
+    assert re.fullmatch(shown, repr(solved))
+
+
 def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     file, _ = saved(solved, tmp_path)
     again = bp.load_plan(file)

@@ -33,6 +33,7 @@ _BETTER = 0.1  # part of the tolerances by which a later leg must fit better whe
 _PARTS = 8  # of a segment in which the tip passes a waypoint, at least, at which its angle is looked at; chosen
 _TURN_PART = 0.25  # of the angle's tolerance by which the tip turns at most between two of them; chosen
 _MOST_PARTS = 2000  # chosen to bound the work
+_MARKS = 33  # places of the path that a detour leaves out, beside its waypoints, from which its way is measured; chosen
 _LOOK_AHEAD = 0.5  # m of path within which the tip is sought while it follows; chosen
 
 
@@ -45,7 +46,7 @@ class Detour:
     time_from, time_to: when it begins and ends [s].
     path_from, path_to: where the tip leaves the path and where it rejoins it [m].
     length: of the tip's way in between [m].
-    max_deviation: largest distance of the tip from the path [m].
+    max_deviation: largest distance of the tip from the path, or of what is left out of the path from the tip's way [m].
     max_angle: largest angle from the asked orientation [rad].
     obstruction: what the detour goes around, where a planner knows it; a certificate does not.
     """
@@ -408,10 +409,28 @@ def _detour(
 ) -> Detour:
     """The detour between two samples at which the tip is on the path."""
     a, b = gap
+    left_out = _farthest_left_out(path, float(station[a]), float(station[b]), tips[a : b + 1])
     return Detour(
         time_from=float(time[a]), time_to=float(time[b]),
         path_from=path.arc(float(station[a])), path_to=path.arc(float(station[b])),
         length=float(np.sum(np.linalg.norm(np.diff(tips[a : b + 1], axis=0), axis=1))),
-        max_deviation=float(np.max(error[a + 1 : b], initial=0.0)),
+        max_deviation=max(float(np.max(error[a + 1 : b], initial=0.0)), left_out),
         max_angle=float(np.max(angle[a + 1 : b], initial=0.0)),
     )  # fmt: skip
+
+
+def _farthest_left_out(path: TipPath, begin: float, end: float, tips: Matrix) -> float:
+    """How far the path from one s to another [m] is at most from the tip's way (K, 3), at its waypoints and between.
+
+    A spike of the path may be left out by a way that is near the path everywhere.
+    """
+    stations = path.stations[(path.stations > begin) & (path.stations < end)]
+    marks = np.union1d(np.linspace(begin, end, _MARKS), stations)
+    way = np.diff(tips, axis=0)
+    size = np.maximum(np.sum(way * way, axis=1), np.finfo(float).tiny)
+    farthest = 0.0
+    for place in map(path, marks.tolist()):
+        off = place - tips[:-1]
+        part = np.clip(np.sum(off * way, axis=1) / size, 0.0, 1.0)
+        farthest = max(farthest, float(np.min(np.linalg.norm(off - part[:, None] * way, axis=1))))
+    return farthest

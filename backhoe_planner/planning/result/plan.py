@@ -69,7 +69,7 @@ class PlannedLeg:
     findings: Findings = NOTHING
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """The result of planning, verified or not.
 
@@ -106,6 +106,12 @@ class Plan:
     effort: EffortName | None = None
     legs: tuple[PlannedLeg, ...] = ()
     boxes: int = 0
+
+    def __repr__(self) -> str:
+        """In a line: verdict or reason, duration, and what is nearest to the machine."""
+        nearest = self.certificate.clearances[:1]
+        near = [f"margin {one.margin:+.3f} m between {one.link} and {one.name}" for one in nearest]
+        return f"<Plan {', '.join([self.reason or self.verdict, f'{self.trajectory.duration:.2f} s', *near])}>"
 
     @cached_property
     def bound(self) -> Bound | None:
