@@ -267,4 +267,4 @@ def _print_energy(plan: bp.JobPlan, figures: jobs.JobFigures) -> None:
         f"at {jobs.LITRES_PER_KWH:g} l for a kWh of the engine"
     )
     pump, engine = 100.0 * figures.pump, 100.0 * figures.engine
-    OUT.print(f"utilisation   pump {pump:.0f} % of its flow, engine {engine:.0f} % of its power, on the average")
+    OUT.print(f"utilisation   pump {pump:.0f} % of its flow, engine {engine:.0f} % of its power, on average")

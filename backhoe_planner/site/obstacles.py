@@ -102,8 +102,8 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
         if isinstance(solid, VoxelSolid) and (closed := solid.closed_edge()) > solid.finest:
             found.append(
                 f"{obstacle.name} has gaps: many of its {len(solid):,} voxels of {solid.finest:g} m touch no other, "
-                f"and what is between them counts as free; a resolution of {closed:g} m closes them, and ground is "
-                "better given as a heightmap"
+                f"and what is between them counts as free; at a resolution of {closed:g} m most touch others; ground "
+                "is better given as a heightmap, which has no gaps"
             )
     return tuple(found)
 

@@ -437,4 +437,7 @@ def test_a_scan_with_gaps_is_told_with_a_resolution_that_closes_them(
     assert len(found) == told
     if told:
         assert "yard has gaps: many of its 29" in found[0]
-        assert "a resolution of 0.8 m closes them" in found[0] or "a resolution of 0.4 m closes them" in found[0]
+        assert (
+            "at a resolution of 0.8 m most touch others" in found[0]
+            or "at a resolution of 0.4 m most touch others" in found[0]
+        )
