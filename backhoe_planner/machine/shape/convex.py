@@ -31,8 +31,10 @@ Block = tuple[int, int, int, int]
 """Of a height map: first and last row, first and last column."""
 
 _FORMATS = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf", ".3mf")
-SPLIT_FORMATS = (".gltf",)  # whose mesh may lie in other files
 """Suffixes of mesh files whose vertices can be looked at as they stand in the file: trimesh drops triangles at NaN."""
+
+SPLIT_FORMATS = (".gltf",)
+"""Those whose mesh may lie in other files."""
 
 _RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
 _CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them

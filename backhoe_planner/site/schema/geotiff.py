@@ -9,7 +9,6 @@ keys whether a number stands for a point or for an area, and the units along the
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,6 +89,8 @@ def _number(text: object) -> float | None:
 
 def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
     """By what the numbers of the first band are multiplied to be heights, and what is added then [m]."""
+    from xml.etree import ElementTree  # few files say so
+
     text = str(tags.get(_METADATA, "")).strip("\0 \n")
     try:
         items = ElementTree.fromstring(text).iter("Item") if text else ()
