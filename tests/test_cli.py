@@ -465,7 +465,7 @@ def test_without_an_output_a_command_works_and_its_file_is_its_own(tmp_path: Pat
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("unbuffered", ["", pytest.param("1", marks=pytest.mark.long)])
 def test_where_the_error_stream_is_lost_too_the_exit_status_says_so(unbuffered: str) -> None:
     environment = ENVIRONMENT | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("wb") as full:

@@ -66,10 +66,12 @@ def test_a_plan_of_primitives_loads_no_mesh_library_and_no_scipy(tmp_path: Path)
     assert plan.is_file()
 
 
-def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Convex pieces come from the cache folder, and so does what yourdfpy said of the URDF."""
+LIBRARIES_OF_MESHES = ["trimesh", "yourdfpy", "networkx", "shapely", "vhacdx"]
+
+
+@pytest.fixture
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The URDF of an arm with one mesh, beside an empty cache folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     trimesh.creation.box(extents=[0.1, 0.2, 0.3]).export(tmp_path / "arm.stl")
     urdf = tmp_path / "arm.urdf"
@@ -78,13 +80,22 @@ def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(
         '</collision></link><joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/>'
         '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
     )
-    libraries = ["trimesh", "yourdfpy", "networkx", "shapely", "vhacdx"]
-    assert {"trimesh", "yourdfpy"} <= set(loaded(["inspect", str(urdf)], libraries)[1])
-    assert loaded(["inspect", str(urdf)], libraries) == (0, [])
-    trimesh.creation.box(extents=[0.1, 0.2, 0.4]).export(tmp_path / "arm.stl")
-    assert "yourdfpy" not in loaded(["inspect", str(urdf)], libraries)[1]
-    urdf.write_text(urdf.read_text().replace("-1", "-2"))
-    assert "yourdfpy" in loaded(["inspect", str(urdf)], libraries)[1]
+    return urdf
+
+
+def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(arm: Path) -> None:
+    """Convex pieces come from the cache folder, and so does what yourdfpy said of the URDF."""
+    assert {"trimesh", "yourdfpy"} <= set(loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)[1])
+    assert loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES) == (0, [])
+
+
+@pytest.mark.long
+def test_what_is_cached_is_known_by_its_content(arm: Path) -> None:
+    loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)
+    trimesh.creation.box(extents=[0.1, 0.2, 0.4]).export(arm.with_suffix(".stl"))
+    assert "yourdfpy" not in loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)[1]
+    arm.write_text(arm.read_text().replace("-1", "-2"))
+    assert "yourdfpy" in loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)[1]
 
 
 @pytest.mark.parametrize(("asked", "given"), [(None, "1"), ("3", "3")])

@@ -40,13 +40,16 @@ def collecting_only_new() -> Iterator[None]:
     """Let Python look for garbage only among what is made within, as a program that keeps a clock does.
 
     Afterwards it looks through all again: what OMPL made would else be left when Python ends, and OMPL lists it.
+    Where something was kept out of the search before, that and what was made until then stay out of it.
     """
+    kept_before = gc.get_freeze_count() > 0
     gc.collect()
     gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if not kept_before:
+            gc.unfreeze()
 
 
 def obstacle_course(robot: bp.Robot, count: int, rng: np.random.Generator) -> Problem:

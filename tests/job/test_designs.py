@@ -31,6 +31,7 @@ def test_a_trench_of_three_metres_has_the_volume_of_its_geometry() -> None:
     assert found == pytest.approx(3.0 * 0.6 * 1.2, rel=1e-9)
 
 
+@pytest.mark.long
 def test_oblique_trenches_that_fall_have_it_too_on_any_columns() -> None:
     rng = np.random.default_rng(11)
     for _ in range(12):

@@ -124,6 +124,7 @@ def test_a_job_that_is_stopped_on_its_way_to_the_dump_is_blocked(monkeypatch: py
     assert (found.verdict, found.reason, found.note) == ("failed", "blocked", words)
 
 
+@pytest.mark.long
 def test_a_job_of_which_only_a_last_cut_along_a_wall_has_no_way_is_not_blocked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

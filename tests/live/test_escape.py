@@ -110,6 +110,7 @@ def test_a_way_below_is_nowhere_deeper_than_its_start(backhoe: Robot) -> None:
     assert looks <= MOST_LOOKS
 
 
+@pytest.mark.long
 def test_where_no_posture_is_clear_no_way_is_said_to_be_found(backhoe: Robot) -> None:
     scene = site(backhoe, [AROUND_THE_POST], NOWHERE_TO_GO)
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
@@ -141,6 +142,7 @@ def test_from_where_descent_is_pinched_the_violation_falls_at_every_step(backhoe
     assert before <= 1e-6
 
 
+@pytest.mark.long
 def test_past_a_hump_the_way_to_go_falls_and_nothing_gets_deeper_than_it_was(backhoe: Robot) -> None:
     """The post of the swing sticks in a wall so that it is deeper to either side: there is no way that falls."""
     scene = site(backhoe, [BESIDE_THE_POST], PINCHED_BY_THE_POST)
@@ -243,6 +245,7 @@ def test_held_outside_a_limit_by_obstacles_it_comes_back_all_the_same(backhoe: R
     assert outside <= 1e-9
 
 
+@pytest.mark.long
 def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     ends = []

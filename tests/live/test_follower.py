@@ -315,6 +315,7 @@ def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot, what: str) -> None
     assert (np.abs(changes) <= servo.limits.acceleration * DT * (1.0 + 1e-9)).all()
 
 
+@pytest.mark.long
 def test_a_way_round_that_is_taken_up_is_given_up_for_another(backhoe: Robot) -> None:
     ball, executor = placed(backhoe, "ball"), Immediate()
     servo = Servo(backhoe, site(backhoe), DT)
@@ -361,6 +362,7 @@ def test_with_a_thread_of_its_own_that_ends_with_it(backhoe: Robot) -> None:
 # --- no way ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_what_stands_on_the_end_is_said_and_the_plan_finished_once_it_is_gone(backhoe: Robot) -> None:
     ball, executor = placed(backhoe, "ball", 6.0), Immediate()
     servo = Servo(backhoe, site(backhoe), DT)
@@ -401,7 +403,7 @@ def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
     assert followed(follower, 4000)[-1].done
 
 
-@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.parametrize("at_once", [pytest.param(True, marks=pytest.mark.long), False])
 def test_an_executor_that_fails_blocks_and_raises_nothing(backhoe: Robot, at_once: bool) -> None:
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=Failing(at_once=at_once))

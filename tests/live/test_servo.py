@@ -424,7 +424,9 @@ def test_from_a_slide_far_outside_its_limit_nothing_is_swung_into(tmp_path: Path
     assert turned > 0.4  # it did come near
 
 
-@pytest.mark.parametrize("depth", [0.02, pytest.param(0.1, marks=pytest.mark.long), 0.2])
+@pytest.mark.parametrize(
+    "depth", [pytest.param(0.02, marks=pytest.mark.long), pytest.param(0.1, marks=pytest.mark.long), 0.2]
+)
 def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Robot, depth: float) -> None:
     clear = bp.Kinematics(backhoe).at(np.array(STANDING)).tip_position
     centre = (clear + np.array([0.0, 0.0, depth - 0.3])).tolist()

@@ -107,6 +107,7 @@ def test_it_rises_freely_from_ground_of_coarse_cells(backhoe: Robot, tmp_path: P
     assert state.tip_position[2] > low.tip_position[2] + 0.6
 
 
+@pytest.mark.long
 def test_on_the_way_down_to_rough_ground_nearly_every_braking_path_is_proven(backhoe: Robot, tmp_path: Path) -> None:
     """Boxes of cells that were found far above the ground must not forbid the path that those of before allowed."""
     x, proven, steps = np.linspace(-6.0, 6.0, 241), 0, 0

@@ -56,6 +56,7 @@ def test_a_joint_at_its_limit_does_not_let_the_others_run_away(backhoe: Robot) -
     assert states[-1].tip_position[0] < states[0].tip_position[0] - 0.2
 
 
+@pytest.mark.long
 def test_wishes_are_followed_better_than_by_standing_still(backhoe: Robot) -> None:
     """Zero is always among the velocities to choose from, so that the nearest one is never farther from the wish.
 

@@ -142,7 +142,14 @@ def test_a_gap_that_is_met_between_two_places_of_the_sweep_is_found(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("name", "tip"), [("backhoe", None), ("planar4", None), ("panda", "panda_hand"), ("ur5", "tool0"), ("kinova", None)]
+    ("name", "tip"),
+    [
+        ("backhoe", None),
+        ("planar4", None),
+        ("panda", "panda_hand"),
+        ("ur5", "tool0"),
+        pytest.param("kinova", None, marks=pytest.mark.long),
+    ],
 )
 def test_what_its_makers_joined_is_left_out(name: str, tip: str | None) -> None:
     """Machines in use move over their whole range without touching the neighbour of a link."""

@@ -38,7 +38,7 @@ def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> N
     assert found.certificate.tracking.max_error < 0.005
 
 
-@pytest.mark.parametrize("rate", [1e-2, 1e-3])
+@pytest.mark.parametrize("rate", [pytest.param(1e-2, marks=pytest.mark.long), 1e-3])
 def test_a_slow_joint_takes_the_time_of_its_way_and_no_more(planar4: bp.Robot, rate: float) -> None:
     """0.8 rad at the full rate, which is reached at once."""
     names = planar4.joint_names
@@ -53,7 +53,7 @@ def test_a_slow_joint_takes_the_time_of_its_way_and_no_more(planar4: bp.Robot, r
 A, B = {"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}
 
 
-@pytest.mark.parametrize("method", ["auto", "reactive"])
+@pytest.mark.parametrize("method", ["auto", pytest.param("reactive", marks=pytest.mark.long)])
 def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: str) -> None:
     """Warnings are errors here."""
 

@@ -37,7 +37,7 @@ def largest_error(plan: bp.Plan) -> float:
     return found
 
 
-@pytest.mark.parametrize("waypoints", [LINE, BENT], ids=["line", "bent"])
+@pytest.mark.parametrize("waypoints", [pytest.param(LINE, marks=pytest.mark.long), BENT], ids=["line", "bent"])
 def test_seven_joints_keep_to_a_tenth_of_a_millimetre(panda: bp.Robot, waypoints: list[Data]) -> None:
     path = {"waypoints": waypoints, "tolerance": TOLERANCE, "detour": False}
     plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")

@@ -127,6 +127,7 @@ def test_what_nothing_stands_beside_is_not_gone_round(
     assert bool(mapped) == near
 
 
+@pytest.mark.long
 def test_after_a_roadmap_in_vain_one_stands_closer_where_a_much_shorter_way_would_be(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -431,6 +432,7 @@ def test_least_work_takes_thrice_the_least_time_and_no_more_than_that_of_an_even
     assert 0.0 < plan.metrics.energy["work"] < 1.01 * 0.5 * M * v * v
 
 
+@pytest.mark.long
 def test_the_work_of_a_plan_hardly_depends_on_its_seed(backhoe: bp.Robot) -> None:
     """Past a wall, with three seeds: what one finds no other misses by a tenth."""
     scene = digger({"position": [3.5, 3.5, 0.2]}, WALL, objective="work")

@@ -137,7 +137,7 @@ def test_a_motion_that_leaves_the_band_only_between_two_postures_is_refused(back
         assert check.segment_is_clear(low, high) is clear
 
 
-@pytest.mark.parametrize("beyond", [0.0, 5e-7])
+@pytest.mark.parametrize("beyond", [pytest.param(0.0, marks=pytest.mark.long), 5e-7])
 def test_a_goal_at_the_very_edge_of_the_band_is_reached_by_sampling(backhoe: bp.Robot, beyond: float) -> None:
     """What inverse kinematics finds there lies beside the edge by its rounding, which still counts as kept."""
     start, goal = (*A[:3], A[3] - 0.04), (*B[:3], B[3] + 0.05 + beyond)

@@ -39,6 +39,7 @@ def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
     return found
 
 
+@pytest.mark.long
 def test_what_does_not_come_near_changes_nothing(backhoe: bp.Robot, alone: bp.Plan) -> None:
     far = WORKER | {"from": [-8, 0, 0], "to": [-8, 0, 1.8], "velocity": [-0.5, 0.0, 0.0]}
     later = {"name": "box", "shape": "box", "size": [0.5, 0.5, 0.5], "position": [3.5, 1.4, 0.3], "appears_at": 60.0}
@@ -110,6 +111,7 @@ def test_what_appears_upon_the_machine_is_not_called_safe(backhoe: bp.Robot) -> 
     assert "boulder" in found.message
 
 
+@pytest.mark.long
 def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
     walker = WORKER | {"from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0]}
     one, other = (bp.plan(backhoe, site(GOAL, walker), effort="quick") for _ in range(2))

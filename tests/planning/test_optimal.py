@@ -150,6 +150,7 @@ def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> Non
         assert values[name][name] <= 1.02 * least
 
 
+@pytest.mark.long
 def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe: bp.Robot) -> None:
     """On the same layers, so that every route of the coarse grid is one of the fine grid too."""
     problem = build_problem(backhoe, along(CUT))
@@ -258,6 +259,7 @@ def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot, cut: bp.Plan) -> 
     assert told.saving_percent == pytest.approx(100.0 * (1.0 - plan.metrics.energy["work"] / work), rel=1e-9)
 
 
+@pytest.mark.long
 def test_time_is_held_against_the_laws_own_timing(backhoe: bp.Robot, trench: Callable[[str], bp.Plan]) -> None:
     """And no other objective is faster than the one that asks for it, but for a hair."""
     told = comparison(trench("time"))
@@ -311,6 +313,7 @@ def test_a_path_of_full_poses_is_no_worse_than_the_laws(panda: bp.Robot, name: s
     assert told.value <= law_cost(told) * (1.0 + 1e-4)
 
 
+@pytest.mark.long
 def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot, cut: bp.Plan) -> None:
     start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
     plan = bp.plan(backhoe, along(CUT, start=start), effort="quick")

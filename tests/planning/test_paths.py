@@ -88,6 +88,7 @@ def test_through_the_middle_of_an_obstacle(around_a_ball: bp.Plan) -> None:
     assert refutations(around, refine=3) == []
 
 
+@pytest.mark.long
 def test_where_detours_are_not_allowed_none_is_looked_for_and_the_same_is_said(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -257,7 +258,10 @@ def test_redundancy(name: str, full: bool, expected: int, request: pytest.Fixtur
     assert redundancy_of(robot, target) == expected
 
 
-@pytest.mark.parametrize(("name", "asked"), [("backhoe", ""), ("panda", "rotation"), ("telescope", "pitch")])
+@pytest.mark.parametrize(
+    ("name", "asked"),
+    [("backhoe", ""), ("panda", "rotation"), pytest.param("telescope", "pitch", marks=pytest.mark.long)],
+)
 def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     """Whatever the inverse kinematics finds from anywhere has a node within two grid steps."""
     robot = load_machine(name)
@@ -404,6 +408,7 @@ def test_routes_of_short_steps_are_tried_where_the_cheapest_cross_between_curves
     assert plan.verdict == "verified", plan.message
 
 
+@pytest.mark.long
 def test_the_law_follows_a_path_once_for_the_plan_and_what_stands_beside_it(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

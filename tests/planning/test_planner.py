@@ -62,7 +62,7 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
         ("paper_planar", "planar4", 10),
         ("pole", "backhoe", 1),
         pytest.param("trench", "backhoe", 0, marks=pytest.mark.long),
-        ("trench_cut", "backhoe", 0),
+        pytest.param("trench_cut", "backhoe", 0, marks=pytest.mark.long),
         ("truck", "backhoe", 0),
         ("wall", "backhoe", 1),
         pytest.param("worker", "backhoe", 1, marks=pytest.mark.long),

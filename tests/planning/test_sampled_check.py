@@ -16,7 +16,9 @@ APART = {False: 0.04, True: 0.08}  # m between two looks, in a hurry or not: mid
 
 
 @pytest.mark.parametrize(
-    "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
+    "any_robot",
+    ["planar4", "backhoe", pytest.param("panda", marks=pytest.mark.long), pytest.param("ur5", marks=pytest.mark.long)],
+    indirect=True,
 )
 @pytest.mark.parametrize("hurried", [False, True])
 def test_beside_proofs_and_dense_measurements(any_robot: bp.Robot, hurried: bool) -> None:

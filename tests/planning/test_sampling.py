@@ -383,7 +383,14 @@ def test_a_motion_is_clear_exactly_where_plane_geometry_says_so(planar4: Robot) 
 
 
 @pytest.mark.parametrize(
-    "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
+    "any_robot",
+    [
+        pytest.param("planar4", marks=pytest.mark.long),
+        "backhoe",
+        pytest.param("panda", marks=pytest.mark.long),
+        pytest.param("ur5", marks=pytest.mark.long),
+    ],
+    indirect=True,
 )
 def test_what_is_proven_is_so(any_robot: Robot) -> None:
     """Random motions among balls, against dense measurements; corners too."""

@@ -39,7 +39,9 @@ ROW = (at(A, -1.6), at(A, TURNED), at(A, -1.8), at(B, -1.8), at(B, -2.4), at(B, 
 
 
 @pytest.mark.parametrize(
-    "waypoints", [START, pytest.param(MIDDLE, marks=pytest.mark.long), END, ROW], ids=["start", "middle", "end", "row"]
+    "waypoints",
+    [START, pytest.param(MIDDLE, marks=pytest.mark.long), pytest.param(END, marks=pytest.mark.long), ROW],
+    ids=["start", "middle", "end", "row"],
 )
 @pytest.mark.parametrize("keys", [{}, {"speed": 0.3, "detour": False}], ids=["fast", "slow"])
 def test_a_turn_on_the_spot_is_followed(
@@ -114,7 +116,10 @@ def hand(yaw: float, roll: float = np.pi, position: list[float] = HOLD) -> dict[
     [
         (hand(0.0), hand(0.6), hand(0.6, np.pi - 0.4), hand(0.0)),
         pytest.param((hand(-1.2), hand(np.pi - 1.2)), marks=pytest.mark.long),
-        (hand(0.0), hand(0.0, position=[0.45, 0.1, 0.5]), hand(-0.8, position=[0.45, 0.1, 0.5])),
+        pytest.param(
+            (hand(0.0), hand(0.0, position=[0.45, 0.1, 0.5]), hand(-0.8, position=[0.45, 0.1, 0.5])),
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["about two axes", "half a turn", "end"],
 )

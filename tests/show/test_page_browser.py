@@ -262,6 +262,7 @@ def test_the_live_view(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch
     assert [text for text in tab.complaints if not any(word in text for word in expected)] == []
 
 
+@pytest.mark.long
 def test_steps_cost_little_when_they_come_fast(backhoe: Robot) -> None:
     plan = the_plan(backhoe)
     with Viewer(port=0) as viewer:

@@ -190,6 +190,7 @@ def test_a_job_whose_dump_no_place_reaches_says_so() -> None:
     assert "not in line" not in found.note
 
 
+@pytest.mark.long
 def test_the_answer_costs_no_more_than_the_given_place(answer: bp.StandPlan) -> None:
     given = answer.given
     assert answer.verified

@@ -93,7 +93,13 @@ def test_a_path_of_full_poses_has_a_motion_that_follows_it_free_of_contact(kind:
             assert angle < 1e-3
 
 
-@pytest.mark.parametrize(("machine", "kind"), [(m, k) for m in ("planar4", "backhoe") for k in KINDS])
+FEW = [("planar4", "narrow"), ("backhoe", "cluttered")]
+OTHERS = [(machine, kind) for machine in ("planar4", "backhoe") for kind in KINDS if (machine, kind) not in FEW]
+
+
+@pytest.mark.parametrize(
+    ("machine", "kind"), [*FEW, *(pytest.param(*other, marks=pytest.mark.long) for other in OTHERS)]
+)
 def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_blocked(machine: str, kind: str) -> None:
     robot = load_machine(machine)
     blocked = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import weakref
+from collections.abc import Iterator
 
 import pytest
 
@@ -17,7 +18,18 @@ class Ring:
         self.itself = self
 
 
-@pytest.mark.parametrize("raised", [pytest.param(None, marks=pytest.mark.long), ValueError])
+@pytest.fixture
+def nothing_kept() -> Iterator[None]:
+    """Python searches through everything for garbage, as in a program that keeps nothing out of it."""
+    gc.unfreeze()
+    yield
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("raised", [None, ValueError])
+@pytest.mark.usefixtures("nothing_kept")
 def test_what_was_there_before_is_collected_after_the_time_is_taken_alone(raised: type[Exception] | None) -> None:
     """Else OMPL, when Python ends, lists what was never given back."""
     old: Ring | None = Ring()
@@ -35,3 +47,11 @@ def test_what_was_there_before_is_collected_after_the_time_is_taken_alone(raised
         pass
     gc.collect()
     assert seen() is None
+
+
+def test_what_was_kept_out_of_the_search_before_stays_out_of_it() -> None:
+    before = gc.get_freeze_count()
+    assert before > 0  # all that is there before the first test
+    with collecting_only_new():
+        pass
+    assert gc.get_freeze_count() >= before
