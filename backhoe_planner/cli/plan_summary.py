@@ -36,9 +36,10 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     # without a motion from a start given by its joints, the posture that is kept is one that came nearest
     moves = len(found.trajectory) > 1 or found.verified
     if tightest is not None and (moves or found.problem.start_q is not None):
+        least, when = ("at least", f"at {tightest.time:.2f} s") if moves else ("where it starts,", "without a motion")
         OUT.print(
-            f"clearance     {tightest.distance:.3f} m at least between {tightest.link} "
-            f"and {tightest.name} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
+            f"clearance     {tightest.distance:.3f} m {least} between {tightest.link} "
+            f"and {tightest.name} (margin {tightest.margin:+.3f} m, {when})"
         )
     _print_tracking_error(found)
     if moves:  # a machine that stands on its goal stays, for 0 s

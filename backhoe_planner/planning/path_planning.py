@@ -220,9 +220,10 @@ class _Along:
         problem = self._world.problem
         motion = at_rest(self._anywhere()) if self._stepper is None else self._stepper.trajectory()
         asked = replace(step, allowed=step.allowed / (1.0 - _STEP_SPARE))
-        message = f"of all that was found the least step is too long: {describe_step(problem, asked)}"
+        message = f"a joint has to move too far between two waypoints, at the least {describe_step(problem, asked)}"
         if asked.kept:
             message += f", of which {100.0 * _STEP_SPARE:g} % is left for chords and round corners"
+        message += "; it is the first such pair, and a waypoint between them makes the steps shorter"
         return Outcome(motion, "outside_limits", message, Findings(joints=(problem.robot.joint_names[step.joint],)))
 
     def _price(self, nodes: Matrix) -> Vector:

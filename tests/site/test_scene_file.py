@@ -634,6 +634,11 @@ BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
     "column twice": ("x,y,z,z\n1,2,3,4\n4,5,6,7\n", ["header", "twice", "z"]),
     "half a quaternion": ("x,y,z,qw\n1,2,3,1\n4,5,6,1\n", ["header", "a column is missing", "qx, qy, qz"]),
     "quaternion without w": ("x,y,z,qx,qy,qz\n1,2,3,1,0,0\n4,5,6,1,0,0\n", ["header", "a column is missing", "qw"]),
+    "quaternion in other words": (
+        "x,y,z,q_w,q_x,q_y,q_z\n1,2,3,1,0,0,0\n4,5,6,1,0,0,0\n",
+        ["header", "other names", "found q_w, q_x, q_y, q_z", "qw, qx, qy, qz for a whole"],
+    ),
+    "roll and yaw": ("x,y,z,Roll,pitch,Yaw\n1,2,3,0,1,0\n4,5,6,0,1,0\n", ["header", "found Roll, Yaw", "pitch [rad]"]),
     "pitch and quaternion": (
         "x,y,z,pitch,qw,qx,qy,qz\n1,2,3,0,1,0,0,0\n4,5,6,0,1,0,0,0\n",
         ["line 2", "only one of", "pitch and quaternion"],

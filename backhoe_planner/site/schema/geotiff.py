@@ -8,6 +8,7 @@ keys whether a number stands for a point or for an area, and the units along the
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +20,10 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
 
 # numbers of tags and keys in the standard
-_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 42112, 42113
+_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _WORDS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 34737, 42112, 42113
 _MODEL, _RASTER, _UNIT, _UPRIGHT_UNIT = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
+_FEET = re.compile(r"\b(?:ft|ftUS|foot|feet)\b", re.IGNORECASE)  # in the name of a projection: "California zone 5 (ftUS)"
 _SQUARE_WITHIN = 1e-6  # of the cell: the two scales of square cells differ by rounding only
 _FORMATS = ("F", "I", "L", "I;16", "I;16B", "I;16L", "I;16N")  # Pillow's names of one band of numbers
 
@@ -109,6 +111,9 @@ def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, 
     if values.get(_UNIT, _METRE) != _METRE:
         found = f"unit {values[_UNIT]} of the EPSG registry"
         raise InputError("is not in metres", file=path, found=found, allowed="metres (9001)")
+    words = str(tags.get(_WORDS, ""))
+    if _UNIT not in values and _FEET.search(words):
+        raise InputError("is not in metres", file=path, found=words.strip("\0| \n"), allowed="metres")
     if values.get(_UPRIGHT_UNIT, _METRE) != _METRE:
         found = f"unit {values[_UPRIGHT_UNIT]} of the EPSG registry"
         raise InputError("its heights are not in metres", file=path, found=found, allowed="metres (9001)")

@@ -256,11 +256,11 @@ class HeightMap(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Columns under the ground."""
-        return self._columns(read_heights(folder / self.file))
+        return self._columns(read_heights(folder / self.file, size=self.size))
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
         """Columns, or the ground cell by cell where there are many and it stands still."""
-        heights = read_heights(folder / self.file)
+        heights = read_heights(folder / self.file, size=self.size)
         if (heights.shape[0] - 1) * (heights.shape[1] - 1) <= _FEW_CELLS or any(self.velocity):
             return self._columns(heights)
         return terrain_body(heights, self.size, self.placement)

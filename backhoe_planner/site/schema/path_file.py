@@ -19,6 +19,10 @@ from backhoe_planner.site.schema.tasks import Waypoint
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 _COLUMNS = (*_POSITION, "pitch", *_QUATERNION)
 _TIME = "time"
+# orientations as others name their columns, without case and signs between
+_OTHER_ORIENTATIONS = {
+    "roll", "yaw", *(stem + axis for stem in ("q", "quat", "quaternion", "orientation", "rot", "r") for axis in "wxyz"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,8 @@ def read_path_file(path: Path) -> PathFile:
 
     Raises
     ------
-    SceneError: no such file, no header, a missing column, a cell that is not a finite number, a
-        row that is no waypoint, fewer than two rows.
+    SceneError: no such file, no header, a missing column, an orientation in columns of other names, a cell
+        that is not a finite number, a row that is no waypoint, fewer than two rows.
     """
     text = read_text(path, what="path", error=SceneError)
     between = ";" if ";" in text.lstrip().partition("\n")[0] else ","
@@ -60,6 +64,12 @@ def read_path_file(path: Path) -> PathFile:
     missing = [column for column in (*_POSITION, *(_QUATERNION if turned else ())) if column not in header]
     if missing:
         raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header", found=",".join(header))
+    other = [name for name in header if name not in _COLUMNS and _plain(name) in _OTHER_ORIENTATIONS]
+    if other:
+        raise SceneError(
+            "an orientation stands in columns of other names", file=path, key="header", found=", ".join(other),
+            allowed=f"{', '.join(_QUATERNION)} for a whole orientation, pitch [rad] for that of the bucket alone",
+        )  # fmt: skip
     twice = [column for column in _COLUMNS if header.count(column) > 1]
     if twice:
         raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
@@ -81,6 +91,11 @@ def _waypoint(path: Path, line: str, header: Sequence[str], row: Sequence[str]) 
         return Waypoint.model_validate({"position": position, "pitch": values.get("pitch"), "quaternion": quaternion})
     except ValidationError as error:
         raise SceneError(describe(error.errors()[0]), file=path, key=line) from None
+
+
+def _plain(column: str) -> str:
+    """The name of a column in small letters, without signs."""
+    return "".join(filter(str.isalnum, column.lower()))
 
 
 def _not_used(column: str, path: Path) -> str:

@@ -26,18 +26,32 @@ from backhoe_planner.site.schema.quantities import LARGEST
 _FEWEST = 2  # heights along x and along y, between which there is ground
 _FEWEST_POINTS = 9  # in a list of those at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # nodes of its grid for each of them at most; chosen
+_ROUNDING = 1e-6  # of a cell
 _MOST_COLUMNS = 32  # of a list of points at the nodes of a grid; chosen
 
 
-def read_heights(path: Path) -> Matrix:
+def read_heights(path: Path, *, size: tuple[float, float] | None = None) -> Matrix:
     """(rows, columns) heights [m] from a CSV without header, or from a GeoTIFF.
+
+    Parameters
+    ----------
+    size: from the first to the last height along x and y [m], where somebody said so; a GeoTIFF that places its
+        heights is held against it, to a cell, since some count whole cells.
 
     Raises
     ------
     InputError: missing, empty, ragged, fewer than 2 x 2, or with a height that is missing, not finite or beyond
-        `LARGEST`.
+        `LARGEST`; a GeoTIFF of another size.
     """
-    return _read_heights(path, holes=False).heights
+    found = _read_heights(path, holes=False)
+    if size is not None and found.cell > 0.0:
+        own = found.cell * (np.array(found.heights.shape[::-1]) - 1.0)
+        if (np.abs(own - size) > (1.0 + _ROUNDING) * found.cell).any():
+            raise InputError(
+                "is of another size than the scene says", file=path, key="size", found=f"[{size[0]:g}, {size[1]:g}]",
+                allowed=f"[{own[0]:g}, {own[1]:g}], along x and y",
+            )  # fmt: skip
+    return found.heights
 
 
 def read_height_grid(path: Path, *, fewest: int = _FEWEST) -> HeightTable:

@@ -41,6 +41,8 @@ def write_geotiff(
             tuple(v for key in ((1, 1, 0, len(keys)), *((k, 0, 1, keys[k]) for k in sorted(keys))) for v in key),
             3,
         )
+    if "words" in more:
+        tags[34737], tags.tagtype[34737] = more.pop("words"), 2
     if "metadata" in more:
         tags[42112], tags.tagtype[42112] = more.pop("metadata"), 2
     if "no_data" in more:
@@ -105,6 +107,7 @@ def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
         ({"keys": {1024: 2}}, ["is in degrees", "UTM"]),
         ({"keys": {3076: 9002}}, ["is not in metres", "9002"]),
         ({"keys": {3076: 9001, 4099: 9003}}, ["heights are not in metres", "9003"]),
+        ({"words": "NAD83 / California zone 5 (ftUS)|NAD83|"}, ["is not in metres", "zone 5 (ftUS)"]),
         ({"metadata": "<GDALMetadata><Item"}, ["scale and offset of its heights cannot be read"]),
         ({"cell_y": 0.7}, ["no squares", "0.5 x 0.7 m"]),
     ],
@@ -114,6 +117,23 @@ def test_geotiffs_that_cannot_be_used(tmp_path: Path, keys: dict[str, Any], part
     with pytest.raises(InputError) as caught:
         Terrain.from_file(file)
     assert all(part in str(caught.value) for part in [*parts, str(file)])
+
+
+def test_feet_in_the_name_of_a_projection_do_not_count_where_its_unit_is_said(tmp_path: Path) -> None:
+    words = "an area of 2 feet|"
+    file = write_geotiff(tmp_path / "a.tif", np.zeros((3, 3)), corner=(0.0, 1.0), keys={3076: 9001}, words=words)
+    assert Terrain.from_file(file).cell == 0.5
+
+
+def test_the_size_of_a_heightmap_is_that_of_its_geotiff(tmp_path: Path) -> None:
+    """Of 3 x 4 heights 0.5 m apart: 1.5 m along x and 1 m along y, or one cell more where cells are counted."""
+    write_geotiff(tmp_path / "hill.tif", np.ones((3, 4)), corner=(500_000.0, 4_100_000.0))
+    for size in ([1.5, 1.0], [2.0, 1.5]):
+        record = {"name": "hill", "shape": "heightmap", "file": "hill.tif", "size": size}
+        build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
+    swapped = obstacle_from_dict({"name": "hill", "shape": "heightmap", "file": "hill.tif", "size": [1.0, 2.5]})
+    with pytest.raises(InputError, match=r"hill\.tif: size: .* found \[1, 2\.5\].* \[1\.5, 1\], along x and y"):
+        build_obstacle(swapped, folder=tmp_path, clearance=0.1)
 
 
 def test_files_that_are_no_geotiff(tmp_path: Path) -> None:
