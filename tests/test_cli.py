@@ -444,6 +444,22 @@ def test_a_plan_and_its_page_are_written_before_anything_is_printed(tmp_path: Pa
     assert json.loads(written[0].read_text(encoding="utf-8"))["verdict"] == "verified"
 
 
+def test_where_the_page_cannot_be_written_the_plan_is_told_all_the_same(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(plan: bp.Plan, file: Path) -> tuple[str, ...]:
+        raise bp.OutputError("cannot be written: No space left on device", file=file)
+
+    monkeypatch.setattr("backhoe_planner.show.write_page", full)
+    plan_file, page = tmp_path / "plan.json", tmp_path / "plan.html"
+    status, out, err = run("plan", PLANAR4, scene_file(tmp_path), *QUICK, "-o", plan_file, "--html", page)
+    assert status == 2
+    assert "verified" in out
+    assert f"plan          {plan_file}" in out
+    assert "No space left on device" in err
+    assert bp.load_plan(plan_file).verified
+
+
 @pytest.mark.parametrize("command", [["inspect", PLANAR4], ["--help"]])
 def test_where_nobody_reads_the_output_that_is_said(command: list[str]) -> None:
     """A pipe whose other end is closed, as `| head -1` leaves it."""

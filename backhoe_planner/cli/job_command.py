@@ -221,7 +221,7 @@ def print_figures(plan: bp.JobPlan) -> None:
     left, below = 100.0 * figures.left, 100.0 * figures.below
     most = f"at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it"
     stays = sum(one.volume for one in plan.undug)
-    part = f", of which {stays:.2f} m^3 ({100.0 * stays / figures.design:.0f} %) stays" if stays else ""
+    part = f", of which {stays:.3f} m^3 ({100.0 * stays / figures.design:.1f} %) stays" if stays else ""
     OUT.print(f"design        {figures.design:.3f} m^3{part}; {most}")
     for one in plan.undug:
         OUT.print(f"undug         {one.words}")
@@ -263,7 +263,7 @@ def _print_energy(plan: bp.JobPlan, figures: jobs.JobFigures) -> None:
         OUT.print(f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank), at the joints")
         return
     OUT.print(
-        f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank) from the pump; about {figures.litres:.2f} l of diesel, "
+        f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank) from the pump; about {figures.litres:.2f} l of diesel in all, "
         f"at {jobs.LITRES_PER_KWH:g} l for a kWh of the engine"
     )
     pump, engine = 100.0 * figures.pump, 100.0 * figures.engine

@@ -73,7 +73,11 @@ def plan(
         found.save(output)
         print_warnings(site.obstacle_warnings(robot, found.problem.obstacles))
         if html is not None:  # before anything is printed: what is printed may not be read to its end
-            print_warnings(show.write_page(found, html))
+            try:
+                print_warnings(show.write_page(found, html))
+            except bp.OutputError:  # such as a full disk: the plan itself was found, and is written
+                print_plan(found, output, as_json)
+                raise
         print_plan(found, output, as_json)
         if html is not None and not as_json:
             _print_page(html)
