@@ -106,6 +106,30 @@ def test_ground_is_seen_from_above_and_has_no_edges_but_walls(tmp_path: Path, ro
     assert min(walls, 4 * 9) <= split <= walls  # there is one vertex more at most of those along both rims
 
 
+@pytest.mark.parametrize(("depth", "is_drawn"), [(0.5, False), (0.0, True)])
+def test_no_level_ground_is_drawn_over_scanned_ground(
+    backhoe: Robot, tmp_path: Path, depth: float, is_drawn: bool
+) -> None:
+    """Points 3 m around (4, 0): a heap on ground `depth` below the machine's, which would be hidden, or level with it."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(1.0, 7.01, 0.1), np.arange(-3.0, 3.01, 0.1)))
+    heap = np.exp(-((x - 4.0) ** 2 + y**2))
+    np.savetxt(tmp_path / "scan.xyz", np.column_stack((x, y, heap - depth)), fmt="%.3f")
+    scan = {"name": "scan", "shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1}
+    task = {"goal": {"position": [3.0, 0.0, 2.0]}}
+    content = {"version": 1, "start": {"joints": START}, "task": task, "obstacles": [scan]}
+    display = Display()
+    SceneGraph(display.visualizer(), build_problem(backhoe, scene_from_dict(content, folder=tmp_path)))
+    (message,) = [content for key, content in display.messages().items() if key[:2] == ("set_object", "/ground/sheet")]
+    assert isinstance(message, bytes)
+    (geometry,) = umsgpack.unpackb(message)["object"]["geometries"]
+    packed, rows = (geometry["data"][key] for key in ("attributes", "index"))
+    vertices = np.frombuffer(packed["position"]["array"].data, dtype=np.float32).reshape(-1, 3)
+    corners = vertices[np.frombuffer(rows["array"].data, dtype=np.uint32).reshape(-1, 3), :2]
+    middles = corners.mean(axis=1)
+    inside = (np.abs(middles - [4.0, 0.0]) < 2.9).all(axis=1)
+    assert inside.any() == is_drawn
+
+
 def test_a_tube_follows_its_line() -> None:
     line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5]])
     points = tube(line, 0.05, tolerance=0.003).vertices

@@ -141,12 +141,14 @@ class SceneGraph:
         if self._opening is not None:
             return self._opening, False
         outlines, lows = [], []
-        for drawn in self._site:
+        for obstacle, drawn in zip(self._drawn, self._site, strict=True):
             if drawn.bounds is None:
                 continue
-            if abs(drawn.bounds[1, 2]) <= _SHALLOW:  # its top is level with the ground
+            low, top = drawn.bounds[:, 2]
+            scanned = obstacle.spec.shape == "pointcloud" and low < -_SHALLOW and top >= 0.0  # with the ground in it
+            if abs(top) <= _SHALLOW or scanned:  # its top is level with the ground, or it is the ground itself
                 outlines.append(drawn.facets.vertices[:, :2])
-            elif drawn.bounds[1, 2] < 0.0:
+            elif top < 0.0:
                 lows.append(drawn)
         points = [goal.target.position for goal in self.problem.goals]
         points += [] if self.problem.path is None else list(self.problem.path.points)
