@@ -263,8 +263,8 @@ def _print_energy(plan: bp.JobPlan, figures: jobs.JobFigures) -> None:
         OUT.print(f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank), at the joints")
         return
     OUT.print(
-        f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank) from the pump; about {figures.litres:.2f} l of diesel in all, "
-        f"at {jobs.LITRES_PER_KWH:g} l for a kWh of the engine"
+        f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank) from the pump; about {figures.litres:.2f} l of diesel "
+        f"in all, at {jobs.LITRES_PER_KWH:g} l for a kWh of the engine"
     )
     pump, engine = 100.0 * figures.pump, 100.0 * figures.engine
     OUT.print(f"utilisation   pump {pump:.0f} % of its flow, engine {engine:.0f} % of its power, on average")

@@ -135,7 +135,8 @@ def print_certificate(plan: bp.Plan) -> None:
         if plan.failure and plan.note:
             OUT.print(f"  {plan.note}")
         for problem in certificate.problems:
-            OUT.print(f"  {problem}")
+            if not plan.failure or problem not in plan.note:  # what the planner said need not be said again
+                OUT.print(f"  {problem}")
     if not live.is_recording(plan):
         OUT.print(f"{'planned with':<13}{plan.settings}")
     table = table_of("obstacle", "link", "distance [m]", "margin [m]", "at [s]")
@@ -166,6 +167,9 @@ def print_certificate(plan: bp.Plan) -> None:
             f"{'tip speed':<13}{100.0 * speed.ratio:5.1f} % of the asked {speed.available:g} m/s at most "
             f"({speed.time:.2f} s)"
         )
+    if certificate.duration is not None:
+        use = certificate.duration
+        OUT.print(f"{'duration':<13}{100.0 * use.ratio:5.1f} % of max_duration ({use.available:g} s)")
     _print_zone_table(site.worst_first(bp.zone_log(plan.robot, plan.scene, plan.trajectory)))
 
 

@@ -60,6 +60,7 @@ class Problem:
     name: of the leg of a sequence; empty for a task of its own.
     wait: of a leg that waits, how long [s]; None elsewhere.
     tip_speed: the greatest speed of the tip on the whole way to a goal [m/s]; None where nothing is asked.
+    max_duration: how long the motion to a goal may take [s]; infinite where nothing is asked.
     legs: of a sequence, each a problem of its own, of which only the first has a start; see `beginning`.
         A sequence has neither goals nor a path, and its obstacles are those of all legs.
     """
@@ -79,6 +80,7 @@ class Problem:
     name: str = ""
     wait: float | None = None
     tip_speed: float | None = None
+    max_duration: float = np.inf
     legs: tuple[Problem, ...] = ()
 
     def beginning(self, q: Vector, time: float = 0.0) -> Problem:
@@ -197,6 +199,7 @@ def _build(robot: Robot, scene: Scene, obstacles: tuple[Obstacle, ...]) -> Probl
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
         keep=keep_of(robot, scene),
         joint_steps=_joint_steps(robot, scene),
+        max_duration=np.inf if scene.task.max_duration is None else scene.task.max_duration,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from backhoe_planner.motion import (
 )
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.keeping import KeepUse, keep_uses
-from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
+from backhoe_planner.proof.limits import LimitUse, duration_use, machine_uses, position_use, tip_speed_use
 from backhoe_planner.site import Obstruction, Proximity
 
 _STARTS_AT = 1e-5  # m and rad: rounding of what inverse kinematics finds is below
@@ -46,6 +46,7 @@ class Certificate:
         a hydraulic description.
     tracking: how the tip keeps to its task.
     tip_speed: use of the asked speed; None where none is asked for.
+    duration: use of the time that the motion to a goal may take; None where it may take any.
     keep: what is left of every condition that is to be kept along the motion; empty where there is none.
     problems: everything that is not as it must be, in words; empty where verified.
     legs: of a sequence, what was proven of each leg that the motion has begun; all else is the tightest over them.
@@ -62,6 +63,7 @@ class Certificate:
     problems: tuple[str, ...]
     keep: tuple[KeepUse, ...] = ()
     legs: tuple[LegCertificate, ...] = ()
+    duration: LimitUse | None = None
 
     @property
     def min_clearance(self) -> Obstruction | None:
@@ -136,7 +138,7 @@ def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
         )  # fmt: skip
     else:
         tracking = track_goals(problem.goals, trajectory, kinematics)
-    tip_speed = tip_speed_use(problem, trajectory, tracking)
+    tip_speed, duration = tip_speed_use(problem, trajectory, tracking), duration_use(problem, trajectory)
     keep = keep_uses(problem, trajectory)
     tightest = clearances[0] if clearances else None
     problems = []
@@ -148,10 +150,13 @@ def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
     problems += [use.describe() for use in (position, velocity, acceleration) if not use.kept]
     problems += _task_problems(problem, trajectory, tracking, kinematics)
     problems += [use.words for use in keep if not use.kept]
-    problems += [use.describe() for use in (effort, hydraulics, tip_speed) if use is not None and not use.kept]
+    problems += [
+        use.describe() for use in (effort, hydraulics, tip_speed, duration) if use is not None and not use.kept
+    ]
     return Certificate(
         clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
         hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems), keep=keep,
+        duration=duration,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ _WITHIN = {
     "velocity": JOINTS_WITHIN,
     "acceleration": JOINTS_WITHIN,
     "tip speed": _TIP_SPEED_WITHIN,
+    "duration": JOINTS_WITHIN,
 }
 
 
@@ -31,8 +32,8 @@ class LimitUse:
     Attributes
     ----------
     kind: ``position``, ``velocity``, ``acceleration``, ``torque``, ``rod speed``,
-        ``pump flow``, ``engine power`` or ``tip speed``.
-    joint: name of the joint; empty for the last three.
+        ``pump flow``, ``engine power``, ``tip speed`` or ``duration``.
+    joint: name of the joint; empty for the last four.
     ratio: use over limit. For position, 1 plus the excess [rad or m] where outside.
     time: when [s].
     needed, available: use and limit, in `unit`; `available` is 0 where there is no limit.
@@ -69,6 +70,8 @@ class LimitUse:
         if self.kind == "tip speed":
             speeds = f"{self.needed:.3g} m/s {when}, {much} the asked {self.available:.3g} m/s"
             return f"the tip moves at {speeds}"
+        if self.kind == "duration":
+            return f"the motion takes {self.needed:.2f} s, max_duration allows {self.available:g} s"
         return f"the motion asks for {much} the {self.kind} {when}"
 
 
@@ -120,6 +123,14 @@ def tip_speed_use(problem: Problem, trajectory: Trajectory, tracking: Tracking) 
         return None
     ratio = tracking.max_speed / path.speed
     return LimitUse("tip speed", "", ratio, tracking.max_speed_time, tracking.max_speed, path.speed, "m/s")
+
+
+def duration_use(problem: Problem, trajectory: Trajectory) -> LimitUse | None:
+    """Use of the time that the motion to a goal may take; None where it may take any."""
+    longest, taken = problem.max_duration, trajectory.duration
+    if not np.isfinite(longest):
+        return None
+    return LimitUse("duration", "", taken / longest, float(trajectory.time[-1]), taken, longest, "s")
 
 
 def _fastest_tip(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:

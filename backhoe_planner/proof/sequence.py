@@ -87,6 +87,7 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
             replace(_later(use, leg), words=f"{_place(leg)}{use.words}") for leg in legs for use in leg.certificate.keep
         ),
         legs=legs,
+        duration=_most(legs, "duration"),
     )
 
 

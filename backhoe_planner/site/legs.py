@@ -30,7 +30,7 @@ def leg_scene(scene: Scene, index: int) -> Scene:
     index: of the leg, from 0.
     """
     leg = leg_of(check_kind(scene, Scene, key="scene"), index)
-    task = {"goal": leg.goal, "path": leg.followed_path, "keep": leg.keep}
+    task = {"goal": leg.goal, "path": leg.followed_path, "keep": leg.keep, "max_duration": leg.max_duration}
     update: dict[str, Any] = {
         "task": scene.task.model_copy(update={"sequence": None} | {k: v for k, v in task.items() if v is not None}),
         "obstacles": tuple(one for one in scene.obstacles if one.legs is None or leg.name in one.legs),

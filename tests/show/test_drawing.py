@@ -110,7 +110,7 @@ def test_ground_is_seen_from_above_and_has_no_edges_but_walls(tmp_path: Path, ro
 def test_no_level_ground_is_drawn_over_scanned_ground(
     backhoe: Robot, tmp_path: Path, depth: float, is_drawn: bool
 ) -> None:
-    """Points 3 m around (4, 0): a heap on ground `depth` below the machine's, which would be hidden, or level with it."""
+    """Points within 3 m of (4, 0): a heap on ground `depth` below the machine's, which a sheet would hide."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(1.0, 7.01, 0.1), np.arange(-3.0, 3.01, 0.1)))
     heap = np.exp(-((x - 4.0) ** 2 + y**2))
     np.savetxt(tmp_path / "scan.xyz", np.column_stack((x, y, heap - depth)), fmt="%.3f")

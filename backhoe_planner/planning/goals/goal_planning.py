@@ -9,6 +9,7 @@ import numpy as np
 
 from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
+from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.searches import search_motion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
@@ -49,6 +50,9 @@ class ToGoal:
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
+        too_short = self._too_short(world, stepper)
+        if too_short is not None:
+            return too_short
         searched = search_motion(world, stepper.q, found, self.goals, time=stepper.time)
         best, ended = searched.best, searched.ended
         if best is not None:
@@ -95,6 +99,17 @@ class ToGoal:
         if all(np.max(np.abs(goal.error(here)), initial=0.0) > _STANDS_ON for goal in self.goals):
             return False
         return bad_posture(world, stepper.q, "start", time=stepper.time) is None
+
+    def _too_short(self, world: World, stepper: Stepper) -> Outcome | None:
+        """The failure where no motion can be as short as max_duration asks; None where one may be."""
+        longest = world.problem.max_duration
+        if not np.isfinite(longest):
+            return None
+        least = stepper.time + bound_for_allowed_time(world.problem, stepper.q)
+        if least <= longest:
+            return None
+        message = f"no motion can take less than {least:.2f} s, max_duration allows {longest:g} s"
+        return Outcome(stepper.trajectory(), "outside_limits", message)
 
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
         """The law straight to the first of `goals` at which that arrives, else the attempt that came nearest."""

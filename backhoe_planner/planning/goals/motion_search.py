@@ -208,9 +208,11 @@ class MotionSearch:
         """
         ended: list[FoundMotion] = []
         efforts: tuple[Effort, ...] = (self._world.work.effort,)
-        bound = 0.0
+        bound, most = 0.0, max(self._problem.max_duration - self._time, 0.0)  # the machine may have waited first
         if self.allowed_time is not None:
             efforts, bound = (_FIRST_SEARCH,), bound_behind(self.allowed_time)
+        elif np.isfinite(most):
+            efforts, bound = efforts if self._hurried else (_FIRST_SEARCH, *efforts), bound_behind(most)
         elif not self._hurried:
             efforts, bound = (_FIRST_SEARCH, *efforts), bound_for_allowed_time(self._problem, self._start)
         for effort in efforts:
@@ -222,7 +224,9 @@ class MotionSearch:
             if search.best is not None:
                 ended.append(search.best)
                 fastest = search.best.motion
-                self._descents.longest = min(self._descents.longest, allowed_time(bound, fastest.duration))
+                # of a motion for which max_duration is too short the certificate says so
+                allowed = max(most, fastest.duration) if np.isfinite(most) else allowed_time(bound, fastest.duration)
+                self._descents.longest = min(self._descents.longest, allowed)
                 self._descents.offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
                 if has_room(bound, fastest.duration):
                     break

@@ -39,7 +39,7 @@ Reason = Literal[
     "not_done",
     "budget",
 ]
-LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed"]
+LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed", "duration"]
 
 FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
 VERSION: Literal[1] = 1

@@ -46,6 +46,11 @@ def _kept(goals: tuple[Goal | JointsGoal, ...], beside: Keep | None) -> Keep | N
     return next((goal.keep for goal in goals if goal.keep is not None), beside)
 
 
+def _check_max_duration(asked: float | None, goals: tuple[Goal | JointsGoal, ...]) -> None:
+    if asked is not None and not goals:
+        raise ValueError("max_duration needs a goal; a path has a speed, and a wait a time of its own")
+
+
 class Leg(Record):
     """One part of a sequence: exactly one of goal, path, wait. It begins where the one before has ended."""
 
@@ -69,6 +74,8 @@ class Leg(Record):
     """What the leg is to make small; the scene's by default, else the time to a goal and the work along a path."""
     speed: Positive | None = None
     """Greatest speed of the tip [m/s]: along a path as its own `speed`, and on the whole way to a goal."""
+    max_duration: Positive | None = None
+    """How long the motion to a goal may take [s]."""
     carries: ObstacleSpec | None = None
     """What hangs from the tip or lies in the bucket, in the tip's frame: part of the machine's shape in this leg."""
 
@@ -82,6 +89,7 @@ class Leg(Record):
             given = [key for key in ("keep", "objective", "speed") if getattr(self, key) is not None]
             if given:
                 raise ValueError(f"a wait has no {' and no '.join(given)}: the machine stands")
+        _check_max_duration(self.max_duration, self.goals)
         if self.speed is not None and self.speed < SLOWEST:
             raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
         if self.path is not None and self.speed is not None and self.path.speed is not None:
@@ -126,6 +134,8 @@ class Task(Record):
     """Legs, done one after the other."""
     keep: Keep | None = None
     """What holds along the whole way to a goal, or to a path and along it."""
+    max_duration: Positive | None = None
+    """How long the motion to a goal may take [s]."""
 
     _one = exactly_one("goal", "path", "sequence")
     _check_goal = field_validator("goal")(_some_goal)
@@ -135,9 +145,11 @@ class Task(Record):
         _kept(self.goals, self.keep)
         legs = self.sequence
         if legs is None:
+            _check_max_duration(self.max_duration, self.goals)
             return self
-        if self.keep is not None:
-            raise ValueError("keep stands beside a sequence; give it to the legs in which it holds")
+        for key in ("keep", "max_duration"):
+            if getattr(self, key) is not None:
+                raise ValueError(f"{key} stands beside a sequence; give it to the legs in which it holds")
         in_use: dict[str, str] = {}
         for index, leg in enumerate(legs):
             check_name(leg.name, in_use=in_use, key=f"sequence[{index}].name")
