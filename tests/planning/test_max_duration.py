@@ -65,7 +65,7 @@ def test_a_motion_that_takes_longer_is_not_verified(backhoe: bp.Robot, tmp_path:
 
 
 def test_a_leg_has_its_own(backhoe: bp.Robot) -> None:
-    legs = [
+    legs: list[dict[str, Any]] = [
         {"name": "out", "goal": {"joints": START | {"swing": 0.8}}, "max_duration": 4.0, "objective": "work"},
         {"name": "back", "goal": {"joints": START}, "objective": "work"},
     ]
