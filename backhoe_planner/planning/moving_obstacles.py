@@ -115,8 +115,8 @@ class _OverTime:
         tightest = min((spot for spot in spots if spot is not None), key=lambda spot: spot.margin, default=None)
         held = known.stepper(stepper.q)
         held.replay(stepper.trajectory(), stepper.time)
-        kept = "" if known.problem.keep is None else ", and keeps what is asked for on the whole way"
-        message = f"no motion was found that keeps clear of what moves ({moving[0]}){kept}"
+        kept = "" if known.problem.keep is None else " and satisfies `keep` on the whole way"
+        message = f"no motion was found that keeps clear of moving obstacles ({moving[0]}){kept}"
         return Outcome(held.trajectory(), "blocked", message, Findings(obstruction=tightest))
 
     def _motions(self, stepper: Stepper, known: World, still: World) -> Iterator[Outcome]:
@@ -172,7 +172,7 @@ class _OverTime:
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
         elif not stopped.give_way(moment):
-            kept = "" if known.problem.keep is None else ", or what is to be kept would be lost"
+            kept = "" if known.problem.keep is None else ", or would violate `keep`"
             return self._halt(motion, moment, f"it comes too near all the same{kept}")
         outcome = self._among_known(stopped)
         if outcome.reason and outcome.trajectory.duration < stopped.time:

@@ -51,7 +51,7 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector]) -> Ste
             branch = stepper.branch(attempt=stepper.attempt + 1)
             _play_checked(check, branch, shorten(check, path, seed=world.seed))
             return branch
-    return f"of {before - work.motions:,} motions that sampling looked at none led there"
+    return f"none of the {before - work.motions:,} motions that were sampled leads there"
 
 
 def find_detour(

@@ -180,14 +180,14 @@ def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking,
     """What is wrong with the start of the motion, its velocities, and how it keeps to its task."""
     found, q = [], trajectory.q[0]
     if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(q))) > _STARTS_AT:
-        found.append("the motion does not begin at the asked start")
+        found.append("the motion does not begin at the start of the scene")
     if not np.allclose(trajectory.v, trajectory.own_velocities(), rtol=_SAME_VELOCITY, atol=_SAME_VELOCITY):
         found.append("the velocities at the samples are not those of the motion")
     if problem.start_q is not None and np.max(np.abs(q - problem.start_q)) > _STARTS_AT_JOINTS:
-        found.append("the motion does not begin at the asked start")
+        found.append("the motion does not begin at the start of the scene")
     if problem.wait is not None:
         if trajectory.duration < problem.wait * (1.0 - _WAITS_WITHIN):
-            found.append(f"the machine waits {trajectory.duration:.3g} s, asked are {problem.wait:.3g} s")
+            found.append(f"the machine waits {trajectory.duration:.3g} s instead of {problem.wait:.3g} s")
         if np.max(np.abs(trajectory.q - q)) > _STARTS_AT_JOINTS:
             found.append("the machine moves while it is to wait")
     path = problem.scene.task.path

@@ -99,7 +99,7 @@ def test_a_motion_is_refuted_by_the_leg_whose_condition_it_breaks(backhoe: Robot
 def test_too_short_a_wait_and_a_leg_that_is_left_out_are_refuted(backhoe: Robot, done: Plan) -> None:
     longer = [*LEGS[:2], LEGS[2] | {"wait": 0.8}, LEGS[3]]
     found = certify(backhoe, scene_of(*longer), done.trajectory)
-    assert any("the machine waits 0.7 s, asked are 0.8 s" in problem for problem in found.problems)
+    assert any("the machine waits 0.7 s instead of 0.8 s" in problem for problem in found.problems)
     cut_off = done.trajectory.begins[:2]
     part = Trajectory.from_steps(
         done.trajectory.time[: done.legs[1].last + 1], done.trajectory.q[: done.legs[1].last + 1], begins=cut_off

@@ -91,7 +91,7 @@ def test_a_start_given_by_the_tip_is_held_against_the_motion(backhoe: bp.Robot) 
     there = scene(task=goal_at(backhoe, START), start={"tip": {"position": tip}})
     assert bp.certify(backhoe, there, standing).verified
     elsewhere = scene(task=goal_at(backhoe, START), start={"tip": {"position": [4.0, -2.0, 0.5]}})
-    assert "asked start" in bp.certify(backhoe, elsewhere, standing).problems[0]
+    assert "start of the scene" in bp.certify(backhoe, elsewhere, standing).problems[0]
 
 
 def test_velocities_that_are_not_those_of_the_motion(backhoe: bp.Robot) -> None:

@@ -58,11 +58,11 @@ class ToGoal:
         if best is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             branch.play(best.motion)
-            message = f"{ended}; a better motion was not looked for any more" if ended else ""
+            message = f"{ended}; the search for a better motion was not finished" if ended else ""
             allowed = None if searched.allowed_time is None else stepper.time + searched.allowed_time
             findings = Findings(way=best.way, allowed_time=allowed)
             return Outcome(branch.trajectory(), message=message, findings=findings)
-        sampled = f"of {searched.looked_at:,} motions that sampling looked at none led there"
+        sampled = f"none of the {searched.looked_at:,} motions that were sampled leads there"
         if not searched.looked_at:
             sampled = "no motions were sampled"
         if self.search_alone or ended:
@@ -70,7 +70,7 @@ class ToGoal:
             return Outcome(stepper.trajectory(), reason, f"{ended}; {sampled}" if ended else sampled)
         outcome = self._attempts(world, stepper, found)
         if not outcome.reason and not world.keeps(outcome.trajectory):
-            outcome = replace(outcome, reason="blocked", message="the law arrives, but does not keep what is asked for")
+            outcome = replace(outcome, reason="blocked", message="the law arrives, but does not satisfy `keep`")
         if not outcome.reason:
             return outcome
         return replace(outcome, message=f"{outcome.message}; {sampled}")
@@ -161,7 +161,7 @@ def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:
     held = ""
     if nearest.obstruction is not None:
         held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
-    which = "the only attempt" if len(attempts) == 1 else f"of {len(attempts)} attempts the closest"
+    which = "the only attempt" if len(attempts) == 1 else f"the closest of {len(attempts)} attempts"
     message = f"{which} came to {nearest.distance:.3f} m of the goal{held}"
     if brake.is_used_up():
         return Outcome(nearest.stepper.trajectory(), "budget", f"{brake.message}; {message}", findings)

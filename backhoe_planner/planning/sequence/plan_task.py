@@ -171,7 +171,7 @@ def _plan_sequence(
     if notes and failed is not None and not failed.outcome.reason:
         notes += certificate.problems
     if not notes and failed is None and brake.is_used_up():
-        notes.append(f"{brake.message}; better motions were not looked for any more")
+        notes.append(f"{brake.message}; the search for better motions was not finished")
     return Plan(
         problem=problem,
         method=method,

@@ -63,7 +63,7 @@ def read_geotiff(path: Path) -> HeightTable:
                 tags: dict[int, Any] = dict(getattr(image, "tag_v2", {}))
                 if image.mode not in _FORMATS:
                     raise InputError(
-                        "is no map of heights", file=path, found=f"an image of mode {image.mode}",
+                        "is not a height map", file=path, found=f"an image of mode {image.mode}",
                         allowed="one band of numbers",
                     )  # fmt: skip
                 heights = np.array(image, dtype=float)[::-1]
@@ -132,7 +132,7 @@ def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, 
         return None, 0.0
     if not (scale > 0.0).all() or abs(scale[0] - scale[1]) > _SQUARE_WITHIN * scale[0]:
         found = f"{scale[0]:g} x {scale[1]:g} m"
-        raise InputError("its cells are no squares", file=path, found=found, hint="resample it")
+        raise InputError("its cells are not square", file=path, found=found, hint="resample it")
     cell = float(scale[0])
     middle = 0.0 if values.get(_RASTER) == _POINT else 0.5  # of a cell, from what the tags place to its height
     return np.array([corner[0] + middle * cell, corner[1] - (rows - 1 + middle) * cell]), cell

@@ -109,7 +109,7 @@ def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
         ({"keys": {3076: 9001, 4099: 9003}}, ["heights are not in metres", "9003"]),
         ({"words": "NAD83 / California zone 5 (ftUS)|NAD83|"}, ["is not in metres", "zone 5 (ftUS)"]),
         ({"metadata": "<GDALMetadata><Item"}, ["scale and offset of its heights cannot be read"]),
-        ({"cell_y": 0.7}, ["no squares", "0.5 x 0.7 m"]),
+        ({"cell_y": 0.7}, ["are not square", "0.5 x 0.7 m"]),
     ],
 )
 def test_geotiffs_that_cannot_be_used(tmp_path: Path, keys: dict[str, Any], parts: list[str]) -> None:
@@ -148,7 +148,7 @@ def test_files_that_are_no_geotiff(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a\.tif"):
         Terrain.from_file(file)
     Image.new("RGB", (4, 4)).save(file)
-    with pytest.raises(InputError, match="is no map of heights; found an image of mode RGB"):
+    with pytest.raises(InputError, match="is not a height map; found an image of mode RGB"):
         Terrain.from_file(file)
 
 
