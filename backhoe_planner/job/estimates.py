@@ -1,7 +1,7 @@
-"""What a pattern would cost: its cuts found one after the other on the changing ground, its motions only estimated.
+"""The estimated cost of a pattern: its cuts are found one by one on the changing ground, its motions only estimated.
 
-A cut takes the time that its own estimate says; a motion through the air the least time that the
-joints' rates and accelerations allow; work is that against gravity and soil.
+A cut takes the time of its own estimate. A motion through the air takes the least time that the joint rates
+and accelerations allow. The work is done against gravity and soil.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Dynamics
 
 _MOST_CYCLES = 2000
-_ENOUGH = 0.95  # of the most that any pattern digs; chosen: a pattern that leaves more does not compare
-_LEAST = 1e-3  # m^3 of a cut: less is no progress
+_ENOUGH = 0.95  # of the most that any pattern digs; chosen: the cost of a pattern that digs less cannot be compared
+_LEAST = 1e-3  # m^3 dug by a cut: less is no progress
 
 
 def estimate_pattern(
@@ -33,7 +33,7 @@ def estimate_pattern(
 
     Parameters
     ----------
-    dump: gives the postures, level and open, in which a bucketful is dumped after a posture (n,).
+    dump: returns the postures, level and open, for dumping a bucketful after a posture (n,).
     """
     ground, limits = site.ground, site.problem.limits
     empty = Dynamics(site.robot)
@@ -75,13 +75,13 @@ def estimate_pattern(
 
 
 def in_full(estimates: Sequence[PatternEstimate]) -> list[PatternEstimate]:
-    """The same, with `finished` only where as much is dug as by the pattern that digs most, nearly."""
+    """The same estimates; `finished` stays true only if the pattern digs nearly as much as the one that digs most."""
     most = max(one.bank for one in estimates)
     return [replace(one, finished=one.finished and one.bank > _ENOUGH * most) for one in estimates]
 
 
 def choose(estimates: Sequence[PatternEstimate]) -> int:
-    """The number of the best of `in_full`: the least cost of those that leave nothing, else of those that dig most."""
+    """The index of the best of `in_full`: the cheapest of those that are finished, otherwise of those that dig most."""
     most = max(one.bank for one in estimates)
     done = [index for index, one in enumerate(estimates) if one.finished]
     enough = done or [index for index, one in enumerate(estimates) if one.bank >= _ENOUGH * most]

@@ -1,4 +1,4 @@
-"""What a whole job would cost from where its machine stands: the cheap models of the patterns, without planning it."""
+"""The estimated cost of a whole job from the machine's present place: cheap models compare patterns without a plan."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from backhoe_planner.job.worksite.checks import check_job, check_start
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import build_worksite
 
-# one pattern of each way to cut that were chosen in most of the jobs in scenes/jobs: a third of the work of all
+# for each way to cut, the patterns chosen in most of the jobs in scenes/jobs: a third of the work of all patterns
 _FEW = (Pattern("layers", 0.2), Pattern("layers", 0.3), Pattern("face", 0.4))
 
 
 @dataclass(frozen=True, eq=False)
 class JobEstimate:
-    """A job, estimated.
+    """The estimate of a job.
 
     Attributes
     ----------
@@ -47,11 +47,11 @@ def estimate_job(job: Job, *, terrain: Terrain | None = None, few: bool = False)
     Parameters
     ----------
     terrain: the ground as it is now; by default that of the job.
-    few: whether only three patterns are compared where the job leaves the choice, for a third of the work.
+    few: if the job leaves the choice open, compare only three patterns, for a third of the work.
 
     Raises
     ------
-    InputError: the job cannot be done as it is written, as of `plan_job`.
+    InputError: the job cannot be done as it is written, as for `plan_job`.
     """
     site = build_worksite(job, terrain=terrain)
     check_start(site)

@@ -1,4 +1,4 @@
-"""`plan_job`: the pattern of cuts is chosen, then cycle after cycle is planned against the ground as it then is."""
+"""`plan_job` chooses the pattern of cuts, then plans one cycle after another against the ground as it then is."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
 from backhoe_planner.planning import EFFORTS
 
-DEFAULT_EFFORT = "quick"  # chosen: each of the jobs in scenes/jobs is then planned within a minute
+DEFAULT_EFFORT = "quick"  # chosen: each of the jobs in scenes/jobs is planned within a minute
 _MOST_CYCLES = 5000
-_MOST_REFUSED = 25  # cuts in a row that cannot be planned, before the job is given up; chosen
-_BESIDE = 0.15  # m of radius that are left out where a cut could not be planned; chosen
-_NO_PROGRESS = 1e-3  # m^3 of a cycle
+_MOST_REFUSED = 25  # cuts in a row that cannot be planned before the job is given up; chosen
+_BESIDE = 0.15  # m of radius that are left out next to a cut that could not be planned; chosen
+_NO_PROGRESS = 1e-3  # m^3 dug in a cycle: less is no progress
 
 
 @dataclass(frozen=True, eq=False)
 class JobStep:
-    """What is told while a job is planned.
+    """A report on the progress of planning a job.
 
     Attributes
     ----------
-    plan: the job as far as it is planned.
-    expected: how many cycles it is estimated to take in all.
+    plan: the job as far as it has been planned.
+    expected: estimated number of cycles of the whole job.
     """
 
     plan: JobPlan
@@ -62,16 +62,16 @@ def plan_job(
     Parameters
     ----------
     job: machine, site, what is dug, and where the soil goes.
-    effort: ``quick``, ``normal`` or ``thorough``: how much counted work the search of every motion may take.
-    seed: of every random choice, not negative.
+    effort: ``quick``, ``normal`` or ``thorough``: how much counted work the search for every motion may take.
+    seed: seed of every random choice, not negative.
     terrain: the ground as it is now, such as a scan of what was really dug; by default that of the job.
-    resume: the same job as far as it was planned: its cycles are kept, and it goes on after them.
+    resume: the unfinished plan of the same job: its cycles are kept, and planning continues after them.
     watch: called with a `JobStep` before the first cycle and after each.
 
     Returns
     -------
-    The plan in any case; `JobPlan.verdict` is ``verified`` only where every motion is proven and the design
-    is met wherever it may be dug.
+    A plan in any case; `JobPlan.verdict` is ``verified`` only if every motion is proven and the design is met
+    wherever it may be dug.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def plan_job(
 
 
 def _check_resumed(resume: JobPlan, job: Job, terrain: Terrain | None) -> None:
-    """InputError where a plan is not a part of this job that was interrupted."""
+    """Raise InputError unless the plan is an interrupted one of this job."""
     if not same_job(resume, job):
         raise InputError("is the plan of another job", key="resume", found=resume.job.name)
     if resume.reason != "interrupted":
@@ -109,7 +109,7 @@ def _check_resumed(resume: JobPlan, job: Job, terrain: Terrain | None) -> None:
 
 
 class _Run:
-    """One job while it is planned."""
+    """The planning of one job."""
 
     def __init__(self, site: Worksite, effort: str, seed: int, begun: float) -> None:
         self._site, self._effort, self._seed, self._begun = site, effort, seed, begun
@@ -170,12 +170,12 @@ class _Run:
                         allowed=f"a posture that keeps {site.problem.scene.clearance:g} m from ground and obstacles",
                     )  # fmt: skip
                 if made.part in ("full", "unreachable"):
-                    # a heap that has grown out of reach is full
+                    # a heap that has grown beyond reach is full
                     failure = "full" if cycles else made.part
                     break
-                if made.part == "limits":  # of what a shallower cut asks for, too
+                if made.part == "limits":  # a shallower cut exceeds them, too
                     too_hard = made.words
-                elif found.step != WALLS:  # without a last cut along a wall most is dug all the same
+                elif found.step != WALLS:  # most of the soil is dug even without a last cut along a wall
                     stopped = made.words
                 leave_out(found)
                 if refused > _MOST_REFUSED:
@@ -198,7 +198,7 @@ class _Run:
         if plan.verified:
             return replace(plan, note="")
         if stopped and failure in ("", "unreachable"):
-            # there were cuts, and no way to dig them, or from them to the dump
+            # there were cuts, but no motion to dig them or to reach the dump from them
             return self._plan(cycles, "blocked", stopped)
         if too_hard and not plan.failure and not plan.is_met:
             return self._plan(cycles, "too_hard", too_hard)

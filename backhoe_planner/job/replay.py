@@ -1,4 +1,4 @@
-"""A job's plan file read again: ground, volumes and certificates are computed anew from the motions."""
+"""Reading a job's plan file: ground, volumes and certificates are recomputed from the motions."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from backhoe_planner.job.undug import find_undug
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite, plain_soil
 
-_SAME_MASS = 1e-6  # kg, of volumes that are the same to 1e-9 m^3
-_SAME_LOAD = 0.02  # of a full bucket: the load is that of the columns that are swept, but for rounding; chosen
-_OVERFULL = 1.05  # times the bucket's volume; chosen: sweeps take up to 1 % more than what is wanted of a cut
+_SAME_MASS = 1e-6  # kg; volumes that are the same agree to 1e-9 m^3
+_SAME_LOAD = 0.02  # of a full bucket: the load is that of the swept columns, apart from rounding; chosen
+_OVERFULL = 1.05  # times the bucket's volume; chosen: sweeps take up to 1 % more than the volume wanted of a cut
 
 
 def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> JobPlan:
-    """Read the plan of a job. Ground, volumes and certificates are computed anew, not believed.
+    """Read the plan of a job. Ground, volumes and certificates are recomputed, not taken from the file.
 
     Parameters
     ----------
     path: the file.
-    urdf: path of the machine's URDF, where it no longer lies where the file says.
+    urdf: path of the machine's URDF, if it is no longer where the file says.
 
     Raises
     ------
-    PlanFileError: not the plan of a job, or damaged, or a file that its job names is missing; names the key.
+    PlanFileError: the file is damaged or not the plan of a job, or a file that its job names is missing; names the key.
     RobotError: the URDF is missing or has changed since the plan was made.
     """
     file = check_path(path, key="path")
@@ -99,7 +99,7 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
 
 @contextlib.contextmanager
 def _errors_of(file: Path, key: str) -> Iterator[None]:
-    """What is wrong with a part of a plan's file is said with the file and its key."""
+    """Errors in one part of a plan file are raised with the file and the key."""
     try:
         yield
     except (RobotError, PlanFileError):
@@ -109,7 +109,7 @@ def _errors_of(file: Path, key: str) -> Iterator[None]:
 
 
 def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list[str]:
-    """What else a file says that does not hold: the ground at the beginning, what was chosen, and all figures."""
+    """Other claims of a file that do not hold: the ground at the beginning, the choices, and all figures."""
     found = []
     is_own = same_ground(site.own_ground, plan.start)
     if not plan.surveyed and not is_own:
@@ -144,7 +144,7 @@ def _job(record: JobPlanRecord, file: Path, urdf: Path | None) -> Job:
 
 
 def _check_pattern(record: JobPlanRecord, site: Worksite, file: Path) -> None:
-    """The pattern with which a job goes on is there."""
+    """Check that the job has the compared patterns, and that exactly one is chosen."""
     names = [one.name for one in patterns_to_compare(site)]
     for index, one in enumerate(record.compared):
         if one.name not in names:
@@ -160,7 +160,7 @@ def _check_pattern(record: JobPlanRecord, site: Worksite, file: Path) -> None:
 
 
 def _check_trucks(record: JobPlanRecord, job: Job, file: Path) -> None:
-    """Trucks are only where there are any."""
+    """Check that a cycle has the number of a truck if and only if the job loads trucks."""
     for index, cycle in enumerate(record.cycles):
         if (cycle.truck == 0) != (job.dump.truck is None):
             raise PlanFileError(
@@ -170,7 +170,7 @@ def _check_trucks(record: JobPlanRecord, job: Job, file: Path) -> None:
 
 
 class _Replay:
-    """Cycles made again from their motions, one after the other."""
+    """Rebuilds cycles from their motions, one after the other."""
 
     def __init__(self, planner: CyclePlanner, file: Path) -> None:
         self._planner, self._site, self._file = planner, planner.site, file
@@ -179,7 +179,7 @@ class _Replay:
         self.problems: list[str] = []
 
     def cycle(self, number: int, record: CycleRecord) -> Cycle:
-        """The cycle of a record, against the ground that the cycles before leave."""
+        """The cycle of a record, on the ground that the earlier cycles leave."""
         site, planner, before = self._site, self._planner, self._state
         key = f"cycles[{number - 1}]"
         motions = {leg.name: leg for leg in record.legs}
@@ -207,14 +207,14 @@ class _Replay:
         )  # fmt: skip
 
     def _check_names(self, names: list[LegName], key: str) -> None:
-        """A cycle digs, swings and dumps, in this order."""
+        """Check that a cycle cuts, swings and dumps, in this order."""
         if names[names[:1] == ["approach"] :] != ["cut", "swing", "dump"]:
             allowed = "cut, swing, dump, with an approach before them"
             raise PlanFileError("are not those of a cycle", file=self._file, key=f"{key}.legs", found=names,
                                 allowed=allowed)  # fmt: skip
 
     def _check_motions(self, record: CycleRecord, key: str) -> None:
-        """Every leg is a motion of this machine's joints."""
+        """Check that every leg is a motion of this machine's joints."""
         n = self._site.robot.n
         for index, leg in enumerate(record.legs):
             with _errors_of(self._file, f"{key}.legs[{index}]"):
@@ -232,7 +232,7 @@ class _Replay:
         return Load(record.load.swing, r, mass)
 
     def _check_soil(self, number: int, record: CycleRecord, load: Load, dug: Dug, before: Terrain) -> None:
-        """The motions dig and dump, and the legs carry what the cut has dug."""
+        """Check that the motions dig and dump properly, and that the legs carry what the cut has dug."""
         site, digger, capacity = self._site, self._site.digger, self._site.bucket.capacity
         motions = {leg.name: leg.trajectory for leg in record.legs}
         profile = Profile.of_terrain(before, site.plane, load.swing, width=site.bucket.width)
@@ -244,7 +244,7 @@ class _Replay:
         self.problems += [f"cycle {number}: {one}" for one in broken]
         per_volume = digger.soil.density / site.job.soil.swell
         swept = load_of(site, load.swing, dug.digging)
-        # at the places of both: between those of one the other may say anything
+        # compared at the distances of both: between those of one, the other may differ by anything
         r = np.concatenate((swept.r, load.r))
         holds, said = (np.interp(r, one.r[::-1], one.mass[::-1]) for one in (swept, load))
         off = np.abs(holds - said)

@@ -1,4 +1,4 @@
-"""What of the design stays undug, and why."""
+"""The part of the design that stays undug, and why."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.job.result.job_plan import JobReason, Undug, UndugReason
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
 
-_ASKEW = 0.1  # sine of the angle between arm and trench; chosen: along walls that are parallel to the lanes it is less
+_ASKEW = 0.1  # sine of the angle between arm and trench; chosen: it is less along walls that are parallel to the lanes
 _LEAST = 1e-4  # m^3: less is rounding
 _EARLY: dict[JobReason, str] = {
     "full": "not dug: no soil could be dumped any more",
@@ -31,15 +31,15 @@ def find_undug(
     hard: str = "",
     ended: JobReason = "",
 ) -> tuple[Undug, ...]:
-    """All that stays above the design by more than its tolerance, by reason, the largest volume first.
+    """All soil that stays above the design by more than the tolerance, by reason, the largest volume first.
 
     Parameters
     ----------
-    lanes: in which was dug.
-    heights: (rows, columns) the design, what may be dug, and the number of the lane, see `allowed_heights`.
+    lanes: the lanes that were dug.
+    heights: (rows, columns) the design, what may be dug, and the index of the lane, see `allowed_heights`.
     end: the ground after the last cycle.
-    hard: the cylinder that cannot cut what is left, in words; empty where none is the reason.
-    ended: why the job ended early; empty where it did not.
+    hard: the cylinder that cannot cut what is left, in words; empty if there is none.
+    ended: why the job ended early; empty if it did not.
     """
     design, allowed, by = heights
     tolerance = site.job.dig.tolerance
@@ -68,13 +68,13 @@ def find_undug(
 
 
 def _cause(site: Worksite, lane: Lane, r: float) -> tuple[UndugReason, str]:
-    """Why a lane cannot be dug deeper at a radius [m]: what holds the floor up there, or else the steepest line."""
+    """Why a lane cannot be dug deeper at a radius [m]: the limit of the floor there, otherwise the steepest line."""
     reach = np.abs(lane.r - r) <= site.ground.cell
     causes = lane.cause[reach]
     if causes.any():
         kind, name = lane.causes[int(causes[causes > 0][0])]
         return ("protected" if kind == "protected" else "out_of_reach"), name
-    # a line over a floor that something holds up nearby belongs to that
+    # if a limit raises the floor nearby, a line above the floor is there because of that limit
     raised = np.flatnonzero(lane.cause > 0)
     line, floor = float(np.interp(r, lane.r, lane.line)), float(np.interp(r, lane.r, lane.floor))
     if len(raised) and line > floor:
@@ -115,8 +115,8 @@ def _undug(site: Worksite, each: Matrix, columns: Flags, reason: UndugReason, ca
 
 
 def _places(site: Worksite, each: Matrix, columns: Flags) -> str:
-    """Where `columns` are, in words: from corner to corner, of several places of the largest."""
-    from scipy.ndimage import label  # it takes long to import
+    """The location of `columns` in words, from corner to corner; if there are several places, that of the largest."""
+    from scipy.ndimage import label  # importing it takes long
 
     apart, count = label(columns, structure=np.ones((3, 3)))
     volumes = np.bincount(apart.ravel(), weights=np.where(columns, each, 0.0).ravel())

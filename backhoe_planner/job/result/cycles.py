@@ -1,4 +1,4 @@
-"""The cycles of a job: their legs, the ground that they change, what they move."""
+"""The cycles of a job: their legs, the ground that they change, and the soil that they move."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class CycleLeg:
     name: what it does.
     problem: machine, task, and all obstacles as they are during this motion, the ground among them.
     trajectory: the motion.
-    certificate: what is proven of it.
-    payload: mass in the bucket [kg]; during a cut that at its end, during a dump that at its beginning.
+    certificate: what is proven about the motion.
+    payload: mass in the bucket [kg]; for a cut, the mass at its end; for a dump, the mass at its beginning.
     work: of the joints [J].
-    hydraulic: what the pump gives, the highest pressure times the whole flow [J]; nan of a machine without hydraulics.
-    pump, engine: mean use of the pump's flow and of the engine's power, 0 to 1; nan of a machine without hydraulics.
+    hydraulic: energy of the pump: highest pressure times whole flow [J]; nan for a machine without hydraulics.
+    pump, engine: mean use of the pump's flow and of the engine's power, 0 to 1; nan for a machine without hydraulics.
     """
 
     name: LegName
@@ -42,7 +42,7 @@ class CycleLeg:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration [s]."""
         return self.trajectory.duration
 
 
@@ -55,9 +55,9 @@ class Digging:
     time: (K,) moments within the cut [s].
     edge: (K, 3) the middle of the cutting edge at these moments [m], world.
     across: (3,) unit vector along the edge, world.
-    width: of the edge [m].
-    bank: (K,) undisturbed soil dug up to then, as it lay in the ground [m^3].
-    loose: (K,) loose soil taken up to then [m^3].
+    width: width of the edge [m].
+    bank: (K,) undisturbed soil dug up to each moment, as it lay in the ground [m^3].
+    loose: (K,) loose soil taken up to each moment [m^3].
     """
 
     time: Vector
@@ -70,13 +70,13 @@ class Digging:
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """What the bucket holds while it digs, by where the teeth are.
+    """The load of the bucket during the cut, by the position of the teeth.
 
     Attributes
     ----------
     swing: angle of the arm's plane [rad].
     r: (M,) distances of the teeth from the swing axis, not increasing [m].
-    mass: (M,) held there [kg].
+    mass: (M,) mass in the bucket at these distances [kg].
     """
 
     swing: float
@@ -86,7 +86,7 @@ class Load:
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """From above the cut to the empty bucket.
+    """One cycle, from above the cut to the empty bucket.
 
     Attributes
     ----------
@@ -97,15 +97,15 @@ class Cycle:
     before: the ground at the beginning of the cycle.
     dug: the ground after the cut.
     after: the ground after the dump, the heap on it.
-    bank: undisturbed soil that left the ground [m^3], as it lay there.
+    bank: undisturbed soil that left the ground, as it lay there [m^3].
     taken: loose soil that was taken up with it [m^3].
-    held: loose soil in the bucket when it is lifted [m^3]: bank times swell plus taken, less what is spilt.
+    held: loose soil in the bucket when it is lifted [m^3]: bank times swell plus taken, minus what is spilt.
     spilt: loose soil that falls back beside the cut [m^3].
-    place: (3,) where the soil is dumped, the top of what lies there afterwards [m], world.
+    place: (3,) where the soil is dumped: the top of what is there afterwards [m], world.
     truck: number of the truck, from 1; 0 for a heap.
-    truck_load: what lies in the truck after the dump, in the axes of its bed: floor at z = 0, its middle the origin;
+    truck_load: the load of the truck after the dump, in the axes of its bed: floor at z = 0, its middle the origin;
         None for a heap.
-    step: which part of the pattern it belongs to, in words: ``layer 2``.
+    step: the part of the pattern that the cycle belongs to, in words: ``layer 2``.
     filled: part of the bucket's capacity that is filled.
     depth: greatest depth of the edge below the ground along the cut [m].
     """
@@ -130,17 +130,17 @@ class Cycle:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration [s]."""
         return sum(leg.duration for leg in self.legs)
 
     @property
     def work(self) -> float:
-        """Of the joints [J]."""
+        """Work of the joints [J]."""
         return sum(leg.work for leg in self.legs)
 
     @property
     def hydraulic(self) -> float:
-        """What the pump gives [J]; nan of a machine without hydraulics."""
+        """Energy that the pump delivers [J]; nan for a machine without hydraulics."""
         return sum(leg.hydraulic for leg in self.legs)
 
     @property
@@ -149,7 +149,7 @@ class Cycle:
         return all(leg.certificate.verified for leg in self.legs)
 
     def leg(self, name: LegName) -> CycleLeg | None:
-        """The leg of that name, where the cycle has one.
+        """The leg of that name; None if the cycle has none.
 
         Raises
         ------

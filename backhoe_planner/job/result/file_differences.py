@@ -1,4 +1,4 @@
-"""What the plan of a job says otherwise than its motions have it."""
+"""The figures of a job's plan file that disagree with its motions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _NOT_COMPUTED = {"undug": {"words"}, "cycles": {"step"}, "legs": {"time", "q"}, 
 
 
 def job_differences(said: JobPlanRecord, found: JobPlanRecord) -> list[str]:
-    """In words, which figures of a file are not those of its motions, with their keys; none where all are.
+    """In words, with their keys, the figures of a file that differ from those of its motions; empty if none does.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ def export_job(plan: JobPlan, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    OutputError: unknown ending, the file cannot be written, or is of the machine or the job.
+    OutputError: the ending is unknown, the file cannot be written, or it belongs to the machine or the job.
     """
     write, mode = FORMATS[check_ending(path, tuple(FORMATS), what="the motions of a job")]
     check_output(path, (*plan.job.files, *plan.robot.files))

@@ -20,8 +20,8 @@ from backhoe_planner.machine import Robot
 JobReason = Literal["", "unreachable", "blocked", "too_hard", "full", "not_done", "interrupted"]
 UndugReason = Literal["protected", "out_of_reach", "too_hard", "left"]
 _SAME_HEIGHT = 1e-9  # m: rounding
-_ROUNDING = 1e-9  # of a column
-LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
+_ROUNDING = 1e-9  # of a column's area
+LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state for partial load
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +31,10 @@ class Undug:
     Attributes
     ----------
     reason: ``protected`` (an obstacle or zone), ``out_of_reach``, ``too_hard`` (a cylinder), ``left`` (none of these).
-    by: the obstacle or zone, the joint or the cylinder; empty where there is none.
+    by: the obstacle or zone, the joint or the cylinder; empty if there is none.
     columns: (rows, columns) which columns of the ground.
-    volume: of it, as it lies in the ground [m^3].
-    low, high: (2,) least and greatest x, y of it [m].
+    volume: its volume, as it lies in the ground [m^3].
+    low, high: (2,) least and greatest x, y [m].
     words: the same in a sentence.
     """
 
@@ -49,18 +49,18 @@ class Undug:
 
 @dataclass(frozen=True)
 class PatternEstimate:
-    """What one pattern of cuts would cost, by the cheap models with which patterns are compared.
+    """The cost of one pattern of cuts, estimated by the cheap models with which patterns are compared.
 
     Attributes
     ----------
     name: in words: ``level layers of 0.15 m``.
-    cycles: how many.
-    bank: soil that it digs [m^3].
+    cycles: their number.
+    bank: soil that the pattern digs, as it lies in the ground [m^3].
     duration: of all cycles [s].
     work: of the joints [J].
-    cost: of the objective per bank m^3 [s/m^3 or J/m^3].
+    cost: the objective per bank m^3 [s/m^3 or J/m^3].
     finished: whether it digs all that may be dug.
-    chosen: whether it is the one that is planned.
+    chosen: whether this pattern is planned.
     """
 
     name: str
@@ -79,7 +79,7 @@ class JobPlan:
 
     Attributes
     ----------
-    job: as it was given.
+    job: the job as it was given.
     robot: the machine on its site.
     start: the ground before the first cycle.
     design: (rows, columns) height z of the design at the columns of the ground [m]; nan where nothing is to be dug.
@@ -88,13 +88,13 @@ class JobPlan:
     outline: (k, 2) corners of a convex area around what is dug [m], x, y.
     cycles: one after the other.
     undug: what stays above the design, and why.
-    compared: the patterns, the best first.
+    compared: the patterns that were compared, the best first.
     capacity: of the bucket, heaped, loose [m^3].
     effort, seed: as they were given.
     surveyed: whether the ground before the first cycle was given, and is not the job's own.
-    failure: why the job ended early; empty where it did not.
+    failure: why the job ended early; empty if it did not.
     note: the same in a sentence.
-    planning_time: [s] of the processor.
+    planning_time: processor time [s].
     """
 
     job: Job
@@ -119,7 +119,7 @@ class JobPlan:
     def verified(self) -> bool:
         """Whether every cycle's certificates hold and the design is met wherever it may be dug.
 
-        Never where there was soil to dig and none of it is dug.
+        Never true if there was soil to dig and none of it is dug.
         """
         if not self.cycles and self._is_asked:
             return False
@@ -127,7 +127,7 @@ class JobPlan:
 
     @property
     def _is_asked(self) -> bool:
-        """Whether there was soil to dig, and none of it was dug before."""
+        """Whether there was soil to dig, and none of it had been dug before."""
         asked = (self.start.surface - self.design)[self._whole]
         return bool((asked > self.job.dig.tolerance + 1e-9).all())
 
@@ -150,18 +150,18 @@ class JobPlan:
 
     @property
     def duration(self) -> float:
-        """Of all cycles, with the exchange of trucks [s]."""
+        """Duration of all cycles, with the exchange of trucks [s]."""
         return sum(cycle.duration for cycle in self.cycles) + self.waits
 
     @property
     def waits(self) -> float:
-        """For trucks that take the place of full ones [s]."""
+        """Time spent waiting for trucks to replace full ones [s]."""
         truck = self.job.dump.truck
         return 0.0 if truck is None or not self.cycles else truck.exchange * (self.cycles[-1].truck - 1)
 
     @property
     def work(self) -> float:
-        """Of the joints, in all cycles [J]."""
+        """Work of the joints in all cycles [J]."""
         return sum(cycle.work for cycle in self.cycles)
 
     @property
@@ -182,12 +182,12 @@ class JobPlan:
 
     @property
     def hydraulic(self) -> float:
-        """What the pump gives in all cycles [J]; nan of a machine without hydraulics."""
+        """Energy that the pump delivers in all cycles [J]; nan for a machine without hydraulics."""
         return sum(cycle.hydraulic for cycle in self.cycles)
 
     @property
     def fuel(self) -> float:
-        """Diesel for what the pump gives [l], see `LITRES_PER_KWH`; nan of a machine without hydraulics."""
+        """Diesel for the pump's energy [l], see `LITRES_PER_KWH`; nan for a machine without hydraulics."""
         hydraulics = self.robot.hydraulics
         if hydraulics is None:
             return float("nan")
@@ -214,7 +214,7 @@ class JobPlan:
 
     @property
     def _whole(self) -> Flags:
-        """(rows, columns) which columns lie whole within the design: of others only the mean height is known."""
+        """(rows, columns) which columns are wholly within the design: of the others only the mean height is known."""
         return np.asarray(self.share > 1.0 - _ROUNDING)
 
     @property
@@ -225,7 +225,7 @@ class JobPlan:
 
     @cached_property
     def errors(self) -> Matrix:
-        """(rows, columns) the ground at the end above what may be dug [m]; nan where a column lies not whole in it."""
+        """(rows, columns) height of the final ground above `allowed` [m]; nan for columns not wholly in the design."""
         return np.where(self._whole, self.end.surface - self.allowed, np.nan)
 
     @property
@@ -240,9 +240,9 @@ class JobPlan:
 
     @cached_property
     def beside(self) -> float:
-        """Greatest depth of undisturbed soil that is dug away outside of the design [m].
+        """Greatest depth of undisturbed soil that was dug away outside of the design [m].
 
-        A column counts that lies further from it than the tolerance and a column's edge: a blade may be wider than
+        Only columns further from the design than the tolerance and a column's edge count: a blade may be wider than
         the design by the tolerance, and takes a part of the columns along its ends.
         """
         from scipy.ndimage import distance_transform_edt
@@ -262,7 +262,7 @@ class JobPlan:
 
         Raises
         ------
-        OutputError: the folder does not exist or cannot be written; or the file is one of the job's.
+        OutputError: the folder does not exist or cannot be written; or the path is that of one of the job's files.
         """
         from backhoe_planner.job.result.job_plan_file import save_job_plan
 
@@ -289,11 +289,11 @@ def same_ground(one: Terrain, other: Terrain) -> bool:
 
 
 def interruption(cycles: int) -> str:
-    """In words, that planning was interrupted after so many cycles."""
+    """The message that planning was interrupted after so many cycles."""
     return f"planning was interrupted after {cycles} cycle{'' if cycles == 1 else 's'}; the same command goes on there"
 
 
 def _most(values: Matrix) -> float:
-    """The greatest of `values` that are numbers, at least 0."""
+    """The greatest finite number of `values`, at least 0."""
     finite = values[np.isfinite(values)]
     return max(float(finite.max()), 0.0) if finite.size else 0.0

@@ -1,7 +1,7 @@
 """The file of a job's plan: the ground at the beginning, and every motion of every cycle.
 
-What follows from these is not believed when the file is read: ground, volumes and certificates are
-computed anew.
+Everything that follows from these is recomputed when the file is read, not taken from it: ground, volumes
+and certificates.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from backhoe_planner.site import Finite
 FORMAT: Literal["backhoe-planner/job"] = "backhoe-planner/job"
 VERSION: Literal[1] = 1
 
-# what is computed anew from the motions and held against the file: null would be like any number
+# values that are recomputed from the motions and compared with the file: null would match any number
 Amount = Annotated[float, Field(strict=True, ge=0.0, le=1e30, allow_inf_nan=False)]
 Number = Annotated[StrictInt, Field(ge=0)]
 
 
 class GroundRecord(Record):
-    """Heights of the ground; one number stands for a whole grid of it."""
+    """Heights of the ground; a single number is a whole grid of that value."""
 
     low: tuple[Finite, Finite]
     """x, y of the first column [m]."""
     cell: Finite
-    """Between columns [m]."""
+    """Distance between columns [m]."""
     shape: tuple[int, int]
     """Rows and columns."""
     bank: Finite | list[list[Finite]]
-    """Undisturbed soil up to this z [m]."""
+    """Height z of the top of the undisturbed soil [m]."""
     loose: Finite | list[list[Finite]]
     """Thickness of the loose soil on it [m]."""
 
@@ -64,7 +64,7 @@ class GroundRecord(Record):
         )
 
     def grid(self, name: Literal["bank", "loose"]) -> Matrix:
-        """(rows, columns) one of the two grids; ValueError where it has another shape."""
+        """One of the two grids, (rows, columns); raises ValueError if it has another shape."""
         found = getattr(self, name)
         if math.prod(self.shape) > MOST_COLUMNS or min(self.shape) < 1:
             raise ValueError(f"has {self.shape[0]} x {self.shape[1]} columns, allowed: up to {MOST_COLUMNS}")
@@ -81,22 +81,22 @@ class LegRecord(Record):
 
     name: LegName
     payload: Amount
-    """In the bucket [kg]."""
+    """Mass in the bucket [kg]."""
     time: list[Finite]
-    """(T,) [s], from 0."""
+    """(T,) times [s], from 0."""
     q: list[list[Finite]]
     """(T, n) joints [rad or m]."""
     verdict: Literal["verified", "failed"]
     clearance: Figure
-    """The least margin beyond any clearance [m]; null where nothing can be touched."""
+    """Least margin beyond any required clearance [m]; null if nothing can be touched."""
     work: Amount
-    """Of the joints [J]."""
+    """Work of the joints [J]."""
     hydraulic: Figure
-    """What the pump gives [J]."""
+    """Energy that the pump delivers [J]."""
     pump: Figure
-    """Mean use of its flow, 0 to 1."""
+    """Mean use of the pump's flow, 0 to 1."""
     engine: Figure
-    """Mean use of its power, 0 to 1."""
+    """Mean use of the engine's power, 0 to 1."""
 
     @classmethod
     def of(cls, leg: CycleLeg) -> LegRecord:
@@ -111,7 +111,7 @@ class LegRecord(Record):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The motion; InputError where the samples make none."""
+        """The motion; raises InputError if the samples do not form one."""
         joints = {len(row) for row in self.q}
         if len(joints) != 1 or len(self.q) != len(self.time):
             raise InputError("is no motion", key=f"{self.name}.q", found=f"rows of {sorted(joints)} joints at "
@@ -120,14 +120,14 @@ class LegRecord(Record):
 
 
 class LoadRecord(Record):
-    """What the bucket holds while it digs, by where the teeth are."""
+    """The load of the bucket during the cut, by the position of the teeth."""
 
     swing: Finite
     """Angle of the arm's plane [rad]."""
     r: list[Finite]
     """Distances of the teeth from the swing axis, not increasing [m]."""
     mass: list[Amount]
-    """Held there [kg]."""
+    """Mass in the bucket at these distances [kg]."""
 
 
 class CycleRecord(Record):
@@ -138,13 +138,13 @@ class CycleRecord(Record):
     legs: tuple[LegRecord, ...]
     load: LoadRecord
     place: tuple[Finite, Finite, Finite]
-    """Where the soil is dumped, the top of what lies there afterwards [m]."""
+    """Where the soil is dumped: the top of what is there afterwards [m]."""
     truck: Number
-    """Its number, from 1; 0 for a heap."""
+    """Number of the truck, from 1; 0 for a heap."""
     bank: Amount
     """Undisturbed soil that left the ground [m^3]."""
     taken: Amount
-    """Loose soil taken with it [m^3]."""
+    """Loose soil taken up with it [m^3]."""
     held: Amount
     """Loose soil in the bucket [m^3]."""
     spilt: Amount
@@ -156,7 +156,7 @@ class CycleRecord(Record):
     duration: Amount
     """[s]"""
     work: Amount
-    """Of the joints [J]."""
+    """Work of the joints [J]."""
 
 
 class UndugRecord(Record):
@@ -185,7 +185,7 @@ class PatternRecord(Record):
     work: Figure
     """[J]"""
     cost: Figure
-    """Of the objective per bank m^3 [s/m^3 or J/m^3]."""
+    """The objective per bank m^3 [s/m^3 or J/m^3]."""
     finished: bool
     chosen: bool
 
@@ -201,26 +201,26 @@ class JobFigures(Record):
     loose: Figure
     """Loose soil that was dumped [m^3]."""
     duration: Figure
-    """Of all cycles, with the exchange of trucks [s]."""
+    """Duration of all cycles, with the exchange of trucks [s]."""
     waits: Figure
-    """Of it the exchange of trucks [s]."""
+    """The part of the duration for the exchange of trucks [s]."""
     seconds_per_cycle: Figure
     joules_per_cycle: Figure
     """Work of the joints [J]."""
     production: Figure
     """Bank m^3 per hour, without the exchange of trucks."""
     work: Figure
-    """Of the joints [J]."""
+    """Work of the joints [J]."""
     hydraulic: Figure
-    """What the pump gives [J]."""
+    """Energy that the pump delivers [J]."""
     kwh_per_m3: Figure
-    """What the pump gives per bank m^3; of a machine without hydraulics the work of the joints."""
+    """Energy that the pump delivers per bank m^3; for a machine without hydraulics, the work of the joints."""
     litres: Figure
-    """Of diesel, at 0.25 l for a kWh of the engine."""
+    """Diesel, at 0.25 l per kWh of the engine."""
     pump: Figure
-    """Mean use of its flow, 0 to 1."""
+    """Mean use of the pump's flow, 0 to 1."""
     engine: Figure
-    """Mean use of its power, 0 to 1."""
+    """Mean use of the engine's power, 0 to 1."""
     undug: Figure
     """Soil that stays above the design by more than its tolerance [m^3]."""
     left: Figure
@@ -258,13 +258,13 @@ class JobPlanRecord(Record):
     machine: str
     """``example:NAME``, or a path relative to the file."""
     sha256: str
-    """Of the URDF's bytes."""
+    """Digest of the URDF's bytes."""
     job: dict[str, Any]
-    """The job, whole."""
+    """The whole job."""
     folder: str = "."
-    """Where the files lie that the job names, relative to this one."""
+    """Folder of the files that the job names, relative to this file."""
     site_folder: str = "."
-    """The same of the site."""
+    """Folder of the files that the site names, relative to this file."""
     effort: EffortName
     seed: Number
     surveyed: bool = False
@@ -272,27 +272,27 @@ class JobPlanRecord(Record):
     choices: str = ""
     """The sha256 of effort, seed, compared patterns and the cycles' steps: what no motion shows."""
     versions: dict[str, str] = Field(default_factory=dict)
-    """Of the program and its libraries."""
+    """Versions of the program and its libraries."""
     figures: JobFigures
     compared: tuple[PatternRecord, ...]
     """Patterns of cuts, the one that is planned first."""
     undug: tuple[UndugRecord, ...]
     ground: GroundRecord
-    """Before the first cycle."""
+    """The ground before the first cycle."""
     cycles: tuple[CycleRecord, ...]
     planning_time: Figure = float("nan")
-    """Of the processor [s]."""
+    """Processor time [s]."""
 
     @property
     def choices_digest(self) -> str:
-        """What `choices` has to be."""
+        """The value that `choices` must have."""
         content = self.model_dump(mode="json", include={"effort", "seed", "compared"})
         content["steps"] = [cycle.step for cycle in self.cycles]
         return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
-    """The record of a plan, for a file in `folder`; with None paths stay as they are."""
+    """The record of a plan, for a file in `folder`; None leaves the paths as they are."""
     record = JobPlanRecord(
         verdict=plan.verdict,
         reason=plan.reason,
@@ -332,7 +332,7 @@ def save_job_plan(plan: JobPlan, path: Path) -> None:
 
     Raises
     ------
-    OutputError: the folder does not exist or cannot be written; or the file is one of the job's.
+    OutputError: the folder does not exist or cannot be written; or the path is that of one of the job's files.
     """
     check_record(path, (*plan.job.files, *plan.robot.files))
     with whole_file(path) as stream:
@@ -344,7 +344,7 @@ def read_job_plan_file(file: Path) -> JobPlanRecord:
 
     Raises
     ------
-    PlanFileError: it is none, or damaged; names key, what was found and what is allowed.
+    PlanFileError: the file is damaged or not a job's plan; names the key, what was found and what is allowed.
     """
     text = read_text(file, what="plan", error=PlanFileError)
     refuse_other_kind(text, "job plan", file=file, error=PlanFileError)
@@ -362,7 +362,7 @@ def read_job_plan_file(file: Path) -> JobPlanRecord:
 
 
 def is_job_plan(file: Path) -> bool:
-    """Whether a file begins as the plan of a job does; false where it cannot be read."""
+    """Whether a file begins like the plan of a job; false if it cannot be read."""
     try:
         with file.open(encoding="utf-8") as stream:
             return FORMAT in stream.read(200)

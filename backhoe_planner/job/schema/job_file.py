@@ -21,7 +21,7 @@ SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zone
 
 
 class Job(FileRecord):
-    """A job for one machine that stands still: all cycles from the first cut to the last."""
+    """A job for one machine that stays in place: all cycles from the first cut to the last."""
 
     version: Literal[1]
     name: Title = ""
@@ -37,15 +37,15 @@ class Job(FileRecord):
     dump: Dump
     bucket: BucketSize = BucketSize()
     objective: Literal["time", "work"] = "time"
-    """What of a cubic metre in the ground is made small."""
+    """What is minimized per cubic metre in the ground: time or work."""
     pattern: PatternChoice = "auto"
-    """In which order the soil is cut: chosen by the planner, or prescribed; `plain` are level layers of 0.15 m."""
+    """Order in which the soil is cut: chosen by the planner, or prescribed; `plain` is level layers of 0.15 m."""
 
     _site: Scene | None = PrivateAttr(default=None)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """From which it is read: the job file, the scene file, those of ground, design and obstacles."""
+        """The files that the job is read from: job file, scene file, and those of ground, design and obstacles."""
         own = () if self.file is None else (self.file,)
         design = None if self.dig.surface is None else self.dig.surface.file
         named = (self.ground.file, design)
@@ -53,7 +53,7 @@ class Job(FileRecord):
 
     @property
     def machine_source(self) -> str:
-        """The machine as `load_robot` takes it."""
+        """The machine in the form that `load_robot` accepts."""
         return self.machine if self.machine.startswith("example:") else str(self.folder / self.machine)
 
     @property
@@ -63,7 +63,7 @@ class Job(FileRecord):
         return self._site
 
     def scene_dict(self) -> dict[str, Any]:
-        """What a scene of this site holds, but for start and task, as plain data."""
+        """A scene of this site as plain data, without start and task."""
         content = self.site_scene.to_dict()
         found = {"version": 1, "name": self.name} | {key: content[key] for key in SITE_KEYS if key in content}
         truck = self.dump.truck
@@ -72,7 +72,7 @@ class Job(FileRecord):
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """The job as plain data that `job_from_dict` reads again; of the site its keys, wherever they came from."""
+        """The job as plain data that `job_from_dict` can read; its site as keys, whatever file they came from."""
         content = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         site = self.site_scene.to_dict()
         return content | {"site": {key: value for key, value in site.items() if key in SITE_KEYS}}
@@ -103,9 +103,9 @@ def job_from_dict(
     Parameters
     ----------
     content: keys and values as in a job file.
-    folder: where files that the job names are looked for.
-    site_folder: where files that the keys of its site name are; by default the same.
-    file, lines: for messages: the file it came from, and the line of every key.
+    folder: folder of the files that the job names.
+    site_folder: folder of the files that the keys of its site name; by default the same.
+    file, lines: for messages: the file that the content came from, and the line of every key.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def job_from_dict(
 
 
 def job_schema() -> dict[str, Any]:
-    """The job file's JSON Schema: of the site the keys that it takes of a scene."""
+    """The job file's JSON Schema; its site has those keys of a scene that a job accepts."""
     schema, scene = Job.file_schema("job"), scene_schema()
     keys = {key: scene["properties"][key] for key in SITE_KEYS}
     site = {"type": "object", "properties": keys, "additionalProperties": False}
@@ -134,7 +134,7 @@ def _records_in(schema: Any) -> set[str]:
 
 
 def _site(job: Job, folder: Path) -> Scene:
-    """The scene of the site, whose task and start say nothing."""
+    """The scene of the site; its task and start have no meaning."""
     if isinstance(job.site, str):
         try:
             return _standing(load_scene(job.folder / job.site), job.file)
@@ -152,7 +152,7 @@ def _site(job: Job, folder: Path) -> Scene:
 
 
 def _standing(scene: Scene, file: Path | None) -> Scene:
-    """The site where all of its obstacles stand: every motion of a job has a clock of its own."""
+    """The site, if all of its obstacles stand still: every motion of a job has a clock of its own."""
     for index, one in enumerate(scene.obstacles):
         for key, moves in (("velocity", any(one.velocity)), ("appears_at", one.appears_at > 0.0)):
             if moves:

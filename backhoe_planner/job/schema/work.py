@@ -1,4 +1,4 @@
-"""The part of the job file that says what is dug, in what, and where the soil goes."""
+"""The part of the job file that says what is dug, in what soil, and where the soil goes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from backhoe_planner.site import Finite, Slope, Soil
 
 _LEAST_BUCKET = 0.002  # m^3; chosen: no cut is found that takes much less
 _LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
-_STEEPEST = 1.0  # m per m of a trench's bottom; chosen, no bucket follows a steeper one
+_STEEPEST = 1.0  # m per m of a trench's bottom; chosen: no bucket follows a steeper one
 _Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 _Point = tuple[Finite, Finite]
-_WALL = 0.08  # m, thickness of the walls of a truck's bed; chosen
+_WALL = 0.08  # m, thickness of the walls of a truck bed; chosen
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 
 
 class JobSoil(Soil):
-    """What is dug: the soil of the resistance, and how it lies once it is loose."""
+    """The soil that is dug: its resistance, and how it behaves once it is loose."""
 
     swell: Annotated[float, Field(strict=True, ge=1.0, le=2.0)] = 1.25
-    """Loose volume over the volume in the ground; 1.25 by default, usual are 1.1 (sand) to 1.4 (clay)."""
+    """Loose volume divided by the volume in the ground; 1.25 by default, usually 1.1 (sand) to 1.4 (clay)."""
     repose: Annotated[Slope, Field(gt=0.0, le=1.5)] = 0.6
-    """Angle at which a heap of it lies [rad]; 0.6 by default, usual are 0.5 to 0.8."""
+    """Slope angle at which a heap of the soil comes to rest [rad]; 0.6 by default, usually 0.5 to 0.8."""
 
 
 class Trench(Record):
@@ -40,13 +40,13 @@ class Trench(Record):
     end: _Point = Field(alias="to")
     """x, y of the middle of the other end [m]."""
     width: _Length
-    """[m]; that of the bucket or more."""
+    """Width [m]; at least that of the bucket."""
     depth: _Length
-    """Of the bottom below the ground at `from` [m]."""
+    """Depth of the bottom below the ground at `from` [m]."""
     slope: Annotated[float, Field(strict=True, ge=-_STEEPEST, le=_STEEPEST)] = 0.0
-    """By how much the bottom falls from `from` towards `to` [m per m]; 0 by default."""
+    """Fall of the bottom from `from` towards `to` [m per m]; 0 by default."""
     tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
-    """How far the bottom may lie above or below the design [m]."""
+    """How far the bottom may be above or below the design [m]."""
 
     @model_validator(mode="after")
     def _some_length(self) -> Trench:
@@ -66,7 +66,7 @@ class Trench(Record):
 
     @property
     def length(self) -> float:
-        """From end to end [m]."""
+        """Distance from end to end [m]."""
         return math.dist(self.start, self.end)
 
     @property
@@ -83,9 +83,9 @@ class Surface(Record):
     low: _Point
     """x, y of the first height [m]."""
     cell: Annotated[float, Field(strict=True, ge=0.005, le=5.0)]
-    """Between neighbouring heights [m]."""
+    """Distance between neighbouring heights [m]."""
     tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
-    """How far the ground may lie above or below the design [m]."""
+    """How far the ground may be above or below the design [m]."""
 
 
 class Dig(Record):
@@ -98,7 +98,7 @@ class Dig(Record):
 
     @property
     def tolerance(self) -> float:
-        """How far the ground may lie above or below the design [m]."""
+        """How far the ground may be above or below the design [m]."""
         found = self.trench if self.trench is not None else self.surface
         assert found is not None
         return found.tolerance
@@ -108,9 +108,9 @@ class Heap(Record):
     """A heap of spoil on the ground."""
 
     at: _Point | Annotated[tuple[_Point, ...], Field(min_length=1, max_length=50)]
-    """x, y where soil is dumped [m]; or a list of such places, of which the planner chooses for every cycle."""
+    """x, y where soil is dumped [m]; or a list of such places, from which the planner chooses for every cycle."""
     edge_distance: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 1.0
-    """Between the foot of the heap and the edge of what is dug [m]; 1 by default."""
+    """Distance between the foot of the heap and the edge of the excavation [m]; 1 by default."""
 
     @property
     def places(self) -> tuple[tuple[float, float], ...]:
@@ -129,10 +129,10 @@ class TruckBed(Record):
     size: tuple[_Length, _Length, _Length]
     """Inner length along its own x, width along its own y, height of its walls [m]."""
     yaw: Annotated[float, Field(strict=True, ge=-2.0 * math.pi, le=2.0 * math.pi)] = 0.0
-    """Its turn about z [rad]."""
+    """Rotation about z [rad]."""
 
     def walls(self) -> list[dict[str, Any]]:
-        """The four walls, as obstacles of a scene: outside of the inner size, from the floor up."""
+        """The four walls as obstacles of a scene: outside of the inner size, from the floor up."""
         (x, y, z), (length, width, height) = self.position, self.size
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         found = []
@@ -152,7 +152,7 @@ class Truck(Record):
 
     bed: TruckBed
     capacity: _Length
-    """Loose soil that one truck takes [m^3]."""
+    """Loose soil that one truck holds [m^3]."""
     count: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
     """How many trucks come."""
     exchange: Annotated[float, Field(strict=True, ge=0.0, le=3600.0)] = 60.0
@@ -169,32 +169,32 @@ class Dump(Record):
 
 
 class BucketSize(Record):
-    """What the bucket holds."""
+    """The volume that the bucket holds."""
 
     capacity: Annotated[float, Field(strict=True, ge=_LEAST_BUCKET, le=20.0)] | None = None
-    """Heaped, loose [m^3]; by default that of its collision shape."""
+    """Heaped volume of loose soil [m^3]; by default that of the bucket's collision shape."""
     fill: Annotated[float, Field(strict=True, gt=0.0, le=1.2)] = 0.95
-    """Part of the capacity that one cut fills; 0.95 by default, usual are 0.8 (hard clay) to 1.0 (moist loam)."""
+    """Part of the capacity that one cut fills; 0.95 by default, usually 0.8 (hard clay) to 1.0 (moist loam)."""
 
 
 class Ground(Record):
     """The ground before the first cut: level, or from a survey."""
 
     level: Finite | None = None
-    """Its height z [m]; 0 where there is no file either."""
+    """Height z of level ground [m]; 0 if there is no file either."""
     file: str | None = None
     """Heights as CSV (rows along y, columns along x) or GeoTIFF, or a point cloud; relative to the job file."""
     fill: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 0.0
-    """Holes in the file are filled from their rims up to this far from a known column [m]; 0 by default: none is."""
+    """Holes in the file are filled from their rims up to this distance from a known column [m]; 0 by default: none."""
     cell: Annotated[float, Field(strict=True, ge=0.02, le=0.5)] = 0.05
-    """Between neighbouring columns of the ground [m]; 0.05 by default."""
+    """Distance between neighbouring columns of the ground [m]; 0.05 by default."""
     low: _Point | None = None
-    """Least x, y of the ground that is followed [m]; by default all that is dug and heaped, and 1 m around it.
+    """Least x, y of the modelled ground [m]; by default it covers all that is dug and heaped, and 1 m around it.
 
-    Of a CSV the place of its first height.
+    For a CSV, the place of its first height.
     """
     high: _Point | None = None
-    """Greatest x, y [m]; with a file that of its last height by default."""
+    """Greatest x, y [m]; with a file, by default that of its last height."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Ground:
@@ -212,17 +212,17 @@ class Ground(Record):
 
 
 class Layers(Record):
-    """A pattern that is prescribed: level layers of one depth, each from the far end to the near one."""
+    """A prescribed pattern: level layers of one depth, each from the far end to the near one."""
 
     layers: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
     """Depth of a layer [m]."""
 
 
 class Face(Record):
-    """A pattern that is prescribed: the farthest part to the bottom first, then the next."""
+    """A prescribed pattern: the farthest part is dug down to the bottom first, then the next."""
 
     face: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
-    """Greatest depth of one cut below the ground there [m]."""
+    """Greatest depth of one cut below the ground at that place [m]."""
 
 
 _NAMED_PATTERNS = ("auto", "plain")
