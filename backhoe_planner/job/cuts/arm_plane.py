@@ -1,11 +1,11 @@
-"""The arm in its upright plane: joints that put the teeth at a radius, a height and a pitch.
+"""The arm in its upright plane: joints that put the teeth at a given radius, height and pitch.
 
-With the plane turned to the swing angle, r is the horizontal distance of the teeth from the
-swing axis and z their height. An arm of three hinges across that plane (boom, stick and
-bucket) has two solutions at most, in closed form: the pin of the bucket follows from the
-pitch, the angle at the elbow from the law of cosines. The elbow that stays within the limits
-at most places is kept. For any other arm the joints are searched place by place by Newton's
-method, each from its neighbour's; whole cuts then take about ten times as long.
+With the plane turned to the swing angle, r is the horizontal distance of the teeth from the swing axis and z their
+height. An arm of three hinges normal to that plane (boom, stick and bucket) has at most two solutions, in closed
+form: the pin of the bucket follows from the pitch, the angle at the elbow from the law of cosines. Of the two
+elbows, the one that is within the limits at more places is kept. For any other arm the joints are found place by
+place by Newton's method, each search starting from a neighbour's joints; whole cuts then take about ten times as
+long.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from backhoe_planner.arrays import Array, Flags, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import BatchKinematics, JointLimits, Robot, TargetBatch, TipTarget, solve_batch, wrap_angle
 
-_SAME = 1e-6  # m or a sine: rounding of a URDF's numbers
-_ROUNDING = 1e-9  # rad beyond a limit that is rounding
+_SAME = 1e-6  # m, or a sine: rounding of the numbers in a URDF
+_ROUNDING = 1e-9  # rad beyond a limit that count as rounding
 _PASSES = 3  # along the places and back, in which a search starts from its neighbours' results; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class _Hinges:
-    """An arm of three hinges: lengths [m] and angles [rad] of its parts where all joints are at 0, and senses of turn.
+    """An arm of three hinges: lengths [m] and angles [rad] of its parts with all joints at 0, and senses of rotation.
 
     Attributes
     ----------
@@ -45,13 +45,13 @@ class ArmPlane:
     Parameters
     ----------
     robot: the machine.
-    limits: of its joints; its own by default.
+    limits: limits of its joints; its own by default.
 
     Attributes
     ----------
-    axis: (2,) x, y of the swing axis [m], world; where nothing swings, of the root link.
+    axis: (2,) x, y of the swing axis [m], world; that of the root link if nothing swings.
     swings: whether the first joint turns the plane.
-    closed: whether its joints follow in closed form.
+    closed: whether its joints have a closed form.
 
     Raises
     ------
@@ -79,12 +79,12 @@ class ArmPlane:
 
     @property
     def closed(self) -> bool:
-        """Whether the joints follow in closed form."""
+        """Whether the joints have a closed form."""
         return self._hinges is not None
 
     @property
     def kinematics(self) -> BatchKinematics:
-        """Of the machine."""
+        """The kinematics of the machine."""
         return self._kinematics
 
     def heading(self, swing: float) -> float:
@@ -112,9 +112,9 @@ class ArmPlane:
         return off[:, 1] * across[:, 0] - off[:, 0] * across[:, 1], at.tip_position[:, 2], at.pitch()
 
     def joints(self, swing: float, r: Array, z: Array, pitch: Array) -> Array:
-        """(..., K, n) joints with the teeth at r, z [m] and at `pitch` [rad], all (..., K); nan where none are allowed.
+        """(..., K, n) joints with the teeth at r, z [m] and `pitch` [rad], all (..., K); nan where none are allowed.
 
-        Each row of K places is one arm: all of it has its elbow on the side that serves the most places.
+        Each row of K places is one arm with its elbow on one side throughout: the side that serves most places.
         """
         r, z, pitch = (np.asarray(values, dtype=float) for values in np.broadcast_arrays(r, z, pitch))
         if self._hinges is None:
@@ -135,7 +135,7 @@ class ArmPlane:
     def reaches(self, swing: float, r: Array, z: Array, pitch: Array) -> Flags:
         """(K,) whether joints within the limits put the teeth at r, z [m] with `pitch` [rad], all (K,).
 
-        Where joints are searched, one search for each from the middle of the ranges: it may miss some that are.
+        If joints are searched, there is one search per place from the middle of the ranges: it may miss solutions.
         """
         if self._hinges is not None:
             return np.asarray(~np.isnan(self.joints(swing, r, z, pitch)[:, 0]))
@@ -152,7 +152,7 @@ class ArmPlane:
         return guess
 
     def _by_elbow(self, side: float, r: Array, z: Array, pitch: Array) -> Array:
-        """(..., 3) the hinges, with the elbow on one side; nan where there are none within the limits."""
+        """(..., 3) the hinges, with the elbow on one side; nan where no solution is within the limits."""
         assert self._hinges is not None
         (first, second, third), hinges = self._hinges.lengths, self._hinges
         x = r - third * np.cos(pitch) - hinges.foot[0]
@@ -192,7 +192,7 @@ class ArmPlane:
         return q
 
     def _three_hinges(self) -> _Hinges | None:
-        """The arm as three hinges across its plane; None where it is another."""
+        """The arm as three hinges normal to its plane; None if it is another kind of arm."""
         robot = self.robot
         if robot.n != 3 + self.swings or robot.prismatic.any():
             return None

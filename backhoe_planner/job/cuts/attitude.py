@@ -1,9 +1,9 @@
 """The bucket's pitch along a cut: the cutting plate at an angle to the path, its back clear of the ground.
 
-Between the plate and the fresh cut behind the teeth there is the clearance angle, and the rake
-in front of it. The wanted pitch has the plate at one angle to the path. Where the joints cannot
-have it, or a corner of the bucket's back would press into the ground as it was or into the
-fresh cut, the nearest pitch that is free of both is taken; changes are spread along the path.
+The clearance angle is between the plate and the fresh cut behind the teeth; the rake is in front of the plate. The
+wanted pitch keeps the plate at one angle to the path. Where the joints cannot reach that pitch, or a corner of the
+bucket's back would press into the original ground or into the fresh cut, the nearest pitch that is free of both is
+used; changes are spread along the path.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 
 _CUTTING = 0.7  # rad from the path to the plate; chosen: draft is least at 35 to 45 degrees, and the back stays clear
-_STEEPEST = 1.8  # rad from the level to the plate; chosen, 103 degrees: down a wall with the back clear of it
+_STEEPEST = 1.8  # rad from the horizontal to the plate; chosen, 103 degrees: down a wall with the back clear of it
 _FLATTEST_PITCH, _STEEPEST_PITCH = -np.pi + 1e-3, -0.2  # rad; chosen: from a level opening to teeth nearly ahead
-ENTERING = 0.15  # m ahead of the edge, where soil enters the bucket and presses on no back; chosen
+ENTERING = 0.15  # m ahead of the edge, where soil enters the bucket and does not press on the back; chosen
 _CANDIDATES = 30  # pitches at every place: 0.1 rad apart
 _CLEAR = 0.03  # m from the back to the ground; chosen, 3 degrees at the heel
-_CLEARANCE = 0.1  # rad from the path up to the plate at least; chosen, 6 degrees, where cutting tools have 5 to 15
-_UPRIGHT = 0.5 * np.pi  # rad from the path to the plate: in front of a blade beyond it a body of soil stands still
+_CLEARANCE = 0.1  # rad from the path up to the plate at least; chosen, 6 degrees; cutting tools have 5 to 15
+_UPRIGHT = 0.5 * np.pi  # rad from the path to the plate: beyond it a body of soil stays in front of the blade
 _LENGTH = 15.0  # places over which the pitch returns to the wanted one, 45 cm; chosen among 3 to 40 for time and work
 _ROUND = 2  # places to each side over which its corners are rounded, twice: 12 cm
-_CLEAR_ROUNDED = 0.01  # m that are left of `_CLEAR` after that; chosen
-_SETS = 40  # of places at bounds that are tried at most; a dozen is usual
+_CLEAR_ROUNDED = 0.01  # m of `_CLEAR` that remain after that; chosen
+_SETS = 40  # of places at bounds, tried at most; a dozen is usual
 
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """The pitch along a path, and what it leads to.
+    """The pitch along a path, and the joints and back heights that follow from it.
 
     Attributes
     ----------
@@ -47,12 +47,12 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Stuck:
-    """The first place where no pitch will do.
+    """The first place where no pitch is possible.
 
     Attributes
     ----------
-    index: of the place.
-    in_reach: whether the joints have a solution there, so that it is the back that presses.
+    index: index of the place.
+    in_reach: whether the joints have a solution there, so that it is the back that presses into the ground.
     """
 
     index: int
@@ -60,7 +60,7 @@ class Stuck:
 
 
 def wanted_pitch(r: Vector, z: Vector, lift: int, bucket: Bucket) -> tuple[Vector, Vector, Vector]:
-    """(K,) pitch [rad] that has the plate at one angle to the path, and (K,), (K,) the least and the greatest that cut.
+    """(K,) pitch [rad] with the plate at one angle to the path, and (K,), (K,) the least and greatest pitch that cut.
 
     From place `lift` on the opening turns level, and nothing is cut.
     """
@@ -77,7 +77,7 @@ def wanted_pitch(r: Vector, z: Vector, lift: int, bucket: Bucket) -> tuple[Vecto
 
 
 def plate_pitch(bucket: Bucket, rising: Vector, angle: float) -> Vector:
-    """(K,) the pitch at which the plate stands at an angle to a path that rises at angles `rising` (K,) [rad]."""
+    """(K,) pitch of the plate at `angle` to a path that rises at angles `rising` (K,) [rad]."""
     return bucket.lip - np.pi + angle - rising
 
 
@@ -90,13 +90,13 @@ def attitude(
     below: Callable[[Array, Array], Array],
     clears: Callable[[Matrix], Flags] | None = None,
 ) -> Attitude | Stuck:
-    """The pitch along a path, as near to the wanted as joints and back allow.
+    """The pitch along a path, as close to the wanted one as joints and back allow.
 
     Parameters
     ----------
-    path: (K,) r, z, and wanted, least and greatest pitch; these give way to joints and back.
-    below: gives the height of the ground (...) [m] under points at radii (...) while the edge is at radii (...).
-    clears: gives (M,) whether joints (M, n) keep the arm off the ground; not asked by default.
+    path: (K,) r, z, and wanted, least and greatest pitch; joints and back take priority over these three.
+    below: returns the height of the ground (...) [m] at radii (...) while the edge is at radii (...).
+    clears: returns (M,) whether joints (M, n) keep the arm off the ground; not checked by default.
     """
     r, z, wanted, least, most = path
     pitches = np.linspace(_FLATTEST_PITCH, _STEEPEST_PITCH, _CANDIDATES)
@@ -121,7 +121,7 @@ def attitude(
 
 
 def back_heights(bucket: Bucket, r: Array, z: Array, pitch: Array, below: Callable[[Array, Array], Array]) -> Array:
-    """(...) the least height of a corner of the back above the ground [m]."""
+    """(...) height of the lowest corner of the back above the ground [m]."""
     cosine, sine = np.cos(pitch)[..., None], np.sin(pitch)[..., None]
     x, y = bucket.back.T
     at_r = r[..., None] + x * cosine - y * sine
@@ -140,7 +140,7 @@ def _ranges(free: Flags, pitches: Vector, wanted: Vector) -> tuple[Vector, Vecto
 
 
 def _rounded(pitch: Vector) -> Vector:
-    """(K,) the pitch with its corners rounded, without which a motion stops there; its ends stay."""
+    """(K,) the pitch with rounded corners, at which a motion would otherwise stop; its ends stay."""
     for _ in range(2):
         padded = np.pad(pitch, _ROUND, mode="reflect", reflect_type="odd")
         pitch = np.convolve(padded, np.full(2 * _ROUND + 1, 1.0 / (2 * _ROUND + 1)), mode="valid")
@@ -148,10 +148,10 @@ def _rounded(pitch: Vector) -> Vector:
 
 
 def _smoothed(wanted: Vector, lower: Vector, upper: Vector) -> Vector:
-    """(K,) the pitch that changes least and is nearest to the wanted one, within its bounds [rad].
+    """(K,) the pitch that changes least and is closest to the wanted one, within its bounds [rad].
 
-    The least of sum (p_k+1 - p_k)^2 + sum (p_k - w_k)^2 / L^2, the last place as near to its wanted one as it may be.
-    The places at bounds are found by the primal-dual active set method, which ends in a few steps as
+    It minimizes sum (p_k+1 - p_k)^2 + sum (p_k - w_k)^2 / L^2, with the last place as close to its wanted pitch as
+    possible. The places at bounds are found by the primal-dual active set method, which ends in a few steps because
     the matrix is an M-matrix (M. Hintermueller, K. Ito, K. Kunisch, SIAM J. Optim. 13, 2002).
     """
     lower, upper = lower.copy(), upper.copy()

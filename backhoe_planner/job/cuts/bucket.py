@@ -1,13 +1,12 @@
-"""The bucket as a digging tool: width, capacity, cutting plate and back, from its collision shape.
+"""The bucket as a digging tool: width, capacity, cutting plate and back, measured on its collision shape.
 
-Everything is seen along the last joint's axis, in the plane across it, with the pin at the
-origin, x towards the teeth and the bucket's inside below x: where the machine stretches its
-arm out level, x points forward and the second axis up.
+The shape is viewed along the last joint's axis, in the plane normal to it, with the pin at the origin, x towards
+the teeth and the inside of the bucket below x: when the arm is stretched out level, x points forward and the
+second axis up.
 
-The capacity is that of SAE J296 and ISO 7451 in their simple form: the struck volume, up to
-the plane from the cutting edge to the upper edge of the back, and a heap on it with sides of
-1:1, as these standards have it for buckets of backhoes. Curved edges, and side plates that
-stand back from that plane, are left out.
+The capacity follows SAE J296 and ISO 7451 in their simple form: the struck volume, up to the plane from the cutting
+edge to the upper edge of the back, and a heap on it with sides of 1:1, as these standards define it for buckets of
+backhoes. Curved edges are left out, and so are side plates that are recessed from that plane.
 """
 
 from __future__ import annotations
@@ -21,29 +20,29 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import LIP, bucket_width
 
-_LIP_LENGTH = 0.15  # m from the teeth: nearer, the shape is that of teeth and lip, which are in the cut; chosen
-_BACK_STEP = 0.1  # m between the points of the back that are looked at; chosen, a sixth of the heel's distance
-_ACROSS = 0.5  # part of the bucket's width: a piece that is wider is a plate from side to side; chosen
+_LIP_LENGTH = 0.15  # m from the teeth: closer points are on teeth and lip, which are in the cut; chosen
+_BACK_STEP = 0.1  # m between the sample points of the back; chosen, a sixth of the heel's distance
+_ACROSS = 0.5  # part of the bucket's width: a wider piece is a plate from side to side; chosen
 _AT_TEETH = 0.1  # part of the mouth: how far its end may be from the teeth; chosen, half a plate's thickness is 3 %
-_SAME_WIDTH = 0.01  # m by which the cutting edge may be narrower than the shape: side plates stand out so far; chosen
-_CELLS = 200  # of the grid on which the inside is measured, each way; the area is then right to 0.5 %
+_SAME_WIDTH = 0.01  # m by which the cutting edge may be narrower than the shape: side plates protrude so far; chosen
+_CELLS = 200  # of the grid on which the inside is measured, in each direction; the area is then right to 0.5 %
 
 
 @dataclass(frozen=True, eq=False)
 class Bucket:
-    """What digs.
+    """The dimensions of a bucket that matter for digging.
 
     Attributes
     ----------
-    width: of the cutting edge [m].
-    capacity: of loose soil, heaped [m^3].
-    length: from the pin to the teeth [m].
+    width: width of the cutting edge [m].
+    capacity: heaped volume of loose soil [m^3].
+    length: distance from the pin to the teeth [m].
     mouth: length of the opening, from the teeth to the upper edge of the back [m].
-    lip: angle from the line pin to teeth down to the cutting plate [rad].
-    back: (k, 2) points of what may press into the ground behind the teeth [m], from the teeth, in the bucket's plane.
-    level_pitch: at which the opening lies level and holds a heap [rad].
-    held_at: (3,) centre of what it holds, in the frame of the last joint [m].
-    payload_at: the same from the teeth, in the axes of the tip, as a scene has it.
+    lip: angle from the line from pin to teeth down to the cutting plate [rad].
+    back: (k, 2) points that may press into the ground behind the teeth [m], from the teeth, in the bucket's plane.
+    level_pitch: pitch at which the opening is level and holds a heap [rad].
+    held_at: (3,) centre of the load, in the frame of the last joint [m].
+    payload_at: the same centre from the teeth, in the axes of the tip, as in a scene.
     """
 
     width: float
@@ -62,14 +61,14 @@ class Bucket:
 
         Parameters
         ----------
-        robot: its last link is the bucket.
-        width: of the cutting edge [m]; that of the collision shape by default.
-        capacity: heaped [m^3]; from the collision shape by default.
+        robot: the machine; its last link is the bucket.
+        width: width of the cutting edge [m]; that of the collision shape by default.
+        capacity: heaped volume [m^3]; from the collision shape by default.
 
         Raises
         ------
-        InputError: pitch is not defined for the machine; the bucket has no shape; or its shape does not say
-            what it holds, and no capacity is given.
+        InputError: pitch is not defined for the machine; the bucket has no shape; or its capacity cannot be measured
+            on the shape, and no capacity is given.
         """
         if not robot.has_pitch:
             problem = "a bucket digs in an upright plane: the axis of the last joint must stay horizontal"
@@ -105,7 +104,7 @@ class Bucket:
 def heap(length: float, width: float) -> float:
     """Volume of a heap with sides of 1:1 on a rectangle [m^3], after SAE J296.
 
-    It has the shape of a hipped roof, half as high as the shorter side is long.
+    It has the shape of a hipped roof, half as high as the shorter side.
     """
     long, short = max(length, width), min(length, width)
     return short**2 * long / 4.0 - short**3 / 12.0
@@ -113,13 +112,13 @@ def heap(length: float, width: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Section:
-    """The bucket's shape in its plane.
+    """The section of the bucket's shape in its plane.
 
     Attributes
     ----------
-    plates: of each plate from side to side, its corners (k, 2) [m].
-    outline: (k, 2) of all pieces, convex, counter-clockwise.
-    opening: (2, 2) the ends of the mouth: at the teeth, and at the back's upper edge.
+    plates: the corners (k, 2) of each plate from side to side [m].
+    outline: (k, 2) outline of all pieces, convex, counter-clockwise.
+    opening: (2, 2) ends of the mouth: at the teeth, and at the upper edge of the back.
     length, inner_width: [m].
     frame: (3, 3) the plane's two axes and the joint's axis, as rows, in the frame of the last joint.
     """
@@ -137,7 +136,7 @@ class _Section:
 
     @property
     def level_pitch(self) -> float:
-        """Where the mouth, from the teeth to the back, points outward and level: between -pi and 0."""
+        """Pitch at which the mouth, from the teeth to the back, points outward and level: between -pi and 0."""
         along = self.opening[1] - self.opening[0]
         return -float(np.arctan2(along[1], along[0]))
 
@@ -152,7 +151,7 @@ class _Section:
         middle = self.outline.mean(axis=0) - self.opening[0]
         side = (along[0] * off[:, 1] - along[1] * off[:, 0]) * np.sign(along[0] * middle[1] - along[1] * middle[0])
         off = points - [self.length, 0.0]
-        # not the teeth, and not the opening
+        # leave out the teeth and the opening
         return np.asarray(off[(np.linalg.norm(off, axis=1) > _LIP_LENGTH) & (side > 0.05 * self.mouth**2)])
 
     def inside(self) -> tuple[float, Vector]:
@@ -170,7 +169,7 @@ class _Section:
         free = below & _within(points, self.outline) & ~np.any([_within(points, p) for p in self.plates], axis=0)
         if not free.any():
             return 0.0, np.asarray(0.5 * self.opening.sum(axis=0) @ self.frame[:2])
-        # what lies behind a plate is not inside: only what can be reached from the mouth is
+        # the space behind a plate is not inside: only what can be reached from the mouth is
         parts = label(free.reshape(_CELLS, _CELLS))[0].ravel()
         candidates = np.flatnonzero(free)
         from_mouth = np.linalg.norm(points[candidates] - 0.5 * self.opening.sum(axis=0), axis=1)
@@ -204,7 +203,7 @@ def _section(robot: Robot) -> _Section:
 
 
 def _opening(plates: list[Matrix], length: float) -> Matrix:
-    """(2, 2) the ends of the mouth: the longest side of the hull of the plates, from the teeth on."""
+    """(2, 2) the ends of the mouth: the longest side of the hull of the plates, the end at the teeth first."""
     if not plates:
         raise InputError("no piece of the bucket's shape reaches from side to side", key="bucket.capacity")
     hull = _hull(np.vstack(plates))

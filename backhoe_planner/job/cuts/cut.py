@@ -1,4 +1,4 @@
-"""A cut that can be dug, or why there is none; and the ground and the load along it."""
+"""A cut that can be dug, or why there is none; and the ground and the load along a cut."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from backhoe_planner.site import GroundContact
 
 @dataclass(frozen=True, eq=False)
 class CutGround:
-    """The ground along one cut: local depth and slope, and what the bucket has taken so far.
+    """The ground along one cut: local depth and slope, and the contents of the bucket so far.
 
-    The edge moves inward all the while, so that what the bucket holds follows from where the edge is.
+    The edge only moves inward, so that the contents of the bucket follow from the position of the edge.
 
     Attributes
     ----------
-    profile: of the ground before the cut.
+    profile: the ground before the cut.
     axis: (2,) x, y of the swing axis [m], world; outward: (2,) unit vector of the plane, world.
-    r: (M,) radii of the edge, not increasing [m]; mass: (M,) held there [kg].
-    bucket: which holds it.
-    beside: (K,) mean depth of what the ends of the blade take beside the profile [m], at its radii; None for nothing.
+    r: (M,) radii of the edge, not increasing [m]; mass: (M,) mass in the bucket there [kg].
+    bucket: the bucket that digs.
+    beside: (K,) mean depth that the ends of the blade take beside the profile [m], at its radii; None for nothing.
     """
 
     profile: Profile
@@ -39,13 +39,13 @@ class CutGround:
 
     @property
     def held_at(self) -> Vector | None:
-        """(3,) centre of what the bucket holds, in the frame of the last joint [m]."""
+        """(3,) centre of the contents of the bucket, in the frame of the last joint [m]."""
         return self.bucket.held_at
 
     def contact(self, tip_position: Array) -> GroundContact:
-        """How teeth at (..., 3) [m], world, stand in the ground.
+        """The contact of teeth at (..., 3) [m], world, with the ground.
 
-        What is held bears on the soil that enters, spread over the bucket's mouth.
+        The contents bear on the soil that enters, spread over the bucket's mouth.
         """
         tip = np.asarray(tip_position, dtype=float)
         r = (tip[..., :2] - self.axis) @ self.outward
@@ -64,14 +64,14 @@ class CutGround:
 
 @dataclass(frozen=True)
 class Holding:
-    """How much of what a joint's cylinders can hold a cut asks for, where it asks most.
+    """The greatest use of a joint's cylinders along a cut, relative to what they can hold.
 
     Attributes
     ----------
-    cylinder: its name, or those of all of the joint; the joint's where it has none.
-    ratio: needed over available.
-    needed, available: torque of the joint [N m], or force [N] where it slides.
-    r, z: where the edge is then [m].
+    cylinder: name of the cylinder, or names of all cylinders of the joint; the joint's name if it has none.
+    ratio: needed divided by available.
+    needed, available: torque of the joint [N m], or force [N] if it is prismatic.
+    r, z: position of the edge there [m].
     """
 
     cylinder: str
@@ -82,32 +82,32 @@ class Holding:
     z: float
 
     def describe(self) -> str:
-        """In words."""
+        """The same in words."""
         figures = f"{self.needed / 1e3:.3g} of {self.available / 1e3:.3g} kN m ({100.0 * self.ratio:.0f} %)"
         return f"{self.cylinder}: {figures} with the teeth at r {self.r:.2f}, z {self.z:.2f} m"
 
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A cut: where the edge goes, the joints, and what the bucket takes.
+    """A cut: the path of the edge, the joints, and the soil that the bucket takes.
 
     Attributes
     ----------
-    swing: angle of the arm's plane [rad]; 0 where nothing swings.
-    r, z, pitch: (K,) of the edge [m, m, rad], from above the ground to above the ground.
+    swing: angle of the arm's plane [rad]; 0 if nothing swings.
+    r, z, pitch: (K,) path of the edge [m, m, rad], from above the ground to above the ground.
     q: (K, n) joints.
-    position: (K, 3) of the edge's middle [m], world; across: (3,) unit vector along the edge.
+    position: (K, 3) middle of the edge [m], world; across: (3,) unit vector along the edge.
     bank, loose: (K,) soil taken so far, undisturbed and loose [m^3].
-    depth: (K,) of the edge in the ground as it was [m].
+    depth: (K,) depth of the edge below the original ground [m].
     begin: indices at which penetration, drag, curl and lift begin.
     held: (K,) mass in the bucket [kg].
-    torque: (K, n) that hold the machine and drive it against the soil [N m]; inertia left out.
-    holding: which cylinder is used most.
+    torque: (K, n) torques that hold the machine and drive it against the soil [N m]; inertia is left out.
+    holding: the cylinder that is used most.
     back: the least height of the bucket's back above the ground and the fresh cut [m].
-    wanted: of loose soil in the bucket [m^3].
-    swell: volume of loose soil over that of the bank.
-    ground: for `Drive` and `Problem`.
-    bucket: which digs.
+    wanted: wanted volume of loose soil in the bucket [m^3].
+    swell: volume of loose soil divided by that of the bank.
+    ground: the ground along the cut, for `Drive` and `Problem`.
+    bucket: the bucket that digs.
     time, work: estimates of the duration [s] and of the work against gravity and soil [J].
     """
 
@@ -135,27 +135,27 @@ class Cut:
 
     @property
     def bank_volume(self) -> float:
-        """Undisturbed soil that it takes [m^3]."""
+        """Undisturbed soil that the cut takes [m^3]."""
         return float(self.bank[-1])
 
     @property
     def loose_volume(self) -> float:
-        """Loose soil in the bucket after it [m^3]: swollen bank, and what was loose."""
+        """Loose soil in the bucket after the cut [m^3]: swollen bank, and soil that was loose."""
         return float(self.bank[-1] * self.swell + self.loose[-1])
 
     @property
     def fill(self) -> float:
-        """Loose soil in the bucket over what was wanted."""
+        """Loose soil in the bucket divided by the wanted volume."""
         return self.loose_volume / self.wanted
 
     @property
     def is_full(self) -> bool:
-        """Whether the bucket holds what was wanted, to 1 %."""
+        """Whether the bucket holds the wanted volume, to 1 %."""
         return self.fill > 0.99
 
     @property
     def greatest_depth(self) -> float:
-        """[m]"""
+        """The greatest depth below the original ground [m]."""
         return float(np.max(self.depth))
 
 
@@ -167,9 +167,9 @@ class NoCut:
     ----------
     kind: ``nothing`` to dig, out of ``reach``, the ``back`` of the bucket presses into the ground, or
         a ``cylinder`` that cannot hold the soil's force.
-    reason: in words.
-    r, z: where [m]; None where it is nowhere in particular.
-    holding: of a ``cylinder``, which and by how much, at the least depth.
+    reason: the same in words.
+    r, z: the place [m]; None if there is no particular one.
+    holding: for a ``cylinder``, which one and by how much, at the least depth.
     """
 
     kind: Literal["nothing", "reach", "back", "cylinder"]

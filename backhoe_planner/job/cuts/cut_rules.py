@@ -1,4 +1,4 @@
-"""Whether a motion through the ground is a cut: the rules by which cuts are found, held against any motion."""
+"""Whether a motion through the ground is a cut: any motion is checked against the rules by which cuts are found."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.cuts.profile import Profile
 
 # Bounds for planned motions: 54 cuts of five jobs kept 3 cm, 0.05 to 2.42 rad and 2.3 mm.
-_OUTWARD = 0.01  # m by which the edge may go back outward in the ground
-_PRESSED = 0.0  # m from the bucket's back to the ground at least
-_RUBS, _PUSHES = 0.0, 2.6  # rad from the path to the plate: with less its underside rubs, with more its back pushes
-_DEEP = 0.02  # m: a plate less deep than this cuts next to nothing, at whatever angle
+_OUTWARD = 0.01  # m by which the edge may move back outward in the ground
+_PRESSED = 0.0  # least height of the bucket's back above the ground [m]
+_RUBS, _PUSHES = 0.0, 2.6  # rad from the path to the plate: below it the underside rubs, above it the back pushes
+_DEEP = 0.02  # m: a plate that is less deep cuts next to nothing, at any angle
 _IN_PLANE = 1e-9  # rad: rounding
-_SPACING = 0.03  # m between places at which the plate's angle is taken, as of the cuts themselves
+_SPACING = 0.03  # m between places at which the plate's angle is taken, as for the cuts themselves
 
 
 def broken_rules(digger: Digger, profile: Profile, q: Matrix, *, swing: float) -> list[str]:
-    """In words, which rules of a cut a motion breaks; none where it is one.
+    """The rules of a cut that a motion breaks, in words; empty if the motion is a cut.
 
     Parameters
     ----------
     digger: the machine and the soil.
-    profile: of the ground before it, in the plane of the cut.
+    profile: the ground before the motion, in the plane of the cut.
     q: (K, n) joints, one after the other.
     swing: angle of that plane [rad].
     """
@@ -63,9 +63,9 @@ def _at(r: Vector, wrong: Vector) -> str:
 
 
 def _back_room(digger: Digger, profile: Profile, r: Vector, z: Vector, pitch: Vector) -> Vector:
-    """(K,) height of the bucket's back above the ground as the edge has left it until then [m].
+    """(K,) height of the bucket's back above the ground as the edge has left it up to then [m].
 
-    Columns within one place of the profile from the edge's way count as cut.
+    Columns within one step of the profile from the edge's path count as cut.
     """
     ground, step = profile.mean.copy(), float(np.max(np.diff(profile.r)))
     found = np.zeros(len(r))

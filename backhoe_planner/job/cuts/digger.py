@@ -1,4 +1,4 @@
-"""The machine as it digs: its plane, its bucket, and what its cylinders hold along a cut."""
+"""The machine as a digger: its plane, its bucket, and what its cylinders hold along a cut."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.motion import Drive, Trajectory, time_along
 from backhoe_planner.site import Soil, SoilReaction
 
-_MARGIN = 0.15  # part of what a cylinder can hold, kept for acceleration and for soil that is harder; chosen
-_SWELL = 1.25  # volume of loose soil over that of the bank: usual are 1.2 to 1.3
-# part of the accelerations, for the path's bend and for the speed each: durations of 60 random cuts were then estimated
-# to 0.5 % on the average, with a spread of 2 %; on rough ground a motion may take up to a half more
+_MARGIN = 0.15  # part of a cylinder's capability that is reserved for acceleration and for harder soil; chosen
+_SWELL = 1.25  # volume of loose soil divided by that of the bank: usually 1.2 to 1.3
+# part of the accelerations, for the path's curvature and for the speed each: durations of 60 random cuts were then
+# estimated to 0.5 % on average, with a spread of 2 %; on rough ground a motion may take up to 50 % longer
 _OF_ACCELERATION = 0.75
 _INTERVALS = 250  # of the timing: within 1 % of the duration with 1000
 
@@ -27,11 +27,11 @@ class Digger:
     Parameters
     ----------
     robot: the machine.
-    soil: that it digs in; its `surface` does not matter.
-    bucket: by default that of the machine.
-    limits: of the joints; by default the machine's own.
-    swell: volume of loose soil over that of the bank.
-    margin: part of what a cylinder can hold that is kept in reserve.
+    soil: the soil that it digs; its `surface` does not matter.
+    bucket: the bucket; by default that of the machine.
+    limits: limits of the joints; by default the machine's own.
+    swell: volume of loose soil divided by that of the bank.
+    margin: part of a cylinder's capability that is kept in reserve.
 
     Raises
     ------
@@ -70,10 +70,10 @@ class Digger:
 
     def loads(self, q: Matrix, ground: CutGround) -> tuple[Matrix, Holding]:
         """(K, n) torques that hold the machine and drive it through joints q (K, n) against the soil [N m], and
-        which cylinder is used most by the way.
+        the cylinder that is used most along the way.
 
-        The soil's force turns with the direction, so that both ends and the middle of every step are looked
-        at in the direction of that step.
+        The soil's force depends on the direction, so that both ends and the middle of every step are evaluated in the
+        direction of that step.
         """
         step, count = np.diff(q, axis=0), len(q)
         rows = np.vstack((q, q[:-1], 0.5 * (q[:-1] + q[1:]), q[1:]))
@@ -100,8 +100,8 @@ class Digger:
     def estimated_run(self, q: Matrix, torque: Matrix) -> tuple[float, float]:
         """Duration [s] and work [J] of a run from rest to rest through joints q (K, n) under `torque` (K, n) [N m].
 
-        At the places, as fast as joints, valves, pump and engine allow, with the torques that they have
-        without inertia; from place to place the joints' accelerations bound how the speed changes.
+        At each place the speed is limited by joints, valves, pump and engine, with the torques without inertia. Between
+        places the accelerations of the joints limit the change of speed.
         """
         limits, hydraulics = self.limits, self.robot.hydraulics
         slope = np.gradient(q, axis=0)

@@ -1,9 +1,8 @@
-"""Where the bucket's edge goes: down from the ground, along under it, and up again, in the arm's plane.
+"""The path of the bucket's edge: down from the ground, along under it, and up again, in the arm's plane.
 
-The edge stays above a floor and at most a depth below the ground. From there inward it falls
-and rises by no more than two angles, and concave corners are rounded: the lowest line with
-these properties follows from running maxima, and from a ball that is rolled along above it
-(a closing by a disc).
+The edge stays above a floor and at most a given depth below the ground. Within this it falls and rises by no more
+than two angles as it moves inward, and concave corners are rounded. The lowest line with these properties follows
+from running maxima, and from a ball that is rolled along above it (a closing by a disc).
 """
 
 from __future__ import annotations
@@ -15,15 +14,15 @@ import numpy as np
 from backhoe_planner.arrays import Array, Vector
 from backhoe_planner.job.cuts.profile import Profile
 
-_STEP = 0.01  # m of radius between the places where the line is computed; chosen: a tenth of `_RADIUS`
-_RADIUS = 0.1  # m of concave corners; chosen: it leaves 1.3 cm at 5 cm from a wall
-_SMOOTH = 0.3  # m over which the ground is averaged to be followed: the cutting plate is longer than shorter waves
+_STEP = 0.01  # m of radius between the points of the line; chosen: a tenth of `_RADIUS`
+_RADIUS = 0.1  # m, of concave corners; chosen: it leaves 1.3 cm at 5 cm from a wall
+_SMOOTH = 0.3  # m over which the ground that is followed is averaged: the cutting plate is longer than shorter waves
 _SPACING = 0.03  # m between the places of the edge's path; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """How steeply the edge moves.
+    """The steepness of the edge's path.
 
     Attributes
     ----------
@@ -35,11 +34,11 @@ class Descent:
 
 
 class Underground:
-    """The floor and the ground under one blade, on an even grid from `end` to `start`, and beyond.
+    """The floor and the ground under one blade, on a regular grid from `end` to `start`, and beyond.
 
     Parameters
     ----------
-    profile: of the ground.
+    profile: profile of the ground.
     floor: (F,) radii and (F,) heights of the floor [m]; it continues level beyond its ends.
     end, start: radii between which the edge may be below the ground [m].
     """
@@ -68,7 +67,7 @@ class Underground:
         fall, rise = np.tan(descent.entry) * self.r, np.tan(descent.leave) * self.r
         from_outside = np.maximum.accumulate((wanted - fall)[::-1])[::-1] + fall
         from_inside = np.maximum.accumulate(wanted + rise) - rise
-        # the end lies between two places of the grid
+        # the end is between two points of the grid
         from_end = float(self.profile.height(np.array(end))) + np.tan(descent.leave) * (end - self.r)
         found = np.maximum(np.maximum(from_outside, from_inside), np.where(outside, -np.inf, from_end))
         return _rounded(found, self.step)
@@ -81,7 +80,7 @@ class Underground:
 
 
 def _highest(floor: tuple[Vector, Vector], r: Vector, step: float) -> Vector:
-    """(K,) the greatest height of a floor within a step of each of the even radii r (K,)."""
+    """(K,) the greatest height of a floor within one step of each of the evenly spaced radii r (K,)."""
     found = np.maximum(np.interp(r - step, *floor), np.interp(r + step, *floor))
     for own_r, own_z in zip(*floor, strict=True):
         near = np.abs(r - own_r) <= step
@@ -90,7 +89,7 @@ def _highest(floor: tuple[Vector, Vector], r: Vector, step: float) -> Vector:
 
 
 def _rounded(z: Array, step: float) -> Array:
-    """A line with its concave corners rounded by `_RADIUS`; it nowhere sinks."""
+    """A line with its concave corners rounded by `_RADIUS`; it is nowhere lowered."""
     half = int(_RADIUS / step)
     if half < 1:
         return z

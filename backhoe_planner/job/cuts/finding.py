@@ -1,12 +1,12 @@
-"""The search for a cut: as deep as wanted, the floor and the cylinders allow, as long as fills the bucket.
+"""The search for a cut: as deep as wanted, floor and cylinders allow, and long enough to fill the bucket.
 
-A cut of a given depth is as long as it takes to fill the bucket, and then rises out of the
-ground. Its joints follow from the arm's plane, the torques that hold machine and soil from
-gravity, from what the bucket holds so far, and from the earthmoving equation at the local depth
-and slope. Where they exceed what the cylinders hold, less a margin, the cut is made shallower.
+A cut of a given depth is as long as it takes to fill the bucket, and then rises out of the ground. Its joints follow
+from the arm's plane. The torques that hold machine and soil follow from gravity, from the contents of the bucket so
+far, and from the earthmoving equation at the local depth and slope. If they exceed what the cylinders hold, less a
+margin, the cut is made shallower.
 
-An operator's manual of a backhoe loader of this class has first cuts of 75 to 100 mm over about
-1.2 m, and later ones of 100 to 150 mm.
+An operator's manual of a backhoe loader of this class specifies first cuts of 75 to 100 mm over about 1.2 m, and
+later ones of 100 to 150 mm.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.cuts.edge_path import Descent, Underground, spaced
 from backhoe_planner.job.cuts.profile import Profile
 
-_THINNEST = 0.03  # m; chosen: a cut that is less deep scrapes
+_THINNEST = 0.03  # m; chosen: a shallower cut only scrapes
 _NOTHING = 0.01  # m of depth that is not worth a cut; chosen, a fifth of the usual tolerance
 _IDLE = 2e-3  # m of depth at which the edge only touches the ground; chosen: such ends of a path are left out
-_ABOVE = 0.1  # m above the ground, where a cut begins; chosen
-_NEARLY_LEVEL = 0.1  # rad beyond a level opening, which still holds the heap; chosen
+_ABOVE = 0.1  # m above the ground at which a cut begins; chosen
+_NEARLY_LEVEL = 0.1  # rad beyond the level opening at which it still holds the heap; chosen
 _MOST_INWARD = 2.0  # m; chosen: the bucket's pin lies 1 m further out than its teeth when it is level
-_LIFT = 0.7  # m from the ground up to where it ends: the level bucket reaches 0.5 m below its teeth
-_ENTRIES = (1.53, 0.95, 0.6)  # rad, the steepest descents to be tried, in turn: 88, 54, 34 degrees; chosen
-_LEAVES = (0.8, 1.53)  # rad: 46 degrees, quicker by a tenth; and 88 along a wall, 4 cm off it in a trench of 1.2 m
-_AT_END = 0.02  # m: a cut that comes this near to its end may be bounded by it; two steps of its line
+_LIFT = 0.7  # m from the ground up to the end of a cut: the level bucket reaches 0.5 m below its teeth
+_ENTRIES = (1.53, 0.95, 0.6)  # rad, the steepest descents, tried in turn: 88, 54, 34 degrees; chosen
+_LEAVES = (0.8, 1.53)  # rad: 46 degrees, faster by a tenth; and 88 along a wall, 4 cm off it in a trench of 1.2 m
+_AT_END = 0.02  # m: a cut that comes this close to its end may be bounded by it; two steps of its line
 _HALVINGS = 7  # of the depth: to 1 % of it
-_FILLINGS = 9  # evaluations of the length that fills the bucket, at most
-_FILLED = 2e-3  # part of the wanted volume
-_AIM = 0.993  # of the wanted volume: the path's places are right to 0.3 % of it, on rough ground to 0.9 %
-_SHORTENINGS = 5  # of a cut that leaves the reach at its inner end; chosen
-_INWARD = 0.05  # m by which each of them stays further out than where the reach ended
+_FILLINGS = 9  # greatest number of evaluations of the length that fills the bucket
+_FILLED = 2e-3  # part of the wanted volume: tolerance of the filling
+_AIM = 0.993  # of the wanted volume: the places of a path are right to 0.3 % of it, on rough ground to 0.9 %
+_SHORTENINGS = 5  # greatest number, for a cut that leaves the reach at its inner end; chosen
+_INWARD = 0.05  # m by which each shortening keeps the end further out than the place that was out of reach
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What is asked of a cut, checked."""
+    """The checked arguments of a search for a cut."""
 
     digger: Digger
     profile: Profile
@@ -76,28 +76,28 @@ def find_cut(
     Parameters
     ----------
     digger: the machine and the soil.
-    profile: of the ground in the plane.
+    profile: the ground in the plane.
     swing: angle of the arm's plane [rad].
-    start, end: the edge enters the ground at `start` and is out of it at `end` at the latest, radii [m];
-        `end` is the nearer one.
-    depth: the most below the ground as it is [m].
+    start, end: the edge enters the ground at `start` and leaves it at `end` at the latest, radii [m]; `end` is
+        the nearer one.
+    depth: the greatest depth below the present ground [m].
     floor: (F,) increasing radii and (F,) heights [m], world, below which nothing is dug; none by default.
-    volume: of loose soil to be taken [m^3]; the bucket's capacity by default.
-    entry: angle at which the edge goes down into the ground, at most [rad]; by default 88 degrees where the
-        machine can, else 54 or 34.
-    leave: angle at which it rises out of the ground, at most [rad]; by default 46 degrees, or 88 where the cut
-        goes on to `end`.
-    clears: gives (M,) whether joints (M, n) keep boom and stick off the ground around the cut; not asked by default,
-        as it takes ten times as long.
+    volume: loose soil to be taken [m^3]; the bucket's capacity by default.
+    entry: the greatest angle at which the edge goes down into the ground [rad]; by default 88 degrees if the
+        machine can, otherwise 54 or 34.
+    leave: the greatest angle at which it rises out of the ground [rad]; by default 46 degrees, or 88 if the cut
+        continues to `end`.
+    clears: returns (M,) whether joints (M, n) keep boom and stick off the ground around the cut; not checked by
+        default, as that takes ten times as long.
 
     Returns
     -------
-    The cut. Its bucket is not full where `end` comes first. It is shorter where the edge would only touch
-    the ground. `NoCut` says why there is none.
+    The cut. Its bucket is not full if `end` comes first. It is shorter where the edge would only touch the ground.
+    `NoCut` says why there is none.
 
     Raises
     ------
-    InputError: a number is out of its range, or `start` and `end` are not on the profile, `end` below `start`.
+    InputError: a number is out of its range, or `start` and `end` are not on the profile with `end` below `start`.
     """
     asked = _checked(digger, profile, swing, (start, end), depth, floor, volume, (entry, leave))
     asked = replace(asked, clears=clears)
@@ -120,7 +120,7 @@ def find_cut(
 
 
 def _by_entries(asked: _Asked, depth: float, leave: float) -> Cut | NoCut:
-    """The cut with the steepest entry that can be; where none can, why the steepest cannot."""
+    """The cut with the steepest entry that is possible; if none is, why the steepest is not."""
     found: Cut | NoCut | None = None
     for entry in asked.entries:
         tried = _deepest(asked, depth, Descent(entry, leave))
@@ -164,7 +164,7 @@ def _checked(
 
 
 def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
-    """The deepest cut that the cylinders hold, at most `depth`."""
+    """The deepest cut that the cylinders can hold, at most `depth`."""
     allowed = 1.0 - asked.digger.margin
     found = _cut(asked, depth, descent)
     if isinstance(found, NoCut) or found.holding.ratio <= allowed:
@@ -189,7 +189,7 @@ def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
 
 
 def _cut(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
-    """The cut of a depth, whatever it asks of the cylinders."""
+    """The cut of a given depth, whatever forces it needs."""
     end = asked.end
     for attempt in range(_SHORTENINGS + 1):
         found = _cut_to(asked, depth, descent, end)
@@ -204,7 +204,7 @@ def _cut(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
 
 
 def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | NoCut | tuple[float, NoCut]:
-    """The cut of a depth that ends at `end` at the latest; or where it cannot be, and why."""
+    """The cut of a given depth that ends at `end` at the latest; or the radius at which it is impossible, and why."""
     digger, under = asked.digger, asked.under
     end = _filling_end(asked, depth, descent, end)
     line_r, line_z = under.path(depth, end, descent)
@@ -244,7 +244,7 @@ def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | 
 
 
 def _lifted(asked: _Asked, r: float, z: float, highest: float) -> tuple[Vector, Vector]:
-    """The edge's way out of the ground, from r, z [m] up, and inward where the bucket cannot be level further out."""
+    """The edge's path out of the ground, from r, z [m] up, and inward if the bucket cannot be level further out."""
     plane, profile = asked.digger.plane, asked.profile
     level = asked.digger.bucket.level_pitch + _NEARLY_LEVEL
     inward: Vector = np.arange(r, max(r - _MOST_INWARD, float(profile.r[0]) - 0.1), -0.1, dtype=float)
@@ -259,7 +259,7 @@ def _lifted(asked: _Asked, r: float, z: float, highest: float) -> tuple[Vector, 
 
 
 def _filling_end(asked: _Asked, depth: float, descent: Descent, end: float) -> float:
-    """The radius at which the edge comes out of the ground with the bucket full; `end` where it does not fill."""
+    """The radius at which the edge leaves the ground with a full bucket; `end` if the bucket does not fill."""
 
     def excess(at: float) -> float:
         r, z = asked.under.path(depth, at, descent)

@@ -1,4 +1,4 @@
-"""The ground in the arm's plane: heights over the radius, side by side across the blade."""
+"""The ground in the arm's plane: heights over the radius, in lanes side by side across the blade."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 
 _LANES = 7  # across the blade; chosen: a lane of a bucket of 0.6 m is then less than two cells of 5 cm wide
-RIM = 1.71  # cells: half a diagonal, which the blade may cover in part, and one over which is interpolated
+RIM = 1.71  # cells: half a diagonal, which the blade may cover in part, and one cell of interpolation
 _STEP = 0.0125  # m along the radius: a quarter of a cell of 5 cm
-_WALL = 3.5  # cells over which interpolation may draw out a wall that stands askew to the grid
-_SLOPING = 1.2  # dz/dr, 50 degrees: what is steeper over so short a way counts as a wall; chosen
-_BESIDE = 0.15  # m to each side over which the ground's slope is taken; chosen, a wedge ahead of the blade is as long
-_STEEPEST = 0.7  # of the slope: 35 degrees; what is steeper slumps, or is a wall that no wedge leans on
+_WALL = 3.5  # cells over which interpolation may spread a wall that is askew to the grid
+_SLOPING = 1.2  # dz/dr, 50 degrees: a steeper slope over so short a distance counts as a wall; chosen
+_BESIDE = 0.15  # m to each side over which the ground's slope is taken; chosen, as long as a wedge ahead of the blade
+_STEEPEST = 0.7  # of the slope: 35 degrees; steeper soil slumps, or is a wall that no wedge leans on
 
 
 class Heights(Protocol):
-    """A grid of heights, as a terrain has: rows along y, columns along x."""
+    """A grid of heights such as that of a terrain: rows along y, columns along x."""
 
     @property
     def low(self) -> Vector:
@@ -31,7 +31,7 @@ class Heights(Protocol):
 
     @property
     def cell(self) -> float:
-        """Distance of neighbouring nodes [m]."""
+        """Distance between neighbouring nodes [m]."""
 
     @property
     def bank(self) -> Matrix:
@@ -74,7 +74,7 @@ class Profile:
 
     @classmethod
     def level(cls, height: float, low: float, high: float) -> Profile:
-        """Level ground of bank soil from radius `low` to `high` [m]."""
+        """Level ground of undisturbed soil from radius `low` to `high` [m]."""
         low, high = as_number(low, key="low"), as_number(high, key="high")
         count = max(int(np.ceil((high - low) / _STEP)) + 1, 2)
         r = np.linspace(low, high, count)
@@ -86,7 +86,7 @@ class Profile:
 
         Raises
         ------
-        InputError: less than two of its radii lie on the terrain.
+        InputError: fewer than two of its radii are on the terrain.
         """
         rows, columns = terrain.bank.shape
         size = terrain.cell * np.array([columns - 1, rows - 1])
@@ -95,7 +95,7 @@ class Profile:
         r = np.arange(0.0, farthest + width, min(_STEP, 0.25 * terrain.cell))
         _, left = plane.directions(swing)
         middle = plane.world(swing, r, np.zeros(len(r)))[:, :2]
-        # what a blade covers in part is known by its mean height alone: what is looked at is covered whole
+        # if the blade covers a column in part, only its mean height is known: use only wholly covered columns
         half = max(0.5 * width - RIM * terrain.cell, 0.0)
         lanes = half * np.linspace(-1.0, 1.0, _LANES)
         points = (middle[:, None, :] + lanes[:, None] * left - terrain.low) / terrain.cell
@@ -118,24 +118,24 @@ class Profile:
 
     @cached_property
     def mean(self) -> Vector:
-        """(K,) height of the ground, on the average across the blade [m]."""
+        """(K,) height of the ground, averaged across the blade [m]."""
         return np.asarray(self.surface.mean(axis=1))
 
     @cached_property
     def slope(self) -> Vector:
-        """(K,) dz/dr of the ground beside each radius."""
+        """(K,) dz/dr of the ground around each radius."""
         ahead, behind = (np.interp(self.r + step, self.r, self.mean) for step in (_BESIDE, -_BESIDE))
         span = np.minimum(self.r + _BESIDE, self.r[-1]) - np.maximum(self.r - _BESIDE, self.r[0])
         return np.asarray(np.clip((ahead - behind) / span, -_STEEPEST, _STEEPEST))
 
     def height(self, r: Array) -> Array:
-        """(...) height of the ground at radii (...) [m]; beyond its ends that of the end."""
+        """(...) height of the ground at radii (...) [m]; beyond its ends, that of the end."""
         return np.interp(r, self.r, self.mean)
 
     def depth(self, r: Array, z: Array) -> Array:
         """(...) mean depth below the ground, across the blade, of an edge at r, z (...) [m].
 
-        Where the edge is above all of the ground, its height above the highest lane, negative.
+        If the edge is above all of the ground: its height above the highest lane, negative.
         """
         r, z = np.broadcast_arrays(r, z)
         lanes = np.stack([np.interp(r, self.r, lane) for lane in self.surface.T], axis=-1) - z[..., None]
@@ -143,10 +143,10 @@ class Profile:
         return np.asarray(np.where(within > 0.0, within, np.max(lanes, axis=-1)))
 
     def taken(self, r: Vector, z: Vector, *, width: float) -> tuple[Vector, Vector]:
-        """(M,), (M,) bank and loose soil [m^3] that an edge of `width` has taken at each of its places r, z (M,) [m].
+        """(M,), (M,) bank and loose soil [m^3] that an edge of `width` has taken up to each place r, z (M,) [m].
 
-        The edge moves inward: r does not increase. Loose soil lies on the bank, so it is taken as the edge
-        comes from above.
+        The edge moves inward: r does not increase. Loose soil is on top of the bank, so an edge coming from above takes
+        it first.
         """
         bank, thickness = np.zeros(len(r)), np.zeros(len(r))
         for own, on_it in zip(self.bank.T, self.loose.T, strict=True):
@@ -159,15 +159,15 @@ class Profile:
 
 
 def _inward(r: Vector, depth: Vector) -> Vector:
-    """(M,) area [m^2] of `depth` (M,) over radii that do not increase, up to each, by the trapezium rule."""
+    """(M,) area [m^2] of `depth` (M,) over non-increasing radii, up to each of them, by the trapezium rule."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (depth[1:] + depth[:-1]) * -np.diff(r))))
 
 
 def _stand_walls(r: Vector, z: Vector, longest: float) -> None:
-    """Make walls in the line z (K,) [m] upright that are no longer than `longest` [m]; the area under it stays.
+    """Make those walls upright in the line z (K,) [m] that are no longer than `longest` [m]; the area below is kept.
 
-    A column on the edge of a trench has a mean height, and interpolation draws the wall out over its
-    neighbours, as if soil leaned on it that was long dug.
+    A column on the edge of a trench has a mean height. Interpolation spreads the wall over the neighbouring columns,
+    as if soil that was dug long ago still leaned on it.
     """
     slope = np.diff(z) / np.diff(r)
     steep = np.sign(slope) * (np.abs(slope) > _SLOPING)
@@ -178,7 +178,7 @@ def _stand_walls(r: Vector, z: Vector, longest: float) -> None:
         own = z[a : b + 1]
         low, high = float(own[0]), float(own[-1])
         area = float(np.sum(0.5 * (own[1:] + own[:-1]) * np.diff(r[a : b + 1])))
-        # low up to the wall, high from there on; the sample beside the wall takes what is left of the area
+        # low up to the wall, high beyond it; the sample next to the wall takes the rest of the area
         at = r[b] - (area - low * (r[b] - r[a])) / (high - low)
         past = np.clip((r[a + 1 : b] - at) / (r[b] - r[a]) * (b - a) + 0.5, 0.0, 1.0)
         own[1:-1] = low + (high - low) * past

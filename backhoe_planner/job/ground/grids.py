@@ -1,4 +1,4 @@
-"""Heights on a grid that may have holes: filled, taken at points and on other grids, made from points."""
+"""Heights on a grid that may have holes: filled, interpolated, resampled on other grids, made from points."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_number, as_v
 from backhoe_planner.errors import InputError
 
 CELL = 0.05  # m, edge of a column by default; chosen: a twelfth of a bucket's width
-_FINEST, _COARSEST = 0.005, 5.0  # m; chosen: finer or coarser says nothing about a trench
-MOST_COLUMNS = 4_000_000  # as of a height map in a scene
-_NO_FURTHER = 1e-6  # cells: a point on the border of a grid lies in it, whatever rounding says
+_FINEST, _COARSEST = 0.005, 5.0  # m; chosen: finer or coarser grids are of no use for a trench
+MOST_COLUMNS = 4_000_000  # as for a height map in a scene
+_NO_FURTHER = 1e-6  # cells: a point on the border of a grid is in it, despite rounding
 
 
 @dataclass(frozen=True, eq=False)
 class HeightGrid:
-    """Heights, NaN where nothing is known.
+    """Heights on a grid, NaN where the height is unknown.
 
     Attributes
     ----------
     low: (2,) x, y of the first node [m].
-    cell: between nodes [m].
-    z: (rows, columns) [m]; rows run along y, columns along x, both ascending.
+    cell: distance between nodes [m].
+    z: (rows, columns) heights [m]; rows run along y, columns along x, both ascending.
     """
 
     low: Vector
@@ -45,7 +45,7 @@ class HeightGrid:
         return np.stack((x, y), axis=-1)
 
     def at(self, points: Array) -> Array:
-        """(...) bilinear height at points (..., 2) [m]; NaN beyond the grid and beside a hole."""
+        """(...) bilinear height at points (..., 2) [m]; NaN beyond the grid and next to a hole."""
         last = np.array(self.z.shape[::-1]) - 1
         place = (points - self.low) / self.cell
         off = ((place < -_NO_FURTHER) | (place > last + _NO_FURTHER)).any(axis=-1)
@@ -61,7 +61,7 @@ class HeightGrid:
 
 
 def as_cell(cell: float) -> float:
-    """`cell`, the distance between nodes [m]; InputError where it is none."""
+    """`cell` as the distance between nodes [m]; raises InputError if it is not one."""
     return as_number(cell, key="cell", least=_FINEST, most=_COARSEST)
 
 
@@ -70,7 +70,7 @@ def empty_grid(low: Sequence[float] | Vector, high: Sequence[float] | Vector, ce
 
     Raises
     ------
-    InputError: it has less than 2 x 2 columns, or too many.
+    InputError: it would have fewer than 2 x 2 columns, or too many.
     """
     start, end, cell = as_vector(low, 2, key="low"), as_vector(high, 2, key="high"), as_cell(cell)
     counts = np.round((end - start) / cell) + 1
@@ -81,7 +81,7 @@ def empty_grid(low: Sequence[float] | Vector, high: Sequence[float] | Vector, ce
 
 
 def check_counts(shape: tuple[int, ...], *, key: str) -> None:
-    """InputError where `shape` is less than 2 x 2 columns, or too many."""
+    """Raise InputError if `shape` has fewer than 2 x 2 columns, or too many."""
     if min(shape) < 2:
         raise InputError("holds less than 2 x 2 columns", key=key, found=str(shape))
     if math.prod(shape) > MOST_COLUMNS:
@@ -89,7 +89,7 @@ def check_counts(shape: tuple[int, ...], *, key: str) -> None:
 
 
 def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
-    """The mean height of the points (n, 3) [m] in each column of a grid; NaN in a column without."""
+    """The mean height of the points (n, 3) [m] in each column of a grid; NaN for a column without points."""
     rows, columns = grid.z.shape
     at = np.round((points[:, :2] - grid.low) / grid.cell).astype(np.int64)
     inside = ((at >= 0) & (at < [columns, rows])).all(axis=1)
@@ -101,9 +101,9 @@ def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
 
 
 def resampled(grid: HeightGrid, onto: HeightGrid) -> HeightGrid:
-    """The heights of a grid at the nodes of another; NaN where they are unknown.
+    """The heights of a grid at the nodes of another; NaN where unknown.
 
-    Where the other is coarser, each of its columns has the mean of the heights within it.
+    If the other grid is coarser, each of its columns has the mean of the heights within it.
     """
     if onto.cell >= 2.0 * grid.cell:
         points = np.concatenate((grid.nodes(), grid.z[..., None]), axis=-1).reshape(-1, 3)
@@ -133,11 +133,11 @@ def filled(grid: HeightGrid, reach: float) -> HeightGrid:
 
 
 def refuse_holes(grid: HeightGrid, file: Path | None) -> None:
-    """Every column of a grid must have a height.
+    """Check that every column of a grid has a height.
 
     Raises
     ------
-    InputError: one has none; names the first, where it is, and how many there are.
+    InputError: a column has none; names the first, where it is, and how many there are.
     """
     holes: Flags = np.isnan(grid.z)
     if holes.any():

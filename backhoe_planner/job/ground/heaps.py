@@ -1,9 +1,8 @@
-"""Heaps of loose soil: what is poured at a place comes to rest at the angle of repose.
+"""Heaps of loose soil: soil poured at a place comes to rest at the angle of repose.
 
-The heap is the highest surface through an apex above the place that falls at the angle of repose
-to all sides, as far as it lies above the ground (the growing pile of Prigozhin, Variational model
-of sandpile growth, 1996). The height of the apex follows from the volume. Where soil would then
-stand on an edge, it slumps.
+The heap is the highest surface through an apex above the place that falls at the angle of repose to all sides,
+wherever it is above the ground (the growing pile of Prigozhin, Variational model of sandpile growth, 1996). The
+height of the apex follows from the volume. Soil that would then rest on an edge slumps.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.ground.slumping import slumped
 from backhoe_planner.job.ground.terrain import Terrain
 
-_LAID = 1e-6  # m of soil on a column that counts as none: what rounding leaves
-_HALVINGS_OF_APEX = 40  # of its height: from metres to rounding
-_CLIFF = 2.5  # times the drop at the angle of repose; chosen: loose soil never stands so, a trench's wall does
-_HALVINGS = 12  # of a volume, to find what fits where soil slumps: to 1 in 4,000
+_LAID = 1e-6  # m of soil on a column that counts as none: rounding leaves as much
+_HALVINGS_OF_APEX = 40  # of the apex height: from metres to rounding
+_CLIFF = 2.5  # times the drop at the angle of repose; chosen: a trench's wall is as steep, loose soil never is
+_HALVINGS = 12  # of a volume, to find how much fits if soil slumps: to 1 in 4,000
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Loose soil cannot be laid down there.
+    """The reason why loose soil cannot be dumped at a place.
 
     Attributes
     ----------
     reason: why, in one sentence.
-    room: the greatest volume that can [m^3].
+    room: the greatest volume that can be dumped there [m^3].
     """
 
     reason: str
@@ -47,17 +46,17 @@ def deposited(
     Parameters
     ----------
     at: (2,) x, y [m].
-    volume: loose [m^3].
-    clear_of: (rows, columns) columns on which none of it may come to lie, such as those of a trench with the
-        distance to its edge; what lies at the border of the grid never may.
+    volume: loose volume [m^3].
+    clear_of: (rows, columns) columns on which no soil may come to rest, such as those of a trench with the
+        distance to its edge; the columns at the border of the grid always count among them.
 
     Returns
     -------
-    The ground, with `volume` more loose soil to rounding; or why not, where it would lie where it may not.
+    The ground with `volume` more loose soil, to rounding; or a refusal if soil would come to rest where it may not.
 
     Raises
     ------
-    InputError: an argument is no such thing, or the place is not on the grid.
+    InputError: an argument is of another kind, or the place is not on the grid.
     """
     check_kind(terrain, Terrain, key="terrain")
     place = _place(terrain, at)
@@ -84,11 +83,11 @@ def heap_room(terrain: Terrain, at: Sequence[float] | Vector, *, clear_of: Flags
 
     Parameters
     ----------
-    terrain, at, clear_of: as of `deposited`.
+    terrain, at, clear_of: as in `deposited`.
 
     Raises
     ------
-    InputError: as of `deposited`.
+    InputError: as for `deposited`.
     """
     check_kind(terrain, Terrain, key="terrain")
     place = _place(terrain, at)
@@ -98,7 +97,7 @@ def heap_room(terrain: Terrain, at: Sequence[float] | Vector, *, clear_of: Flags
         laid = poured(terrain, place, volume).loose - terrain.loose > _LAID
         return not (laid & forbidden).any()
 
-    # a cone whose slope ends where the nearest of these columns begins
+    # a cone whose slope ends where the nearest forbidden column begins
     start = _first_height(terrain, place)
     room = float(np.maximum(start[forbidden].min() - start, 0.0).sum()) * terrain.cell**2
     if room > 0.0 and fits(room):
@@ -111,7 +110,7 @@ def heap_room(terrain: Terrain, at: Sequence[float] | Vector, *, clear_of: Flags
 
 
 def poured(terrain: Terrain, place: Vector, volume: float) -> Terrain:
-    """`deposited` wherever it comes to lie; nothing passes the border of the grid."""
+    """Like `deposited`, but soil may come to rest anywhere; none passes the border of the grid."""
     if volume <= 0.0:
         return terrain
     raised = _cone(terrain, place, volume / terrain.cell**2)
@@ -122,16 +121,16 @@ def poured(terrain: Terrain, place: Vector, volume: float) -> Terrain:
 
 
 def level_for(start: Array, most: Array, total: float) -> float:
-    """The level at which what rises from `start`, each by at most `most`, has risen by `total` in all.
+    """The level at which columns that rise from `start`, each by at most `most`, have risen by `total` in all.
 
     Each begins to rise when the level passes its start. The total is piecewise linear in the level, so that the
     answer is exact.
 
     Parameters
     ----------
-    start: where each begins [m].
-    most: by how much each can rise [m], infinite for any.
-    total: [m]; at most the sum of `most`.
+    start: height at which each begins [m].
+    most: the greatest rise of each [m], infinite if unlimited.
+    total: total rise [m]; at most the sum of `most`.
     """
     ends = (start + most)[np.isfinite(most)].ravel()
     levels = np.concatenate((start.ravel(), ends))
@@ -152,9 +151,9 @@ def _first_height(terrain: Terrain, place: Vector) -> Matrix:
 
 
 def _cone(terrain: Terrain, place: Vector, total: float) -> Matrix:
-    """(rows, columns) what a heap lays on each column [m], `total` [m] in all, before any of it slumps.
+    """(rows, columns) thickness that a heap adds to each column [m], `total` [m] in all, before any of it slumps.
 
-    It is connected, and ends where the ground breaks off: what flows over the edge there slumps later.
+    The heap is connected and ends where the ground breaks off: soil that flows over such an edge slumps later.
     """
     start = _first_height(terrain, place)
     top = np.unravel_index(int(np.argmin(start)), start.shape)
@@ -189,7 +188,7 @@ def _level(start: Array, total: float) -> float:
 
 
 def _foots(terrain: Terrain) -> Flags:
-    """(rows, columns) which columns lie at the foot of a step that is steeper than loose soil by far."""
+    """(rows, columns) which columns are at the foot of a step that is far steeper than loose soil."""
     surface, found = terrain.surface, np.zeros(terrain.shape, dtype=bool)
     step = _CLIFF * math.tan(terrain.repose) * terrain.cell
     for axis in (0, 1):

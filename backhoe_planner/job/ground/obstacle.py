@@ -1,4 +1,4 @@
-"""The ground as an obstacle, from memory: what the machine must not touch on its way through the air."""
+"""The ground as an obstacle, built in memory: the machine must not touch it when it moves through the air."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
 
-_DEEP = 20.0  # m of ground beyond the grid; chosen, deeper than any arm reaches
+_DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
 
 
 def terrain_obstacle(
     terrain: Terrain, name: str, clearance: float, links: Sequence[str] | None = None, *, before: Obstacle | None = None
 ) -> Obstacle:
-    """The ground as it is, as one obstacle; its distances are those of the same heights from a file.
+    """The present ground as one obstacle; its distances equal those of the same heights read from a file.
 
     Parameters
     ----------
-    name, clearance, links: as of `Obstacle`.
-    before: the obstacle of this ground at an earlier moment; what it has built to measure distances is taken
-        over wherever the heights are the same.
+    name, clearance, links: as in `Obstacle`.
+    before: the obstacle of this ground at an earlier moment; its distance structures are reused wherever the
+        heights are the same.
 
     Raises
     ------
-    InputError: an argument is no such thing.
+    InputError: an argument is of another kind.
     """
     check_kind(terrain, Terrain, key="terrain")
     heights, width = terrain.surface, terrain.high - terrain.low
@@ -62,13 +62,13 @@ def terrain_obstacle(
 
 
 def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clearance: float) -> tuple[Obstacle, ...]:
-    """Level ground beyond the grid of a terrain, as boxes on its sides; none where the grid reaches so far.
+    """Level ground beyond the grid of a terrain, as boxes on its sides; empty if the grid reaches far enough.
 
     Parameters
     ----------
-    level: its height z [m].
-    low, high: (2,) least and greatest x, y to which it goes [m].
-    clearance: to be kept from it [m].
+    level: height z of the ground [m].
+    low, high: (2,) least and greatest x, y of the area to be covered [m].
+    clearance: distance to be kept from the boxes [m].
     """
     (west, south), (east, north) = ground.low.tolist(), ground.high.tolist()
     least, most = np.minimum(low, ground.low), np.maximum(high, ground.high)

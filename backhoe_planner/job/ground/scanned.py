@@ -1,4 +1,4 @@
-"""The ground as a scan found it: what was dug and heaped meanwhile, and what is not known."""
+"""The ground as a scan found it: what was dug and heaped in the meantime, and what is unknown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from backhoe_planner.job.ground.grids import HeightGrid, filled
 from backhoe_planner.job.ground.surveys import survey_on
 from backhoe_planner.job.ground.terrain import Terrain
 
-_NOISE = 0.02  # m by which a scan may differ without saying that the ground does; chosen, a laser's 1 to 2 cm
+_NOISE = 0.02  # m by which a scan may differ although the ground is unchanged; chosen, a laser has 1 to 2 cm
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,8 @@ class Scanned:
 
     Attributes
     ----------
-    terrain: as the scan found it; where it did not look, as it was known before.
-    unknown: (rows, columns) where it did not look.
+    terrain: the scanned ground; where the scan did not look, the ground as it was known before.
+    unknown: (rows, columns) where the scan did not look.
     """
 
     terrain: Terrain
@@ -35,23 +35,23 @@ def scanned(
     known: Terrain, file: str | Path, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
     fill: float = 0.0, noise: float = _NOISE,
 ) -> Scanned:  # fmt: skip
-    """The ground as a file has it, on the grid of the ground as it was known.
+    """The ground according to a file, on the grid of the known ground.
 
-    What is lower than the undisturbed soil was is undisturbed soil with the rest dug away; what is higher is
-    loose soil on it.
+    Where the scan is lower than the undisturbed soil was, soil was dug away and the rest is undisturbed. Where it is
+    higher, there is loose soil on the undisturbed soil.
 
     Parameters
     ----------
-    known: the ground before, such as at the job's beginning or after its last cycle.
-    file: heights or points, as of `Terrain.from_file`; its grid may be any.
-    low: (2,) x, y of the file's first height [m], which a CSV needs.
-    cell: between the file's heights [m], which a CSV needs.
-    fill: holes are filled from their rims up to this far from a known column [m]; by default none is.
-    noise: where the scan is this near to the known surface, nothing is changed [m].
+    known: the ground before the scan, such as at the job's beginning or after its last cycle.
+    file: heights or points, as in `Terrain.from_file`; on any grid.
+    low: (2,) x, y of the file's first height [m]; required for a CSV.
+    cell: distance between the file's heights [m]; required for a CSV.
+    fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
+    noise: the ground is unchanged where the scan is this close to the known surface [m].
 
     Raises
     ------
-    InputError: the file is missing or malformed, does not say where it lies, or knows nothing of this ground.
+    InputError: the file is missing or malformed, does not contain its position, or covers none of this ground.
     """
     check_kind(known, Terrain, key="known")
     file, noise = check_path(file, key="file"), as_number(noise, key="noise", least=0.0)

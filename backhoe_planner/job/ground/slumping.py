@@ -1,9 +1,9 @@
-"""Loose soil that stands steeper than it can: it slides until it does not.
+"""Slumping: loose soil that is steeper than its angle of repose slides until it is at rest.
 
-Where two neighbours, of eight, differ by more than the slope of repose allows, loose soil goes
-from the higher to the lower, at most as much as lies there. Pairs that share no column move at
-once, so that each step lowers the soil's centre of mass and keeps its volume. Undisturbed soil
-stands, upright too: how long a trench's wall stands is not for this model to say.
+If two of eight neighbours differ by more than the angle of repose allows, loose soil moves from the higher to the
+lower, at most as much as there is. Pairs that share no column move at once, so that each step lowers the soil's
+centre of mass and keeps its volume. Undisturbed soil stays, even if upright: this model does not say how long a
+trench wall remains standing.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import check_kind
 from backhoe_planner.job.ground.terrain import Terrain
 
-# of the drop between neighbours at the angle of repose: half a degree; chosen. What is steeper by less than half
-# of it stays, so that a heap at the angle of repose does not stir
+# of the drop between neighbours at the angle of repose: half a degree; chosen. Soil that is too steep by less than
+# half of it stays, so that a heap at the angle of repose does not move
 _WITHIN = 0.02
-_MOST_ROUNDS = 4_000  # chosen: a heap of 2 m^3 that falls from one column takes some 1,000
-_MARGIN = 8  # columns around what was changed that are looked at first; chosen
-_MORE = 24  # columns by which that grows where soil reaches its border; chosen
-_ROUNDS_BETWEEN = 8  # between two looks at whether it has come to rest; chosen
-# rows and columns from one neighbour to the other: two pairs straight on, two diagonal
+_MOST_ROUNDS = 4_000  # chosen: a heap of 2 m^3 that falls on one column takes some 1,000
+_MARGIN = 8  # columns around the changed area that are included at first; chosen
+_MORE = 24  # columns by which the area grows if soil reaches its border; chosen
+_ROUNDS_BETWEEN = 8  # between two checks whether the soil is at rest; chosen
+# rows and columns from one neighbour to the other: two straight pairs, two diagonal ones
 _WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
@@ -33,11 +33,11 @@ def slumped(terrain: Terrain, low: Vector | None = None, high: Vector | None = N
 
     Parameters
     ----------
-    low, high: (2,) corners of the rectangle in which it may not be at rest [m]; by default everywhere.
+    low, high: (2,) corners of the rectangle in which soil may not be at rest [m]; by default everywhere.
 
     Raises
     ------
-    InputError: `terrain` is none.
+    InputError: `terrain` is not a Terrain.
     """
     check_kind(terrain, Terrain, key="terrain")
     low, high = terrain.low if low is None else low, terrain.high if high is None else high
@@ -69,8 +69,8 @@ def settle(bank: Matrix, loose: Matrix, drop: float) -> None:
 
     Parameters
     ----------
-    bank, loose: (rows, columns) height of what stands, and thickness of what does not [m].
-    drop: between neighbours at the angle of repose [m].
+    bank, loose: (rows, columns) height of the fixed soil, and thickness of the loose soil [m].
+    drop: height difference between neighbours at the angle of repose [m].
     """
     pairs = [
         (bank[a], bank[b], loose[a], loose[b], (1.0 + 0.5 * _WITHIN) * drop * math.hypot(*way))
@@ -84,7 +84,7 @@ def settle(bank: Matrix, loose: Matrix, drop: float) -> None:
             over = bank_a + loose_a
             over -= bank_b
             over -= loose_b
-            # soil goes from a to b where more than 0
+            # positive: soil moves from a to b
             go = 0.5 * (over - np.minimum(np.maximum(over, -allowed), allowed))
             np.minimum(go, loose_a, out=go)
             np.maximum(go, -loose_b, out=go)

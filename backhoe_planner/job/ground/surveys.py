@@ -1,4 +1,4 @@
-"""Heights of a site from a file, on the grid that is wanted."""
+"""Heights of a site from a file, resampled on the wanted grid."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_survey(
 
     Raises
     ------
-    InputError: the file is missing or malformed, or does not say where it lies.
+    InputError: the file is missing or malformed, or does not contain its position.
     """
     if file.suffix.lower() in _POINTS:
         points = read_points(file)
@@ -45,11 +45,11 @@ def survey_on(
 
     Parameters
     ----------
-    low, cell: where the heights lie, as of `Terrain.from_file`; points and a GeoTIFF need neither.
+    low, cell: position and spacing of the heights, as in `Terrain.from_file`; points and a GeoTIFF need neither.
 
     Raises
     ------
-    InputError: as of `read_survey`.
+    InputError: as for `read_survey`.
     """
     if file.suffix.lower() in _POINTS:
         return column_means(read_points(file), onto)
@@ -57,7 +57,7 @@ def survey_on(
 
 
 def _read_table(file: Path, low: Sequence[float] | Vector | None, cell: float | None, *, moved: bool) -> HeightGrid:
-    """The heights as they stand in a file; `moved`: to `low`, wherever the file says that they lie."""
+    """The heights in a file; `moved` puts their first height at `low`, whatever position the file gives."""
     table = read_height_grid(file)
     start = None if low is None else as_vector(low, 2, key="low")
     if table.low is not None:

@@ -1,12 +1,12 @@
-"""What a blade takes out of the ground on its way: geometry alone.
+"""The soil that a moving blade takes out of the ground: geometry alone.
 
-The edge sweeps a surface, ruled by its positions. Soil above that surface goes, loose soil
-before undisturbed soil. A column is looked at in `_PARTS` x `_PARTS` points. What the end of
-the blade cuts of the part around a point is the exact area of a square on one side of a line.
+The edge sweeps a surface, ruled by its positions. Soil above that surface is removed, loose soil before
+undisturbed soil. Each column is sampled at `_PARTS` x `_PARTS` points. The part that the end of the blade cuts
+from the square around a point is the exact area of a square on one side of a line.
 
-Of a column that the blade covers in part only the mean height is known. The part that it does
-not cover stands as high as the column beside it, on the side away from the blade. Hence a trench
-that is dug in many layers stays as wide as the blade, and two passes side by side leave no ridge.
+If the blade covers a column in part, only the column's mean height is known. The part that is not covered is
+taken to be as high as the next column on the side away from the blade. Hence a trench dug in many layers stays
+as wide as the blade, and two passes side by side leave no ridge.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from backhoe_planner.job.ground.heaps import poured
 from backhoe_planner.job.ground.slumping import slumped
 from backhoe_planner.job.ground.terrain import Terrain
 
-_PARTS = 5  # of a column along each axis; chosen: 1 cm, so that a cut of 1.2 m is as long as it is to within 1 %
-_MOST_ENTRIES = 2_000_000  # points times moments that are looked at in one go: some 50 MB
-_WHOLE = 1e-9  # of a column: so little is rounding
-_UPRIGHT = 0.1  # horizontal part of the edge's direction; with less it is no edge that cuts from above
+_PARTS = 5  # of a column along each axis; chosen: 1 cm, so that the length of a cut of 1.2 m is right to within 1 %
+_MOST_ENTRIES = 2_000_000  # points times moments that are computed at once: some 50 MB
+_WHOLE = 1e-9  # of a column: less is rounding
+_UPRIGHT = 0.1  # horizontal part of the edge's direction; with less the edge cannot cut from above
 
 
 @dataclass(frozen=True, eq=False)
 class BladeSweep:
-    """The way of a cutting edge.
+    """The path of a cutting edge.
 
     Attributes
     ----------
-    edge: (K, 3) its middle [m], world.
-    across: (K, 3) unit vectors along it, world; (3,) where it keeps its direction.
-    width: of the blade [m].
+    edge: (K, 3) positions of its middle [m], world.
+    across: (K, 3) unit vectors along the edge, world; (3,) if it keeps its direction.
+    width: width of the blade [m].
 
     Raises
     ------
@@ -62,12 +62,12 @@ class BladeSweep:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """What a blade took.
+    """The soil that a blade took.
 
     Attributes
     ----------
-    terrain: the ground after it; loose soil that lost its hold has slumped, and what was spilt lies on it.
-    bank, loose: (K,) undisturbed and loose soil taken until each moment [m^3].
+    terrain: the ground afterwards; loose soil that lost its support has slumped, and the spilt soil is on it.
+    bank, loose: (K,) undisturbed and loose soil taken up to each moment [m^3].
     room: loose volume that the bucket had room for [m^3].
     """
 
@@ -78,17 +78,17 @@ class Sweep:
 
     @property
     def volume(self) -> Vector:
-        """(K,) loose volume of all that was taken until each moment [m^3]: what is in the bucket, and what it spilt."""
+        """(K,) loose volume of all soil taken up to each moment [m^3]: what the bucket holds and what it spilt."""
         return self.terrain.swell * self.bank + self.loose
 
     @property
     def held(self) -> Vector:
-        """(K,) loose volume in the bucket at each moment, beyond what was in it before [m^3]."""
+        """(K,) loose volume in the bucket at each moment, in addition to its earlier contents [m^3]."""
         return np.minimum(self.volume, self.room)
 
     @property
     def spilt(self) -> float:
-        """Loose volume that found no room and lies where the blade was last in the ground [m^3]."""
+        """Loose volume that found no room; it is poured out where the blade was last in the ground [m^3]."""
         return float(self.volume[-1] - self.held[-1])
 
 
@@ -97,12 +97,12 @@ def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump:
 
     Parameters
     ----------
-    room: loose volume that the bucket behind it takes [m^3]; what is more is spilt.
-    slump: whether loose soil that lost its hold comes to rest.
+    room: loose volume that the bucket behind the blade can take [m^3]; the rest is spilt.
+    slump: whether loose soil that lost its support slumps to rest.
 
     Raises
     ------
-    InputError: `terrain` or `blade` is none.
+    InputError: `terrain` or `blade` is of another kind.
     """
     check_kind(terrain, Terrain, key="terrain")
     check_kind(blade, BladeSweep, key="blade")
@@ -141,7 +141,7 @@ def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump:
 
 
 def _parts(terrain: Terrain, rows: slice, columns: slice) -> tuple[Matrix, Indices]:
-    """(n, 2) x, y of the points of all columns in a rectangle [m], column by column, and their numbers (n,)."""
+    """(n, 2) x, y of the sample points of all columns in a rectangle [m], by column, and their indices (n,)."""
     inner = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * terrain.cell
     x = terrain.x[columns][None, :, None, None] + inner[None, None, None, :]
     y = terrain.y[rows][:, None, None, None] + inner[None, None, :, None]
@@ -151,7 +151,7 @@ def _parts(terrain: Terrain, rows: slice, columns: slice) -> tuple[Matrix, Indic
 
 @dataclass(frozen=True, eq=False)
 class _Crossings:
-    """Where the edge passes over points: which `part`, at which `moment`, how high `z` [m], which `share` of it."""
+    """Where the edge passes over points: which `part`, at which `moment`, at height `z` [m], which `share` of it."""
 
     part: Indices
     moment: Indices
@@ -163,7 +163,7 @@ class _Crossings:
 
 
 def _crossings(blade: BladeSweep, points: Matrix, parts: Indices, edge: float) -> _Crossings:
-    """All of them, by part, and in the order of moments; `edge` of the square that a point stands for [m]."""
+    """All crossings, by part and in the order of moments; `edge` of the square around each point [m]."""
     level = np.hypot(blade.across[:, 0], blade.across[:, 1])
     along = blade.across[:, :2] / level[:, None]
     half = 0.5 * blade.width * level
@@ -174,7 +174,7 @@ def _crossings(blade: BladeSweep, points: Matrix, parts: Indices, edge: float) -
     size = max(_MOST_ENTRIES // len(blade.edge), 1)
     for start in range(0, len(points), size):
         own = points[start : start + size]
-        past = own @ ahead.T - origin  # (n, K) how far a point is ahead of the edge, one way
+        past = own @ ahead.T - origin  # (n, K) signed distance of a point ahead of the edge
         turns = (past[:, :-1] < 0.0) != (past[:, 1:] < 0.0)
         part, moment = np.nonzero(turns)
         before, behind = past[part, moment], past[part, moment + 1]
@@ -193,13 +193,13 @@ def _crossings(blade: BladeSweep, points: Matrix, parts: Indices, edge: float) -
 
 
 def _area(distance: Vector, way: Matrix, edge: float) -> Vector:
-    """The part of squares that lies behind a line whose unit normal is `way` (n, 2).
+    """The part of squares that is behind a line whose unit normal is `way` (n, 2).
 
-    distance: (n,) from the line to the middle of the square, along `way` [m]; behind where that is more than 0.
+    distance: (n,) from the line to the middle of the square, along `way` [m]; positive if the middle is behind.
     """
     a, b = np.sort(np.abs(way), axis=1).T * edge
     a = np.maximum(a, 1e-12 * edge)
-    # the square's shadow on the normal is a trapezium: flat over b - a, sloping over a on both sides
+    # the projection of the square on the normal is a trapezium: flat over b - a, sloping over a on both sides
     d = np.clip(distance, -0.5 * (a + b), 0.5 * (a + b))
     lower, upper = np.maximum(0.5 * (a + b) + d, 0.0), np.maximum(0.5 * (a + b) - d, 0.0)
     tail = np.minimum(lower, upper)
@@ -215,11 +215,11 @@ def _cover(patch: Matrix, crossings: _Crossings) -> Matrix:
 
 
 def _covered_heights(surface: Matrix, patch: Matrix, corner: tuple[int, int], cover: Matrix) -> Vector:
-    """(columns of the patch,) how high the covered part of a column stands [m]."""
+    """(columns of the patch,) height of the covered part of each column [m]."""
     down, right = np.gradient(np.pad(cover, 1))
     way = np.stack((down, right), axis=-1)[1:-1, 1:-1]
     length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
-    step = np.round(2.0 * way / length).astype(int)  # to a column that the blade covers whole; back, not at all
+    step = np.round(2.0 * way / length).astype(int)  # to a wholly covered column; backwards, to one not covered
     row, column = np.indices(patch.shape) + np.reshape(corner, (2, 1, 1))
     sides = [
         surface[
@@ -230,20 +230,20 @@ def _covered_heights(surface: Matrix, patch: Matrix, corner: tuple[int, int], co
     ]
     partly = (cover > _WHOLE) & (cover < 1.0 - _WHOLE)
     left = (patch - (1.0 - cover) * sides[1]) / np.where(partly, cover, 1.0)
-    # on a slope that would be too much: it stands no further from the mean than the column on the covered side
+    # on a slope that overshoots: the part is no further from the mean than the column on the covered side
     left = np.clip(left, np.minimum(patch, sides[0]), np.maximum(patch, sides[0]))
     return np.asarray(np.where(partly, left, patch).ravel())
 
 
 def _taken(crossings: _Crossings, top: Vector, number: Indices, size: tuple[int, int]) -> Matrix:
-    """(columns, K) by how much each column is lowered until each moment [m].
+    """(columns, K) the lowering of each column up to each moment [m].
 
     top: (n,) height of the soil above each crossing [m].
     """
     order = np.lexsort((crossings.moment, crossings.part))
     crossings, top, number = crossings.only(order), top[order], number[order]
     depth = np.maximum(top - crossings.z, 0.0) * crossings.share
-    # only what is deeper than all crossings of the same part before takes more
+    # a crossing takes more only if it is deeper than all earlier ones of the same part
     starts = np.flatnonzero(np.diff(crossings.part, prepend=-1))
     rank = np.arange(len(depth)) - np.repeat(starts, np.diff(np.append(starts, len(depth))))
     before, most = np.zeros(len(depth)), depth.copy()

@@ -1,7 +1,7 @@
-"""The ground as a state: heights of undisturbed soil on a grid, and how thick loose soil lies on it.
+"""The state of the ground: heights of undisturbed soil on a grid, and the thickness of the loose soil on it.
 
-A node of the grid stands for the square column around it. Volumes are sums over columns, so
-that nothing is lost or won between them.
+A node of the grid represents the square column around it. Volumes are sums over columns, so that no soil is
+lost or gained between them.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from backhoe_planner.job.ground.surveys import read_survey
 from backhoe_planner.site import Soil
 
 SWELL = 1.25  # loose volume per bank volume of common earth, by default; published 1.2 to 1.3
-REPOSE = 0.6  # rad by default, 34 degrees; usual for common earth 30 to 40
-_STEEPEST = 1.5  # rad of repose: steeper nothing loose stands
+REPOSE = 0.6  # rad by default, 34 degrees; usually 30 to 40 for common earth
+_STEEPEST = 1.5  # rad of repose: no loose soil is stable on a steeper slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +39,16 @@ class Terrain:
     Attributes
     ----------
     low: (2,) x, y of the first node [m], world.
-    cell: between nodes, and edge of a column [m].
-    bank: (rows, columns) height z to which soil is undisturbed [m]; rows run along y, columns along x, both ascending.
+    cell: distance between nodes, and edge of a column [m].
+    bank: (rows, columns) height z of the undisturbed soil [m]; rows run along y, columns along x, both ascending.
     loose: (rows, columns) thickness of the loose soil on it [m], 0 or more.
-    soil: of what it is.
+    soil: the kind of soil.
     swell: loose volume per bank volume.
     repose: the steepest slope of loose soil [rad].
 
     Raises
     ------
-    InputError: a height is no number, `loose` is negative somewhere, or the grid is too fine or too coarse.
+    InputError: a height is not a number, `loose` is negative somewhere, or the grid is too fine or too coarse.
     """
 
     low: Vector
@@ -89,14 +89,14 @@ class Terrain:
 
         Parameters
         ----------
-        z: its height [m].
-        low, high: (2,) x, y of the first node, and about of the last [m].
-        cell: between nodes [m].
-        soil, swell, repose: as of the class.
+        z: height of the ground [m].
+        low, high: (2,) x, y of the first node, and approximately of the last [m].
+        cell: distance between nodes [m].
+        soil, swell, repose: as in the class.
 
         Raises
         ------
-        InputError: one of them is not such a number, or the grid has less than 2 x 2 or too many nodes.
+        InputError: one of them is not such a number, or the grid has fewer than 2 x 2 nodes or too many.
         """
         z = as_number(z, key="z")
         grid = empty_grid(low, high, cell)
@@ -112,13 +112,13 @@ class Terrain:
 
         Parameters
         ----------
-        points: (n, 3) [m], world; what lies beyond the grid is left out.
-        low, high, cell, soil, swell, repose: as of `level`.
-        fill: holes are filled from their rims up to this far from a known column [m]; by default none is.
+        points: (n, 3) [m], world; points beyond the grid are left out.
+        low, high, cell, soil, swell, repose: as in `level`.
+        fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
 
         Raises
         ------
-        InputError: a column without a point is left, or an argument is not such a number; it says where.
+        InputError: a column is left without a point, or an argument is not such a number; says where.
         """
         points = as_array(points, None, 3, key="points")
         heights = column_means(points, empty_grid(low, high, cell))
@@ -130,21 +130,21 @@ class Terrain:
         high: Sequence[float] | Vector | None = None, cell: float | None = None, soil: Soil | None = None,
         swell: float = SWELL, repose: float = REPOSE, fill: float = 0.0,
     ) -> Terrain:  # fmt: skip
-        """Ground from a survey, all of it undisturbed.
+        """Ground from a survey; all of it is undisturbed.
 
         Parameters
         ----------
         file: heights as CSV (rows along y, columns along x, both ascending) or GeoTIFF, or points as PLY, XYZ or TXT.
-        low: (2,) x, y of the first node [m]. A CSV needs it; a GeoTIFF says where it is itself, unless this
-            is given, then as if its south-west height stood there; of points by default their least x and y.
-        high: (2,) x, y of about the last node [m]; by default as far as the file goes.
-        cell: between nodes [m]; by default 0.05, of a CSV the distance between its heights.
-        soil, swell, repose: as of the class.
-        fill: holes are filled from their rims up to this far from a known column [m]; by default none is.
+        low: (2,) x, y of the first node [m]. Required for a CSV. A GeoTIFF has its own position; `low` without
+            `high` moves its south-west height there. For points, by default their least x and y.
+        high: (2,) x, y of approximately the last node [m]; by default the extent of the file.
+        cell: distance between nodes [m]; by default 0.05, for a CSV the distance between its heights.
+        soil, swell, repose: as in the class.
+        fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
 
         Raises
         ------
-        InputError: the file is missing or malformed, or a height is missing; it says which, and where.
+        InputError: the file is missing or malformed, or a height is missing; says which, and where.
         """
         file = check_path(file, key="file")
         heights = read_survey(file, low=low, high=high, cell=cell)
@@ -163,7 +163,7 @@ class Terrain:
 
     @property
     def surface(self) -> Matrix:
-        """(rows, columns) height z of what one sees [m]."""
+        """(rows, columns) height z of the visible surface [m]."""
         return self.bank + self.loose
 
     @property
@@ -173,12 +173,12 @@ class Terrain:
 
     @property
     def x(self) -> Vector:
-        """(columns,) of the nodes [m]."""
+        """(columns,) x of the nodes [m]."""
         return np.asarray(self.low[0] + self.cell * np.arange(self.shape[1]))
 
     @property
     def y(self) -> Vector:
-        """(rows,) of the nodes [m]."""
+        """(rows,) y of the nodes [m]."""
         return np.asarray(self.low[1] + self.cell * np.arange(self.shape[0]))
 
     @property
@@ -188,15 +188,15 @@ class Terrain:
 
     @property
     def loose_volume(self) -> float:
-        """Of all loose soil on it [m^3]."""
+        """Volume of all loose soil [m^3]."""
         return float(self.loose.sum()) * self.cell**2
 
     def bank_volume_below(self, other: Terrain) -> float:
-        """How much undisturbed soil it has less than another terrain on the same grid [m^3]: what was dug since.
+        """Undisturbed soil missing compared with another terrain on the same grid [m^3]: what was dug since.
 
         Raises
         ------
-        InputError: the other stands on another grid.
+        InputError: the other terrain is on another grid.
         """
         check_kind(other, Terrain, key="other")
         if other.shape != self.shape or other.cell != self.cell or (other.low != self.low).any():
@@ -204,11 +204,11 @@ class Terrain:
         return float((other.bank - self.bank).sum()) * self.cell**2
 
     def with_layers(self, bank: Matrix, loose: Matrix) -> Terrain:
-        """The same place with other heights: `bank` and `loose` (rows, columns) [m]."""
+        """The same grid with other heights: `bank` and `loose` (rows, columns) [m]."""
         return replace(self, bank=bank, loose=loose)
 
     def height_at(self, points: Array) -> Array:
-        """(...) height of the surface between nodes, bilinear [m]; NaN beyond the grid.
+        """(...) height of the surface, bilinear between nodes [m]; NaN beyond the grid.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ class Terrain:
 
         Raises
         ------
-        InputError: they are no such numbers.
+        InputError: the points are not such numbers.
         """
         found = check_points(points)
         grid = HeightGrid(self.low, self.cell, self.surface)
@@ -236,7 +236,7 @@ class Terrain:
 
         Raises
         ------
-        InputError: the other is none, or stands on another grid.
+        InputError: the other is not a Terrain, or is on another grid.
         """
         if check_kind(other, Terrain, key="other").shape != self.shape:
             raise InputError("is on another grid", key="other", allowed="a terrain made from the same one")
@@ -244,11 +244,11 @@ class Terrain:
 
 
 def check_points(points: Array) -> Array:
-    """(..., 2) `points` as numbers.
+    """`points` as an array of numbers (..., 2).
 
     Raises
     ------
-    InputError: they are none.
+    InputError: they are not numbers of that shape.
     """
     try:
         found = np.asarray(points, dtype=float)

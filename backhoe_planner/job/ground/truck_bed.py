@@ -1,8 +1,8 @@
-"""The bed of a truck: it fills, its load slumps to the angle of repose, and at its walls it ends.
+"""The bed of a truck: its load fills it up, slumps to the angle of repose, and ends at the walls.
 
-At a wall the load is at most as high as the wall, and from there rises inward no steeper than
-the angle of repose. What is poured in is a cone as on the ground, cut off there: what would
-fall over a wall finds its place where there is room.
+At a wall the load is at most as high as the wall, and from there it rises inward no steeper than the angle of
+repose. Soil that is poured in forms a cone as on the ground, cut off at that height: soil that would fall over a
+wall moves to where there is room.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from backhoe_planner.job.ground.obstacle import terrain_obstacle
 from backhoe_planner.job.ground.terrain import REPOSE, Terrain
 from backhoe_planner.site import Obstacle
 
-_CELL = 0.05  # m, as of the ground
-_LEAST, _MOST = 4 * _CELL, 30.0  # m: a smaller bed is none, and no truck has a larger one
+_CELL = 0.05  # m, as for the ground
+_LEAST, _MOST = 4 * _CELL, 30.0  # m: a smaller bed is not useful, and no truck has a larger one
 _FULL_WITHIN = 1e-9  # m^3
 
 
 @dataclass(frozen=True, eq=False)
 class Bed:
-    """The bed of a truck and what lies in it.
+    """The bed of a truck and its load.
 
     Attributes
     ----------
-    position: (3,) middle of its floor [m], world.
-    size: (3,) inner length along its own x, width along its own y, and height of its walls [m].
-    yaw: its turn about z [rad].
-    capacity: loose soil that it takes [m^3]; not more than it can hold heaped.
-    load: what lies in it, in its own axes: the floor is at z = 0, and its middle the origin.
+    position: (3,) middle of the floor [m], world.
+    size: (3,) inner length along its own x, width along its own y, and height of the walls [m].
+    yaw: rotation about z [rad].
+    capacity: loose soil that the truck takes [m^3]; not more than the bed can hold heaped.
+    load: the soil in it, in the axes of the bed: the floor is at z = 0, and its middle is the origin.
     """
 
     position: Vector
@@ -54,13 +54,13 @@ class Bed:
 
         Parameters
         ----------
-        position, size, yaw: as of the class.
-        capacity: loose soil that it takes [m^3]; by default all that it can hold.
-        repose: the steepest slope of its load [rad].
+        position, size, yaw: as in the class.
+        capacity: loose soil that the truck takes [m^3]; by default all that the bed can hold.
+        repose: the steepest slope of the load [rad].
 
         Raises
         ------
-        InputError: an argument is no such number, or more than it can hold.
+        InputError: an argument is not such a number, or the capacity is more than the bed can hold.
         """
         position, size = as_vector(position, 3, key="position"), as_vector(size, 3, key="size")
         if (size[:2] < _LEAST).any() or (size > _MOST).any() or size[2] <= 0.0:
@@ -89,7 +89,7 @@ class Bed:
 
     @property
     def room(self) -> float:
-        """Loose soil that it still takes [m^3]."""
+        """Loose soil that the truck can still take [m^3]."""
         return max(self.capacity - self.volume, 0.0)
 
     @property
@@ -98,26 +98,26 @@ class Bed:
         return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw), np.asarray(self.position, dtype=float))
 
     def top_at(self, at: Sequence[float] | Vector) -> float:
-        """Height z of its load, or floor, at x, y (2,) [m], world.
+        """Height z of the load or the floor at x, y (2,) [m], world.
 
         Raises
         ------
-        InputError: there is none of the bed.
+        InputError: the place is not in the bed.
         """
         place = np.clip(self._own(at), self.load.low, self.load.high)
         return float(self.position[2] + self.load.height_at(place))
 
     def loaded(self, at: Sequence[float] | Vector, volume: float) -> Bed | Refusal:
-        """The bed after loose soil was poured into it, or why it does not take it.
+        """The bed after loose soil was poured into it, or why it cannot take the soil.
 
         Parameters
         ----------
         at: (2,) x, y [m], world.
-        volume: loose [m^3].
+        volume: loose volume [m^3].
 
         Raises
         ------
-        InputError: an argument is no such number, or the place is not in the bed.
+        InputError: an argument is not such a number, or the place is not in the bed.
         """
         place = self._own(at)
         volume = as_number(volume, key="volume", least=0.0)
@@ -138,7 +138,7 @@ class Bed:
     def load_obstacle(
         self, name: str, clearance: float, links: Sequence[str] | None = None, *, before: Obstacle | None = None
     ) -> Obstacle:
-        """Its load, or the bare floor, as an obstacle; parameters as of `terrain_obstacle`."""
+        """The load or the bare floor as an obstacle; parameters as in `terrain_obstacle`."""
         if before is not None and check_kind(before, Obstacle, key="before").cluster is not None:
             assert before.cluster is not None
             before = replace(
@@ -153,14 +153,14 @@ class Bed:
         return replace(found, cluster=found.cluster.moved_to(place), spec=spec)
 
     def _highest(self) -> Matrix:
-        """(rows, columns) how high its load can be at most [m]."""
+        """(rows, columns) greatest possible height of the load [m]."""
         away = np.minimum(
             0.5 * self.size[0] - np.abs(self.load.x)[None, :], 0.5 * self.size[1] - np.abs(self.load.y)[:, None]
         )
         return np.asarray(self.size[2] + math.tan(self.load.repose) * away)
 
     def _own(self, at: Sequence[float] | Vector) -> Vector:
-        """(2,) a place in its own axes [m]."""
+        """(2,) a place in the axes of the bed [m]."""
         place = self.placement.actInv(np.array([*as_vector(at, 2, key="at"), 0.0]))[:2]
         if (np.abs(place) > 0.5 * self.size[:2]).any():
             raise InputError(
