@@ -1,4 +1,4 @@
-"""A cut as a motion: down from above the ground around it, through the soil, and up again with the bucket level."""
+"""A cut as a motion: down from above the surrounding ground, through the soil, and up again with the bucket level."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Problem, Trajectory, time_along
 
 _STEP = 0.05  # m between places of the edge above the ground; chosen
-_PITCHES = 200  # that are tried for a place above the ground, 0.9 degrees apart; chosen
-_BEHIND = 0.6  # m by which the level bucket reaches below its teeth, at most; measured on models/backhoe.urdf, 0.46
+_PITCHES = 200  # tried for a place above the ground, 0.9 degrees apart; chosen
+_BEHIND = 0.6  # m, the most by which the level bucket reaches below its teeth; 0.46 was measured on models/backhoe.urdf
 _SPARE = 0.06  # m beyond the clearance at both ends of a cut; chosen
-# part of the depth that a profile says, or m, by which columns and profile differ where all of the blade is in the same
-# ground: a cut is up to a tenth deeper by its columns; chosen
+# part of a profile's depth by which its columns may differ from it even if the whole blade is in the same ground, and
+# the least depth [m] that counts: a cut is up to a tenth deeper by its columns; chosen
 _SEEN, _SHALLOW = 0.15, 0.05
 _AROUND = 0.5  # m to each side and beyond the bucket in which the ground counts at both ends; chosen
 
@@ -42,12 +42,12 @@ class CutPath:
 
 
 def cut_path(site: Worksite, cut: Cut, ground: Terrain, *, higher: float = 0.0) -> CutPath | str:
-    """The joints of a cut with its way down and up; or why there are none.
+    """The joints of a cut with the paths down to it and up from it; or the reason why there are none.
 
     Parameters
     ----------
-    ground: before the cut.
-    higher: by how much more than usual the bucket is lifted at both ends [m].
+    ground: the ground before the cut.
+    higher: additional height to which the bucket is lifted at both ends [m].
     """
     spare = site.problem.scene.clearance + _SPARE + higher
     lift = cut.begin[3]
@@ -66,7 +66,7 @@ def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float = 1.0) ->
 
     Parameters
     ----------
-    pace: part of the joints' rates that it uses at most.
+    pace: greatest part of the joint rates that the motion uses.
     """
     limits = site.problem.limits
     if pace < 1.0:
@@ -77,21 +77,21 @@ def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float = 1.0) ->
 
 
 def blade_of(site: Worksite, edge: Matrix, swing: float) -> BladeSweep:
-    """The bucket's edge on a way (K, 3) [m] of its middle, world, in the arm's plane at a swing angle [rad]."""
+    """The bucket's edge along a path (K, 3) [m] of its middle, world, in the arm's plane at a swing angle [rad]."""
     return BladeSweep(edge, np.append(site.plane.directions(swing)[1], 0.0), site.bucket.width)
 
 
 def dig(
     site: Worksite, motion: Trajectory, swing: float, ground: Terrain, *, slump: bool = False
 ) -> tuple[Digging, Sweep]:  # fmt: skip
-    """What a motion in the arm's plane at a swing angle [rad] takes out of the ground before it; see `swept`."""
+    """The soil that a motion in the arm's plane at a swing angle [rad] takes out of the present ground; see `swept`."""
     blade = blade_of(site, site.plane.kinematics.at(motion.q).tip_position, swing)
     sweep = swept(ground, blade, slump=slump)
     return Digging(motion.time, blade.edge, blade.across[0], blade.width, sweep.bank, sweep.loose), sweep
 
 
 def load_of(site: Worksite, swing: float, digging: Digging) -> Load:
-    """What the bucket holds along a cut in the arm's plane at a swing angle [rad]."""
+    """The load of the bucket along a cut in the arm's plane at a swing angle [rad]."""
     volume = np.minimum(site.job.soil.swell * digging.bank + digging.loose, site.bucket.capacity)
     inward = np.minimum.accumulate(_radii(site, swing, digging))
     return Load(swing, inward, site.digger.soil.density / site.job.soil.swell * volume)
@@ -102,10 +102,10 @@ def cut_problem(site: Worksite, load: Load, digging: Digging, problem: Problem, 
 
     Parameters
     ----------
-    load: what the bucket holds on the way.
-    digging: what the motion takes out of the ground.
-    problem: of the same motion through the air.
-    ground: before the cut.
+    load: the load of the bucket along the cut.
+    digging: the soil that the motion takes out of the ground.
+    problem: the problem of the same motion through the air.
+    ground: the ground before the cut.
     """
     profile = Profile.of_terrain(ground, site.plane, load.swing, width=site.bucket.width)
     in_plane = CutGround(
@@ -121,20 +121,20 @@ def _radii(site: Worksite, swing: float, digging: Digging) -> Vector:
 
 
 def _beside(profile: Profile, r: Vector, digging: Digging, *, cell: float) -> Vector:
-    """(K,) at the radii of a profile the mean depth that the blade sweeps beyond what the profile says of it [m].
+    """(K,) mean depth that the blade sweeps in addition to that of the profile, at the profile's radii [m].
 
-    The profile leaves out the columns at the ends of the blade, which it covers in part: along a wall that stands
-    there is most of the soil.
+    The profile leaves out the columns at the ends of the blade, which it covers in part. Along a standing wall most of
+    the soil is in these columns.
 
     Parameters
     ----------
     r: (M,) radii of the edge [m].
-    cell: of the ground [m].
+    cell: cell of the ground [m].
     """
     inward = np.minimum.accumulate(r)
     area = (digging.bank + digging.loose) / digging.width
     own = np.add(*profile.taken(inward, digging.edge[:, 2], width=1.0))
-    # columns are taken at once as the edge passes their middle: what counts is the mean over two of them
+    # columns are taken all at once when the edge passes their middle: use the mean over two of them
 
     def over(total: Vector) -> Vector:
         ends = [np.interp(profile.r + off, inward[::-1], total[::-1]) for off in (-cell, cell)]
@@ -157,7 +157,7 @@ def _top(site: Worksite, cut: Cut, ground: Terrain, r: float) -> float:
 
 
 def _down(site: Worksite, cut: Cut, top: float) -> Matrix | None:
-    """(M, n) from `top` [m] down to where the cut begins, without that; none where it begins there."""
+    """(M, n) from `top` [m] down to the beginning of the cut, without that; empty if the cut begins there."""
     r, z, pitch = float(cut.r[0]), float(cut.z[0]), float(cut.pitch[0])
     if top <= z + 1e-3:
         return np.zeros((0, site.robot.n))
@@ -169,7 +169,7 @@ def _down(site: Worksite, cut: Cut, top: float) -> Matrix | None:
 
 
 def _up(site: Worksite, cut: Cut, lift: int, top: float) -> Matrix | None:
-    """(M, n) from where the teeth leave the ground up to `top` [m] or higher, inward as the level bucket needs."""
+    """(M, n) from where the teeth leave the ground up to `top` [m] or higher, inward as the level bucket requires."""
     r, z = float(cut.r[lift]), float(cut.z[lift])
     level, plane, begin = cut.bucket.level_pitch, site.plane, cut.q[lift]
     top = max(top, z + _STEP)
@@ -193,12 +193,12 @@ def _up(site: Worksite, cut: Cut, lift: int, top: float) -> Matrix | None:
 
 
 def _clears(site: Worksite, cut: Cut, q: Matrix) -> bool:
-    """Whether teeth and back stay above the ground as it was, at q (M, n)."""
+    """Whether teeth and back stay above the ground at q (M, n); where the cut has passed, above what it left."""
     r, z, pitch = site.plane.place(q)
     profile = cut.ground.profile
 
     def below(at: Array, teeth: Array) -> Array:
-        # where the cut has just been there is no ground any more
+        # where the cut has just passed there is no ground any more
         dug = at > cut.r[cut.begin[3]] + 1e-9
         return np.where(dug, np.minimum(cut_bottom(cut, at), profile.height(at)), profile.height(at))
 
@@ -216,7 +216,7 @@ def cut_bottom(cut: Cut, r: Array) -> Array:
 def _nearest_pitches(site: Worksite, cut: Cut, r: float, heights: Vector) -> Vector:
     """(M,) pitches with which the teeth come down at radius r [m] through `heights` (M,) [m] to where a cut begins.
 
-    From there up each is the one within the limits that is nearest to that below it; nan where there is none.
+    From there up, each is the pitch within the limits that is nearest to the one below it; nan if there is none.
     """
     tried: Vector = np.linspace(-np.pi, 0.0, _PITCHES)
     at_z, at_pitch = (a.ravel() for a in np.meshgrid(heights, tried, indexing="ij"))
@@ -228,14 +228,14 @@ def _nearest_pitches(site: Worksite, cut: Cut, r: float, heights: Vector) -> Vec
         own = tried[reached[index]]
         if not len(own):
             break
-        # between two pitches of the grid that are reached nothing changes
+        # between two reachable pitches of the grid nothing changes
         pitch = float(np.clip(pitch, own[0], own[-1])) if _is_run(reached[index]) else _nearest(own, pitch)
         found[index] = pitch
     return found
 
 
 def _is_run(reached: Flags) -> bool:
-    """Whether all that is reached lies side by side."""
+    """Whether all reachable pitches are adjacent."""
     return bool(np.count_nonzero(np.diff(reached.astype(int), prepend=0, append=0)) == 2)
 
 

@@ -1,4 +1,4 @@
-"""One cycle: the approach, the cut, the swing with the bucket level, and the dump, against the ground as it then is."""
+"""One cycle: the approach, the cut, the swing with the bucket level, and the dump, against the ground at each time."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Keep, Problem, Trajectory
 from backhoe_planner.proof import certify_problem
 
-_HIGHER = (0.0, 0.15, 0.35)  # m by which the bucket is lifted more at both ends of a cut, tried in turn; chosen
-# parts of the joints' rates, and of the depth, tried in turn where a cut takes more than there is: on rough ground the
-# force between the places of a cut was up to 8 % above that at its places, in one of 400
+_HIGHER = (0.0, 0.15, 0.35)  # m by which the bucket is lifted further at both ends of a cut, tried in turn; chosen
+# parts of the joint rates, and of the depth, tried in turn if a cut exceeds the limits: on rough ground the force
+# between the places of a cut was up to 8 % above that at its places, in one of 400
 _PACES, _SHALLOWER = (1.0, 0.7), (0.7, 0.4)
-_PLACES = 3  # at which a bucketful is tried to be dumped
+_PLACES = 3  # greatest number of places that are tried for dumping a bucketful
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +35,10 @@ class Failed:
 
     Attributes
     ----------
-    part: ``cut`` where it is the cut that cannot be, so that another may be tried, or ``limits`` where it asks for more
-        than the machine has; else ``approach``, ``swing``, ``dump``; ``full`` where no soil can be dumped any more, and
-        ``unreachable`` where the bucket cannot be emptied anywhere.
-    words: in a sentence.
+    part: ``cut`` if the cut is impossible, so that another may be tried, or ``limits`` if the cut exceeds what the
+        machine can do; otherwise ``approach``, ``swing``, ``dump``; ``full`` if no more soil can be dumped, and
+        ``unreachable`` if the bucket cannot be emptied anywhere.
+    words: the same in a sentence.
     """
 
     part: str
@@ -50,9 +50,9 @@ class CyclePlanner:
 
     Parameters
     ----------
-    site: the job on its machine.
+    site: the worksite.
     dump: where the soil goes.
-    effort, seed: of the searches.
+    effort, seed: effort and seed of the searches.
     """
 
     def __init__(self, site: Worksite, dump: DumpSite, *, effort: str, seed: int) -> None:
@@ -61,7 +61,7 @@ class CyclePlanner:
 
     @property
     def site(self) -> Worksite:
-        """The job on its machine."""
+        """The worksite."""
         return self._site
 
     def first(self, ground: Terrain) -> SiteState:
@@ -77,25 +77,25 @@ class CyclePlanner:
         return self._dump.dumped(state, place, volume, number)
 
     def again(self, state: SiteState, cycle: Cycle) -> SiteState:
-        """The site after a cycle that is planned already."""
+        """The site after a cycle that has already been planned."""
         found = self.dumped(self.after_cut(cycle.dug, state), cycle.place[:2], cycle.held, cycle.truck)
         assert not isinstance(found, str)
         return found
 
     def leg_problem(self, name: LegName, motion: Trajectory, state: SiteState, payload: float) -> Problem:
-        """The problem of a motion of a cycle; of a cut without its soil.
+        """The problem of a motion of a cycle; for a cut, without its soil.
 
         Parameters
         ----------
         state: the site during the motion.
-        payload: in the bucket [kg].
+        payload: mass in the bucket [kg].
         """
         keep = Keep(self._site.robot, [level_band(self._site.problem)]) if name == "swing" else None
         ground = state.obstacles
         if name == "cut":
             arm = [link for link in self._site.robot.moving_links if link not in bucket_links(self._site)]
             ground = (replace(state.obstacle, links=tuple(arm)), *ground[1:])
-            payload = 0.0  # what is held grows on the way: it belongs to the soil
+            payload = 0.0  # the load grows during the cut: it belongs to the soil
         ends = (motion.q[0], [motion.q[-1]])
         return self._transfers.problem(*ends, ground=ground, payload=payload, keep=keep)
 
@@ -106,10 +106,10 @@ class CyclePlanner:
 
         Parameters
         ----------
-        number: of the cycle, from 1.
-        start: (n,) where the machine stands; None where it may begin above the cut.
+        number: number of the cycle, from 1.
+        start: (n,) the machine's posture at the start; None if it may begin above the cut.
         state: the site as it is.
-        chosen: the cut; a shallower one is dug where its motion asks for more than the machine has.
+        chosen: the cut; a shallower one is dug if its motion exceeds what the machine can do.
         """
         found = self._planned(number, start, state, chosen)
         for part in _SHALLOWER:
@@ -203,7 +203,7 @@ class CyclePlanner:
         return failed
 
     def _open(self, q: Vector, option: Dumping, after: SiteState, payload: float) -> CycleLeg | Failed:
-        """The bucket opens over what then lies there."""
+        """Open the bucket above the soil that is then there."""
         reached = int(np.argmin(np.max(np.abs(option.arrivals - q), axis=1)))
         found = self._transfers.to("dump", q, [option.openings[reached]], ground=after.obstacles, payload=payload)
         if found.leg is None:
@@ -219,17 +219,17 @@ def bucket_links(site: Worksite) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Dug:
-    """What a cut leaves.
+    """The result of a cut.
 
     Attributes
     ----------
     digging: how the ground changes.
-    ground: after it, with what is spilt.
+    ground: the ground after the cut, with the spilt soil.
     bank: undisturbed soil that left the ground [m^3].
-    taken: loose soil taken with it [m^3].
+    taken: loose soil taken up with it [m^3].
     held: loose soil in the bucket [m^3].
     spilt: loose soil that fell back [m^3].
-    depth: greatest depth of the edge below the ground before it [m].
+    depth: greatest depth of the edge below the ground before the cut [m].
     """
 
     digging: Digging
@@ -242,13 +242,13 @@ class Dug:
 
 
 def dig_and_spill(site: Worksite, motion: Trajectory, swing: float, ground: Terrain) -> Dug:
-    """What a motion through the soil takes out of the ground; what the bucket cannot hold falls where it is lifted.
+    """The soil that a motion takes out of the ground; what the bucket cannot hold falls where the bucket is lifted.
 
     Parameters
     ----------
-    motion: of the machine.
+    motion: motion of the machine.
     swing: angle of the arm's plane [rad].
-    ground: before it.
+    ground: the ground before the motion.
     """
     digging, sweep = dig(site, motion, swing, ground, slump=True)
     bank, taken, volume = float(sweep.bank[-1]), float(sweep.loose[-1]), float(sweep.volume[-1])

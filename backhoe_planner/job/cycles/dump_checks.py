@@ -1,4 +1,4 @@
-"""What cannot be right about where the soil is to go: said before anything is planned, with what would do."""
+"""Checks of the dump before anything is planned; an error says what is wrong and what would be allowed."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from backhoe_planner.site import Proximity
 
 
 def check_dump(site: Worksite, allowed: Matrix) -> None:
-    """Check where the soil is to go.
+    """Check the place where the soil is to go.
 
     Parameters
     ----------
-    allowed: (rows, columns) down to where is dug, see `allowed_heights` [m].
+    allowed: (rows, columns) heights down to which the soil is dug, see `allowed_heights` [m].
 
     Raises
     ------
-    SceneError: a heap lies within its edge distance, or a place is out of reach; or all trucks together take less than
+    SceneError: a heap is within its edge distance, or a place is out of reach; or all trucks together take less than
         what must be dug.
     """
     heap, truck, job = site.job.dump.heap, site.job.dump.truck, site.job
@@ -59,11 +59,12 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
 
 
 def check_truck(site: Worksite) -> None:
-    """Check the truck of a job by itself.
+    """Check the truck of a job on its own.
 
     Raises
     ------
-    SceneError: it takes no bucketful, or more than its bed holds; or it stands over what is dug, or in the machine.
+    SceneError: its capacity is less than a bucketful or more than its bed holds; or it is on what is dug or in the
+        machine.
     """
     truck, job = site.job.dump.truck, site.job
     if truck is None:
@@ -99,7 +100,7 @@ def check_truck(site: Worksite) -> None:
 
 
 def _least_loose(site: Worksite, allowed: Matrix) -> float:
-    """Loose soil that is dug where the design is just met within its tolerance [m^3]."""
+    """Loose soil that is dug if the design is only just met within its tolerance [m^3]."""
     ground, upper = site.ground, allowed + site.job.dig.tolerance
     bank = np.fmax(ground.bank - upper, 0.0)
     loose = np.clip(ground.surface - upper, 0.0, ground.loose)
@@ -108,7 +109,7 @@ def _least_loose(site: Worksite, allowed: Matrix) -> float:
 
 
 def _check_reach(site: Worksite, at: np.ndarray, top: float, key: str) -> None:
-    """SceneError where no bucket can be emptied over a place (2,) whose top is at a height [m]."""
+    """Raise SceneError if no bucket can be emptied over a place (2,) whose top is at a height [m]."""
     if len(postures_over(site, at, top)[0]):
         return
     off = at - site.plane.axis

@@ -1,4 +1,4 @@
-"""Whether a motion empties the bucket, and where the soil falls: the same for a planned motion and one from a file."""
+"""Whether a motion empties the bucket, and where the soil falls: the same check for planned motions and for files."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.job.cycles.dumping import OPEN, POURS_AT
 from backhoe_planner.job.worksite.worksite import Worksite
 
-_AS_OPEN = 0.02  # rad short of it that still empties; chosen, planned dumps end at it to 1e-5 rad
+_AS_OPEN = 0.02  # rad short of `OPEN` at which the bucket still empties; chosen, planned dumps reach it to 1e-5 rad
 _SAME_PLACE = 1e-6  # m: rounding
 _ASIDE = 0.05  # m from the place at which the soil may fall; chosen, a column of the ground, planned dumps have 0
 
 
 def broken_dump_rules(site: Worksite, q: Matrix, place: Vector) -> list[str]:
-    """In words, how a motion does not dump a bucketful at a place (2,) [m]; none where it does.
+    """In words, why a motion does not dump a bucketful at a place (2,) [m]; empty if it does.
 
     Parameters
     ----------

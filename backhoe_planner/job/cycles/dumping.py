@@ -1,4 +1,4 @@
-"""Where the soil goes: postures over a heap or a truck, and what lies there afterwards."""
+"""Where the soil goes: postures over a heap or a truck, and the load there afterwards."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Obstacle
 
-OPEN = -1.2  # rad: the pitch at which the bucket is empty; chosen, its plate then stands at 110 degrees
-POURS_AT = -0.1  # m of radius from the bucket's pin to where the soil falls, about: while the pitch goes through -pi/2
-_ABOVE = 0.15  # m from the teeth of the open bucket to what lies there, beyond the clearance; chosen
-_HIGHER = (0.0, 0.25, 0.5, 0.8, 1.2)  # m, tried beyond that in turn
+OPEN = -1.2  # rad: the pitch at which the bucket is empty; chosen, its plate is then at 110 degrees
+POURS_AT = -0.1  # m of radius from the bucket's pin to where the soil falls, approximately, as the pitch passes -pi/2
+_ABOVE = 0.15  # m from the teeth of the open bucket to the soil below, beyond the clearance; chosen
+_HIGHER = (0.0, 0.25, 0.5, 0.8, 1.2)  # m, tried in turn in addition to that
 _TILTS = (0.0, 0.25, 0.5)  # rad from level at which the bucket may arrive
-_HEAP = 0.5  # m that a heap is high on the average, for estimates
-_ALONG_BED = (0.0, -0.5, 0.5, -1.0, 1.0)  # of the room along a bed: where a bucketful may be dumped; chosen
-_EVEN = 0.15  # m by which a place may lie higher than the lowest and still count as low; chosen
-_RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which a dump is tried, for messages
+_HEAP = 0.5  # m, average height of a heap, for estimates
+_ALONG_BED = (0.0, -0.5, 0.5, -1.0, 1.0)  # of the room along a bed: places to dump a bucketful; chosen
+_EVEN = 0.15  # m by which a place may be higher than the lowest and still count as low; chosen
+_RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which dumping is tried, for messages
 _GROUND, _TRUCK = "the ground", "the truck"
 
 
 @dataclass(frozen=True, eq=False)
 class Truck:
-    """The truck that stands at the site.
+    """The truck that is at the site.
 
     Attributes
     ----------
     number: from 1.
-    bed: with what lies in it.
+    bed: its bed with the load.
     """
 
     number: int
@@ -48,14 +48,14 @@ class Truck:
 
 @dataclass(frozen=True, eq=False)
 class SiteState:
-    """What changes on the site from cycle to cycle.
+    """The part of the site that changes from cycle to cycle.
 
     Attributes
     ----------
-    ground: as it is.
-    obstacle: the same as an obstacle for all links.
-    truck: the one that stands there, with what lies in it; None for a heap.
-    load: the same as an obstacle.
+    ground: the ground as it is.
+    obstacle: the ground as an obstacle for all links.
+    truck: the present truck with its load; None for a heap.
+    load: the truck's load as an obstacle.
     """
 
     ground: Terrain
@@ -65,12 +65,12 @@ class SiteState:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """All of them."""
+        """All of these obstacles."""
         return (self.obstacle,) if self.load is None else (self.obstacle, self.load)
 
     @property
     def truck_load(self) -> Terrain | None:
-        """What lies in the truck, in the axes of its bed; None for a heap."""
+        """The load of the truck, in the axes of its bed; None for a heap."""
         return None if self.truck is None else self.truck.bed.load
 
 
@@ -80,10 +80,10 @@ class Dumping:
 
     Attributes
     ----------
-    place: (3,) the top of what lies there afterwards [m], world.
-    arrivals: (k, n) postures with the bucket level over it, the lowest first.
-    openings: (k, n) the same with the bucket open.
-    number: of the truck, from 1; 0 for a heap.
+    place: (3,) the top of what is there afterwards [m], world.
+    arrivals: (k, n) postures with the bucket level above the place, the lowest first.
+    openings: (k, n) the same postures with the bucket open.
+    number: number of the truck, from 1; 0 for a heap.
     """
 
     place: Vector
@@ -94,12 +94,12 @@ class Dumping:
 
 @dataclass(frozen=True)
 class NoDump:
-    """Why a bucketful can be dumped nowhere.
+    """Why a bucketful cannot be dumped anywhere.
 
     Attributes
     ----------
-    reason: ``full``, or ``unreachable`` where no bucket can be emptied over what has room.
-    words: in a sentence.
+    reason: ``full``, or ``unreachable`` if the bucket cannot be emptied over any place that has room.
+    words: the same in a sentence.
     """
 
     reason: Literal["full", "unreachable"]
@@ -107,26 +107,26 @@ class NoDump:
 
 
 class DumpSite(Protocol):
-    """Where soil goes."""
+    """A place where soil is dumped."""
 
     def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
         """The site before the first cycle."""
 
     def near(self, start: Vector) -> tuple[Vector, Vector] | None:
-        """(n,), (n,) postures, level and open, over a place to dump, soon reached from `start` (n,); for estimates."""
+        """(n,), (n,) postures, level and open, over a dump that is soon reached from `start` (n,); for estimates."""
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
 
-        Where there is none, why.
+        If there is none, the reason.
         """
 
     def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
-        """The site after `volume` [m^3] was dumped at `place` (2,) [m]; or why it cannot be.
+        """The site after `volume` [m^3] was dumped at `place` (2,) [m]; or the reason why that is impossible.
 
         Parameters
         ----------
-        number: of the truck.
+        number: number of the truck.
         """
 
 
@@ -135,8 +135,8 @@ class HeapDump:
 
     Parameters
     ----------
-    site: the job on its machine.
-    heap: where.
+    site: the worksite.
+    heap: the places of the heap.
     """
 
     def __init__(self, site: Worksite, heap: Heap) -> None:
@@ -187,15 +187,15 @@ class TruckDump:
 
     Parameters
     ----------
-    site: the job on its machine.
-    trucks: where they stand, and how much they take.
+    site: the worksite.
+    trucks: the place and the capacity of the trucks.
     """
 
     def __init__(self, site: Worksite, trucks: Trucks) -> None:
         self._site, self._trucks = site, trucks
         self._empty = empty_bed(site, trucks)
         length = trucks.bed.size[0]
-        # off the walls by the bucket's width: from beside them, half of what falls would miss the bed
+        # keep the bucket's width away from the walls: next to them, half of the falling soil would miss the bed
         room = max(0.5 * length - 0.6 * site.bucket.width, 0.0)
         own = [np.array([part * room, 0.0, trucks.bed.size[2]]) for part in _ALONG_BED]
         # on the upper edge of the walls, world
@@ -226,7 +226,7 @@ class TruckDump:
         if not found:
             return NoDump("unreachable", f"over the truck's bed: {_out_of_reach(self._site, place[:2], top)}")
         limits = self._site.problem.limits
-        # where it lies lowest first, so that the bed fills evenly
+        # the lowest load first, so that the bed fills evenly
         lowest = min(one.place[2] for one in found)
         return sorted(
             found,
@@ -249,7 +249,7 @@ class TruckDump:
         return self._with(state, Truck(number, bed))
 
     def _truck_for(self, truck: Truck, volume: float) -> Truck | str:
-        """The truck that takes the next bucketful; or that all are full."""
+        """The truck that takes the next bucketful; or a message that all are full."""
         given = self._trucks
         if volume <= truck.bed.room:
             return truck
@@ -265,11 +265,11 @@ class TruckDump:
 
 
 def empty_bed(site: Worksite, trucks: Trucks) -> Bed:
-    """The bed of a truck that has just come.
+    """The bed of a truck that has just arrived.
 
     Raises
     ------
-    SceneError: it is none, or its capacity is more than it holds heaped.
+    SceneError: the size is not that of a bed, or the capacity is more than it holds heaped.
     """
     given = trucks.bed
     try:
@@ -282,11 +282,11 @@ def empty_bed(site: Worksite, trucks: Trucks) -> Bed:
 
 
 def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Matrix]:
-    """(k, n) postures with the bucket level over a place (2,) [m], and (k, n) with it open; from low to high.
+    """(k, n) postures with the bucket level over a place (2,) [m], and (k, n) with the bucket open; from low to high.
 
     Parameters
     ----------
-    top: height of what lies there afterwards [m].
+    top: height of what is there afterwards [m].
     """
     plane, bucket, n = site.plane, site.bucket, site.robot.n
     off = place - plane.axis
@@ -311,12 +311,12 @@ def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Ma
 
 
 def radii_of_dumps(site: Worksite, place: Vector, top: float) -> tuple[float, float] | None:
-    """The least and the greatest distance from the swing axis [m] at which a bucket can be emptied; None where nowhere.
+    """Least and greatest distance from the swing axis [m] at which a bucket can be emptied; None if there is none.
 
     Parameters
     ----------
-    place: (2,) in whose direction [m].
-    top: height of what lies there [m].
+    place: (2,) a place in the direction to be checked [m].
+    top: height of what is there [m].
     """
     off = place - site.plane.axis
     ahead = off / max(float(np.linalg.norm(off)), 1e-9)
@@ -344,7 +344,7 @@ def swing_towards(site: Worksite, off: Vector) -> float:
 
 
 def _bucket_sense(site: Worksite, q: Vector) -> float:
-    """By how much the pitch rises with the last joint, 1 or -1."""
+    """The sense in which the pitch changes with the last joint, 1 or -1."""
     ahead = q.copy()
     ahead[-1] += 1e-3
     pitches = site.plane.place(np.array([q, ahead]))[2]
@@ -361,12 +361,12 @@ def travel_time(step: Vector, limits: JointLimits) -> float:
 
 
 def ground_obstacle(site: Worksite, ground: Terrain, *, before: Obstacle | None = None) -> Obstacle:
-    """The ground as an obstacle for all links; what was built for the ground `before` is used again."""
+    """The ground as an obstacle for all links; structures built for the ground `before` are reused."""
     return terrain_obstacle(ground, _GROUND, site.problem.scene.clearance, before=before)
 
 
 def dump_of(site: Worksite) -> DumpSite:
-    """Where the soil of a job goes."""
+    """The dump of a job: a heap or trucks."""
     heap, truck = site.job.dump.heap, site.job.dump.truck
     if heap is not None:
         return HeapDump(site, heap)
@@ -375,7 +375,7 @@ def dump_of(site: Worksite) -> DumpSite:
 
 
 def _soonest(site: Worksite, tops: Sequence[tuple[Vector, float]], start: Vector) -> tuple[Vector, Vector] | None:
-    """Postures, level and open, over one of several places with their tops."""
+    """Postures, level and open, over that one of several places, given with their tops, that is soonest reached."""
     found = []
     for place, top in tops:
         arrivals, openings = postures_over(site, place, top)

@@ -1,7 +1,7 @@
-"""Patterns: in which order the soil is cut, from the ground as it is to the next cut.
+"""Patterns: the order in which the soil is cut, and the next cut from the present ground.
 
 - Level layers: one after the other over the whole length, each from the far end to the near one.
-- A face: the farthest part down to the bottom first, then the next, each cut as deep as is allowed.
+- A face: the farthest part is dug to the bottom first, then the next, each cut as deep as is allowed.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from backhoe_planner.job.schema.work import Face, Layers
 from backhoe_planner.job.worksite.lanes import LEAVE, Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 
-WALLS = "walls"  # the step of a cut of what others have left along a wall
-PLAIN = 0.15  # m, layers of the plain pattern: what an operator's manual has for cuts after the first
-_LEFT = 0.6  # of the tolerance: what is left above the floor and not worth a cut; chosen
-_SHORTEST = 0.1  # m of radius: a cut that is shorter is not looked for; chosen
-_FACES = (0.2, 0.3, 0.4, 0.55)  # m, greatest depths of a cut of a face that are compared; chosen
-_LAYERS = (0.1, 0.2, 0.3)  # m, depths of level layers that are compared beside the plain one; chosen
-_RUN_INS = (0.3, 0.0)  # m beyond what is left, where a cut begins: at the end of a trench along its wall; chosen
-_INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
-_EVERY = 3  # places of a cut from one at which the arm is held against the ground to the next: 9 cm
-_EVEN = 0.1  # m of radius: lanes whose far ends are so near to each other are dug in their order; chosen
+WALLS = "walls"  # the step of a cut that takes what others have left along a wall
+PLAIN = 0.15  # m, layers of the plain pattern: as an operator's manual specifies for cuts after the first
+_LEFT = 0.6  # of the tolerance: soil above the floor that is not worth a cut; chosen
+_SHORTEST = 0.1  # m of radius: shorter cuts are not searched for; chosen
+_FACES = (0.2, 0.3, 0.4, 0.55)  # m, greatest depths of the cuts of a face that are compared; chosen
+_LAYERS = (0.1, 0.2, 0.3)  # m, depths of the level layers that are compared with the plain one; chosen
+_RUN_INS = (0.3, 0.0)  # m beyond the remaining soil: beginning of a cut, at the end of a trench along its wall; chosen
+_INWARD = 0.3  # m of radius between the places from which a cut is tried; chosen
+_EVERY = 3  # every third place of a cut is checked for whether the arm clears the ground: 9 cm apart
+_EVEN = 0.1  # m of radius: lanes whose far ends are this close to each other are dug in their order; chosen
 _MOST_LAYERS = 1000
-_AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
-_SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
-_THINNEST = 0.01  # m: a shallower cut is not looked for, as where a lane is dug but for a strip at its edge; chosen
-# of the wanted volume: nothing better is looked for; less is no cut; and where one fills less, a full one is looked
-# for elsewhere; chosen
+_AHEAD = 3  # layers that are tried at a time, if nothing more of the first can be cut; chosen
+_SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn if a cut fills less than it might; chosen
+_THINNEST = 0.01  # m: shallower cuts are not searched for, as in a lane that is dug but for a strip at its edge; chosen
+# of the wanted volume: above the first no better cut is searched for; below the second it does not count as a cut;
+# below the third a full one is searched for elsewhere; chosen
 _FULL, _WORTH, _MEAGRE = 0.8, 0.01, 0.1
-_CLOSE = 0.97  # of the wanted volume: near enough
-_MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
-_ENTRIES = (None, 0.8, 0.45)  # rad, of the edge into the ground: steep, and gentler where nothing else will do; chosen
-_REST = 12.0  # s of a cycle beside its cut, about
+_CLOSE = 0.97  # of the wanted volume: close enough
+_MOST_MORE = 1.25  # times the wanted volume: the most that is requested from a profile; chosen, above what was seen
+_ENTRIES = (None, 0.8, 0.45)  # rad, angle of the edge into the ground: steep, and gentler if nothing else works; chosen
+_REST = 12.0  # s of a cycle in addition to its cut, approximately
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Pattern:
 
     Attributes
     ----------
-    kind: which.
-    depth: of a layer, or the greatest of a cut below the ground there [m].
+    kind: ``layers`` or ``face``.
+    depth: depth of a layer, or the greatest depth of a cut below the ground at that place [m].
     """
 
     kind: Literal["layers", "face"]
@@ -62,7 +62,7 @@ class Pattern:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The pattern in words."""
         if self.kind == "layers":
             return f"level layers of {self.depth:.2f} m"
         return f"far end first, up to {self.depth:.2f} m deep"
@@ -74,9 +74,9 @@ class NextCut:
 
     Attributes
     ----------
-    lane: in which it lies.
-    cut: itself.
-    step: where in the pattern it is, in words.
+    lane: the lane of the cut.
+    cut: the cut itself.
+    step: its part of the pattern, in words.
     """
 
     lane: Lane
@@ -85,7 +85,7 @@ class NextCut:
 
 
 def patterns_to_compare(site: Worksite) -> tuple[Pattern, ...]:
-    """All patterns that are compared, the plain one first; the one that is prescribed where one is."""
+    """All patterns to be compared, the plain one first; if one is prescribed, only that."""
     choice = site.job.pattern
     if isinstance(choice, Layers):
         return (Pattern("layers", choice.layers),)
@@ -100,21 +100,21 @@ def patterns_to_compare(site: Worksite) -> tuple[Pattern, ...]:
 def next_cut(
     site: Worksite, lanes: Sequence[Lane], pattern: Pattern, ground: Terrain, *, done: Sequence[tuple[int, float]] = ()
 ) -> NextCut | NoCut | None:
-    """The next cut; None where nothing is left, or why what is left cannot be cut.
+    """The next cut; None if nothing is left, or the reason why the rest cannot be cut.
 
     Parameters
     ----------
-    ground: as it is now.
-    done: lanes, by number, and radii [m] beyond which nothing more is tried in them.
+    ground: the ground as it is now.
+    done: lanes, by index, and the radii [m] beyond which nothing more is tried in them.
     """
     limits = dict(done)
     refused: NoCut | None = None
     best: tuple[int, str, Vector, Cut] | None = None
-    held_up = False  # whether boom or stick would touch the ground beside a cut
+    held_up = False  # whether boom or stick would touch the ground next to a cut
     profiles = [Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width) for lane in lanes]
     floors = _floors(site, lanes, pattern, profiles)
-    # what fills the bucket by little is left for later where there is much elsewhere; and the bucket is drawn in only
-    # where no other cut fills it by more: that takes longer to find
+    # soil that fills little of the bucket is left for later if there is more elsewhere; the bucket is drawn in only if
+    # no other cut fills more of it, because that search takes longer
     for drawn_in in (False, True):
         for number, (step, floor) in floors:
             lane, profile = lanes[number], profiles[number]
@@ -142,11 +142,11 @@ def next_cut(
 
 
 class _Tries:
-    """Cuts that are tried one after the other for the same soil: the best, and why the first of the others is none.
+    """Cuts that are tried one after the other for the same soil: the best, and the first reason for a refusal.
 
     Parameters
     ----------
-    floor: (K,) over the radii of the lane [m].
+    floor: (K,) height of the floor at the radii of the lane [m].
     drawn_in: whether the bucket is turned so that boom and stick stay above the ground beside the cut.
     """
 
@@ -158,11 +158,11 @@ class _Tries:
         self._raised = site.arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span))
         self.best: Cut | None = None
         self.refused: NoCut | None = None
-        self.held_up = False  # whether one of them is out of reach, as boom or stick would touch the ground beside it
-        self._too_hard = set[float]()  # radii [m] from which the thinnest cut is too much for a cylinder
+        self.held_up = False  # whether one is out of reach because boom or stick would touch the ground next to it
+        self._too_hard = set[float]()  # radii [m] from which even the thinnest cut is too much for a cylinder
 
     def find(self, start: float, depth: float, entry: float | None) -> Cut | None:
-        """The cut from a radius [m] of at most a depth [m]; None where there is none."""
+        """The cut from a radius [m] with at most a given depth [m]; None if there is none."""
         if start in self._too_hard:
             return None
         site, lane, arm = self._site, self._lane, self._site.arm
@@ -185,13 +185,13 @@ class _Tries:
 
 
 def _best(tries: _Tries, lane: Lane, left: Vector, pattern: Pattern) -> Cut | NoCut:
-    """The cut from the far end of what is left, at radii `left` (k,) [m], or from further in where there is none.
+    """The cut from the far end of what is left, at radii `left` (k,) [m], or from further in if there is none.
 
-    Where it fills the bucket by less than most, shallower cuts and another beginning are tried too.
+    If it fills less than most of the bucket, shallower cuts and other beginnings are tried, too.
     """
     profile, floor = tries.profile, tries.floor
     depth = pattern.depth if pattern.kind == "face" else float(np.max(profile.mean)) - float(np.min(floor)) + 1.0
-    # parts of what there is to cut, which may be less than a cut of the pattern
+    # fractions of what there is to cut, which may be less than a cut of the pattern
     high = min(depth, float(np.max(profile.height(left) - np.interp(left, lane.r, floor))))
     shallower = () if tries.drawn_in else tuple(part * high for part in _SHALLOWER if part * high > _THINNEST)
     entries = _ENTRIES[:1] if tries.drawn_in else _ENTRIES
@@ -213,9 +213,9 @@ def _best(tries: _Tries, lane: Lane, left: Vector, pattern: Pattern) -> Cut | No
 
 
 def _filled(site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, cut: Cut) -> Cut:
-    """The cut, longer where the sweep over the columns of the ground takes less than the profile says.
+    """The cut, lengthened if the sweep over the columns of the ground takes less than the profile says.
 
-    Under the ends of the edge the profile counts columns that are cut in part as soil that is still there.
+    Under the ends of the edge, the profile counts partly cut columns as soil that is still there.
     """
     profile, terrain = ground
     taken = float(swept(terrain, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False).volume[-1])
@@ -233,11 +233,11 @@ def _filled(site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: 
 
 
 def shallower(site: Worksite, chosen: NextCut, ground: Terrain, part: float) -> NextCut | None:
-    """The same cut at most `part` of its depth deep, and as much longer; None where there is none.
+    """The same cut with at most `part` of its depth, and longer accordingly; None if there is none.
 
     Parameters
     ----------
-    ground: as it is now.
+    ground: the ground as it is now.
     """
     cut, lane = chosen.cut, chosen.lane
     profile = Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width)
@@ -249,17 +249,17 @@ def shallower(site: Worksite, chosen: NextCut, ground: Terrain, part: float) -> 
 
 
 def _rate(cut: Cut) -> float:
-    """Soil over the time of the cycle, about [m^3/s]."""
+    """Soil divided by the approximate time of the cycle [m^3/s]."""
     return cut.loose_volume / (cut.time + _REST)
 
 
 def _floors(
     site: Worksite, lanes: Sequence[Lane], pattern: Pattern, profiles: Sequence[Profile]
 ) -> list[tuple[int, tuple[str, Vector]]]:
-    """Lanes by number with what is dug to in them now, in the order in which they are tried."""
+    """Lanes by index with the floor to which each is dug now, in the order in which they are tried."""
     every = range(len(lanes))
     if pattern.kind == "face":
-        # the lane that reaches farthest out first, so that the face retreats evenly
+        # the lane that reaches farthest out is first, so that the face retreats evenly
         def far(number: int) -> float:
             places = _left(site, lanes[number], profiles[number], lanes[number].line)
             return round(float(places[-1]) / _EVEN) if len(places) else -np.inf
@@ -279,22 +279,22 @@ def _floors(
                 here.append((number, (f"layer {layer}", floor)))
         found += here
         layers += bool(here)
-        # what cannot be cut of one layer is cut with the next
+        # soil of one layer that cannot be cut is cut with the next
         if last or layers == _AHEAD:
             break
     return found
 
 
 def _first_ground(site: Worksite, lane: Lane) -> Vector:
-    """(K,) the ground before the first cut in a lane [m], made even: the highest of what is dug there."""
+    """(K,) height of the ground in a lane before the first cut [m]."""
     profile = Profile.of_terrain(site.ground, site.plane, lane.swing, width=site.bucket.width)
     return np.asarray(profile.height(lane.r))
 
 
 def _left(site: Worksite, lane: Lane, profile: Profile, floor: Vector) -> Vector:
-    """Radii of a lane where more than is worth a cut lies above a floor [m]."""
+    """Radii of a lane at which there is soil above a floor that is worth a cut [m]."""
     middle = np.median(profile.surface, axis=1)
-    # a steep end counts as met a cell beside where it stands
+    # a steep end counts as met up to one cell beside it
     step = site.ground.cell
     upper = np.max([np.interp(lane.r + off, lane.r, floor) for off in (-step, 0.0, step)], axis=0)
     above = np.interp(lane.r, profile.r, middle) - upper

@@ -1,4 +1,4 @@
-"""The motions of a cycle through the air: to the cut, with the full bucket to the dump, and its opening."""
+"""The motions of a cycle through the air: to the cut, with the full bucket to the dump, and the opening there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Obstacle
 
 LEVEL = -np.pi  # rad: the pitch at which the mouth of a full bucket is level
-_TILT = 0.6  # rad that a full bucket may be tilted either way; chosen, the usual angle of repose
+_TILT = 0.6  # rad that a full bucket may be tilted in either direction; chosen, the usual angle of repose
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class Transfer:
 
     Attributes
     ----------
-    leg: the motion; None where there is none.
-    why: in words; empty where there is one.
+    leg: the motion; None if there is none.
+    why: the reason in words; empty if there is a motion.
     """
 
     leg: CycleLeg | None
@@ -39,8 +39,8 @@ class Transfers:
     Parameters
     ----------
     problem: the machine on its site without the ground.
-    effort: by its name.
-    seed: of every random choice.
+    effort: name of the effort.
+    seed: seed of every random choice.
     """
 
     def __init__(self, problem: Problem, *, effort: str, seed: int) -> None:
@@ -59,14 +59,14 @@ class Transfers:
         payload: float,
         level: bool = False,
     ) -> Transfer:
-        """From rest at `start` (n,) to rest at one of `ends`, each (n,).
+        """Plan from rest at `start` (n,) to rest at one of `ends`, each (n,).
 
         Parameters
         ----------
-        name: of the leg.
-        ground: obstacles beside those of the site, as they are during the motion.
-        payload: in the bucket [kg].
-        level: whether the bucket's mouth stays up on the whole way.
+        name: name of the leg.
+        ground: obstacles in addition to those of the site, as they are during the motion.
+        payload: mass in the bucket [kg].
+        level: whether the bucket's mouth faces up during the whole motion.
         """
         keep = Keep(self._problem.robot, [level_band(self._problem)]) if level else None
         problem = self.problem(start, ends, ground=ground, payload=payload, keep=keep)
@@ -105,10 +105,10 @@ def leg_problem(
     Parameters
     ----------
     base: the machine on its site without the ground.
-    ground: obstacles beside those of the site.
-    payload: in the bucket [kg].
-    keep: what holds on the whole way.
-    kinematics: of the machine.
+    ground: obstacles in addition to those of the site.
+    payload: mass in the bucket [kg].
+    keep: constraints that hold during the whole motion.
+    kinematics: kinematics of the machine.
     """
     goals = []
     for number, end in enumerate(ends, start=1):
@@ -129,7 +129,7 @@ def leg_problem(
 
 
 def level_band(problem: Problem) -> PitchBand:
-    """The pitch that a full bucket keeps."""
+    """The pitch range that a full bucket keeps."""
     return PitchBand(problem.robot, LEVEL - _TILT, LEVEL + _TILT)
 
 
@@ -138,7 +138,7 @@ def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: C
 
     Parameters
     ----------
-    certificate: of the motion, where it is known.
+    certificate: certificate of the motion, if it is known.
     """
     energy = trajectory_energy(problem, motion)
     hydraulic = float("nan") if energy.hydraulic is None else float(energy.hydraulic[-1])
@@ -161,7 +161,7 @@ def mean_use(problem: Problem, motion: Trajectory, hydraulic: float) -> tuple[fl
 
     Parameters
     ----------
-    hydraulic: what the pump gives [J].
+    hydraulic: energy that the pump delivers [J].
     """
     hydraulics = problem.robot.hydraulics
     if hydraulics is None or motion.duration == 0.0:

@@ -1,9 +1,9 @@
-"""The walls of a trench that is wider than the bucket: strips that are left beside the cuts.
+"""The walls of a trench that is wider than the bucket: strips that are left next to the cuts.
 
-A lane is looked at across less than the width of the blade, as the columns at its ends are known by their mean
-height alone, and it counts as dug where most of that is. What stands then is a strip that only an end of the blade
-reaches. What the whole blade would take of it is known from a sweep along the floor of the lane, and spread over
-the width of the blade it is the ground for which a cut is looked for.
+A lane is sampled across less than the width of the blade, because only the mean height of the columns at its ends
+is known. It counts as dug if most of that width is dug. The rest is a strip that only an end of the blade reaches.
+A sweep along the floor of the lane tells how much of the strip the whole blade would take. Spread over the width
+of the blade, that volume is the ground for which a cut is searched.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.worksite.lanes import LEAVE, Lane, allowed_heights
 from backhoe_planner.job.worksite.worksite import Worksite
 
-_WHOLE = 1.0 - 1e-9  # of a column: so much of it lies within the design
-_THIN = 0.05  # m of that for a cut to be found; chosen
-_PROGRESS = 1e-3  # m^3 that a cut takes at least; chosen
-# part of a bucketful that it takes at least where no lane runs along the walls, so that some of it stays anyway; chosen
+_WHOLE = 1.0 - 1e-9  # of a column: part of it that is within the design
+_THIN = 0.05  # m of that soil, for a cut to be found; chosen
+_PROGRESS = 1e-3  # m^3, the least that a cut takes; chosen
+# least part of a bucketful for a cut if no lane runs along the walls, so that some soil stays anyway; chosen
 _ASKEW_PROGRESS = 0.05
 _WORTH = 1e-3  # m of soil, spread over the width of the blade; chosen
-_INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
-_RUN_IN = 0.3  # m beyond what is left, where a cut begins; chosen
+_INWARD = 0.3  # m of radius between the places from which a cut is tried; chosen
+_RUN_IN = 0.3  # m beyond the remaining soil at which a cut begins; chosen
 _SHORTEST = 0.1  # m of radius
-_SPARE = 0.01  # m beyond the clearance of the arm, for what lies between the places looked at; chosen
+_SPARE = 0.01  # m beyond the clearance of the arm, for positions between the sampled ones; chosen
 
 
 def cut_of_walls(
     site: Worksite, lanes: Sequence[Lane], ground: Terrain, limits: Mapping[int, float]
 ) -> tuple[Lane, Cut] | None:
-    """A cut of what stands beside the others, with its lane; None where nothing does, or can be cut.
+    """A cut of what remains next to the other cuts, with its lane; None if nothing remains, or it cannot be cut.
 
     Parameters
     ----------
-    ground: as it is now.
-    limits: radii [m] beyond which nothing more is tried, by number of the lane.
+    ground: the ground as it is now.
+    limits: radii [m] beyond which nothing more is tried, by index of the lane.
     """
     if len(lanes) < 2:
         return None
@@ -69,12 +69,12 @@ def cut_of_walls(
 
 
 def _cut_in(site: Worksite, lane: Lane, ground: Terrain, limit: float) -> Cut | None:
-    """A cut in one lane of what the whole blade would take there."""
+    """A cut in one lane of the soil that the whole blade would take there."""
     profile, thickness = _spread(site, lane, ground)
     left = profile.r[(thickness > _WORTH) & (profile.r < limit)]
     if not len(left):
         return None
-    # all of the ground under the arm, since what stands is beside it
+    # all of the ground under the arm, because the remaining strip is to one side
     under = Profile.of_terrain(ground, site.plane, lane.swing, width=site.arm.span + 2.0 * RIM * ground.cell)
     at, highest = site.arm.raised(under)
     raised = (at, highest + _SPARE)
@@ -97,9 +97,9 @@ def _cut_in(site: Worksite, lane: Lane, ground: Terrain, limit: float) -> Cut | 
 
 
 def _spread(site: Worksite, lane: Lane, ground: Terrain) -> tuple[Profile, Vector]:
-    """The floor of a lane with what the blade takes above it spread over its width, and the (K,) height of that [m].
+    """The floor of a lane plus the soil that the blade takes above it, spread over its width, and (K,) its height [m].
 
-    Beyond the lane's ends it is the ground as it is.
+    Beyond the lane's ends, the profile is the present ground.
     """
     inside = (lane.r >= lane.end) & (lane.r <= lane.start)
     r = lane.r[inside][::-1]
@@ -110,7 +110,7 @@ def _spread(site: Worksite, lane: Lane, ground: Terrain) -> tuple[Profile, Vecto
         area = site.bucket.width * -np.gradient(r)
         bank[inside] = np.maximum(np.gradient(sweep.bank) / area, 0.0)[::-1]
         loose[inside] = np.maximum(np.gradient(sweep.loose) / area, 0.0)[::-1]
-    # what is thinner than is worth a cut of the whole blade is made higher: it is as thick where it stands
+    # soil that is too thin for a cut of the whole blade is made higher: it is that thick where it really is
     more = max(_THIN / max(float(np.max(bank + loose)), _WORTH), 1.0)
     around = Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width)
     floor = np.where(inside, lane.line, around.height(lane.r))
@@ -118,5 +118,5 @@ def _spread(site: Worksite, lane: Lane, ground: Terrain) -> tuple[Profile, Vecto
 
 
 def _sweep(site: Worksite, ground: Terrain, edge: Matrix, swing: float) -> Sweep:
-    """What the blade takes on its way."""
+    """The soil that the blade takes along its path."""
     return swept(ground, blade_of(site, edge, swing), slump=False)

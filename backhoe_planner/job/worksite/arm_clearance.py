@@ -1,8 +1,8 @@
-"""Whether boom and stick stay above the ground in the arm's plane: a quick look before a cut is planned in full.
+"""Whether boom and stick stay above the ground in the arm's plane: a quick check before a cut is planned in full.
 
-The outline of every convex piece is covered with points; the ground is raised by the clearance all
-around, as a ball that rolls over it would leave it, and is taken as high as it is anywhere under
-the arm's width. What passes is proven later; what does not pass is hardly worth the proof.
+The outline of every convex piece is covered with points. The ground is raised by the clearance all around, like the
+path of a ball that rolls over it, and its height is the greatest under the width of the arm. A motion that passes
+is proven later; one that does not pass is hardly worth the proof.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class ArmOutline:
 
     Parameters
     ----------
-    plane: in which the arm moves.
-    clearance: to be kept from the ground [m].
+    plane: the plane in which the arm moves.
+    clearance: clearance from the ground [m].
     """
 
     def __init__(self, plane: ArmPlane, clearance: float) -> None:
@@ -47,14 +47,14 @@ class ArmOutline:
 
         Parameters
         ----------
-        profile: of the ground under the arm, as wide as `span`.
+        profile: profile of the ground under the arm, as wide as `span`.
         """
         r = np.arange(profile.r[0], profile.r[-1], _STEP)
         ground = np.interp(r, profile.r, np.max(profile.surface, axis=1))
         return r, self.raise_by_clearance(ground)
 
     def raise_by_clearance(self, ground: Vector) -> Vector:
-        """(K,) heights at even radii `_STEP` apart, raised all around by the clearance [m]."""
+        """(K,) heights at evenly spaced radii, `_STEP` apart, raised all around by the clearance [m]."""
         half = int(self._clearance / _STEP)
         offset = _STEP * np.arange(-half, half + 1)
         ball = np.sqrt(np.maximum(self._clearance**2 - offset**2, 0.0))
@@ -63,13 +63,13 @@ class ArmOutline:
 
     @property
     def span(self) -> float:
-        """The width of ground that counts [m]."""
+        """The width of the ground that counts [m]."""
         return self.width + 2.0 * self._clearance
 
     def clears(self, q: Matrix, raised: tuple[Vector, Vector]) -> Flags:
         """(M,) whether the arm is above the ground at q (M, n)."""
         turns = [self._plane.heading(swing) for swing in q[:, 0].tolist()]
-        # rows of rotation and translation along the arm and upward, of each link
+        # rows of rotation and translation along the arm and upward, for each link
         frames = np.empty((len(q), len(self._points), 2, 4))
         for turn, row, into in zip(turns, q, frames, strict=True):
             pin.forwardKinematics(self._robot.model, self._data, row)

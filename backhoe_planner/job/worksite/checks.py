@@ -1,4 +1,4 @@
-"""What cannot be right about a job: said before anything is planned, with what would do."""
+"""Checks of a job before anything is planned; an error says what is wrong and what would be allowed."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from backhoe_planner.job.worksite.lanes import Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import angles_in_degrees
 
-_COLUMNS = 4  # of the ground side by side under the blade, at least; chosen: of fewer, the edges alone are half
+_COLUMNS = 4  # least number of columns side by side under the blade; chosen: with fewer, half of them are edges
 
 _ROUNDING = 1e-9  # of a column
-_FAR = 0.25  # of the depth that is asked for: missed by more, the bottom is far out of reach; chosen
+_FAR = 0.25  # of the wanted depth: a bottom missed by more is far out of reach; chosen
 
 
 def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Matrix) -> None:
-    """Check what a job asks for against its machine and its ground.
+    """Check a job against its machine and its ground.
 
     Parameters
     ----------
-    design, allowed: (rows, columns) what is to be dug and what can be, see `allowed_heights` [m].
+    design, allowed: (rows, columns) what is to be dug and what can be dug, see `allowed_heights` [m].
 
     Raises
     ------
-    SceneError: names the key, what was found, and what would do.
+    SceneError: names the key, what was found, and what is allowed.
     """
     _check_width(site)
     _check_cell(site)
@@ -38,11 +38,11 @@ def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Ma
 
 
 def check_start(site: Worksite) -> None:
-    """Check where a job begins.
+    """Check the start of a job.
 
     Raises
     ------
-    SceneError: beyond a joint's limits.
+    SceneError: the start is beyond a joint's limits.
     """
     q, limits = site.problem.start_q, site.problem.limits
     if q is None:
@@ -121,13 +121,13 @@ def _check_lanes(site: Worksite, lanes: Sequence[Lane]) -> None:
 
 
 def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
-    """A bottom that the teeth reach nowhere, or nowhere nearly where nothing is protected."""
+    """Refuse a bottom that the teeth reach nowhere, or come close to nowhere that is unprotected."""
     missing = []
     for lane in lanes:
         asked = np.isfinite(lane.design)
         is_protected = np.array([kind == "protected" for kind, _ in lane.causes])[lane.cause[asked]]
         gap = (lane.floor - lane.design)[asked]
-        # beside what is protected, boom and stick may be held up by the soil that is left there
+        # next to a protected object, the soil that is left may hold up boom and stick
         depth = float(np.max(site.ground.surface)) - lane.design[asked]
         most = np.where(is_protected.any(), _FAR * depth, site.job.dig.tolerance)
         if is_protected.all() or (gap <= most)[~is_protected].any():
@@ -145,10 +145,10 @@ def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
 
 
 def _check_any(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Matrix) -> None:
-    """Soil is to be dug, and none of it can be."""
+    """Refuse a job with soil to dig of which none can be dug."""
     ground, tolerance = site.ground.surface, site.job.dig.tolerance
     known, wanted = np.isfinite(design), ground - design > tolerance
-    # where a part is dug already, the rest may be what stays
+    # if a part is dug already, the rest may be what stays
     if not wanted[known].all() or (ground - allowed > tolerance)[wanted].any():
         return
     raise SceneError(
@@ -166,7 +166,7 @@ def _beside(site: Worksite) -> str:
 
 
 def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
-    """A trench of which nothing, or not its whole length, can be dug."""
+    """Refuse a trench of which nothing can be dug, or not the whole length."""
     trench, job = site.job.dig.trench, site.job
     assert trench is not None
     reached = np.concatenate(
@@ -192,7 +192,7 @@ def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
 
 
 def _causes(lanes: Sequence[Lane]) -> str:
-    """What holds the teeth up in some lanes, in words; empty where nothing does."""
+    """What holds the teeth up in some lanes, in words; empty if nothing does."""
     kinds = sorted({lane.causes[int(index)] for lane in lanes for index in lane.cause if index > 0})
     return "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
 

@@ -1,4 +1,4 @@
-"""Which part of each column of the ground lies within what is dug, exactly."""
+"""The exact part of each column of the ground that is within the area to be dug."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _ROUNDING = 1e-9  # of a column
 
 
 def parts_within(nodes: Array, cell: float, corners: Matrix) -> tuple[Array, Array]:
-    """(...) the part of each column that lies within a convex area, 0 to 1, and (..., 2) the middle of that part [m].
+    """(...) the part of each column that is within a convex area, 0 to 1, and (..., 2) the middle of that part [m].
 
     Parameters
     ----------
     nodes: (..., 2) x, y of the columns, squares along x and y [m].
-    cell: their edge [m].
-    corners: (k, 2) of the area, counter-clockwise [m].
+    cell: edge of a column [m].
+    corners: (k, 2) corners of the area, counter-clockwise [m].
     """
     flat = nodes.reshape(-1, 2)
     ahead = np.roll(corners, -1, axis=0) - corners
@@ -37,12 +37,12 @@ def parts_within(nodes: Array, cell: float, corners: Matrix) -> tuple[Array, Arr
 
 
 def overlaps(low: float, cell: float, count: int, centres: Vector, edge: float) -> Matrix:
-    """(n, count) the part of spans of length `edge` about `centres` (n,) in each of `count` spans of a row [m].
+    """(n, count) the part of spans of length `edge` about `centres` (n,) that is in each of `count` spans of a row [m].
 
     Parameters
     ----------
-    low: the middle of the first of the row.
-    cell: its length.
+    low: the middle of the first span of the row.
+    cell: length of a span of the row.
     """
     middles = low + cell * np.arange(count)
     least = np.maximum(centres[:, None] - 0.5 * edge, middles - 0.5 * cell)
@@ -51,7 +51,7 @@ def overlaps(low: float, cell: float, count: int, centres: Vector, edge: float) 
 
 
 def _clipped(corners: Matrix, height: Vector) -> Matrix:
-    """(m, 2) the part of a convex polygon (k, 2) whose `height` (k,) at its corners is 0 or more."""
+    """(m, 2) the part of a convex polygon (k, 2) in which `height` (k,), given at its corners, is 0 or more."""
     found = []
     for a, b, at_a, at_b in zip(
         corners, np.roll(corners, -1, axis=0), height.tolist(), np.roll(height, -1).tolist(), strict=True

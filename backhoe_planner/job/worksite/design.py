@@ -1,4 +1,4 @@
-"""The design: how deep is to be dug, where."""
+"""The design: where to dig, and how deep."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ROUNDING = 1e-9  # m
 
 
 class Design(Protocol):
-    """How deep is to be dug."""
+    """The depth to be dug, by place."""
 
     def height(self, points: Array) -> Array:
         """(...) height of the design at points (..., 2) x, y [m]; nan where nothing is to be dug."""
@@ -28,13 +28,13 @@ class Design(Protocol):
 
         Parameters
         ----------
-        x, y: (columns,), (rows,) of the ground's columns [m].
-        cell: their edge [m].
+        x, y: (columns,), (rows,) coordinates of the ground's columns [m].
+        cell: edge of a column [m].
         """
 
     @property
     def outline(self) -> Matrix:
-        """(k, 2) corners of a convex area around it, counter-clockwise [m]."""
+        """(k, 2) corners of a convex area around the design, counter-clockwise [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class TrenchDesign:
     Attributes
     ----------
     trench: as in the job file.
-    ground: height of the ground at its beginning [m].
+    ground: height of the ground at the trench's beginning [m].
     """
 
     trench: Trench
@@ -52,11 +52,11 @@ class TrenchDesign:
 
     @property
     def direction(self) -> Vector:
-        """(2,) unit vector from its beginning to its end."""
+        """(2,) unit vector from the trench's beginning to its end."""
         return (np.array(self.trench.end) - self.trench.start) / self.trench.length
 
     def along(self, points: Array) -> tuple[Array, Array]:
-        """(...), (...) how far points (..., 2) are along it, and how far to its left [m]."""
+        """(...), (...) distances of points (..., 2) along the trench, and to its left [m]."""
         off = np.asarray(points, dtype=float) - self.trench.start
         ahead = self.direction
         return off @ ahead, off @ np.array([-ahead[1], ahead[0]])
@@ -97,7 +97,7 @@ class SurfaceDesign:
     Attributes
     ----------
     low: (2,) x, y of the first height [m].
-    cell: between heights [m].
+    cell: distance between heights [m].
     z: (rows, columns) heights [m]; nan where nothing is to be dug.
     """
 

@@ -1,9 +1,8 @@
-"""Lanes: the planes in which the arm digs, and how deep the edge may and can go in each.
+"""Lanes: the planes in which the arm digs, and how deep the edge may and can go in each of them.
 
-Whether the teeth can be somewhere is asked of the machine's limits, and of every obstacle and zone
-with its clearance, at several pitches. Down from the ground only what can be reached without a gap
-counts. From the floor so found follows the lowest line that an edge can take, which goes down
-and up at no more than two angles.
+A position of the teeth is checked at several pitches against the machine's limits, and against every obstacle and
+zone with its clearance. Only positions that can be reached from the ground down without a gap count. They give the
+floor of a lane. Above the floor, the lowest line of an edge goes down and up at no more than two angles.
 """
 
 from __future__ import annotations
@@ -23,42 +22,42 @@ from backhoe_planner.job.schema.work import Trench
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-# rad: 80 degrees, and 69 as a steeper edge pushes the soil out again; chosen: with 86 and 80 a trench of 3 m has
-# 0.15 m^3 less left at its ends, and takes 21 cuts instead of 14
+# rad: 80 and 69 degrees; an edge that leaves more steeply pushes the soil out again. Chosen: with 86 and 80, 0.15 m^3
+# less is left at the ends of a trench of 3 m, but it takes 21 cuts instead of 14
 ENTRY, LEAVE = 1.4, 1.2
 _STEP = 0.025  # m of radius: half of a cell of 5 cm
 _ACROSS = 7  # places across the blade; chosen, less than two cells of 5 cm apart
 _PITCHES = np.linspace(-2.7, -0.6, 12)  # rad at which teeth may dig: from nearly level to a plate that points down
-_DOWN = 0.05  # m by which a place is looked for deeper; chosen, a cell
-_SPARE = 0.01  # m beyond every clearance, for what lies between the places looked at; chosen
+_DOWN = 0.05  # m by which each step of the check goes deeper; chosen, a cell
+_SPARE = 0.01  # m beyond every clearance, for positions between the sampled ones; chosen
 _SAME = 1e-9  # m
-_BACK = 0.05  # m from the bucket's back to the ground that is left; chosen: cuts keep 3 cm, and turn only slowly
-_ARM = 0.05  # m that boom and stick keep from it beyond the clearance; chosen, for the same reason
-_AGAIN = 3  # times that is looked at, as what is left beside a place is raised too; chosen
+_BACK = 0.05  # m between the bucket's back and the remaining ground; chosen: cuts keep 3 cm, and turn only slowly
+_ARM = 0.05  # m that boom and stick keep from that ground beyond the clearance; chosen, for the same reason
+_AGAIN = 3  # times that this is repeated, because the ground left beside a place is raised too; chosen
 _FAN = 0.04  # rad between lanes of a wide design: 20 cm at 5 m; chosen, a third of a bucket's width
-_BESIDE = 1e-3  # m to each side of the blade: a trench that is not wider than that is dug in one lane; chosen
-_OUT = 0.98  # of the tolerance, by which a blade along a wall stands out of it at most; chosen, below 1 for rounding
-_NEAREST = 0.2  # of the distance to a trench's far end: nearer nothing can be dug
+_BESIDE = 1e-3  # m to each side of the blade: a trench that is no wider than that is dug in one lane; chosen
+_OUT = 0.98  # of the tolerance, by which a blade along a wall may go beyond it; chosen, below 1 for rounding
+_NEAREST = 0.2  # of the distance to a trench's far end: nothing nearer can be dug
 _ENTERING = 0.05  # m; chosen: the corners of an edge's line are rounded
-_STRIPS = 40  # of a column, across, of which it is asked whether a blade reaches them; chosen, 2.5 cm in 1 m
+_STRIPS = 40  # across a column, each of which is checked for whether a blade reaches it; chosen, 2.5 cm in 1 m
 _CLOSEST = 0.15  # m of radius from one lane along a wall to the next; chosen
 _OVERLAP = 0.8  # of the blade's width from one lane to the next, at the far end of a trench; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One plane of the arm, and what is dug in it.
+    """One plane of the arm, and the soil that is dug in it.
 
     Attributes
     ----------
     swing: angle of the plane [rad].
     r: (K,) radii [m].
     design: (K,) height of the design under the blade [m]; nan where nothing is to be dug.
-    floor: (K,) the lowest that the edge may and can be [m]; at the ground where nothing is to be dug.
-    line: (K,) the lowest line of an edge over that floor [m].
-    cause: (K,) what raised the floor above the design; an index into `causes`, 0 where nothing did.
-    causes: in words that begin with their kind, see `cause_kind`.
-    start, end: radii between which is dug [m].
+    floor: (K,) the lowest height that the edge may and can have [m]; at the ground where nothing is to be dug.
+    line: (K,) the lowest line of an edge above that floor [m].
+    cause: (K,) what raised the floor above the design, as an index into `causes`; 0 where nothing did.
+    causes: kind and name of each cause: ``protected`` by an obstacle or zone, or ``out_of_reach``; the first is empty.
+    start, end: radii between which the lane is dug [m].
     """
 
     swing: float
@@ -73,7 +72,7 @@ class Lane:
 
 
 def lanes_of(site: Worksite) -> tuple[Lane, ...]:
-    """All lanes of a design; none where no plane of the arm has all of a bucket's width in it."""
+    """All lanes of a design; empty if no plane of the arm has the whole width of a bucket in the design."""
     plane, outline = site.plane, site.design.outline
     off = outline - plane.axis
     headings = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
@@ -90,13 +89,13 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
 
 
 def passes_beside(site: Worksite, trench: Trench) -> float:
-    """How far the line of a trench passes beside the swing axis [m]."""
+    """Distance between the line of a trench and the swing axis [m]."""
     off = site.plane.axis - trench.start
     return abs(float(off[0] * trench.ahead[1] - off[1] * trench.ahead[0]))
 
 
 def _swing_to(plane: ArmPlane, direction: Vector, *, beside: float = 0.0) -> float:
-    """The swing angle at which the plane lies in a direction (2,), turned by `beside` about z [rad]."""
+    """The swing angle of the plane in a direction (2,), turned by `beside` about z [rad]."""
     zero = plane.heading(0.0)
     turned = float(np.arctan2(direction[1], direction[0])) + beside - zero
     wrapped = float((turned + np.pi) % (2.0 * np.pi) - np.pi)
@@ -104,14 +103,14 @@ def _swing_to(plane: ArmPlane, direction: Vector, *, beside: float = 0.0) -> flo
 
 
 def _along_trench(site: Worksite, near: float) -> Vector | None:
-    """(L,) the swing angles that fill a trench that points at the machine; None for any other.
+    """(L,) the swing angles that fill a trench that points at the machine; None for any other trench.
 
     Parameters
     ----------
-    near: swing angle of its middle [rad].
+    near: swing angle of the middle of the trench [rad].
 
-    The blade runs along a wall where its plane crosses it: further out it stands out of the trench, by the tolerance
-    at most, and further in it leaves a wedge, for which there is another lane.
+    The blade runs along a wall where its plane crosses the wall. Further out it goes beyond the trench, by at most the
+    tolerance; further in it leaves a wedge, for which there is another lane.
     """
     trench = site.job.dig.trench
     assert trench is not None
@@ -124,12 +123,12 @@ def _along_trench(site: Worksite, near: float) -> Vector | None:
     reach = float(np.dot(far, ahead))
     room = 0.5 * (trench.width - site.bucket.width)
     if room <= _BESIDE:
-        # one lane, which a blade of another width fills too, within the tolerance
+        # one lane is enough if a blade of another width fills the trench within the tolerance
         return np.array([near]) if float(np.abs(offsets @ plane.directions(near)[1]).max()) <= slack else None
     if reach <= 0.0 or abs(aside) >= room:
         return None
     nearest = max(float(np.dot(close, ahead)), _NEAREST * reach)
-    # the edge goes down at an angle at the far end of every lane
+    # at the far end of every lane the edge goes down at an angle
     entry = (trench.depth + max(trench.slope, 0.0) * trench.length) / np.tan(ENTRY) + _ENTERING
     walls = [side * np.array(_wall(room + side * aside, slack, (reach, nearest), entry)) for side in (1.0, -1.0)]
     first, last = walls[1][0], walls[0][0]
@@ -139,13 +138,13 @@ def _along_trench(site: Worksite, near: float) -> Vector | None:
 
 
 def _wall(room: float, slack: float, between: tuple[float, float], entry: float) -> list[float]:
-    """Angles from the direction of a trench [rad] at which the blade's end runs along a wall, the first farthest out.
+    """Angles from the direction of a trench [rad] at which the blade's end runs along a wall, the farthest out first.
 
     Parameters
     ----------
-    room: from the blade's end to the wall, with the blade in the trench's direction [m].
-    slack: by which it may stand out of the wall [m].
-    between: the trench's far and near end from the swing axis [m].
+    room: distance from the blade's end to the wall, with the blade in the trench's direction [m].
+    slack: distance by which the blade may go beyond the wall [m].
+    between: distances of the trench's far and near end from the swing axis [m].
     entry: length at the far end of a lane over which its edge goes down [m].
     """
     reach, nearest = between
@@ -164,7 +163,7 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
     profile = Profile.of_terrain(site.ground, plane, swing, width=width)
     r = np.arange(profile.r[0], profile.r[-1], _STEP)
     blade = _blade_points(site, swing, r)
-    # a blade may be as much wider than what is dug as the design may be missed by
+    # a blade may exceed the width of the design by as much as the tolerance
     inside = design.within(blade, site.job.dig.tolerance).all(axis=1)
     heights = design.height(blade)
     known = np.isfinite(heights).any(axis=1)
@@ -183,7 +182,7 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
     for _ in range(_AGAIN):
         if line is None:
             break
-        # beside the ground that is left there; what is raised is left there too
+        # check next to the ground that is left; ground that is raised is left, too
         left = np.where(inside, line[0], ground)
         again = places.reachable(np.where(inside, np.maximum(floor, first), np.nan), ground, left)
         reached, raised = again[0], again[0] > left + _SAME
@@ -191,7 +190,7 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
             break
         shift = len(causes) - 1
         cause = np.where(raised, np.where(again[1] > 0, again[1] + shift, 0), cause)
-        # only what holds the line up counts for it: each time the line keeps off its floor by a step
+        # only a cause that holds the line up counts: each repetition the line stays above its floor by a step
         floor, causes = np.where(raised, reached, floor), (*causes, *again[2][1:])
         line = _line(profile, r, floor, ground, inside)
     if line is None:
@@ -204,7 +203,7 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
 def _line(
     profile: Profile, r: Vector, floor: Vector, ground: Vector, inside: Flags
 ) -> tuple[Vector, float, float] | None:
-    """(K,) the lowest line of an edge over a floor, and the radii between which it is dug; None where it is nowhere."""
+    """(K,) the lowest line of an edge above a floor, and the radii between which it is dug; None if nothing is dug."""
     dug = np.flatnonzero(inside & (floor < ground - _SAME))
     if len(dug) < 2:
         return None
@@ -215,7 +214,7 @@ def _line(
 
 
 def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
-    """(K, A, 2) x, y under a blade at radii (K,) [m]."""
+    """(K, A, 2) x, y of points under a blade at radii (K,) [m]."""
     _, left = site.plane.directions(swing)
     offsets = site.bucket.width * np.linspace(-0.5, 0.5, _ACROSS)
     middle = site.plane.world(swing, r, np.zeros(len(r)))[:, :2]
@@ -223,7 +222,7 @@ def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
 
 
 class _Places:
-    """Where the teeth can be in one plane."""
+    """The possible positions of the teeth in one plane."""
 
     def __init__(self, site: Worksite, swing: float, r: Vector, screen: ClearanceScreen) -> None:
         self._site, self._swing, self._r, self._screen = site, swing, r, screen
@@ -234,14 +233,14 @@ class _Places:
     def reachable(
         self, design: Vector, ground: Vector, final: Vector | None
     ) -> tuple[Vector, NDArray[np.int64], tuple[tuple[str, str], ...]]:
-        """(K,) the lowest heights at which the teeth can be, (K,) what stops them there, and a list of that.
+        """(K,) the lowest heights that the teeth can reach, (K,) what stops them there, and a list of these causes.
 
         Parameters
         ----------
-        design: (K,) no deeper than this; nan where nothing is dug.
-        ground: (K,) before the first cut.
-        final: (K,) the ground when all is dug, which arm and the bucket's back must not touch; None to leave it out.
-            Where it is reached there is no cause.
+        design: (K,) greatest depth to be reached; nan where nothing is dug.
+        ground: (K,) the ground before the first cut.
+        final: (K,) the final ground, which arm and the bucket's back must not touch; None to leave it out. Where the
+            teeth reach it there is no cause.
         """
         self._final = final
         if final is not None:
@@ -252,7 +251,7 @@ class _Places:
         dug = np.flatnonzero(np.isfinite(design))
         begin, held_up = ground.copy(), np.isfinite(design)
         if final is not None:
-            # where the line itself is reached nothing is dug below it, and what stops the teeth there is no cause
+            # where the teeth reach the line itself nothing is dug below it, and what stops them there is not a cause
             reached = dug[self._free(self._r[dug], final[dug])]
             begin[reached], held_up[reached] = final[reached], False
         floor, cause = begin.copy(), np.zeros(len(self._r), dtype=np.int64)
@@ -284,7 +283,7 @@ class _Places:
         )
 
     def _stop(self, r: float, z: float) -> tuple[str, str]:
-        """What keeps the teeth from a radius and a height [m] at which they are not free, as kind and name."""
+        """What blocks the teeth at a radius and a height [m] where they are not free, as kind and name."""
         (q,), (reached,), (above,) = self._postures(np.array([r]), np.array([z]))
         if not reached.any():
             return "out_of_reach", ""
@@ -297,7 +296,7 @@ class _Places:
     def _postures(self, r: Vector, z: Vector) -> tuple[Array, Flags, Flags]:
         """(K, P, n) joints with the teeth at r, z (K,) [m] at every pitch; (K, P) whether they are within the limits.
 
-        And (K, P) whether they are, with the back of the bucket, boom and stick above the ground that is left.
+        And (K, P) whether, in addition, the bucket's back, boom and stick are above the ground that is left.
         """
         q = self._site.plane.joints(self._swing, r[:, None], z[:, None], _PITCHES)
         reached = ~np.isnan(q[..., 0])
@@ -308,7 +307,7 @@ class _Places:
         return q, reached, above
 
     def _back(self, r: Vector, z: Vector) -> Matrix:
-        """(K, P) how far the bucket's back is above the ground that is left behind the teeth, at each pitch [m]."""
+        """(K, P) height of the bucket's back above the ground that is left behind the teeth, at each pitch [m]."""
         final = self._final
         assert final is not None
 
@@ -320,9 +319,9 @@ class _Places:
 
 
 def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
-    """(rows, columns) the lowest heights that can be dug, nan where nothing is to be; and by which lane, -1 by none.
+    """(rows, columns) the lowest heights that can be dug, nan where nothing is to be; and the index of the lane, or -1.
 
-    Of a column of which a blade reaches a part, the rest is what another lane leaves there, or the ground.
+    If a blade reaches only a part of a column, the rest is as high as another lane leaves it, or as the ground.
 
     Parameters
     ----------
@@ -333,8 +332,8 @@ def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tu
     by = np.full(design.shape, -1, dtype=np.int64)
     rows, columns = np.nonzero(np.isfinite(design))
     points, wanted = nodes[rows, columns] - site.plane.axis, design[rows, columns]
-    # strips of each column side by side across the lanes; of a column on the edge of the design only a part is dug,
-    # and it counts as reached where that may be
+    # strips of each column side by side across the lanes; a column on the edge of the design is dug only in part, and
+    # counts as reached if a blade may reach that part
     strips = np.tile(found[rows, columns], (_STRIPS, 1))
     on_edge = site.share[rows, columns] < 1.0
     sideways = np.where(on_edge, 0.0, cell * ((np.arange(_STRIPS)[:, None] + 0.5) / _STRIPS - 0.5))
@@ -342,7 +341,7 @@ def allowed_heights(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> tu
     for number, lane in enumerate(lanes):
         out, left = site.plane.directions(lane.swing)
         along, aside = points @ out, points @ left
-        # a column on a steep end is measured at the upper end of it
+        # a column on a steep end is measured at the upper end of the slope
         line = np.max([np.interp(along + off, lane.r, lane.line) for off in (-cell, 0.0, cell)], axis=0)
         under = np.abs(aside + sideways) <= reach
         some = under.any(axis=0)

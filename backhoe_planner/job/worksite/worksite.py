@@ -1,4 +1,4 @@
-"""A job brought together with its machine: what is dug with what, on which ground, within which limits."""
+"""A job combined with its machine: what is dug with what, on which ground, within which limits."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
 
-_AROUND = 1.0  # m of ground around what is dug and heaped
-_ARM_SPARE = 0.015  # m beyond the clearance, for what lies between the places looked at; a few mm were seen
-_HEADINGS = 91  # at which the machine's reach is looked at; chosen
+_AROUND = 1.0  # m of ground around all that is dug and heaped
+_ARM_SPARE = 0.015  # m beyond the clearance, for positions between the sampled ones; a few mm were seen
+_HEADINGS = 91  # at which the machine's reach is sampled; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,13 @@ class Worksite:
 
     Attributes
     ----------
-    job: as it was given.
+    job: the job as it was given.
     robot: the machine on its site.
-    problem: of the site without the ground; its task is to stay at its start.
-    digger: the machine as it digs in the soil.
-    ground: before the first cycle.
-    own_ground: the job's, whatever a survey says.
-    design: what is to be dug.
+    problem: the problem of the site without the ground; its task is to stay at its start.
+    digger: the machine as a digger in the soil.
+    ground: the ground before the first cycle.
+    own_ground: the job's own ground, whatever a survey says.
+    design: the design to be dug.
     arm: boom and stick, which must stay above the ground.
     """
 
@@ -55,12 +55,12 @@ class Worksite:
 
     @property
     def bucket(self) -> Bucket:
-        """That of the machine, with the job's capacity."""
+        """The bucket of the machine, with the job's capacity."""
         return self.digger.bucket
 
     @property
     def plane(self) -> ArmPlane:
-        """In which the arm digs."""
+        """The plane in which the arm digs."""
         return self.digger.plane
 
     @property
@@ -75,17 +75,17 @@ class Worksite:
 
     @property
     def share(self) -> Matrix:
-        """(rows, columns) the part of each column of the ground that lies within the design, 0 to 1."""
+        """(rows, columns) the part of each column of the ground that is within the design, 0 to 1."""
         return self._columns[0]
 
     def design_heights(self) -> Matrix:
-        """(rows, columns) the design in the columns that lie within it, whole or in part [m]; nan elsewhere."""
+        """(rows, columns) the design in the columns that are wholly or partly within it [m]; nan elsewhere."""
         return self._columns[1]
 
     def within_design(self, ground: Terrain) -> Matrix:
-        """(rows, columns) height of the ground in the part of each column that lies within the design [m].
+        """(rows, columns) height of the ground in the part of each column that is within the design [m].
 
-        Of a column that does so in part the mean height is known; the rest of it stands as the job's own ground.
+        For a column that is partly within it only the mean height is known; the rest is at the job's own ground.
         """
         share = self.share
         # a survey may be on other columns
@@ -100,7 +100,7 @@ class Worksite:
 
 
 def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
-    """Bring a job together with its machine.
+    """Combine a job with its machine.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
                          file=job.file, key="machine", found=robot.name)  # fmt: skip
     problem = _problem(job, robot)
     digger = _digger(job, problem)
-    # a survey of what was dug says nothing about how deep it was to be dug
+    # a survey of what was dug does not say how deep it was to be dug
     own = _ground(job, digger.plane)
     ground = own if terrain is None else terrain
     design = _design(job, own)
@@ -131,7 +131,7 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
 
 
 def plain_soil(job: Job) -> Soil:
-    """The soil as a scene has it, without how it lies when it is loose."""
+    """The soil in the form of a scene, without swell and angle of repose."""
     given = job.soil.model_dump(exclude={"swell", "repose"}, exclude_unset=True)
     return Soil(**given)
 
@@ -163,7 +163,7 @@ def _digger(job: Job, problem: Problem) -> Digger:
 
 
 def reach_area(plane: ArmPlane) -> Matrix:
-    """(k, 2) points around which the machine can put its teeth [m], and where it stands."""
+    """(k, 2) points around the area that the teeth can reach [m], and the machine's own place."""
     robot, limits = plane.robot, plane.limits
     farthest = float(np.max(plane.place(_stretched(robot))[0]))
     swings = np.linspace(limits.lower[0], limits.upper[0], _HEADINGS) if plane.swings else np.zeros(1)
@@ -172,7 +172,7 @@ def reach_area(plane: ArmPlane) -> Matrix:
 
 
 def _stretched(robot: Robot) -> Matrix:
-    """(k, n) postures among which the arm reaches farthest."""
+    """(k, n) random postures, among which the arm reaches farthest."""
     rng = np.random.default_rng(0)
     return rng.uniform(robot.limits.lower, robot.limits.upper, (4000, robot.n))
 
@@ -213,15 +213,15 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
 
 
 def read_ground(job: Job, file: Path) -> Scanned:
-    """The ground of a job as it was surveyed on the way: what was dug and heaped meanwhile.
+    """The ground of a job according to a survey in the course of the work: what was dug and heaped since the beginning.
 
     Parameters
     ----------
-    file: heights or points, as of `Terrain.from_file`. The first height of a table lies at the job's own first column.
+    file: heights or points, as in `Terrain.from_file`. The first height of a table is at the job's own first column.
 
     Returns
     -------
-    The ground on the job's own grid; where the survey does not reach, as the job has it.
+    The ground on the job's own grid; where the survey does not reach, the job's own ground.
 
     Raises
     ------
