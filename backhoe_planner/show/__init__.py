@@ -1,4 +1,4 @@
-"""Rooms to look into: pages, the live view, and plots. The planner never imports it."""
+"""What a person looks at: pages, the live view, and plots. The planner never imports this package."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Facets, lines, animations, sky, lights and camera as meshcat's objects, and names of its nodes.
+"""Facets, lines, animations, sky, lights and camera as meshcat objects, and the names of meshcat nodes.
 
-meshcat's own mesh has no normals and no opacity per vertex, and meshcat has no lights. But
-three.js, which reads the messages, knows all of them.
+meshcat's own mesh has no normals and no opacity per vertex, and meshcat has no lights. But three.js, which reads
+the messages, supports all of these.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, View
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets
 
-# A slash would begin a new level. The viewer keeps children in a plain JavaScript object,
-# which has members of these names from the beginning.
+# A slash would begin a new level. The viewer keeps children in a plain JavaScript object, which already has members
+# of these names.
 _SLASH = "\N{DIVISION SLASH}"
 _TAKEN = frozenset((
     "<object>", "__defineGetter__", "__defineSetter__", "__lookupGetter__", "__lookupSetter__", "__proto__",
@@ -57,10 +57,10 @@ class Track(NamedTuple):
 
     Attributes
     ----------
-    path: of the node in the viewer's tree.
+    path: path of the node in the viewer's tree.
     kind: ``position``, ``scale``, ``quaternion`` (x, y, z, w) or ``material.color``.
-    time: (K,) rising [s].
-    values: (K, 3) [m, or 1 for a scale or colour], or (K, 4) for a quaternion.
+    time: (K,) increasing times [s].
+    values: (K, 3) values [m, or 1 for a scale or colour], or (K, 4) for a quaternion.
     """
 
     path: str
@@ -70,13 +70,13 @@ class Track(NamedTuple):
 
 
 class PlanAnimation:
-    """Tracks that play together in the browser; meshcat takes it in place of its own ``Animation``.
+    """Tracks that play together in the browser; meshcat accepts it in place of its own ``Animation``.
 
     Numbers have 32 bits: a second of motion takes about 1 kB per moving link.
 
     Parameters
     ----------
-    duration: of the whole animation [s].
+    duration: duration of the whole animation [s].
     """
 
     def __init__(self, tracks: Sequence[Track], duration: float) -> None:
@@ -84,7 +84,7 @@ class PlanAnimation:
         self.duration = duration
 
     def lower(self) -> list[dict[str, Any]]:
-        """The animation as meshcat's viewer reads it: one clip per node."""
+        """The animation in the form that meshcat's viewer reads: one clip per node."""
         clips: dict[str, list[dict[str, Any]]] = {}
         for path, kind, time, values in self.tracks:
             track = {"name": f".{kind}", "type": _TYPES[kind], "times": _packed(time), "values": _packed(values)}
@@ -141,7 +141,7 @@ class _SetProperty(SetProperty):  # type: ignore[misc]
 def set_property(node: Any, key: str, value: object) -> None:
     """Set a property of the three.js object of a meshcat node.
 
-    meshcat's own method puts the key in lower case, so that ``castShadow`` has no effect.
+    meshcat's own method converts the key to lower case, so that ``castShadow`` has no effect.
     """
     node.window.send(_SetProperty(key, value, node["<object>"].path))
 
@@ -151,8 +151,8 @@ def draw(node: Any, drawn: Any, *, shadow: bool = True, order: int = 0) -> None:
 
     Parameters
     ----------
-    shadow: whether it casts one.
-    order: of see-through things; the higher is drawn over the lower.
+    shadow: whether the object casts a shadow.
+    order: drawing order of transparent objects; a higher one is drawn over a lower one.
     """
     node.set_object(drawn)
     if not shadow:
@@ -168,11 +168,11 @@ def mesh(
 
     Parameters
     ----------
-    rgba: its colour; for facets with colours of their own only the opacity counts.
-    lit: slightly glossy, with light and shade; else the same colour from all sides.
-    one_sided: draw the outside only, for see-through shells.
-    behind: draw other things that lie in the same plane over it.
-    through: draw it over whatever stands in front.
+    rgba: colour; for facets with colours of their own, only the opacity counts.
+    lit: slightly glossy, with light and shade; otherwise the same colour from all sides.
+    one_sided: draw only the outside, for transparent shells.
+    behind: draw other objects in the same plane over this one.
+    through: draw this object over everything in front of it.
     """
     coloured, clear = drawn.rgba is not None, rgba[3] < 1.0
     extra: dict[str, Any] = {"depthWrite": not clear, "depthTest": not through}
@@ -222,10 +222,10 @@ def set_stage(visualizer: Any, *, reach: float) -> None:
 
 
 def set_camera(visualizer: Any, view: View) -> None:
-    """Put meshcat's camera where `view` says.
+    """Place meshcat's camera at `view`.
 
-    meshcat has no command for the point around which the camera turns, and takes the world's
-    origin. Our page puts it at the view's target.
+    meshcat has no command for the point around which the camera turns, and uses the world's origin. Our page sets it to
+    the view's target.
     """
     camera = visualizer["/Cameras/default/rotated"]
     set_property(camera, "fov", float(np.degrees(FIELD_OF_VIEW)))
@@ -236,7 +236,7 @@ def set_camera(visualizer: Any, view: View) -> None:
 
 
 def _sun(position: Matrix, *, colour: int, intensity: float, reach: float) -> Any:
-    """A light from `position` (3,) [m] towards the origin, with shadows up to `reach` [m] from there."""
+    """A light from `position` (3,) [m] towards the origin, with shadows within `reach` [m] of the origin."""
     distance = float(np.linalg.norm(position))
     return _Light(
         "DirectionalLight",

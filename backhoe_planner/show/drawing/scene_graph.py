@@ -1,11 +1,11 @@
 """Machine, site and task as a tree of named nodes in a meshcat viewer.
 
     machine/<link>              one node per link, moved by one transform
-    carried/<load>              what is carried, there only while it is
+    carried/<load>              what is carried, visible only while it is
     site/<obstacle>
     clearance/<obstacle>        the surface at its clearance, hidden at first
     task/path, task/goal, task/trace
-    critical points/<obstacle>  a rod from the link to the obstacle where they are nearest
+    critical points/<obstacle>  a rod from the link to the obstacle, where they are nearest
     ground
 
 Names are those of the URDF and of the scene file.
@@ -46,12 +46,12 @@ from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timelin
 from backhoe_planner.site import Obstacle, offset_at
 
 UP = np.array([0.0, 0.0, 1.0])
-HIDDEN = 1e-5  # scale of what is hidden: too small to be seen, while 0 has no inverse
+HIDDEN = 1e-5  # scale of hidden nodes: too small to be seen; a scale of 0 would have no inverse
 _GROUPS = ("machine", "carried", "site", "clearance", "task", "critical points", "ground")
 _LINE_WIDTH = 0.0011  # radius of path and trace, as part of the distance to the camera; chosen, a few pixels
 _NOWHERE = np.zeros((4, 4))
-_SHALLOW = 0.05  # m below the ground that does not count as beneath it; chosen
-_ROWS_IN_VIEW = 24  # frames of a motion that are to be in view; chosen
+_SHALLOW = 0.05  # m below the ground that do not count as beneath it; chosen
+_ROWS_IN_VIEW = 24  # frames of a motion that the camera keeps in view; chosen
 
 
 class SceneGraph:
@@ -62,16 +62,15 @@ class SceneGraph:
     visualizer: a ``meshcat.Visualizer``. Only this node's children and meshcat's own sky, lights
         and camera are changed.
     problem: machine, site and task.
-    q: (n,) the posture that is drawn first [rad or m]; by default the start, or the middle of
-        the joints' ranges.
-    apart: names of obstacles that the caller draws itself; points on them are shown all the same.
-    opening: (k, 2) convex outline of what the caller draws, counterclockwise [m]: no level ground is drawn there.
+    q: (n,) the posture that is drawn first [rad or m]; by default the start, or the middle of the joint ranges.
+    apart: names of obstacles that the caller draws; points on them are still shown.
+    opening: (k, 2) convex outline of what the caller draws, counterclockwise [m]: no level ground is drawn inside it.
 
     Attributes
     ----------
-    warnings: what could not be drawn as the URDF asks, in words.
-    problem: what is drawn.
-    anchors: (3,) where the name of each obstacle is written [m], world.
+    warnings: what could not be drawn as the URDF specifies, in words.
+    problem: the problem that is drawn.
+    anchors: (3,) position of the label of each obstacle [m], world.
     has_ground: whether level ground is drawn, because no obstacle is the ground.
     """
 
@@ -89,7 +88,7 @@ class SceneGraph:
         self._links = node_names(self._joint_of)
         self._loads = load_meshes(problem)
         self._load_nodes: list[str] = []
-        for load in self._loads:  # two legs may carry different things of one name
+        for load in self._loads:  # two legs may carry different things of the same name
             again = sum(load.name == other.name for other in self._loads[: len(self._load_nodes)])
             self._load_nodes.append(node_name(f"{load.name} ({again + 1})" if again else load.name))
         self._obstacles = node_names([*(obstacle.name for obstacle in problem.obstacles), ITSELF])
@@ -99,7 +98,7 @@ class SceneGraph:
         self._meshes = meshes
         self._machine_points = self._machine_corners([posture])
         centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
-        # up to here a plane is drawn
+        # a plane is drawn up to this radius
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
         self._drawn = tuple(obstacle for obstacle in problem.obstacles if obstacle.name not in apart)
         self._opening = opening
@@ -109,7 +108,7 @@ class SceneGraph:
         )
         self.anchors = {drawn.name: drawn.anchor for drawn in self._site}
         away = self.view()
-        # sizes that look right where everything is in view
+        # sizes that look right if everything is in view
         self._width = _LINE_WIDTH * float(np.linalg.norm(away.eye() - away.target))
         self._scale = self._width / 0.02
         for group in _GROUPS:
@@ -199,7 +198,7 @@ class SceneGraph:
     def _draw_task(self) -> None:
         problem, task = self.problem, self._tree["task"]
         if problem.path is not None:
-            width = 1.4 * self._width  # the trace lies on it
+            width = 1.4 * self._width  # the trace is drawn on the path
             _draw_line(task["path"], problem.path.points, width, (*PATH, 1.0))
             marks = [
                 trimesh.creation.icosphere(subdivisions=2, radius=1.8 * width).apply_translation(point)
@@ -210,13 +209,13 @@ class SceneGraph:
             self._draw_goal(task[goal.name], goal.target)
 
     def mark_goal(self, reached: int) -> None:
-        """Draw all goals but that of the number `reached`, counted from 1, in the colour of what does not count."""
+        """Draw all goals except number `reached`, counted from 1, in the colour of goals that do not count."""
         for number, goal in enumerate(self.problem.goals, start=1):
             if number != reached:
                 self._draw_goal(self._tree["task"][goal.name], goal.target, colour=PASSED_BY)
 
     def _draw_goal(self, node: Any, goal: TipTarget, *, colour: Rgb = GOAL) -> None:
-        """A ball at the tip's place, with a triad for its orientation or a fan for its pitch."""
+        """A ball at the tip's position, with a triad for its orientation or a fan for its pitch."""
         ball = trimesh.creation.icosphere(subdivisions=3, radius=0.085 * self._scale)
         ball.apply_translation(goal.position)
         node.set_object(mesh(facets(ball), (*colour, 1.0)))
@@ -243,7 +242,7 @@ class SceneGraph:
     # --- camera -----------------------------------------------------------------------
 
     def view(self, points: Matrix | None = None) -> View:
-        """The view that has the site and all `points` (k, 3) in it [m], world; by default those of the machine."""
+        """The view of the site and of all `points` (k, 3) [m], world; by default the points of the machine."""
         seen = [self._machine_points if points is None else points]
         middle = self._machine_points.mean(axis=0)
         side = 0.0
@@ -254,12 +253,12 @@ class SceneGraph:
                 if normal[2] < -0.7 and drawn.anchor[2] < 2.0 * self._reach:
                     ceiling = float(drawn.anchor[2])
                     seen.append(drawn.anchor[None, :])
-                if abs(normal[1]) > 0.5:  # a wall: look from before it
+                if abs(normal[1]) > 0.5:  # a wall: look from in front of it
                     side -= 1e3 * float(normal[1])
                 continue
             if is_ground(obstacle):
                 continue
-            # of something very large only the near part
+            # of a very large obstacle, only the near part
             low = np.clip(drawn.bounds[0], middle - self._radius, middle + self._radius)
             high = np.clip(drawn.bounds[1], middle - self._radius, middle + self._radius)
             corners = _box_corners(low, high)
@@ -269,14 +268,14 @@ class SceneGraph:
         seen += [goal.target.position[None, :] for goal in self.problem.goals]
         if self.problem.path is not None:
             seen.append(self.problem.path.points)
-        # what is large and tall belongs behind the machine
+        # large and tall obstacles belong behind the machine
         return frame(
             np.vstack(seen), side=-1.0 if side >= 0.0 else 1.0, ceiling=ceiling,
             hidden=partial(part_behind, self._opaque_boxes(), seen[0]),
         )  # fmt: skip
 
     def _opaque_boxes(self) -> Array:
-        """(B, 2, 3) lowest and highest corners of what the machine cannot be seen through [m], world."""
+        """(B, 2, 3) lowest and highest corners of the boxes that hide the machine from view [m], world."""
         boxes = [
             drawn.bounds
             for obstacle, drawn in zip(self._drawn, self._site, strict=True)
@@ -321,8 +320,8 @@ class SceneGraph:
 
         Parameters
         ----------
-        nearest: critical points to show, in the order of the obstacles.
-        leg: of a sequence, of which the load is shown; None for no load.
+        nearest: critical points to be shown, in the order of the obstacles.
+        leg: the leg of a sequence whose load is shown; None for no load.
         """
         pin.forwardKinematics(self.problem.robot.model, self._data, q)
         for link, joint in self._joint_of.items():
@@ -349,7 +348,7 @@ class SceneGraph:
         self.anchors[obstacle.name] = drawn.anchor
 
     def remove(self, name: str) -> None:
-        """Take an obstacle out of the picture."""
+        """Remove an obstacle from the picture."""
         node = self._obstacles.pop(name)
         del self.anchors[name]
         self._shown_colour.pop(name, None)
@@ -358,7 +357,7 @@ class SceneGraph:
             self._placed.pop((group, node), None)
 
     def place(self, name: str, shift: Vector | None) -> None:
-        """Show an obstacle `shift` (3,) from where it was drawn [m]; None hides it."""
+        """Show an obstacle at `shift` (3,) from where it was drawn [m]; None hides it."""
         transform = np.eye(4)
         if shift is None:
             transform[:3, :3] *= HIDDEN
@@ -369,7 +368,7 @@ class SceneGraph:
 
     @property
     def loads(self) -> tuple[dict[str, Any], ...]:
-        """Of everything that is carried in some leg the name, its node's path, and where the name is written there."""
+        """Name, node path and label position of everything that is carried in some leg."""
         return tuple(
             {"name": load.name, "node": ("carried", node), "anchor": load.anchor}
             for node, load in zip(self._load_nodes, self._loads, strict=True)
@@ -389,7 +388,7 @@ class SceneGraph:
         return self._obstacles[name]
 
     def _place(self, group: str, node: str, transform: Matrix) -> None:
-        """Set a node's transform, unless it is there already."""
+        """Set a node's transform, unless the node already has it."""
         key = (group, node)
         if not np.array_equal(self._placed.get(key, _NOWHERE), transform):
             self._placed[key] = transform
@@ -420,7 +419,7 @@ class SceneGraph:
         return nearest.point_link, np.array(turn.coeffs()), np.array([1.0, 1.0, length])
 
     def draw_trace(self, tips: Matrix) -> None:
-        """Draw the way of the tip through (T, 3) points [m], world."""
+        """Draw the path of the tip through (T, 3) points [m], world."""
         _draw_line(self._tree["task"]["trace"], tips, 0.75 * self._width, (*TRACE, 1.0))
 
     def animation(self, timeline: Timeline) -> PlanAnimation:
@@ -469,14 +468,14 @@ def _box_corners(low: Vector, high: Vector) -> Matrix:
 
 
 def _draw_line(node: Any, points: Matrix, radius: float, rgba: Rgba) -> None:
-    """A line as a tube, and faintly where something stands in front of it."""
+    """A line as a tube; faint where something is in front of it."""
     drawn = facets(tube(points, radius, tolerance=0.25 * radius))
     node.set_object(mesh(drawn, rgba, lit=False))
     draw(node["behind"], mesh(drawn, (*rgba[:3], 0.4), lit=False, through=True), shadow=False, order=100)
 
 
 def _tip_reach(problem: Problem) -> float:
-    """About how far the tip gets from the first joint [m]."""
+    """The approximate reach of the tip from the first joint [m]."""
     robot = problem.robot
     bound = tip_travel_bound(robot)
     turning = bound[~robot.prismatic]

@@ -29,33 +29,33 @@ if TYPE_CHECKING:
 _Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 
 _WIDTH, _PANEL = 9.5, 2.15  # inches: chosen, a page's width, and a panel's height
-_TITLE_ABOVE = 6.0  # pt from a panel to what is written above it: matplotlib's own
-_PANEL_PART = 0.74  # of the figure's width that a panel has beside labels and legend; measured, 0.76, a little less
+_TITLE_ABOVE = 6.0  # pt from a panel to the text above it: matplotlib's own
+_PANEL_PART = 0.74  # of the figure's width that a panel has next to labels and legend; measured 0.76, reduced a little
 _FAINT = 0.35  # opacity of limits; chosen
-_STRIP = 0.55  # part of a panel's height that the panel of limits has; chosen, it shows few numbers
-_BINDS = 0.98  # part of a limit from which on it is called binding: sampled accelerations are known to about 1 %
-_MOST_NAMED = 5  # limits: as many as fit beside the panel
-_DASHES = (0, (5, 4))  # points drawn and left out, of lines that are limits
+_STRIP = 0.55  # height of the panel of limits as part of a panel's height; chosen, it shows few numbers
+_BINDS = 0.98  # part of a limit from which it is called binding: sampled accelerations are known to about 1 %
+_MOST_NAMED = 5  # limits: as many as fit next to the panel
+_DASHES = (0, (5, 4))  # points drawn and left out in the lines of limits
 _WRONG = "#b3261e"
-_LETTERS = 115  # of a line above the panels: as many as fit
+_LETTERS = 115  # per line above the panels: as many as fit
 _SHARED = {"pump flow": "#5f6b76", "engine power": "#b3261e", "tip speed": "#1d2731"}
 _HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 
 
 def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
-    """Write a figure of a plan: joints, rates, clearance, torques, which limit binds, power and work over time.
+    """Write a figure of a plan over time: joints, rates, clearance, torques, the binding limit, power and work.
 
-    For a task along a path also how far the tip is from it, and the local law's work; what is left of `keep`,
-    where something is kept. Of a plan that failed it says why. Where there is no motion, the figure shows the
-    posture at the start instead, within the joints' ranges and beside the obstacles.
+    For a task along a path, it also shows the tip's distance from the path and the local law's work; if the task has a
+    `keep`, the remaining margin. For a plan that failed it says why. If there is no motion, the figure shows the
+    posture at the start instead, within the joint ranges and next to the obstacles.
 
     Parameters
     ----------
-    path: of the figure; .png, .svg or .pdf.
+    path: path of the figure; .png, .svg or .pdf.
 
     Raises
     ------
-    OutputError: another suffix, the folder cannot be written, or the file is of the machine or the scene.
+    OutputError: another suffix, the folder cannot be written, or the file belongs to the machine or the scene.
     InputError: matplotlib is not installed.
     """
     figure = new_figure(path, _WIDTH, _PANEL, inputs=plan.input_files)
@@ -105,7 +105,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
 
 def _explain(axes: Axes, plan: Plan, what: str, *, above: float = 0.0) -> None:
-    """Above all panels, why the plan failed; nothing of one that did not. `above`: what stands there already [pt]."""
+    """Say above all panels why a plan failed, if it did. `above`: height of the text that is already there [pt]."""
     if plan.verified:
         return
     words = textwrap.fill(plain_text(f"{what}{plan.message}"), _LETTERS)
@@ -135,7 +135,7 @@ def _velocities(
     time = plan.trajectory.time
     if len(time) > 1:
         steps = plan.trajectory.segment_velocities()
-        # a rate holds from sample to sample: a line through the middles of short intervals, level within long ones
+        # a rate holds from sample to sample: draw a line through the middles of short intervals, level in long ones
         inside = np.minimum(0.5 * np.diff(time), 0.5 * SAMPLE_PERIOD)
         moments = np.column_stack((time[:-1] + inside, time[1:] - inside)).ravel()
         for joint in np.flatnonzero(which):
@@ -175,7 +175,7 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
 
 
 def _kept(axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, unit: str) -> None:
-    """What is left of the conditions of this unit."""
+    """The remaining margins of the conditions of this unit."""
     assert problem.keep is not None
     scale, shown = (np.degrees(1.0), "deg") if unit == "rad" else (1.0, "m")
     for number, condition in enumerate(problem.keep.conditions):
@@ -213,7 +213,7 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
 
 def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     usage = limit_usage(problem, plan.trajectory)
-    on_the_way = usage.moments.time < plan.certificate.tracking.approach_time  # there no tip speed is asked for
+    on_the_way = usage.moments.time < plan.certificate.tracking.approach_time  # no tip speed is required there
     asked = np.array([kind == "tip speed" for kind, _ in usage.limits])
     usage = replace(usage, ratio=np.where(np.outer(on_the_way, asked), 0.0, usage.ratio))
     binding, time = usage.binding, usage.moments.time
@@ -240,7 +240,7 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
 
 
 def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
-    """Colour and hatch of a limit: a joint's own colour, the hatch by what is limited."""
+    """Colour and hatch of a limit: a joint's own colour, and a hatch for the kind of limit."""
     if name in _SHARED:
         return _SHARED[name], None
     for joint, own in enumerate(joints):
@@ -262,7 +262,7 @@ def _torques(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None
 
 
 def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    """Power and energy, of the joints or of the oil; for a task along a path, also the local law's energy."""
+    """Power and energy of the joints or of the oil; for a task along a path, also the local law's energy."""
     time = plan.trajectory.time
     power, spent = _spent(problem, plan.trajectory)
     prefix, scale = _prefix(float(power.max()))
@@ -301,7 +301,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
 
 
 def _spent(problem: Problem, motion: Trajectory) -> tuple[Vector, Vector]:
-    """(T,) power [W] and energy [J]: of the joints, or of the oil where the objective is about the oil."""
+    """(T,) power [W] and energy [J]: of the joints, or of the oil if the objective is about the oil."""
     energy = trajectory_energy(problem, motion)
     if problem.objective.needs_hydraulics and energy.hydraulic is not None:
         assert energy.hydraulic_power is not None

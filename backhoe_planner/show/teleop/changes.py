@@ -1,11 +1,11 @@
-"""What a scene file cannot hold of a recording: changes of the site, in words, many of a kind in one sentence."""
+"""Changes of a site during a recording that a scene file cannot express: in words, many of a kind in one sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
-_LISTED = 3  # changes of a kind that get a sentence each, and names in the sentence for more: what fits a line or two
+_LISTED = 3  # changes of a kind that get a sentence each, and names listed for more: as many as fit a line or two
 
 ChangeKind = Literal["moved", "taken away", "put back"]
 
@@ -28,8 +28,8 @@ class Change(NamedTuple):
 
     Attributes
     ----------
-    time: from the beginning of the recording [s].
-    name: of the obstacle.
+    time: time from the beginning of the recording [s].
+    name: name of the obstacle.
     kind: what happened to it.
     """
 
@@ -39,7 +39,7 @@ class Change(NamedTuple):
 
 
 def describe_changes(changes: Iterable[Change]) -> list[str]:
-    """Changes in words: one by one where they are few of a kind, else one sentence for all of a kind."""
+    """Changes in words: one sentence each if there are few of a kind, otherwise one sentence for all of a kind."""
     found: dict[ChangeKind, list[Change]] = {}
     for change in changes:
         found.setdefault(change.kind, []).append(change)

@@ -1,9 +1,9 @@
-"""The obstacles around the machine while it is driven: put there, moved, and taken away.
+"""The obstacles around the machine while it is driven: they can be added, moved and taken away.
 
-An obstacle is accepted only where the machine keeps its clearance on the whole way that it
-needs to brake. So what a person drops or drags never ends up inside the machine.
+An obstacle is accepted only if the machine keeps its clearance on the whole path that it needs for braking. So an
+obstacle that a person drops or drags never ends up inside the machine.
 
-Zones, planes, terrain and scans belong to the site itself and stay.
+Zones, planes, terrain and scans belong to the site itself and cannot be changed.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from backhoe_planner.site import (
 from backhoe_planner.site.schema import obstacle_shapes
 
 _MOST = 40  # obstacles; chosen, each costs time in every step
-_BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that it can brake sooner
-_SPARE = 0.004  # m beyond the clearance; chosen, twice the servo's `BUFFER`, so that it begins with no violation
-_DEPTH = 10  # halvings of the way to where it can stop, in the proof that there is room; 1024 parts
+_BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that the servo can brake sooner
+_SPARE = 0.004  # m beyond the clearance; chosen, twice the servo's `BUFFER`, so that the servo begins with no violation
+_DEPTH = 10  # halvings of the braking path in the proof that there is room; 1024 parts
 _LAND = (obstacle_shapes.HalfSpace, obstacle_shapes.HeightMap, obstacle_shapes.PointCloud)  # the site itself
 
 
 @dataclass
 class _Standing:
-    """One obstacle, and when it came to where it is.
+    """One obstacle, and when it came to its present place.
 
     Attributes
     ----------
-    obstacle: as it was put there first.
-    since: when it came to where it is now; 0 if it was there from the beginning [s].
-    moved: whether it stood elsewhere just before.
-    gauge: measures distances to it.
-    gauged_at: (3,) how far it had moved when the gauge was made [m].
+    obstacle: the obstacle as it was first added.
+    since: when it came to its present place; 0 if it was there from the beginning [s].
+    moved: whether it was elsewhere just before.
+    gauge: measures the distances to it.
+    gauged_at: (3,) its displacement when the gauge was made [m].
     """
 
     obstacle: Obstacle
@@ -57,9 +57,9 @@ class _Standing:
 
 
 class LiveSite:
-    """The obstacles of one servo, and how far the machine is from each.
+    """The obstacles of one servo, and the machine's distance to each.
 
-    It owns its working memory, as the servo does: use both from one thread at a time.
+    The object owns its working memory, like the servo: use both from one thread at a time.
     """
 
     def __init__(self, servo: Servo) -> None:
@@ -69,19 +69,19 @@ class LiveSite:
         for obstacle in build_obstacles(servo.scene, servo.robot):
             self._standing[obstacle.name] = self._stand(obstacle, 0.0, np.zeros(3))
         self._of_scene = frozenset(self._standing)
-        self._taken: dict[str, tuple[Obstacle, Vector]] = {}  # each with how far it had moved (3,) [m]
+        self._taken: dict[str, tuple[Obstacle, Vector]] = {}  # each with its displacement (3,) [m]
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """All obstacles as they were put there first, also those that have not appeared yet."""
+        """All obstacles as they were first added, including those that have not appeared yet."""
         return tuple(standing.obstacle for standing in self._standing.values())
 
     def shift_of(self, name: str) -> Vector | None:
-        """(3,) how far an obstacle has moved [m]; None where it has not appeared yet."""
+        """(3,) displacement of an obstacle [m]; None if it has not appeared yet."""
         return self._servo.shift_of(name) if name in self._servo.obstacles else None
 
     def may_be_moved(self, name: str) -> bool:
-        """Whether an obstacle has appeared, does not move by itself, and is no part of the site itself."""
+        """Whether an obstacle has appeared, does not move by itself, and is not a part of the site itself."""
         return name in self._servo.obstacles and not self._stays(name) and not self._standing[name].obstacle.moves
 
     @property
@@ -91,7 +91,7 @@ class LiveSite:
 
     @property
     def names(self) -> dict[str, str]:
-        """Every name that nothing new may have, with what has it."""
+        """Every name that a new obstacle may not have, with its owner."""
         return (
             dict.fromkeys(self._standing, "an obstacle")
             | dict.fromkeys(self._taken, "an obstacle that may be put back")
@@ -99,12 +99,12 @@ class LiveSite:
         )
 
     def add(self, spec: obstacle_shapes.ObstacleSpec) -> None:
-        """Put an obstacle there.
+        """Add an obstacle.
 
         Raises
         ------
-        InputError: the name is in use, a link is not the machine's, there are too many
-            obstacles, or this one leaves the machine no room.
+        InputError: the name is in use, a link is not one of the machine's, there are too many obstacles, or this one
+            leaves the machine no room.
         """
         check_name(spec.name, in_use=self.names, key="add")
         self._check_count("add")
@@ -113,12 +113,11 @@ class LiveSite:
         self._put(obstacle, np.zeros(3))
 
     def move(self, name: str, to: object) -> None:
-        """Put an obstacle at `to` (3,) from where it first was [m].
+        """Put an obstacle at the displacement `to` (3,) from its first place [m].
 
         Raises
         ------
-        InputError: there is none of that name, it may not be moved, or it would leave the
-            machine no room.
+        InputError: no obstacle has that name, it may not be moved, or it would leave the machine no room.
         """
         self._check_free(name, "move")
         shift = np.array(to, dtype=float)
@@ -130,11 +129,11 @@ class LiveSite:
         self._standing[name] = moved
 
     def remove(self, name: str) -> None:
-        """Take an obstacle away; one of the scene may be put back.
+        """Take an obstacle away; an obstacle of the scene may be put back.
 
         Raises
         ------
-        InputError: there is none of that name, or it is a part of the site itself.
+        InputError: no obstacle has that name, or it is a part of the site itself.
         """
         self._check_free(name, "remove")
         shift = self._servo.shift_of(name)
@@ -144,12 +143,12 @@ class LiveSite:
             self._taken[name] = standing.obstacle, shift
 
     def put_back(self, name: str) -> None:
-        """Put an obstacle of the scene back where it was when it was taken away.
+        """Put an obstacle of the scene back to where it was taken away.
 
         Raises
         ------
-        InputError: none of that name was taken away, there are too many obstacles, or this one
-            would leave the machine no room.
+        InputError: no obstacle of that name was taken away, there are too many obstacles, or this one would leave the
+            machine no room.
         """
         if name not in self._taken:
             raise InputError("no obstacle of that name was taken away", key="put_back", found=name)
@@ -165,7 +164,7 @@ class LiveSite:
         self._standing[obstacle.name] = standing
 
     def nearest(self, q: Vector) -> dict[str, CriticalPoint | None]:
-        """The critical points at q (n,) to every obstacle and to the machine itself; None where they are far."""
+        """The critical points at q (n,) to every obstacle and to the machine itself; None if they are far away."""
         within = 2.0 * self._servo.scene.influence
         found: dict[str, CriticalPoint | None] = dict.fromkeys(self._standing)
         for name in self._servo.obstacles:
@@ -177,22 +176,22 @@ class LiveSite:
         return found
 
     def records(self, begun: float) -> tuple[list[dict[str, Any]], list[Change]]:
-        """The obstacles as a scene file has them, for a recording that began at `begun` [s].
+        """The obstacles as in a scene file, for a recording that began at `begun` [s].
 
         Returns
         -------
-        The records, and the moves that a scene file cannot hold.
+        The records, and the moves that a scene file cannot express.
         """
         records, moves = [], []
         for name, standing in self._standing.items():
             obstacle = standing.obstacle
-            if obstacle.zone is not None:  # stays, and stands in the scene's zones
+            if obstacle.zone is not None:  # it stays, and the scene's zones contain it
                 continue
             content = obstacle.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
             appears = max(obstacle.appears_at, standing.since)
             shift = self.shift_of(name)
             if shift is not None:
-                # back to where it was when the recording began, or when it came to where it stands
+                # back to its place when the recording began, or when it came to its present place
                 shift = shift - obstacle.velocity * (self._servo.time - max(appears, begun))
                 _displace(content, shift)
             content["appears_at"] = max(appears - begun, 0.0)
@@ -208,7 +207,7 @@ class LiveSite:
         return _Standing(obstacle, since, False, Proximity(self._servo.robot, (there,), self_collision=False), shift)
 
     def _gauge_time(self, standing: _Standing) -> float:
-        """The time at which the obstacle in the gauge is where the servo's is [s]."""
+        """The time at which the gauge's obstacle is where the servo's is [s]."""
         velocity = standing.obstacle.velocity
         speed = float(velocity @ velocity)
         if speed == 0.0:
@@ -216,7 +215,7 @@ class LiveSite:
         return float((self._servo.shift_of(standing.obstacle.name) - standing.gauged_at) @ velocity) / speed
 
     def _with_room(self, obstacle: Obstacle, shift: Vector) -> _Standing:
-        """An obstacle that comes `shift` (3,) from where it first was now [m]; InputError without room for it."""
+        """An obstacle that now comes to `shift` (3,) from its first place [m]; InputError if it has no room."""
         servo = self._servo
         standing = self._stand(obstacle, servo.time, shift)
         q, v = servo.q, servo.v
@@ -236,7 +235,7 @@ class LiveSite:
             raise InputError("there are enough obstacles", key=key, allowed=f"up to {_MOST}")
 
     def _check_free(self, name: str, key: str) -> None:
-        """Check that an obstacle is there and is no part of the site itself."""
+        """Check that an obstacle is there and is not a part of the site itself."""
         if name not in self._servo.obstacles:
             raise InputError("there is no obstacle of that name", key=key, found=name)
         if self._stays(name):
@@ -245,7 +244,7 @@ class LiveSite:
 
 
 def _displace(record: dict[str, Any], shift: Vector) -> None:
-    """Move an obstacle's record by `shift` (3,) [m]; the record itself is changed."""
+    """Move an obstacle's record by `shift` (3,) [m], in place."""
     if not shift.any():
         return
     keys = {"capsule": ("from", "to"), "halfspace": ("point",)}.get(record["shape"], ("position",))

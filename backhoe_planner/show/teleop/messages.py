@@ -1,7 +1,7 @@
-"""The messages that a page may send to a driving session, and what its joysticks command.
+"""The messages that a page may send to a driving session, and the joint rates that its joysticks command.
 
-A message is one JSON object with a `type`. A message that cannot be understood changes
-nothing and is answered with a sentence that says why.
+A message is one JSON object with a `type`. A message that cannot be understood changes nothing; the answer says in
+a sentence why.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from backhoe_planner.site.schema import obstacle_shapes
 
 LARGEST = 16_384  # characters or bytes of a message; chosen, those of the page itself have a few hundred
 _LONGEST_NAME = 60  # characters; chosen, so that a row of the panel can show it
-_SMALLEST, _FARTHEST = 0.001, 1000.0  # m: sizes and coordinates of a new obstacle; chosen, beyond them it is a slip
+_SMALLEST, _FARTHEST = 0.001, 1000.0  # m: sizes and coordinates of a new obstacle; chosen, others are mistakes
 _FASTEST = 10.0  # m/s or rad/s; chosen, faster than any machine
 
 _Part = Annotated[float, Field(strict=True, ge=-1.0, le=1.0, allow_inf_nan=False)]
 _Rate = Annotated[float, Field(strict=True, ge=-_FASTEST, le=_FASTEST, allow_inf_nan=False)]
 _Near = Annotated[float, Field(strict=True, ge=-_FARTHEST, le=_FARTHEST, allow_inf_nan=False)]
 _Name = Annotated[str, Field(strict=True, min_length=1, max_length=_LONGEST_NAME)]
-_Number = Annotated[int, Field(strict=True, ge=0, le=2**53)]  # as large as JavaScript's are exact
+_Number = Annotated[int, Field(strict=True, ge=0, le=2**53)]  # integers up to which JavaScript is exact
 _Switch = Annotated[bool, Field(strict=True)]
 
 
@@ -32,7 +32,7 @@ class _Message(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     id: _Number | None = None
-    """Comes back with the answer."""
+    """Returned with the answer."""
 
 
 class Take(_Message):
@@ -42,7 +42,7 @@ class Take(_Message):
 
 
 class Release(_Message):
-    """The driver lets go."""
+    """The driver releases the controls."""
 
     type: Literal["release"]
 
@@ -56,18 +56,18 @@ class HandOver(_Message):
 
 
 class Tip(_Message):
-    """A wish for the tip. It holds until the next wish, or until the watchdog ends it."""
+    """A wish for the motion of the tip. It holds until the next wish, or until the watchdog ends it."""
 
     type: Literal["tip"]
     velocity: tuple[_Rate, _Rate, _Rate]
-    """[m/s]; in the arm's frame: outward, to the left, up."""
+    """Velocity [m/s]; in the arm's frame: outward, to the left, up."""
     frame: Literal["arm", "world"] = "arm"
     pitch_rate: _Rate | None = None
-    """[rad/s]; left out, pitch is free."""
+    """Rate of the pitch [rad/s]; if left out, pitch is free."""
 
 
 class Sticks(_Message):
-    """The deflections of two joysticks. They hold like a wish for the tip."""
+    """The deflections of two joysticks. They hold as long as a wish for the tip."""
 
     type: Literal["sticks"]
     pattern: Literal["iso", "sae"]
@@ -76,29 +76,28 @@ class Sticks(_Message):
     right: tuple[_Part, _Part]
     """Right stick: to the right, and forward."""
     speed: Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)] = 1.0
-    """Part of every joint's rate at full deflection."""
+    """Part of every joint's greatest rate at full deflection."""
 
 
 def joint_rates(sticks: Sticks, velocity: Vector) -> Vector:
     """(n,) joint rates that an excavator's joysticks command [rad/s or m/s].
 
-    In both patterns the left stick moved sideways is the swing, and the right stick moved
-    sideways is the bucket (curl to the left, dump to the right). They differ in which hand has
-    the boom:
+    In both patterns, moving the left stick sideways swings, and moving the right stick sideways turns the bucket
+    (curl to the left, dump to the right). The patterns differ in which hand has the boom:
 
         ISO:  left stick forward and back: the stick;  right: the boom
         SAE:  left stick forward and back: the boom;   right: the stick
 
-    In both, forward lowers the boom and puts the stick out.
+    In both, forward lowers the boom and extends the stick.
 
     Parameters
     ----------
-    velocity: (n,) the joints' greatest rates [rad/s or m/s]. The first four joints are swing,
-        boom, stick and bucket; further joints stand still.
+    velocity: (n,) the joints' greatest rates [rad/s or m/s]. The first four joints are swing, boom, stick and
+        bucket; further joints are not moved.
     """
     (left_x, left_y), (right_x, right_y) = sticks.left, sticks.right
     boom, stick = (right_y, left_y) if sticks.pattern == "iso" else (left_y, right_y)
-    # positive joint rates raise what is outboard: the boom comes up when its stick is pulled back
+    # positive joint rates raise the outer links: the boom rises when its joystick is pulled back
     roles = np.array([-left_x, -boom, stick, right_x])[: len(velocity)]
     parts = np.pad(roles, (0, len(velocity) - len(roles)))
     return np.asarray(sticks.speed * parts * velocity)
@@ -117,7 +116,7 @@ Droppable = Annotated[
 
 
 class Add(_Message):
-    """Put an obstacle there."""
+    """Add an obstacle."""
 
     type: Literal["add"]
     obstacle: Droppable
@@ -129,7 +128,7 @@ class Move(_Message):
     type: Literal["move"]
     name: _Name
     to: tuple[_Near, _Near, _Near]
-    """From where it first was to where it shall be [m], world."""
+    """Displacement from its first place [m], world."""
 
 
 class Remove(_Message):
@@ -147,7 +146,7 @@ class PutBack(_Message):
 
 
 class Record(_Message):
-    """Begin a recording, or bring the machine to rest and write it."""
+    """Begin a recording, or bring the machine to rest and write the recording."""
 
     type: Literal["record"]
     on: _Switch
@@ -185,7 +184,7 @@ def parse(text: str | bytes) -> Message:
 
 
 def _check(spec: Droppable) -> None:
-    """Check what the types of the fields do not say."""
+    """Check what the types of the fields do not cover."""
     if len(spec.name) > _LONGEST_NAME:
         raise InputError("is too long", key="obstacle.name", allowed=f"up to {_LONGEST_NAME} characters")
     if any(spec.velocity) or spec.appears_at > 0.0:
@@ -205,7 +204,7 @@ def _check(spec: Droppable) -> None:
 
 
 def _first(error: ValidationError) -> str:
-    """The first of pydantic's complaints, short enough for a page."""
+    """The first of pydantic's messages, short enough for a page."""
     detail = error.errors(include_url=False, include_context=False, include_input=False)[0]
     place = ".".join(str(part) for part in detail["loc"])[:200]
     problem = detail["msg"][0].lower() + detail["msg"][1:300]

@@ -1,4 +1,4 @@
-"""Draws a session thirty times a second, and sends the page its numbers."""
+"""Draws a session thirty times a second, and sends the page its figures."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
 from backhoe_planner.show.teleop.wording import Wording
 from backhoe_planner.site import Obstacle
 
-_FORCE = (0.72, 0.11, 0.48, 1.0)  # colour of the arrow: unlike anything else in the picture
+_FORCE = (0.72, 0.11, 0.48, 1.0)  # colour of the arrow: different from everything else in the picture
 _LONGEST_ARROW = 1.2  # m, for the largest force; chosen, about the length of a bucket
 _LEAST_SHOWN = 0.3  # N: a hundredth of the largest force
-_POSTURES = 16  # random ones, half-way to which the machine is to be in view; chosen
-_PLAIN = (  # fields of a snapshot that the page gets as they are
+_POSTURES = 16  # random postures; the camera keeps the machine in view up to half-way to each of them; chosen
+_PLAIN = (  # fields of a snapshot that the page gets unchanged
     "zones", "movable", "taken", "names", "driver", "asking", "recording", "recorded", "circulate", "failure",
 )  # fmt: skip
 
 
 class Picture:
-    """What the pages of a session show.
+    """The picture that the pages of a session show.
 
     An obstacle that cannot be drawn is left out of the picture, and the pages are told.
 
     Parameters
     ----------
-    session: its first snapshot is drawn at once.
-    display: on which it is drawn.
+    session: the session; its first snapshot is drawn at once.
+    display: the display on which it is drawn.
 
     Attributes
     ----------
-    warnings: what could not be drawn as the URDF asks, in words.
+    warnings: what could not be drawn as the URDF specifies, in words.
     """
 
     def __init__(self, session: Session, display: Display) -> None:
@@ -61,7 +61,7 @@ class Picture:
         self.show(first)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Bring the picture and its numbers up to date."""
+        """Bring the picture and its figures up to date."""
         names = tuple(obstacle.name for obstacle in snapshot.obstacles)
         if names != self._known:
             self._take_up(snapshot.obstacles)
@@ -80,7 +80,7 @@ class Picture:
         self._display.tell("teleop", self._content(snapshot))
 
     def _take_up(self, obstacles: tuple[Obstacle, ...]) -> None:
-        """Draw the obstacles that are new, and take out those that are gone."""
+        """Draw new obstacles, and remove those that are gone."""
         there = {obstacle.name: obstacle for obstacle in obstacles}
         drawn = set(self._known) - self._undrawn
         for name in drawn - there.keys():
@@ -95,7 +95,7 @@ class Picture:
         self._known = tuple(there)
 
     def _tell_problem(self, snapshot: Snapshot) -> None:
-        # every step says where an obstacle is
+        # the position of an obstacle is sent with every step
         still = tuple(replace(o, velocity=np.zeros(3), appears_at=0.0) for o in snapshot.obstacles)
         problem = replace(self._problem, obstacles=still)
         tell_problem(self._display, problem, self._graph, self._view, tuple(snapshot.nearest), task="driven live")

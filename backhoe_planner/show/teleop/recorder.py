@@ -1,9 +1,9 @@
-"""Proves recordings and writes them; what cannot be written is kept, and tried again.
+"""Proves recordings and writes them; a recording that cannot be written is kept, and writing is tried again.
 
-A recording goes to its file, or, where that cannot be written (the disk is full, the folder is
-gone), under the same name to another folder. Where none can be written it is kept in memory and
-tried again from time to time, with the next recording, and at the end. Some descriptors are held
-back, so that a file can be opened even when connections have used up all others.
+A recording goes to its file. If that cannot be written (the disk is full, the folder is gone), it goes under the same
+name to another folder. If no folder is writable, the recording is kept in memory and tried again from time to time,
+with the next recording, and at the end. Some descriptors are reserved, so that a file can be opened even when
+connections have used up all others.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _HELD_BACK = 4  # descriptors: a file and its folder, twice
 
 @dataclass
 class _Kept:
-    """A recording that is not in a file yet; its plan once it is proven."""
+    """A recording that is not in a file yet, and its plan once it is proven."""
 
     recording: Recording
     plan: Plan | None = None
@@ -40,9 +40,9 @@ class Recorder:
 
     Parameters
     ----------
-    output: where a recording is written; never over another file, a further one gets a number.
-    tell: is called with what there is to say of a recording: `writing`; `file`, `verdict`,
-        `seconds`, `zones`, `left_out`, `instead`, why it is not where it was to be; or `error`.
+    output: the file to be written; an existing file is never overwritten, further recordings get a number.
+    tell: called with facts about a recording: `writing`; `file`, `verdict`, `seconds`, `zones`, `left_out`, and
+        `instead`, which says why it is not in the intended file; or `error`.
     """
 
     def __init__(self, robot: Robot, scene: Scene, output: Path, tell: Callable[..., None]) -> None:
@@ -65,7 +65,7 @@ class Recorder:
         return tuple(kept.plan for kept in self._kept if kept.plan is not None)
 
     def take(self, recording: Recording) -> None:
-        """Prove and write a recording, after those before it."""
+        """Prove and write a recording, after the earlier ones."""
         self._queue.put(recording)
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class Recorder:
             self._working = False
 
     def _write_kept(self, *, again: bool) -> None:
-        """Write what is not written yet; `again` leaves out what could not be proven, which time does not change."""
+        """Write what is not written yet; `again` skips recordings that could not be proven: waiting does not help."""
         for kept in list(self._kept):
             try:
                 if kept.plan is None and not again:
@@ -106,11 +106,11 @@ class Recorder:
                 self._tell(error=f"the recording could not be written: {type(error).__name__}; it is kept")
 
     def _write(self, recording: Recording, plan: Plan) -> None:
-        """Write a plan to the first place that takes it.
+        """Write a plan to the first place that accepts it.
 
         Raises
         ------
-        InputError, OSError: none does; why the first does not.
+        InputError, OSError: no place does; the error is that of the first.
         """
         problems: list[InputError | OSError] = []
         for place in (self._output, *(folder / self._output.name for folder in other_folders())):
@@ -130,7 +130,7 @@ class Recorder:
 
     @contextlib.contextmanager
     def _room_to_open(self) -> Iterator[None]:
-        """Let go of the descriptors that are held back, and take them again afterwards."""
+        """Release the reserved descriptors, and reserve them again afterwards."""
         while self._spare:
             os.close(self._spare.pop())
         try:
@@ -140,12 +140,12 @@ class Recorder:
 
 
 def other_folders() -> tuple[Path, ...]:
-    """Folders in which a recording is written that cannot be written where it was to be, the likeliest first."""
+    """Folders for a recording that cannot be written to its intended one, the likeliest first."""
     return Path.cwd(), Path.home(), Path(tempfile.gettempdir())
 
 
 def free_name(path: Path) -> Path:
-    """`path`, or, where that exists, the first of ``name-2``, ``name-3``, ... that does not."""
+    """`path`, or, if that exists, the first of ``name-2``, ``name-3``, ... that does not."""
     found, number = path, 2
     while found.exists():
         found = path.with_name(f"{path.stem}-{number}{path.suffix}")

@@ -1,10 +1,10 @@
-"""A machine that is driven live by one of several pages: the state machine, without any network.
+"""A machine that is driven live from one of several pages: the state machine, without any network.
 
 pages     join and leave. One of them drives: the first that takes the controls, until it
-          releases them, hands them over or leaves. The machine stops when it has no driver,
-          and when its driver says nothing: the watchdog uses the clock, not the steps.
+          releases them, hands them over or leaves. The machine stops if it has no driver,
+          or if its driver is silent: the watchdog uses the clock, not the steps.
 wishes    go to the servo, which does the nearest safe thing
-site      obstacles come, move and go, as far as the machine keeps its clearance
+site      obstacles come, move and go, as long as the machine keeps its clearance
 trouble   a step that fails makes the machine brake to rest, and it stays there
 recording idle -> arming (to rest) -> on -> ending (to rest) -> idle
 """
@@ -39,23 +39,23 @@ Phase = Literal["idle", "arming", "on", "ending"]
 Wish = Tip | Sticks | Stop
 
 LARGEST_FORCE = 30.0  # N on the hand; chosen, the default of `Feedback`
-AT_REST = 1e-9  # rad/s or m/s: chosen, below it nothing is left but rounding
+AT_REST = 1e-9  # rad/s or m/s: chosen, less than this is rounding
 _LONGEST_RECORDING = 600.0  # s: chosen, 120,000 samples in the file
-_FULL = 0.8  # part of the oil and the power that wishes may use; chosen, lever arms of cylinders change on the way
-_PATIENCE = 5.0  # s to come to rest, after which a recording ends all the same; chosen, evading may prevent rest
-_UPRIGHT = 0.99  # size of the z of an axis from which on it counts as vertical; chosen, 8 degrees
+_FULL = 0.8  # part of oil flow and power that wishes may use; chosen, lever arms of cylinders change during a motion
+_PATIENCE = 5.0  # s to come to rest, after which a recording ends anyway; chosen, evading may prevent rest
+_UPRIGHT = 0.99  # least absolute z of an axis that counts as vertical; chosen, 8 degrees
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A motion that was driven, from rest to rest, and what stood around it.
+    """A motion that was driven, from rest to rest, and the obstacles around it.
 
     Attributes
     ----------
     dt: time between samples [s].
     q: (T, n) joint positions [rad or m].
-    obstacles: records as in a scene file, times from the beginning of the recording.
-    notes: changes of the obstacles that a scene file cannot hold, in words.
+    obstacles: records as in a scene file, with times from the beginning of the recording.
+    notes: changes of the obstacles that a scene file cannot express, in words.
     """
 
     dt: float
@@ -65,7 +65,7 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last [s]."""
+        """Time from the first sample to the last [s]."""
         return (len(self.q) - 1) * self.dt
 
     def plan(self, robot: Robot, scene: Scene) -> Plan:
@@ -78,23 +78,23 @@ class Recording:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What is shown of one moment.
+    """The displayed state of one moment.
 
     Attributes
     ----------
-    state: of the servo.
-    has_wish: whether somebody wishes for a motion now.
-    obstacles: all of them, as they were put there.
-    shifts: how far each has moved (3,) [m]; None where it has not appeared yet.
-    movable: names of those that a page may move and take away.
+    state: state of the servo.
+    has_wish: whether a page currently commands a motion.
+    obstacles: all obstacles, as they were added.
+    shifts: displacement of each (3,) [m]; None if it has not appeared yet.
+    movable: names of the obstacles that a page may move and take away.
     taken: names of the scene's obstacles that were taken away and may be put back.
-    names: all that are in use, also by zones.
+    names: all names in use, including those of zones.
     nearest: the critical point to each obstacle and to the machine itself.
     zones: level of every zone whose warning, slow or stop distance is passed.
-    driver, pages, asking: numbers of the page that drives, of all pages, of those that want to drive.
+    driver, pages, asking: numbers of the page that drives, of all pages, of those that ask to drive.
     recording, recorded: phase of the recording, and its length so far [s].
     circulate: whether a tip that is pushed straight into an obstacle goes round it.
-    failure: why the machine was stopped for good; else empty.
+    failure: why the machine was stopped for good; otherwise empty.
     """
 
     state: ServoState
@@ -116,13 +116,13 @@ class Snapshot:
 
 
 class Session:
-    """One machine, driven live. Every method may be called from any thread.
+    """One machine that is driven live. Every method may be called from any thread.
 
     Parameters
     ----------
     robot, scene: the machine, and the site with the start. The scene's task is not used.
     dt: length of a step [s].
-    watchdog: the machine stops when no wish came for this long [s].
+    watchdog: the machine stops if no wish came for this long [s].
     now: the clock of the watchdog [s].
 
     Raises
@@ -163,7 +163,7 @@ class Session:
         self._failure = ""
         self._upright, self._axis_at = _first_axis(self.robot)
         self._begin_phase("idle")
-        self._samples: list[Vector] = []  # of the recording that is going on
+        self._samples: list[Vector] = []  # of the recording in progress
         self._begun = 0.0
         self._recordings: list[Recording] = []
         self._changes: list[Change] = []  # since it began
@@ -172,7 +172,7 @@ class Session:
     # --- pages -----------------------------------------------------------------------
 
     def join(self) -> int:
-        """Take in a page that has come, and return its number."""
+        """Register a page that has connected, and return its number."""
         with self._lock:
             page = self._next_page
             self._next_page += 1
@@ -180,7 +180,7 @@ class Session:
             return page
 
     def leave(self, page: int) -> None:
-        """A page has gone. If it drove, nobody does, and the machine stops."""
+        """Remove a page that has disconnected. If it drove, nobody does, and the machine stops."""
         with self._lock:
             self._pages = [other for other in self._pages if other != page]
             if self._driver == page:
@@ -188,7 +188,7 @@ class Session:
             self._asking = [other for other in self._asking if other != page]
 
     def hear(self, page: int, text: str | bytes) -> dict[str, Any]:
-        """Do what a page says, and return the answer as plain data. Whatever it says, nothing is raised."""
+        """Do what a page requests, and return the answer as plain data. Nothing is raised, whatever the request."""
         message: Message | None = None
         try:
             message = messages.parse(text)
@@ -239,7 +239,7 @@ class Session:
         return ""
 
     def _note(self, kind: ChangeKind, name: str) -> None:
-        """Note a change of the site while a recording runs."""
+        """Note a change of the site during a recording."""
         if self._samples:
             self._changes.append(Change(self._servo.time - self._begun, name, kind))
 
@@ -253,7 +253,7 @@ class Session:
         raise InputError(f"page {self._driver} drives, and sees that you ask")
 
     def _let_drive(self, page: int | None) -> None:
-        """Give the controls to a page, or to none. The machine stops: the new driver begins anew."""
+        """Give the controls to a page, or to none. The machine stops, so that the new driver starts from rest."""
         self._driver, self._wish = page, Stop(type="stop")
         self._asking = [other for other in self._asking if other != page]
 
@@ -273,7 +273,7 @@ class Session:
     # --- the loop --------------------------------------------------------------------
 
     def step(self) -> ServoState:
-        """Move on by dt. If that fails, the machine brakes to rest and stays there, and `failure` says why."""
+        """Advance by dt. If that fails, the machine brakes to rest and stays there, and `failure` says why."""
         with self._lock:
             if not self._failure:
                 try:
@@ -281,14 +281,14 @@ class Session:
                 except Exception as error:  # noqa: BLE001  whatever it was, the machine must not be left moving
                     self._fail(error)
             self._state = self._servo.step(joint_velocity=np.zeros(self.robot.n))
-            if self._phase == "ending":  # what was recorded up to here is not lost
+            if self._phase == "ending":  # what was recorded until then is not lost
                 with contextlib.suppress(Exception):
                     self._keep(self._state)
             return self._state
 
     @property
     def failure(self) -> str:
-        """Why the machine was stopped for good; else empty."""
+        """Why the machine was stopped for good; otherwise empty."""
         return self._failure
 
     def _step(self) -> ServoState:
@@ -306,14 +306,14 @@ class Session:
         self._begin_phase("ending" if self._samples else "idle")
 
     def _held_wish(self, wish: Wish | None) -> Wish | None:
-        """The wish, or else the last one; once the watchdog's time is over, the wish to stop."""
+        """The given wish, otherwise the last one; once the watchdog's time is over, the wish to stop."""
         self._held = wish or self._held
         if self._held is not None and self._now() - self._wished_at >= self._watchdog:
             self._held = Stop(type="stop")
         return self._held
 
     def _load(self, q: Vector, v: Vector) -> float:
-        """The part that joint velocities v (n,) at q (n,) take of what wishes may use of pump, rods and engine."""
+        """Use of pump, rods and engine by joint velocities v (n,) at q (n,), relative to what wishes may use."""
         if self._drive.hydraulics is None:
             return 0.0
         used = self._drive.use(q[None], v[None], np.zeros((1, len(v))))
@@ -332,7 +332,7 @@ class Session:
         return self._servo.step(velocity, pitch_rate=wish.pitch_rate)
 
     def _arm_frame(self) -> Matrix:
-        """(3, 3) outward, left and up as columns; the world's axes where the first joint's axis is not vertical."""
+        """(3, 3) outward, left and up as columns; the world's axes if the first joint's axis is not vertical."""
         x, y = (self._state.tip_position - self._axis_at)[:2]
         far = math.hypot(x, y)
         if not self._upright or far < 1e-3:
@@ -340,7 +340,7 @@ class Session:
         return np.array([[x / far, -y / far, 0.0], [y / far, x / far, 0.0], [0.0, 0.0, 1.0]])
 
     def _keep(self, state: ServoState) -> None:
-        """Move the recording on."""
+        """Advance the recording."""
         if self._samples:
             self._samples.append(np.array(state.q))
             if self._phase == "on" and self._recorded >= _LONGEST_RECORDING:
@@ -366,12 +366,12 @@ class Session:
         return max(len(self._samples) - 1, 0) * self.dt
 
     def take_recording(self) -> Recording | None:
-        """Take out a recording that has ended, or None where there is none."""
+        """Take out a recording that has ended, or None if there is none."""
         with self._lock:
             return self._recordings.pop(0) if self._recordings else None
 
     def snapshot(self) -> Snapshot:
-        """What is shown of the present moment."""
+        """The displayed state of the present moment."""
         with self._lock:
             state, site = self._state, self._site
             obstacles = site.obstacles
@@ -396,14 +396,14 @@ class Session:
 
 
 def _is_for_motion(wish: Wish | None) -> bool:
-    """Whether a wish is one for a motion, and not for rest."""
+    """Whether a wish is for a motion, not for rest."""
     if isinstance(wish, Tip):
         return any(wish.velocity) or bool(wish.pitch_rate)
     return isinstance(wish, Sticks) and wish.speed > 0.0 and any((*wish.left, *wish.right))
 
 
 def _in_one_line(error: Exception) -> str:
-    """An error in one short line; the text of some fills a page."""
+    """An error as one short line; the text of some errors fills a page."""
     lines = str(error).strip().splitlines()
     return f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
 
@@ -420,7 +420,7 @@ def _answer(message: Message | None, *, said: str = "", error: str | None = None
 
 
 def _first_axis(robot: Robot) -> tuple[bool, Vector]:
-    """Whether the first joint turns about the vertical, and a point (3,) on its axis [m]."""
+    """Whether the first joint's axis is vertical, and a point (3,) on the axis [m]."""
     data = robot.model.createData()
     J = pin.computeJointJacobians(robot.model, data, robot.middle).reshape(6, robot.n)
     return bool(abs(J[5, 0]) > _UPRIGHT), np.array(data.oMi[1].translation)

@@ -21,7 +21,7 @@ from backhoe_planner.show.teleop.session import AT_REST, Session
 from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.site import Scene
 
-_LATEST = 0.1  # s behind the clock at which the loop stops catching up; chosen, a longer burst would be seen
+_LATEST = 0.1  # s behind the clock after which the loop stops catching up; chosen, a longer burst would be visible
 
 
 class _Socket(LiveSocket):
@@ -49,7 +49,7 @@ class TeleopServer(LiveServer):
 
     Parameters
     ----------
-    session: what the pages watch and drive.
+    session: the session that the pages watch and drive.
     """
 
     opens = "see the machine and drive it"
@@ -82,12 +82,12 @@ class TeleopStation:
     host, port, password, allow_anyone: see `LiveServer`.
     output: file for recordings. It is never overwritten: further recordings get a number.
     dt: length of a step [s].
-    say: is called with what there is to say of recordings, in words, from another thread.
+    say: called with messages about recordings, in words, from another thread.
 
     Attributes
     ----------
     session: the machine and its driver.
-    warnings: what could not be drawn as the URDF asks, in words.
+    warnings: what could not be drawn as the URDF specifies, in words.
 
     Raises
     ------
@@ -133,7 +133,7 @@ class TeleopStation:
 
     @property
     def url_from_elsewhere(self) -> str | None:
-        """Address of the page for other computers; None where none can connect."""
+        """Address of the page for other computers; None if none can connect."""
         return self._server.url_from_elsewhere
 
     @property
@@ -148,12 +148,12 @@ class TeleopStation:
 
     @property
     def failure(self) -> str:
-        """Why the machine was stopped for good; else empty."""
+        """Why the machine was stopped for good; otherwise empty."""
         return self.session.failure
 
     @property
     def unwritten(self) -> tuple[Plan, ...]:
-        """Recordings that could not be written anywhere yet; they are tried again."""
+        """Recordings that could not be written anywhere yet; writing is tried again."""
         return self._recorder.unwritten
 
     def close(self) -> None:
@@ -191,7 +191,7 @@ class TeleopStation:
                 now = clock.monotonic()
             if now < due:
                 self._ending.wait(due - now)
-            elif now - due > _LATEST:  # the computer is too slow or was asleep: the lost time is not made up
+            elif now - due > _LATEST:  # the computer is too slow or was asleep: skip the lost time
                 due = now
 
     def _take_recordings(self) -> None:
@@ -199,7 +199,7 @@ class TeleopStation:
             self._recorder.take(recording)
 
     def _draw(self) -> None:
-        """Show the present state. If that fails, the pages are told once, and the machine is driven on."""
+        """Show the present state. If that fails, the pages are told once, and the machine keeps being driven."""
         if self.session.failure:
             self._report("failure", self.session.failure)
         try:
@@ -208,13 +208,13 @@ class TeleopStation:
             self._report("picture", f"the picture cannot be drawn ({type(error).__name__}) and may be out of date")
 
     def _report(self, trouble: str, text: str) -> None:
-        """Tell the pages of a kind of trouble, once."""
+        """Tell the pages once about a kind of trouble."""
         if trouble not in self._reported:
             self._reported.add(trouble)
             self._server.display.tell("trouble", {"text": text})
 
     def _tell_recorded(self, **content: object) -> None:
-        """Tell the pages, and whoever runs the station, how it goes with a recording."""
+        """Report the progress of a recording to the pages and to the station's caller."""
         self._server.display.tell("recorded", content)
         if "file" in content:
             instead = f" ({content['instead']})" if content["instead"] else ""

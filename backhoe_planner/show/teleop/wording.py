@@ -1,12 +1,12 @@
 """What the machine does, in a few words for the page.
 
-    rest    nobody wishes for a motion: grey
+    rest    no motion is wished for: grey
     free    the machine follows the wish: green
-    near    it follows the wish, and something is near: yellow
+    near    the machine follows the wish, and something is near: yellow
     held    the wish is refused, wholly or in part: red
 
-A worse state is shown at once. A better one is shown only once it has lasted, so that the
-words do not flicker where the machine slides along something. Rest is shown at once.
+A worse state is shown at once. A better one is shown only after it has lasted, so that the words do not flicker while
+the machine slides along something. Rest is shown at once.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from backhoe_planner.live import HOLDS_WITHIN, ServoState, Status
 
 Kind = Literal["rest", "free", "near", "held"]
 
-_LASTS = 0.5  # s: chosen, about the time in which a word is read
-_MOVES = 1e-3  # rad/s or m/s: slower than that nobody sees a motion
+_LASTS = 0.5  # s: chosen, about the time to read a word
+_MOVES = 1e-3  # rad/s or m/s: slower motions are not visible
 _NEAR = 0.3  # m of margin within which the nearest thing is named; chosen, beyond where the servo slides along it
 _WORSE: tuple[Kind, ...] = ("rest", "free", "near", "held")
 
@@ -30,9 +30,9 @@ class Caption(NamedTuple):
 
     Attributes
     ----------
-    kind: how they are coloured.
+    kind: determines the colour of the words.
     word: what the machine does.
-    more: the nearest thing and its margin; empty where none is near.
+    more: the nearest thing and its margin; empty if nothing is near.
     """
 
     kind: Kind
@@ -41,14 +41,14 @@ class Caption(NamedTuple):
 
 
 class Wording:
-    """Captions for one state after the other."""
+    """Captions for one state after another."""
 
     def __init__(self) -> None:
         self._shown = Caption("rest", "At rest", "")
         self._since = 0.0
 
     def next(self, state: ServoState, *, has_wish: bool) -> Caption:
-        """The caption of a state; `has_wish` says whether somebody wishes for a motion."""
+        """The caption of a state; `has_wish` says whether a motion is wished for."""
         found = _caption(state, has_wish=has_wish)
         better = _WORSE.index(found.kind) < _WORSE.index(self._shown.kind)
         if better and found.kind != "rest" and state.time - self._since < _LASTS:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from backhoe_planner.errors import InputError, OutputError
 
-_FIRST_PORT, _PORTS = 7000, 100  # meshcat's own server begins at the same port; how many are tried is chosen
+_FIRST_PORT, _PORTS = 7000, 100  # meshcat's own server begins at the same port; the number of attempts is chosen
 _NOT_HERE = {errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT}  # another computer's address, or no IPv6 on this one
 
 
@@ -20,8 +20,8 @@ class Address:
 
     Attributes
     ----------
-    host: as it was given, a name or an address.
-    ip: what it stands for.
+    host: the name or address that was given.
+    ip: the IP address of the host.
     """
 
     host: str
@@ -29,18 +29,18 @@ class Address:
 
     @property
     def is_of_this_computer_alone(self) -> bool:
-        """Whether no other computer can reach it."""
+        """Whether no other computer can reach the address."""
         return self.ip.is_loopback
 
     def url(self, port: int) -> str:
-        """Where a browser on this computer opens what is served at a port."""
+        """The URL for a browser on this computer, for a port."""
         host = self.host
         if self.ip.is_unspecified:
             host = "127.0.0.1" if self.ip.version == 4 else "::1"
         return f"http://{_in_url(host)}:{port}/"
 
     def url_from_elsewhere(self, port: int) -> str | None:
-        """Where a browser on another computer opens it; None where none can."""
+        """The URL for a browser on another computer; None if none can connect."""
         if self.is_of_this_computer_alone:
             return None
         return f"http://{socket.gethostname().lower()}:{port}/" if self.ip.is_unspecified else self.url(port)
@@ -48,12 +48,12 @@ class Address:
     def answers_to(self, host: str) -> bool:
         """Whether a request's Host header names this address.
 
-        The owner of another name can make it point to this computer. A page from there would then
-        count as one of this server.
+        The owner of another name can make that name point to this computer. A page from there would then count as one
+        of this server.
         """
         try:
             name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:  # no address at all
+        except ValueError:  # not an address
             return False
         if name in ("localhost", self.host.lower(), socket.gethostname().lower()):
             return True
@@ -64,7 +64,7 @@ class Address:
         return found.is_loopback or found == self.ip or self.ip.is_unspecified
 
     def listen(self, port: int | None, *, backlog: int) -> socket.socket:
-        """A socket that listens at a port; None takes the first free one from 7000 on, 0 any free one.
+        """A socket that listens on a port; None takes the first free one from 7000 on, 0 any free one.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class Address:
 
 
 def find_address(host: str) -> Address:
-    """The address that `host` stands for: a name, an IPv4 or an IPv6 address, with or without brackets.
+    """The address of `host`: a name, an IPv4 or an IPv6 address, with or without brackets.
 
     Raises
     ------
@@ -106,10 +106,10 @@ def find_address(host: str) -> Address:
         )  # fmt: skip
     try:
         found = socket.getaddrinfo(plain or "0.0.0.0", None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    except (OSError, ValueError) as error:  # ValueError: no text for a name, such as one with a null character
+    except (OSError, ValueError) as error:  # ValueError: the text cannot be a name, such as one with a null character
         raise InputError("is no address of this computer", key="host", found=host, hint=str(error)) from error
     ips = [ipaddress.ip_address(where[0]) for *_, where in found]
-    ip = next((one for one in ips if one.version == 4), ips[0])  # a name may stand for both
+    ip = next((one for one in ips if one.version == 4), ips[0])  # a name may have both
     mapped = ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None
     return Address(plain or "0.0.0.0", mapped or ip)
 

@@ -1,4 +1,4 @@
-"""The entrance of a live page: its own names and pages only, never in a frame, and with the password if one is set."""
+"""The entrance of a live page: only its own names and pages, never in a frame, and with the password if one is set."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from backhoe_planner.show.page.page import read_parts
 from backhoe_planner.show.viewer.password import Password
 
 _HEADERS = {
-    # a foreign page could lay this one invisibly over its own, so that a click there drives
+    # a foreign page could place this one invisibly over its own, so that a click there drives
     "X-Frame-Options": "DENY",
     "Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'; form-action 'self'; object-src 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -24,12 +24,12 @@ _HEADERS = {
 
 
 class Guarded(Protocol):
-    """The server behind the entrance, as far as the entrance knows it.
+    """The server behind the entrance, as far as the entrance uses it.
 
     Attributes
     ----------
-    password: None where anyone may enter.
-    opens: what is opened with it, for people.
+    password: None if anyone may enter.
+    opens: what it gives access to, in words.
     """
 
     password: Password | None
@@ -46,17 +46,17 @@ class Guarded(Protocol):
 
 
 class OwnPages(tornado.web.RequestHandler):
-    """Answers only to this server's names and to its own pages, which no other page may frame."""
+    """Answers only requests to this server's names and from its own pages; no other page may frame them."""
 
     server: Guarded
 
     def set_default_headers(self) -> None:
-        """Give every response, errors too, the headers that keep foreign pages off."""
+        """Give every response, also an error, the headers that keep foreign pages out."""
         for name, value in _HEADERS.items():
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        """Refuse requests by a name that is not this server's, and requests from other pages."""
+        """Refuse requests to a name that is not this server's, and requests from other pages."""
         origin = self.request.headers.get("Origin")
         if not self.server.answers_to(self.request.host) or not (origin is None or self.check_origin(origin)):
             raise tornado.web.HTTPError(403)
@@ -65,23 +65,23 @@ class OwnPages(tornado.web.RequestHandler):
         """Whether `origin` is this server's own."""
         try:
             found = urlsplit(origin)
-        except ValueError:  # no address at all
+        except ValueError:  # not an address
             return False
-        # another program may serve a page at the same port over another protocol
+        # another program may serve a page on the same port with another protocol
         return found.scheme == self.request.protocol and found.netloc.lower() == self.request.host.lower()
 
     @property
     def may_enter(self) -> bool:
-        """Whether no password is asked for, or this browser has given it."""
+        """Whether no password is required, or this browser has given it."""
         password = self.server.password
         return password is None or password.opens(self.get_cookie(self.server.cookie))
 
 
 class NotFound(OwnPages):
-    """What is asked for is not here."""
+    """The answer to requests for unknown addresses."""
 
     def initialize(self, server: Guarded) -> None:
-        """Take what the route gives."""
+        """Store the arguments of the route."""
         self.server = server
 
     def prepare(self) -> None:
@@ -94,7 +94,7 @@ class Login(OwnPages):
     """Asks for the password."""
 
     def initialize(self, server: Guarded) -> None:
-        """Take what the route gives."""
+        """Store the arguments of the route."""
         self.server = server
 
     def get(self) -> None:
@@ -105,7 +105,7 @@ class Login(OwnPages):
             self._ask("")
 
     def post(self) -> None:
-        """Take the password, and give whoever says it the key as a cookie that no script can read."""
+        """Check the password, and give a browser that has it the key as a cookie that no script can read."""
         password, client = self.server.password, self.request.remote_ip or ""
         if password is None:
             self.redirect("/", status=303)
@@ -131,7 +131,7 @@ class Login(OwnPages):
 
 @cache
 def _login_page() -> str:
-    """The page that asks for the password, with places for what it opens and for what went wrong."""
+    """The page that asks for the password, with placeholders for what it opens and for errors."""
     (css,) = read_parts("backhoe_planner.show.page", "page.css")
     login_css, body = read_parts("backhoe_planner.show.viewer", "login.css", "login.html")
     return body.replace("{css}", css + login_css)

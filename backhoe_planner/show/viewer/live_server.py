@@ -1,8 +1,8 @@
-"""Serves the live page, and sends to every open page what is drawn.
+"""Serves the live page, and sends what is drawn to every open page.
 
-The server runs in a thread of this process: nothing is left behind when the process ends,
-and giving it a message costs microseconds. Messages do not pile up for a slow browser: of
-several about the same thing only the newest waits.
+The server runs in a thread of this process: nothing is left behind when the process ends, and passing a message to
+it takes microseconds. Messages do not pile up for a slow browser: of several messages about the same thing, only
+the newest is kept.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from backhoe_planner.show.viewer.entrance import Login, NotFound, OwnPages
 from backhoe_planner.show.viewer.password import Password
 
 _FLUSH_EVERY = 0.02  # s between deliveries; chosen, less than a frame
-_LARGEST_MESSAGE = 4 << 20  # bytes that a page may send at once; chosen, a driving one sends some hundred
-_LARGEST_BODY = 4096  # bytes of a posted form; chosen, it holds nothing but a password
-_MOST_PAGES = 64  # chosen: each costs memory for what waits for it
-_MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; chosen, a driving one needs some 60
+_LARGEST_MESSAGE = 4 << 20  # bytes that a page may send at once; chosen, a driving page sends some hundred
+_LARGEST_BODY = 4096  # bytes of a posted form; chosen, it contains only a password
+_MOST_PAGES = 64  # chosen: each page takes memory for its waiting messages
+_MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; chosen, a driving page needs some 60
 _MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread; chosen, thousands of answers
-_FAREWELL = 0.5  # s for a page that is shut out to read why; chosen
+_FAREWELL = 0.5  # s for a rejected page to read the reason; chosen
 
 
 class LivePage(OwnPages):
     """The page itself."""
 
     def initialize(self, page: str, server: LiveServer) -> None:
-        """Take what the route gives."""
+        """Store the arguments of the route."""
         self.page, self.server = page, server
 
     def get(self) -> None:
@@ -54,7 +54,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
     server: LiveServer
 
     def prepare(self) -> None:
-        """Refuse also browsers that have not given the password, and those beyond the greatest number of pages."""
+        """Also refuse browsers that have not given the password, and those beyond the greatest number of pages."""
         super().prepare()
         if not self.may_enter:
             raise tornado.web.HTTPError(403)
@@ -62,7 +62,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(503)
 
     def initialize(self, server: LiveServer) -> None:
-        """Take what the route gives."""
+        """Store the arguments of the route."""
         self.server = server
         self.waiting = Messages()
         self._shut_out = False
@@ -70,21 +70,21 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         self._may_send, self._counted_at = _MESSAGES_AT_ONCE, time.monotonic()
 
     def open(self, *_args: str, **_kwargs: str) -> None:
-        """A page has connected."""
+        """Register a page that has connected."""
         self.set_nodelay(True)
         self.server.add(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """A page says that it has drawn the picture. Other messages are ignored."""
+        """Note that a page has drawn the picture. Other messages are ignored."""
         if self.accepts() and message == "drawn":
             self.server.somebody_watches.set()
 
     def on_close(self) -> None:
-        """A page has gone."""
+        """Remove a page that has disconnected."""
         self.server.remove(self)
 
     def send_waiting(self) -> None:
-        """Send the messages that wait, unless the browser is still busy with earlier ones."""
+        """Send the waiting messages, unless the browser is still busy with earlier ones."""
         connection = self.ws_connection
         if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
             return
@@ -94,7 +94,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
                 return
 
     def accepts(self) -> bool:
-        """Count a message that came, and say whether to follow it. A page that sends too many is shut out."""
+        """Count an incoming message, and say whether to process it. A page that sends too many is disconnected."""
         if self._shut_out:
             return False
         now = time.monotonic()
@@ -106,7 +106,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         return True
 
     def answer(self, content: dict[str, Any]) -> None:
-        """Send something to this page alone. A page that does not read its answers is shut out."""
+        """Send something to this page alone. A page that does not read its answers is disconnected."""
         if self._shut_out:
             return
         if self._unread > _MOST_UNREAD:
@@ -125,7 +125,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         self.on_close()
 
     def send(self, message: Message, *, answer: bool = False) -> bool:
-        """Send a message; False where the page has gone, and `on_close` follows."""
+        """Send a message; False if the page has disconnected, and `on_close` follows."""
         size = len(message) if answer else 0
         try:
             written = asyncio.ensure_future(self.write_message(message, binary=isinstance(message, bytes)))
@@ -136,7 +136,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         def read(done: asyncio.Future[None]) -> None:
             self._unread -= size
             if not done.cancelled():
-                done.exception()  # if the page has gone meanwhile, on_close follows
+                done.exception()  # if the page has disconnected in the meantime, on_close follows
 
         written.add_done_callback(read)
         return True
@@ -145,33 +145,33 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
 class LiveServer:
     """A web server in a thread of its own.
 
-    Other computers can connect only where somebody said who may: with `password` or with
-    `allow_anyone`. The connection is not encrypted.
+    Other computers can connect only if the caller says who may: with `password` or with `allow_anyone`. The
+    connection is not encrypted.
 
     Parameters
     ----------
-    host: the address on which it listens, a name, IPv4 or IPv6; by default this computer alone can connect.
-    port: where it listens; None takes the first free one from 7000 on, 0 any free one.
-    password: that a browser must give before it sees anything.
-    allow_anyone: whether everybody who can reach `host` may connect without one.
+    host: the address on which it listens, a name, IPv4 or IPv6; by default only this computer can connect.
+    port: the port on which it listens; None takes the first free one from 7000 on, 0 any free one.
+    password: the password that a browser must give before it sees anything.
+    allow_anyone: whether everybody who can reach `host` may connect without a password.
 
     Attributes
     ----------
-    display: what is drawn on it, the pages show.
+    display: the drawing that the pages show.
     url: address of the page.
-    url_from_elsewhere: its address for other computers; None where none can connect.
+    url_from_elsewhere: its address for other computers; None if none can connect.
     openness: who can connect, and what they can do, in words.
     somebody_watches: set while at least one page is open that has drawn the picture.
-    left_at: when the last page was closed, by `time.monotonic` [s]; None while one is open, or none was yet.
+    left_at: when the last page was closed, by `time.monotonic` [s]; None while one is open, or before the first.
 
     Raises
     ------
-    InputError: other computers can connect, and neither a password nor `allow_anyone` is given;
-        `host` is no address of this computer; the password is empty.
+    InputError: other computers can connect, and neither a password nor `allow_anyone` is given; `host` is not an
+        address of this computer; the password is empty.
     OutputError: the port is in use.
     """
 
-    opens = "see what is shown"  # to whoever connects
+    opens = "see what is shown"  # for whoever connects
 
     def __init__(
         self,
@@ -201,7 +201,7 @@ class LiveServer:
         self._listening = self._address.listen(port, backlog=_MOST_PAGES)
         number = self._listening.getsockname()[1]
         self.url, self.url_from_elsewhere = self._address.url(number), self._address.url_from_elsewhere(number)
-        self.cookie = f"backhoe_planner_{number}"  # browsers do not tell cookies of different ports apart
+        self.cookie = f"backhoe_planner_{number}"  # browsers do not distinguish cookies of different ports
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
@@ -214,7 +214,7 @@ class LiveServer:
             self._thread.join(timeout=5.0)
 
     def add(self, page: LiveSocket) -> None:
-        """Take in a page that has connected, and bring it up to date."""
+        """Register a page that has connected, and bring it up to date."""
         page.waiting = self.display.messages()
         self._pages.add(page)
         if self._connections is not None and page.ws_connection is not None:
@@ -222,7 +222,7 @@ class LiveServer:
         self.left_at = None
 
     def remove(self, page: LiveSocket) -> None:
-        """Forget a page that has gone."""
+        """Remove a page that has disconnected."""
         self._pages.discard(page)
         if not self._pages:
             self.left_at = time.monotonic()
@@ -246,7 +246,7 @@ class LiveServer:
         )
 
     def routes(self) -> list[Any]:
-        """The addresses that are served, as tornado's rules."""
+        """The served addresses, as tornado's rules."""
         return [("/", LivePage, {"page": live_page(), "server": self}), ("/socket", LiveSocket, {"server": self})]
 
     @property
@@ -256,7 +256,7 @@ class LiveServer:
 
     @property
     def running(self) -> bool:
-        """Whether it has not been closed."""
+        """Whether the server has not been closed."""
         return self._thread.is_alive()
 
     def _post(self, key: Key, message: Message) -> None:

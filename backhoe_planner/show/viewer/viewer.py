@@ -1,4 +1,4 @@
-"""The live view: a page in the browser that shows planning as it goes on, and plays plans."""
+"""The live view: a page in the browser that shows planning in progress, and plays plans."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from backhoe_planner.show.page.page_content import show_plan, tell_problem, tell
 from backhoe_planner.show.viewer.live_server import LiveServer
 from backhoe_planner.site import Proximity
 
-_GRACE = 4.0  # s within which a page may be loaded again; chosen, a slow browser takes one or two
+_GRACE = 4.0  # s within which a page may be reloaded; chosen, a slow browser needs one or two
 _SHARE = 0.04  # part of the caller's time that drawing may take; chosen, so that planning is hardly slower
 
 
 class Viewer:
     """Shows problems, steps and plans in every browser that opens `url`.
 
-    It only shows: nothing comes back from it, and a slow browser, or none at all, does not
-    delay the caller. Call its methods from the thread that made it. Close it, or use it in a
-    ``with`` block.
+    It only shows: nothing comes back from the browser, and a slow browser, or none at all, does not delay the caller.
+    Call its methods from the thread that created it. Close it, or use it in a ``with`` block.
 
     Parameters
     ----------
@@ -63,19 +62,19 @@ class Viewer:
         return self._server.url
 
     def wait_for_browser(self, timeout: float | None = None) -> bool:
-        """Wait until a page has drawn the picture, for at most `timeout` [s]; whether one has.
+        """Wait until a page has drawn the picture, for at most `timeout` [s], and return whether one has.
 
         Without a timeout it waits until it is interrupted.
         """
         return self._server.somebody_watches.wait(timeout)
 
     def alive(self) -> bool:
-        """Whether anybody may still be watching: False once it is closed, or some seconds after the last page is."""
+        """Whether anybody may still be watching: False once it is closed, or some seconds after the last page was."""
         left = self._server.left_at
         return self._server.running and (left is None or clock.monotonic() - left < _GRACE)
 
     def show_problem(self, problem: Problem) -> tuple[str, ...]:
-        """Show machine, site and task, and return what could not be drawn as the URDF asks, in words."""
+        """Show machine, site and task, and return what could not be drawn as the URDF specifies, in words."""
         self._clear()
         display = self._server.display
         graph = self._keep(SceneGraph(display.visualizer(), problem))
@@ -85,8 +84,8 @@ class Viewer:
     def show_step(self, q: Vector, time: float = 0.0) -> bool:
         """Show the machine at `q` (n,) and `time` [s], unless a step was drawn just before.
 
-        Up to 30 steps a second are drawn, fewer where drawing would take more than 4 % of the
-        time. The other calls return at once.
+        Up to 30 steps a second are drawn, fewer if drawing would take more than 4 % of the time. Calls in between
+        return at once.
 
         Returns
         -------
@@ -112,7 +111,7 @@ class Viewer:
         return True
 
     def play(self, plan: Plan) -> tuple[str, ...]:
-        """Play a plan, with its verdict and a scrubber, and return what could not be drawn as the URDF asks."""
+        """Play a plan, with its verdict and a scrubber, and return what could not be drawn as the URDF specifies."""
         self._clear()
         return self._keep(show_plan(self._server.display, plan)).warnings
 
@@ -127,12 +126,12 @@ class Viewer:
         self.close()
 
     def _clear(self) -> None:
-        """Forget the numbers of what was shown before."""
+        """Clear the figures of the previous display."""
         self._check_thread()
         self._server.display.forget("problem", "plan", "step")
 
     def _keep(self, graph: SceneGraph) -> SceneGraph:
-        """Let further steps move what was drawn."""
+        """Keep a graph, so that further steps move what was drawn."""
         problem, self._graph = graph.problem, graph
         self._proximity = Proximity(problem.robot, problem.obstacles)
         self._obstacles = obstacle_names(problem, self._proximity)
