@@ -1,4 +1,4 @@
-"""Where the camera stands so that everything is in view."""
+"""The camera position that has everything in view."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 
 FIELD_OF_VIEW = np.radians(38.0)  # rad, vertical; chosen, wide enough for depth and too narrow to distort
-_ELEVATIONS = np.radians([20.0, 17.0, 14.0, 11.0, 9.0])  # rad, the first that stays under a ceiling; chosen
+_ELEVATIONS = np.radians([20.0, 17.0, 14.0, 11.0, 9.0])  # rad, tried in turn until one stays under a ceiling; chosen
 _UNDER = 0.08  # part of the distance by which the camera stays under a ceiling; chosen
 _AZIMUTH = np.radians(52.0)  # rad from the x axis, along which the arm points; chosen, between side and front
-# rad, from the same side and from the other one in turn, where something hides the machine; chosen
+# rad, tried in turn from the same side and from the other one if something hides the machine; chosen
 _OTHER_AZIMUTHS = np.radians([52.0, 20.0, 95.0, 140.0])
-_STEEP = np.radians(48.0)  # rad of elevation, where it is hidden from all sides; chosen
-_LITTLE_HIDDEN = 0.1  # part of what is to be seen that may be hidden; chosen
+_STEEP = np.radians(48.0)  # rad of elevation, if the machine is hidden from all sides; chosen
+_LITTLE_HIDDEN = 0.1  # greatest part of the points in view that may be hidden; chosen
 _ASPECTS = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5)  # width / height, for which distances are computed
 _ASPECT = 1.5  # width / height of a common picture
-_ROOM = 1.07  # size of the picture beside what is in it; chosen, a narrow rim
+_ROOM = 1.07  # size of the picture relative to its content; chosen, a narrow rim
 _CLOSEST = 0.5  # m from the camera to the target; chosen
 
 
@@ -30,8 +30,8 @@ class View:
     Attributes
     ----------
     target: (3,) centre of the picture, around which the viewer turns [m], world.
-    direction: (3,) unit vector from there to the camera, world.
-    distances: pairs (aspect, distance [m]) at which everything is in view, aspect rising.
+    direction: (3,) unit vector from the target to the camera, world.
+    distances: pairs (aspect, distance [m]) at which everything is in view, aspect increasing.
     """
 
     target: Vector
@@ -39,7 +39,7 @@ class View:
     distances: tuple[tuple[float, float], ...]
 
     def eye(self, aspect: float = _ASPECT) -> Vector:
-        """(3,) where the camera stands for a picture of width / height `aspect` [m], world."""
+        """(3,) position of the camera for a picture of width / height `aspect` [m], world."""
         aspects, distances = zip(*self.distances, strict=True)
         return np.asarray(self.target + self.direction * np.interp(aspect, aspects, distances))
 
@@ -48,13 +48,13 @@ def frame(
     points: Matrix, *, side: float = -1.0, ceiling: float | None = None,
     hidden: Callable[[Vector], float] = lambda eye: 0.0,
 ) -> View:  # fmt: skip
-    """The three-quarter view that has all `points` (k, 3) in it [m], world; another one where that hides too much.
+    """The three-quarter view that contains all `points` (k, 3) [m], world; another view if too much is hidden in it.
 
     Parameters
     ----------
     side: its sign is the sign of the camera's y: left or right of the arm.
     ceiling: height of something wide overhead, under which the camera stays [m].
-    hidden: the part of what is to be seen, 0 to 1, that something hides from a camera at (3,) [m].
+    hidden: returns the part of the view, 0 to 1, that is hidden from a camera at (3,) [m].
     """
     side = np.sign(side or -1.0)
     best, least = _below(ceiling, points, side * _AZIMUTH), np.inf
@@ -70,7 +70,7 @@ def frame(
 
 
 def _below(ceiling: float | None, points: Matrix, azimuth: float) -> View:
-    """The view from there that stays under a ceiling, if it can."""
+    """The view at this azimuth that stays under a ceiling, if possible."""
     views = [_view(points, azimuth, elevation) for elevation in (_ELEVATIONS[:1] if ceiling is None else _ELEVATIONS)]
     if ceiling is not None:
         for view in views:
@@ -94,13 +94,13 @@ def _view(points: Matrix, azimuth: float, elevation: float) -> View:
 def part_behind(boxes: Array, points: Matrix, eye: Vector) -> float:
     """The part of `points` (k, 3) [m], 0 to 1, that at least one of `boxes` (B, 2, 3) hides from a camera at (3,).
 
-    Boxes along the axes, each with its lowest and its highest corner. One in which the camera stands hides nothing, nor
-    does one hide the points in it.
+    The boxes are aligned with the axes, each given by its lowest and its highest corner. A box that contains the camera
+    hides nothing, and a box does not hide the points inside it.
     """
     way = points - eye
     with np.errstate(divide="ignore", invalid="ignore"):
         enters, leaves = np.sort((boxes[:, :, None, :] - eye) / way, axis=1).transpose(1, 0, 2, 3)
-    # of a way along a face both are infinite or nothing
+    # for a ray within a face both are infinite or undefined
     enters, leaves = np.nan_to_num(enters, nan=-np.inf).max(axis=2), np.nan_to_num(leaves, nan=np.inf).min(axis=2)
     behind = (enters > 0.0) & (enters < leaves) & (leaves < 1.0)  # (B, k)
     return float(np.mean(behind.any(axis=0))) if len(boxes) and len(points) else 0.0

@@ -14,14 +14,14 @@ from backhoe_planner.show.drawing.drawing import draw, line_segments, mesh
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets, sheet
 
-# Colours and what follows are chosen by eye.
+# Colours and the following values are chosen by eye.
 _COLOUR = (0.78, 0.76, 0.70)
 _LINE_COLOUR = (0.40, 0.40, 0.38)
-_LINE_STRENGTH = 0.3  # opacity in the middle: seen, but fainter than any machine or obstacle
+_LINE_STRENGTH = 0.3  # opacity in the middle: visible, but fainter than any machine or obstacle
 _LINE_STEP = 1.0  # m between lines, so that lengths can be read
 _LINE_HEIGHT = 0.006  # m above the sheet, so that the two do not flicker
-_SIDES = 120  # of the sheet's rim, which is all but invisible
-_RINGS = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0])  # parts of the way to the rim: enough for the fading
+_SIDES = 120  # of the sheet's rim, which is almost invisible
+_RINGS = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0])  # parts of the distance to the rim, enough for fading
 
 
 def opening_of(points: Matrix) -> Matrix:
@@ -38,11 +38,11 @@ def draw_ground(
     Parameters
     ----------
     visualizer: the node that becomes the ground.
-    centre: (2,) of the sheet [m], world.
-    radius: of the sheet [m].
-    opacity: below 1 where things beneath it should be seen.
-    opening: (k, 2) convex outline, counterclockwise [m], of obstacles that are the ground there, so that
-        none is drawn; None for a whole sheet.
+    centre: (2,) middle of the sheet [m], world.
+    radius: radius of the sheet [m].
+    opacity: less than 1 if things beneath it should be visible.
+    opening: (k, 2) convex outline, counterclockwise [m], of obstacles that are the ground there, so that the
+        sheet is left out inside it; None for a whole sheet.
     height: z of the ground [m].
     """
     if opening is not None and np.linalg.norm(opening - centre, axis=1).max() > 0.9 * radius:
@@ -58,7 +58,7 @@ def draw_ground(
 
 
 def _strength(off: Vector) -> Vector:
-    """From 1 near the middle to 0 at the rim, where `off` is 1."""
+    """Opacity factor, from 1 near the middle to 0 at the rim, where `off` is 1."""
     part = np.clip((1.0 - off) / 0.6, 0.0, 1.0)
     return np.asarray(part * part * (3.0 - 2.0 * part))
 
@@ -69,7 +69,7 @@ def _sheet(centre: Vector, radius: float, rgba: Rgba, opening: Matrix | None) ->
     if opening is not None:
         corners = np.arctan2(*(opening - middle).T[::-1]) % (2.0 * np.pi)
         angle = np.unique(np.concatenate((angle, corners)))
-    away = np.column_stack((np.cos(angle), np.sin(angle)))[::-1]  # rows run outward: this way round faces look up
+    away = np.column_stack((np.cos(angle), np.sin(angle)))[::-1]  # rows run outward: in this order faces look up
     inner = np.zeros(len(angle)) if opening is None else _inside(middle, away, opening)[1]
     # from the middle along each direction to the rim
     along = away @ (centre - middle)
@@ -105,7 +105,7 @@ def _lines(centre: Vector, radius: float, opening: Matrix | None) -> tuple[Matri
 def _inside(origin: Vector, directions: Matrix, polygon: Matrix) -> tuple[Vector, Vector]:
     """Where lines from `origin` (2,) along `directions` (k, 2) enter a convex polygon and leave it, (k,) each.
 
-    A line that misses the polygon leaves it before it enters.
+    For a line that misses the polygon, the value for leaving is less than the one for entering.
     """
     edge = np.roll(polygon, -1, axis=0) - polygon
     outward = np.column_stack((edge[:, 1], -edge[:, 0]))

@@ -1,4 +1,4 @@
-"""What the machine carries in some legs of a sequence, as triangles that move with its tip."""
+"""The loads that the machine carries in some legs of a sequence, as triangles that move with its tip."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from backhoe_planner.show.drawing.solids import Facets, facets, solid
 
 @dataclass(frozen=True, eq=False)
 class LoadMesh:
-    """What is drawn of a load.
+    """The drawing of a load.
 
     Attributes
     ----------
-    name: of the load.
+    name: name of the load.
     legs: names of the legs in which it is carried.
     joint: index of the Pinocchio joint that moves it.
-    facets: in the frame of that joint [m].
-    anchor: (3,) where its name is written, in the same frame [m].
+    facets: triangles in the frame of that joint [m].
+    anchor: (3,) position of its label, in the same frame [m].
     """
 
     name: str
@@ -32,12 +32,12 @@ class LoadMesh:
     anchor: Vector
 
     def carried_in(self, legs: tuple[str, ...]) -> Flags:
-        """(F,) whether it is carried in each of these legs."""
+        """(F,) whether the load is carried in each of these legs."""
         return np.array([leg in self.legs for leg in legs], dtype=bool)
 
 
 def load_meshes(problem: Problem) -> tuple[LoadMesh, ...]:
-    """What is drawn of the loads of a sequence; legs that carry the same share one."""
+    """The drawings of the loads of a sequence; legs that carry the same load share one."""
     specs = [leg.carries for leg in problem.scene.task.sequence or ()]
     found = []
     for index, (spec, leg) in enumerate(zip(specs, problem.legs, strict=False)):

@@ -17,14 +17,14 @@ _PLAIN: Rgba = (*MACHINE, 1.0)
 
 @dataclass(frozen=True)
 class LinkMesh:
-    """What is drawn of a link in one colour.
+    """The triangles of a link in one colour.
 
     Attributes
     ----------
-    link: its name.
-    joint: index of the Pinocchio joint that carries it; 0 stands still.
+    link: name of the link.
+    joint: index of the Pinocchio joint that carries it; 0 does not move.
     rgba: colour.
-    facets: in the frame of that joint [m].
+    facets: triangles in the frame of that joint [m].
     """
 
     link: str
@@ -34,10 +34,10 @@ class LinkMesh:
 
 
 def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
-    """What is drawn of the machine, and in words what could not be drawn as its URDF asks.
+    """The drawing of the machine, and in words what could not be drawn as its URDF specifies.
 
-    A visual whose mesh cannot be read is replaced by the link's collision pieces. So is the whole
-    machine where its URDF has no visuals.
+    A visual whose mesh cannot be read is replaced by the link's collision pieces. If the URDF has no visuals, the
+    whole machine is.
     """
     warnings: list[str] = []
     parts: dict[tuple[str, int, Rgba], list[trimesh.Trimesh]] = {}
@@ -102,7 +102,7 @@ def _primitive(visual: Visual) -> trimesh.Trimesh:
 
 
 def _own_colour(mesh: trimesh.Trimesh) -> Rgba:
-    """The colour that the mesh file gives; of an image, its mean."""
+    """The colour in the mesh file; for an image, its mean."""
     visual = mesh.visual
     if getattr(visual, "kind", None) == "texture":
         image = getattr(visual.material, "image", None)
@@ -119,5 +119,5 @@ def _rgba(colour: tuple[float, ...] | None) -> Rgba:
     if colour is None:
         return _PLAIN
     r, g, b, *rest = (round(float(part), 3) for part in colour)
-    # an opacity of 0 in a URDF is more likely a slip than a wish
+    # an opacity of 0 in a URDF is more likely a mistake than intended
     return (r, g, b, rest[0] if rest and rest[0] > 0.0 else 1.0)

@@ -1,4 +1,4 @@
-"""What colour means what, on the page, in the viewer, and in the plots."""
+"""The colours on the page, in the viewer and in the plots, and what they mean."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ def _rgb(code: str) -> Rgb:
 PATH = _rgb("1f6fd6")
 TRACE = _rgb("f07f13")
 GOAL = _rgb("1fa35c")
-PASSED_BY = _rgb("9aa5ad")  # goals of which another is reached
+PASSED_BY = _rgb("9aa5ad")  # goals when another one is reached
 SOIL = _rgb("917659")
-LOOSE_SOIL = _rgb("b39770")  # what was dug and lies in a heap or a bucket
+LOOSE_SOIL = _rgb("b39770")  # soil that was dug, in a heap or a bucket
 LOAD = _rgb("b9b3aa")  # what the machine carries
-MACHINE = _rgb("e9ad25")  # where the URDF gives no colour
+MACHINE = _rgb("e9ad25")  # if the URDF gives no colour
 
 FAR = _rgb("2fa866")
 NEAR = _rgb("f2b705")

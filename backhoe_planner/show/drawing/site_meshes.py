@@ -1,4 +1,4 @@
-"""What stands on the site as triangles, and how far to keep from it."""
+"""The obstacles of a site as triangles, and their clearance shells."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fat
 from backhoe_planner.site import Obstacle, Scene, read_heights
 from backhoe_planner.site.schema import obstacle_shapes
 
-_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; chosen, each costs milliseconds
-_MOST_TRIANGLES = 40_000  # that are drawn of one obstacle; chosen: some 3 MB of a page
+_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded exactly; chosen, each costs milliseconds
+_MOST_TRIANGLES = 40_000  # drawn per obstacle; chosen: some 3 MB of a page
 
 # colours, chosen by eye
 _SLATE = (0.45, 0.52, 0.60)
@@ -30,23 +30,23 @@ _SCAN = (0.36, 0.56, 0.58)
 _COLOURS = {
     "mesh": SOIL, "pointcloud": _SCAN, "sphere": _ROCK, "cylinder": _STEEL, "capsule": _STEEL,
 }  # any other shape is slate  # fmt: skip
-_LEVEL, _PIPE = 0.05, 0.3  # m: a box that ends below the one is ground, a capsule below the other a pipe; chosen
+_LEVEL, _PIPE = 0.05, 0.3  # m: a box that ends below the first is ground, a capsule below the second is a pipe; chosen
 _CREASE_OF_GROUND = 1.3  # rad: walls of a pit are edges, single rough cells are not; chosen
-_SLENDER = 6.0  # times as high as wide: what is more slender looks like a pole; chosen
+_SLENDER = 6.0  # times as high as wide: a more slender shape looks like a pole; chosen
 
 
 @dataclass(frozen=True)
 class SiteMesh:
-    """What is drawn of an obstacle, in world coordinates at the time of its appearance.
+    """The drawing of an obstacle, in world coordinates at the time of its appearance.
 
     Attributes
     ----------
-    name: of the obstacle.
-    facets, rgba: the obstacle.
-    shell, shell_rgba: the surface at its clearance; None where that is 0, and of scans and fine meshes.
-    anchor: (3,) where its name is written [m].
-    bounds: (2, 3) lowest and highest corner [m]; None for what has no end.
-    one_sided: whether it is seen from outside alone, as ground is from above.
+    name: name of the obstacle.
+    facets, rgba: triangles and colour of the obstacle.
+    shell, shell_rgba: the surface at its clearance; None if the clearance is 0, and for scans and fine meshes.
+    anchor: (3,) position of its label [m].
+    bounds: (2, 3) lowest and highest corner [m]; None for an unbounded obstacle.
+    one_sided: whether it is visible only from outside, as ground is from above.
     """
 
     name: str
@@ -60,19 +60,19 @@ class SiteMesh:
 
 
 def is_ground(obstacle: Obstacle) -> bool:
-    """Whether an obstacle is the ground, so that none needs to be drawn."""
+    """Whether an obstacle is the ground, so that no other ground needs to be drawn."""
     spec = obstacle.spec
     level = isinstance(spec, obstacle_shapes.HalfSpace) and spec.normal[2] > 0.7
     return obstacle.zone is None and (level or isinstance(spec, obstacle_shapes.HeightMap))
 
 
 def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float) -> SiteMesh:
-    """One obstacle.
+    """The drawing of one obstacle.
 
     Parameters
     ----------
-    centre: (3,) of the machine [m]; a plane is drawn around it.
-    reach: radius of what is drawn of a plane [m].
+    centre: (3,) middle of the machine [m]; a plane is drawn around it.
+    reach: radius up to which a plane is drawn [m].
     """
     spec = obstacle.spec
     if isinstance(spec, obstacle_shapes.HalfSpace):
@@ -101,7 +101,7 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
 
 
 def _cluster(obstacle: Obstacle, cluster: Cluster) -> SiteMesh:
-    """A solid of thousands of cells as one surface, coarser than it is where it has too many triangles."""
+    """A solid of thousands of cells as one surface, simplified if it has too many triangles."""
     drawn = trimesh.Trimesh(*cluster.drawing(_MOST_TRIANGLES), process=False)
     low, high = drawn.bounds
     anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
@@ -114,7 +114,7 @@ def _cluster(obstacle: Obstacle, cluster: Cluster) -> SiteMesh:
 
 
 def _ground(obstacle: Obstacle, surface: trimesh.Trimesh) -> SiteMesh:
-    """Uneven ground; the surface at its clearance is its own, lifted."""
+    """Uneven ground; the surface at its clearance is the ground itself, lifted."""
     drawn = facets(surface, _CREASE_OF_GROUND)
     lifted = replace(drawn, vertices=drawn.vertices + np.array([0.0, 0.0, obstacle.clearance]))
     return SiteMesh(
@@ -128,7 +128,7 @@ def _shell(obstacle: Obstacle) -> trimesh.Trimesh:
     pieces = obstacle.pieces
     if len(pieces) <= _MOST_ROUNDED:
         return trimesh.util.concatenate([fattened(piece.hull, piece.radius + obstacle.clearance) for piece in pieces])
-    boxes = []  # too many to round off: boxes around them, a little larger than the true shell
+    boxes = []  # too many to round: use boxes around them, a little larger than the true shell
     for piece in pieces:
         grown = piece.radius + obstacle.clearance
         low, high = piece.hull.min(axis=0) - grown, piece.hull.max(axis=0) + grown
@@ -144,7 +144,7 @@ def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
         return (*_ZONE, 0.3)
     if obstacle.moves or obstacle.appears_at > 0.0:
         return (*_MOVING, 1.0)
-    if shape == "box" and high[2] <= _LEVEL:  # ground beside or under the work
+    if shape == "box" and high[2] <= _LEVEL:  # ground next to or under the work
         return (*SOIL, 0.42)
     if shape == "capsule" and high[2] <= _PIPE:
         return (*_UTILITY, 1.0)
@@ -168,11 +168,11 @@ def _plane(obstacle: Obstacle, spec: obstacle_shapes.HalfSpace, centre: Vector, 
     shell = None
     if obstacle.clearance > 0.0:
         shell = disc(middle + normal * obstacle.clearance, normal, reach, shell_rgba, fade_from=0.35)
-    # a name in the middle would hide the machine, and one behind it too
+    # a label in the middle would hide the machine, and so would one behind it
     aside = np.cross(normal, [0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.6, 0.8, 0.0])
     aside = -aside if aside[0] < 0.0 else aside
     sheet = disc(middle, normal, reach, rgba, fade_from=fade)
-    if obstacle.zone is not None:  # several that overlap would be one haze; lines say where each stands
+    if obstacle.zone is not None:  # several overlapping sheets would be one haze; lines show where each is
         sheet = together(sheet, grid(middle, normal, 0.85 * reach, (*_ZONE, 0.75)))
     return SiteMesh(
         name=obstacle.name,

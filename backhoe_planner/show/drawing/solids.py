@@ -1,7 +1,7 @@
-"""Triangles of what is drawn: solids, their clearance shells, tubes along a line.
+"""Triangles for drawing: solids, their clearance shells, tubes along a line.
 
-A solid that a `Piece` describes is the convex hull of its points, fattened by its
-radius; its shell is the same with the clearance added to the radius.
+A solid described by a `Piece` is the convex hull of its points, grown by its radius; its shell is the same with the
+clearance added to the radius.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from backhoe_planner.show.drawing.palette import Rgba
 _CREASE = np.radians(40.0)  # rad: a sharper edge is drawn sharp; chosen, sides of a 32-sided cylinder meet at 11 deg
 _LINE = 0.03  # m: width of a line; chosen, a few pixels from 10 m away
 _SPACING = 1.0  # m between lines of a grid, so that lengths can be read
-_ROUND = 2  # subdivisions of the ball that fattens: its facets cut off 1 % of its volume
-_FLAT = 1e-4  # m of thickness for a hull that has no volume; chosen, too little to be seen
-_SIDES = 8  # of a tube; chosen, it is a few pixels wide
+_ROUND = 2  # subdivisions of the ball that grows a hull: its facets cut off 1 % of its volume
+_FLAT = 1e-4  # m of thickness for a hull that has no volume; chosen, too little to be visible
+_SIDES = 8  # of a tube; chosen, a tube is a few pixels wide
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Facets:
     ----------
     vertices, normals: (V, 3) positions [m], and unit vectors.
     faces: (F, 3) indices of vertices.
-    rgba: (V, 4) colours in 0..1, or None where all have one colour.
+    rgba: (V, 4) colours in 0..1, or None if all vertices have one colour.
     """
 
     vertices: Matrix
@@ -49,7 +49,7 @@ def solid(piece: Piece) -> trimesh.Trimesh:
 
 
 def fattened(points: Matrix, radius: float) -> trimesh.Trimesh:
-    """The convex hull of (k, 3) points [m], grown by `radius` [m] to all sides."""
+    """The convex hull of (k, 3) points [m], grown by `radius` [m] in all directions."""
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=_ROUND + (len(points) <= 2)).vertices * radius
         corners = points if len(points) < 5 else _hull(points).vertices
@@ -65,7 +65,7 @@ def _hull(points: Matrix) -> trimesh.Trimesh:
 
 
 def facets(mesh: trimesh.Trimesh, crease: float = _CREASE) -> Facets:
-    """`mesh` ready to be drawn: smooth where it is round, sharp at its edges.
+    """`mesh` prepared for drawing: smooth where it is round, sharp at its edges.
 
     Faces that meet at less than the angle `crease` [rad] share their normals at a vertex. This is what
     `trimesh.graph.smooth_shade` does, which is five times slower for thousands of boxes.
@@ -85,7 +85,7 @@ def facets(mesh: trimesh.Trimesh, crease: float = _CREASE) -> Facets:
 def tube(points: Matrix, radius: float, *, tolerance: float) -> trimesh.Trimesh:
     """A tube of `radius` [m] along a line through (k, 3) points [m].
 
-    Points nearer than `tolerance` [m] to the line between their neighbours are left out.
+    Points within `tolerance` [m] of the line between their neighbours are left out.
     """
     line = _simplified(points, tolerance)
     if len(line) < 2:
@@ -109,7 +109,7 @@ def tube(points: Matrix, radius: float, *, tolerance: float) -> trimesh.Trimesh:
 
 
 def _simplified(points: Matrix, tolerance: float) -> Matrix:
-    """The points (k, 3) of a line that Douglas and Peucker's algorithm keeps, without repeated ones."""
+    """The points (k, 3) of a line that Douglas and Peucker's algorithm keeps, without repetitions."""
     points = np.asarray(points, dtype=float)
     keep = np.zeros(len(points), dtype=bool)
     keep[[0, -1]] = True
@@ -158,9 +158,9 @@ def sheet(lattice: Matrix, normal: Matrix, rgba: Rgba, strength: Matrix) -> Face
 
 
 def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba) -> Facets:
-    """Lines in a plane across `normal` (3,) every metre, up to `radius` [m] from `centre` (3,), fading to the rim.
+    """Lines in a plane normal to `normal` (3,), one metre apart, up to `radius` [m] from `centre` (3,), fading out.
 
-    Where the plane is upright, the lines are level and upright.
+    In an upright plane, the lines are level and upright.
     """
     along = np.cross([0.0, 0.0, 1.0], normal) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     along = along / np.linalg.norm(along)
@@ -168,7 +168,7 @@ def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba) -> Facets:
     stations = np.linspace(-1.0, 1.0, 33)
     strips, strengths = [], []
     for first, second in ((along, across), (across, along)):
-        # on round numbers of the site, so that the lines of parallel planes meet
+        # at multiples of the spacing on the site, so that the lines of parallel planes meet
         middle = float(second @ centre)
         first_line, last_line = np.ceil((middle - radius) / _SPACING), (middle + radius) / _SPACING
         for at in np.arange(first_line, last_line) * _SPACING - middle:
@@ -181,7 +181,7 @@ def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba) -> Facets:
 
 
 def together(*parts: Facets) -> Facets:
-    """Several coloured sets of triangles as one."""
+    """Several coloured sets of triangles combined into one."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])], dtype=np.uint32)
     return Facets(
         vertices=np.concatenate([part.vertices for part in parts]),
@@ -192,12 +192,12 @@ def together(*parts: Facets) -> Facets:
 
 
 def disc(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, fade_from: float) -> Facets:
-    """A round sheet of `radius` [m] around `centre` (3,) across `normal` (3,), fading out towards its rim.
+    """A round sheet of `radius` [m] around `centre` (3,), normal to `normal` (3,), fading out towards its rim.
 
-    It has its full opacity up to the part `fade_from` of the radius.
+    It has full opacity up to the fraction `fade_from` of the radius.
     """
     rings = radius * np.array([0.0, fade_from, 0.6 * fade_from + 0.4, 0.25 * fade_from + 0.75, 1.0])
-    angle = np.linspace(2.0 * np.pi, 0.0, 73)  # rows run outward: this way round the faces look along the normal
+    angle = np.linspace(2.0 * np.pi, 0.0, 73)  # rows run outward: in this order the faces look along the normal
     around = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(len(angle))))
     turn = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], normal)[:3, :3]
     strength = np.repeat(np.array([1.0, 1.0, 0.6, 0.22, 0.0])[:, None], len(angle), axis=1)

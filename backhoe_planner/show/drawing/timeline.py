@@ -1,4 +1,4 @@
-"""A motion as frames to be shown: poses, tip, and the critical point to every obstacle."""
+"""A motion as frames for display: poses, tip, and the critical point to every obstacle."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from backhoe_planner.motion import Problem, Trajectory, leg_parts
 from backhoe_planner.site import Proximity
 
 ITSELF = "the machine itself"
-_RATE = 30.0  # frames a second: chosen, fluent for the eye
+_RATE = 30.0  # frames a second: chosen, smooth for the eye
 FRAME = 1.0 / _RATE  # s between two frames
 _ROUNDING = 1e-9  # m
-MOST_FRAMES = 3000  # of a page: chosen, 100 s of motion; a longer one has fewer a second
+MOST_FRAMES = 3000  # per page: chosen, 100 s of motion; a longer motion has fewer a second
 
 
 @dataclass(frozen=True)
 class CriticalPoint:
-    """Where the machine's margin to an obstacle is least.
+    """The place at which the machine's margin to an obstacle is least.
 
     Attributes
     ----------
     margin: distance minus the clearance to be kept [m].
-    distance: signed, negative inside [m].
+    distance: signed distance, negative inside [m].
     link: name of the link.
-    point_link, point_obstacle: (3,) the nearest points of the two [m], world.
+    point_link, point_obstacle: (3,) the nearest points of link and obstacle [m], world.
     """
 
     margin: float
@@ -41,18 +41,18 @@ class CriticalPoint:
 
 @dataclass(frozen=True)
 class Timeline:
-    """Frames of a motion at even times.
+    """Frames of a motion at regular times.
 
     Attributes
     ----------
-    time: (F,) [s].
+    time: (F,) times [s].
     q: (F, n) joint positions [rad or m].
-    tip: (F, 3) [m], world.
+    tip: (F, 3) positions of the tip [m], world.
     poses: (F, joints, 7) position [m] and quaternion (x, y, z, w) of every joint's frame in the
         world; joint 0 is the world.
-    obstacles: names in the order of the scene; the machine itself is the last, if it can touch itself.
-    nearest: per frame and obstacle the critical point, None where the obstacle is far, or not there in that leg.
-    legs: per frame the name of the leg of a sequence; empty where there are no legs.
+    obstacles: names in the order of the scene; the machine itself comes last, if it can touch itself.
+    nearest: critical point per frame and obstacle; None if the obstacle is far away, or not present in that leg.
+    legs: name of the leg of a sequence, per frame; empty if there are no legs.
     """
 
     time: Vector
@@ -64,12 +64,12 @@ class Timeline:
     legs: tuple[str, ...] = ()
 
     def margins(self, obstacle: int) -> Vector:
-        """(F,) margins to the obstacle of this index [m]; NaN where it is far."""
+        """(F,) margins to the obstacle of this index [m]; NaN where it is far away."""
         return np.array([np.nan if row[obstacle] is None else row[obstacle].margin for row in self.nearest])  # type: ignore[union-attr]
 
 
 def timeline(problem: Problem, trajectory: Trajectory) -> Timeline:
-    """Frames of `trajectory`, at most `FRAME` apart unless they are too many; the last is its end."""
+    """Frames of `trajectory`, at most `FRAME` apart unless there would be too many; the last is its end."""
     count = 1 if trajectory.duration == 0.0 else int(np.ceil(trajectory.duration * _RATE)) + 1
     time = trajectory.time[0] + np.linspace(0.0, trajectory.duration, min(count, MOST_FRAMES))
     return frames_at(problem, trajectory, time)
@@ -106,7 +106,7 @@ def frames_at(problem: Problem, trajectory: Trajectory, time: Vector) -> Timelin
 def _by_leg(
     problem: Problem, trajectory: Trajectory, names: tuple[str, ...], *, time: Vector, q: Matrix, within: float
 ) -> tuple[tuple[tuple[CriticalPoint | None, ...], ...], tuple[str, ...]]:
-    """Of every frame of a sequence the critical points to what is there in its leg, and the leg's name."""
+    """For every frame of a sequence, the critical points to what is present in its leg, and the leg's name."""
     parts = leg_parts(problem, trajectory)
     around = [Proximity(part.problem.robot, part.problem.obstacles) for part in parts]
     own = [obstacle_names(part.problem, near) for part, near in zip(parts, around, strict=True)]
@@ -127,7 +127,7 @@ def sight(problem: Problem) -> float:
 
 
 def obstacle_names(problem: Problem, proximity: Proximity) -> tuple[str, ...]:
-    """Names of what margins are shown for: the obstacles, and the machine itself if it can touch itself."""
+    """The names for which margins are shown: the obstacles, and the machine itself if it can touch itself."""
     itself = (ITSELF,) if any(owner < 0 for owner in proximity.owner) else ()
     return tuple(obstacle.name for obstacle in problem.obstacles) + itself
 
@@ -135,13 +135,13 @@ def obstacle_names(problem: Problem, proximity: Proximity) -> tuple[str, ...]:
 def critical_points(
     proximity: Proximity, names: tuple[str, ...], q: Vector, *, time: float, within: float
 ) -> tuple[CriticalPoint | None, ...]:
-    """The critical points of the machine at q (n,) to everything in `names`, None where it is far.
+    """The critical points of the machine at q (n,) to everything in `names`; None if it is far away.
 
     Parameters
     ----------
-    names: the obstacles of `proximity` in its order, and then the machine itself if it has such pairs.
-    time: at which the obstacles are where they are [s].
-    within: distance beyond which they are far [m].
+    names: the obstacles of `proximity` in its order, then the machine itself if it has such pairs.
+    time: time for which the obstacles are placed [s].
+    within: distance beyond which they count as far away [m].
     """
     near = proximity.at(q, time=time, within=within, margin=_least_margins(proximity, q, time=time, within=within))
     found: list[CriticalPoint | None] = [None] * len(names)
@@ -160,10 +160,10 @@ def critical_points(
 
 
 def _least_margins(proximity: Proximity, q: Vector, *, time: float, within: float) -> float | Vector:
-    """(P,) for each pair a margin [m] that the least one to its obstacle is not above; infinite where none is known.
+    """(P,) for each pair an upper bound on the least margin to its obstacle [m]; infinite if none is known.
 
-    Of ground every link is near, and a distance from it takes as long as a hundred others. So the one link is measured
-    first that was nearest in the posture before.
+    Every link is near the ground, and one distance to the ground takes as long as a hundred others. So the link that
+    was nearest in the previous posture is measured first.
     """
     if not len(proximity.clusters):
         return np.inf

@@ -1,4 +1,4 @@
-"""How the ground changes during a job, moment by moment, as small as a page needs it."""
+"""How the ground changes during a job, moment by moment, reduced to what a page needs."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.job import BladeSweep, Cycle, JobPlan, Terrain, swept
 from backhoe_planner.show.job.job_frames import Part
 
-_CUT_MOMENTS = 10  # of one cut; chosen, two a second
-_DUMP_MOMENTS = 5  # of one dump; chosen
-_POURS_FROM = 0.35  # part of the dump after which the soil falls; chosen, the bucket has half opened by then
+_CUT_MOMENTS = 10  # per cut; chosen, two a second
+_DUMP_MOMENTS = 5  # per dump; chosen
+_POURS_FROM = 0.35  # part of the dump after which the soil falls; chosen, the bucket is half open by then
 _MILLIMETRES = 1000.0
-_VISIBLE = 5e-4  # m of change that is shown
-_COVERS = 0.04  # m of loose soil through which what is below does not show; chosen, a heap's rim then has no teeth
+_VISIBLE = 5e-4  # m, least change that is shown
+_COVERS = 0.04  # m of loose soil that hide what is below; chosen, a heap's rim then has no teeth
 
 
 def start_of(ground: Terrain) -> dict[str, Any]:
-    """The grid and its heights [mm] as they are at first."""
+    """The grid and its heights [mm] at the beginning."""
     return {
         "low": ground.low,
         "cell": ground.cell,
@@ -33,7 +33,7 @@ def start_of(ground: Terrain) -> dict[str, Any]:
 
 
 def changes_of(plan: JobPlan, parts: Sequence[Part]) -> list[dict[str, Any]]:
-    """What changes and when: time [s], indices of columns, their heights [mm], how much loose soil covers them."""
+    """What changes and when: time [s], indices of columns, their heights [mm], and how much loose soil covers them."""
     found: list[dict[str, Any]] = []
     for cycle in plan.cycles:
         own = {part.name: part for part in parts if part.cycle == cycle.number}
@@ -90,7 +90,7 @@ def _change(time: float, columns: NDArray[np.intp], heights: Array, cover: Array
 
 
 def _cover(loose: Array) -> Array:
-    """From 0 for none to 255 where loose soil hides what is below."""
+    """From 0 for no loose soil to 255 where it hides what is below."""
     return np.round(255.0 * np.clip(loose / _COVERS, 0.0, 1.0))
 
 

@@ -1,4 +1,4 @@
-"""The figures that the page lists of a job."""
+"""The figures of a job that the page lists."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from backhoe_planner.job import JobPlan, job_figures
 
 
 def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
-    """Name, value and remark of each."""
+    """Name, value and remark of each figure."""
     facts = []
     rows = [
         (row.margin, row.name, row.link)
@@ -52,7 +52,7 @@ def _whence(plan: JobPlan) -> str:
 
 
 def cycle_rows(plan: JobPlan) -> list[dict[str, Any]]:
-    """What the page's table has of every cycle."""
+    """The values of every cycle for the page's table."""
     return [
         {
             "number": cycle.number,

@@ -1,4 +1,4 @@
-"""A job as frames to be shown: the motions of all cycles one after the other."""
+"""A job as frames for display: the motions of all cycles one after the other."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from backhoe_planner.job import CycleLeg, JobPlan
 from backhoe_planner.show.drawing.timeline import FRAME, ITSELF, MOST_FRAMES, CriticalPoint, Timeline, frames_at
 
-WAIT = "wait"  # the name of a part in which the machine stands until the next truck is there
+WAIT = "wait"  # the name of a part in which the machine waits for the next truck
 
 
 @dataclass(frozen=True)
 class Part:
-    """One leg of a cycle on the time of the whole job.
+    """One leg of a cycle on the time axis of the whole job.
 
     Attributes
     ----------
-    name: of the leg, or `WAIT`.
-    cycle: its number, from 1.
-    begin, end: [s] from the beginning of the job.
+    name: name of the leg, or `WAIT`.
+    cycle: number of the cycle, from 1.
+    begin, end: times from the beginning of the job [s].
     """
 
     name: str
@@ -32,12 +32,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class JobFrames:
-    """All frames of a job, at even times from 0.
+    """All frames of a job, at regular times from 0.
 
     Attributes
     ----------
-    timeline: the frames; obstacles are those of all legs.
-    parts: one after the other.
+    timeline: the frames; its obstacles are those of all legs.
+    parts: the legs and waits, one after the other.
     """
 
     timeline: Timeline
@@ -58,7 +58,7 @@ def job_parts(plan: JobPlan) -> tuple[Part, ...]:
 
 
 def job_frames(plan: JobPlan) -> JobFrames:
-    """The frames of a job with at least one cycle; a long job has fewer a second."""
+    """The frames of a job with at least one cycle; a long job has fewer frames a second."""
     parts = job_parts(plan)
     end = parts[-1].end
     time = np.linspace(0.0, end, min(int(np.ceil(end / FRAME)) + 1, MOST_FRAMES))

@@ -28,8 +28,8 @@ from backhoe_planner.show.page.page import page_of, read_parts, write_page_file
 from backhoe_planner.show.page.page_content import frame_numbers, tell_problem
 from backhoe_planner.site.schema import obstacle_shapes
 
-_LOAD_INSIDE = 0.9  # of the bucket's hull, as which the soil in it is drawn; chosen by eye
-_HIDDEN = ("critical points",)  # while a bucket digs, the nearest is mostly ground that nobody is afraid of
+_LOAD_INSIDE = 0.9  # of the bucket's hull: size at which the soil in it is drawn; chosen by eye
+_HIDDEN = ("critical points",)  # while a bucket digs, the nearest obstacle is mostly the ground, which is no danger
 _NODE = ("ground", "terrain")  # where the page puts the ground in the viewer's tree
 
 
@@ -38,18 +38,18 @@ def write_job_page(plan: JobPlan, path: str | os.PathLike[str]) -> tuple[str, ..
 
     Returns
     -------
-    What could not be drawn as the URDF asks, in words.
+    What could not be drawn as the URDF specifies, in words.
 
     Raises
     ------
-    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
-        the file is of the machine or the job.
+    OutputError: the name ends in neither .html nor .htm, the folder does not exist or cannot be written, or the
+        file belongs to the machine or the job.
     """
     return write_page_file(path, lambda: job_page(plan), inputs=(*plan.robot.files, *plan.job.files))
 
 
 def job_page(plan: JobPlan) -> tuple[str, tuple[str, ...]]:
-    """The page as text, and what could not be drawn as the URDF asks, in words."""
+    """The page as text, and what could not be drawn as the URDF specifies, in words."""
     display = Display()
     warnings = show_job(display, plan)
     css, body, script = read_parts("backhoe_planner.show.job", "job.css", "job.html", "job.js")
@@ -58,7 +58,7 @@ def job_page(plan: JobPlan) -> tuple[str, tuple[str, ...]]:
 
 
 def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
-    """Draw a job and its animation, and tell the page its figures; what could not be drawn as the URDF asks."""
+    """Draw a job and its animation, send the page its figures, and return what could not be drawn, in words."""
     problem = _problem(plan)
     apart = [obstacle.name for obstacle in problem.obstacles if isinstance(obstacle.spec, obstacle_shapes.HeightMap)]
     frames = job_frames(plan) if plan.cycles else _standing(problem)
@@ -99,19 +99,19 @@ def _words(plan: JobPlan) -> str:
 
 
 def _walls(plan: JobPlan) -> tuple[str, ...]:
-    """The walls of the truck's bed: four names in one place would hide it."""
+    """The walls of the truck's bed: four labels in one place would hide the bed."""
     truck = plan.job.dump.truck
     return () if truck is None else tuple(wall["name"] for wall in truck.bed.walls())
 
 
 def _buried(problem: Problem, graph: SceneGraph, lowest: float) -> list[str]:
-    """Nodes of the obstacles that lie below the ground, by where their names are written."""
+    """Nodes of the obstacles that are below the ground, judged by the positions of their labels."""
     nodes = node_names(obstacle.name for obstacle in problem.obstacles)
     return [nodes[name] for name, place in graph.anchors.items() if place is not None and place[2] < lowest]
 
 
 def _problem(plan: JobPlan) -> Problem:
-    """That of the first motion; without any, the site with the machine at its start. No goals are drawn."""
+    """The problem of the first motion; without any motion, the site with the machine at its start. It has no goals."""
     first = plan.cycles[0].legs[0].problem if plan.cycles else build_worksite(plan.job).problem
     return replace(first, goals=(), path=None)
 
@@ -124,7 +124,7 @@ def _standing(problem: Problem) -> JobFrames:
 
 
 def _plan_content(plan: JobPlan, line: Timeline, view: View) -> dict[str, Any]:
-    """What the page shows of any motion, for the whole job."""
+    """The facts that the page shows of any motion, for the whole job."""
     return {
         "verdict": plan.verdict,
         "reason": plan.reason,
@@ -138,7 +138,7 @@ def _plan_content(plan: JobPlan, line: Timeline, view: View) -> dict[str, Any]:
 
 
 def _draw_load(visualizer: Any, graph: SceneGraph, plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> list[Track]:
-    """Draw the soil in the bucket, and the track by which it grows in the cut and goes in the dump."""
+    """Draw the soil in the bucket; the track makes it grow in the cut and vanish in the dump."""
     robot = plan.robot
     hulls = [piece.piece.hull for piece in robot.pieces if piece.joint == robot.n]
     if not hulls or not plan.cycles:
@@ -158,7 +158,7 @@ def _draw_load(visualizer: Any, graph: SceneGraph, plan: JobPlan, parts: tuple[P
 
 
 def _filled(plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> Vector:
-    """(F,) which part of the bucket's capacity is full."""
+    """(F,) the part of the bucket's capacity that is full."""
     moments, filled = [0.0], [0.0]
     for cycle in plan.cycles:
         own = {part.name: part for part in parts if part.cycle == cycle.number}

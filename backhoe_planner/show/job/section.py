@@ -1,4 +1,4 @@
-"""The side section of what is dug: ground, design, pipes and the bucket, along one upright plane."""
+"""The side section of what is dug: ground, design, pipes and the bucket, in one upright plane."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from backhoe_planner.machine import BatchKinematics, Robot
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Capsule, Obstacle
 
-_BEYOND = 0.6  # m that the section goes beyond what is dug; chosen
-_UPRIGHT = 0.9  # part of an axis that is upright: such a cylinder is not cut across; chosen
+_BEYOND = 0.6  # m by which the section extends beyond what is dug; chosen
+_UPRIGHT = 0.9  # vertical part of a pipe's axis from which it is not cut across; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +25,9 @@ class Section:
 
     Attributes
     ----------
-    begin: (2,) x, y where it begins [m].
-    along: (2,) unit vector.
-    length: [m]
+    begin: (2,) x, y of its beginning [m].
+    along: (2,) unit vector along the section.
+    length: length of the section [m].
     """
 
     begin: Vector
@@ -35,13 +35,13 @@ class Section:
     length: float
 
     def stations(self, points: Matrix) -> tuple[Vector, Vector]:
-        """How far along the section points (F, 2+) are, and how far beside it [m]."""
+        """Distances of points (F, 2+) along the section, and beside it [m]."""
         off = points[:, :2] - self.begin
         return off @ self.along, off @ np.array([-self.along[1], self.along[0]])
 
 
 def section_of(plan: JobPlan) -> Section:
-    """Along a trench, from its nearer end; through the middle of any other dig, away from the machine."""
+    """The section along a trench, from its nearer end; for other digs, through the middle and away from the machine."""
     axis = _axis(plan.robot)
     trench = plan.job.dig.trench
     if trench is not None:
@@ -59,7 +59,7 @@ def section_of(plan: JobPlan) -> Section:
 
 
 def section_content(plan: JobPlan, problem: Problem, q: Matrix) -> dict[str, Any]:
-    """What the page draws: heights at even stations, what crosses the plane, and the bucket at every frame q (F, n)."""
+    """The content for the page: heights at regular stations, crossings of the plane, the bucket per frame q (F, n)."""
     section, ground = section_of(plan), plan.start
     count = int(np.ceil(section.length / ground.cell)) + 1
     along = np.linspace(0.0, section.length, count)
@@ -86,12 +86,12 @@ def section_content(plan: JobPlan, problem: Problem, q: Matrix) -> dict[str, Any
 
 
 def _axis(robot: Robot) -> Vector:
-    """(2,) where the swing axis stands."""
+    """(2,) position of the swing axis [m]."""
     return np.asarray(BatchKinematics(robot).at(robot.middle[None]).origins[0, 0, :2])
 
 
 def _heading(robot: Robot, section: Section) -> Vector:
-    """(2,) outward from the swing axis to the middle of the section."""
+    """(2,) vector from the swing axis outward to the middle of the section [m]."""
     return np.asarray(section.begin + 0.5 * section.length * section.along - _axis(robot))
 
 
@@ -113,7 +113,7 @@ def _outline(robot: Robot) -> Matrix:
 
 
 def _crossings(obstacles: Sequence[Obstacle], section: Section) -> list[dict[str, Any]]:
-    """The pipes that go through the plane: where, half axes of the cut through them, and what is to be kept."""
+    """The pipes that cross the plane: where, half axes of their cross section, and the required clearance."""
     found = []
     across = np.array([-section.along[1], section.along[0], 0.0])
     for obstacle in obstacles:

@@ -1,4 +1,4 @@
-"""The soil on a truck, as it lies there after each dump."""
+"""The soil on a truck after each dump."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from backhoe_planner.show.drawing.scene_graph import HIDDEN
 from backhoe_planner.show.drawing.solids import facets
 from backhoe_planner.show.job.job_frames import Part
 
-_EVERY = 3  # columns of the load that are drawn: 15 cm
-_SOON = 1e-3  # s in which one load takes the other's place in the picture
+_EVERY = 3  # every third column of the load is drawn: 15 cm apart
+_SOON = 1e-3  # s in which one load replaces the other in the picture
 
 
 def draw_truck_load(visualizer: Any, prefix: str, plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> list[Track]:
-    """Draw what lies on the truck after each cycle, and the tracks by which one load grows out of the last.
+    """Draw the load of the truck after each cycle, and return the tracks by which one load grows out of the last.
 
     Parameters
     ----------
-    prefix: of paths in the viewer's tree.
-    parts: of the whole job, on whose time (F,) [s] the tracks are.
+    prefix: prefix of paths in the viewer's tree.
+    parts: parts of the whole job, whose times (F,) [s] the tracks use.
     """
     truck = plan.job.dump.truck
     if truck is None:
@@ -55,7 +55,7 @@ def draw_truck_load(visualizer: Any, prefix: str, plan: JobPlan, parts: tuple[Pa
 
 
 def load_body(load: Terrain) -> trimesh.Trimesh:
-    """The load as a closed surface, in the bed's axes; its floor at z = 0."""
+    """The load as a closed surface, in the bed's axes, with its floor at z = 0."""
     rows, columns = (np.unique([*range(0, count, _EVERY), count - 1]) for count in load.shape)
     height = load.loose[np.ix_(rows, columns)]
     x, y = np.meshgrid(load.x[columns], load.y[rows])
@@ -77,7 +77,7 @@ def _dump(cycle: Cycle, parts: tuple[Part, ...]) -> Part:
 
 
 def _gone(cycle: Cycle, following: Cycle, parts: tuple[Part, ...]) -> float:
-    """When the load of a cycle is no longer to be seen [s]: the next lies on it, or the truck has gone."""
+    """When the load of a cycle is no longer visible [s]: the next one is on top of it, or the truck has left."""
     if following.truck == cycle.truck:
         return _dump(following, parts).begin
     return max(part.end for part in parts if part.cycle == cycle.number)

@@ -1,7 +1,7 @@
-"""Drawing commands and numbers as messages for the page in the browser.
+"""Drawing commands and figures as messages for the page in the browser.
 
-``meshcat.Visualizer`` takes a `Display` in place of its window, so that drawing needs no
-server: the messages go into a page, or to the browsers that are connected.
+``meshcat.Visualizer`` accepts a `Display` in place of its window, so that drawing needs no server: the messages go
+into a page, or to the connected browsers.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import meshcat
 import numpy as np
 import umsgpack
 
-Key = tuple[str, str, str]  # what a message is about: its kind, a path or a name, a property
+Key = tuple[str, str, str]  # the subject of a message: its kind, a path or a name, a property
 Message = bytes | str
 
-_DIGITS = 4  # after the point; chosen, 0.1 mm, 0.1 ms and 0.006 degrees are finer than a page shows
+_DIGITS = 4  # after the point; chosen, 0.1 mm, 0.1 ms and 0.006 degrees are finer than what a page shows
 
 
 class Messages(dict[Key, Message]):
-    """Of several messages about the same thing only the newest, in the order in which they came."""
+    """Only the newest of several messages about the same thing, in the order in which they came."""
 
     def put(self, key: Key, message: Message) -> None:
-        """Keep a message. If it deletes a node, it replaces all messages about it or what is below it."""
+        """Keep a message. If it deletes a node, it replaces all messages about that node and those below it."""
         kind, path, _ = key
         if kind == "delete":
             below = path.rstrip("/") + "/"
@@ -38,14 +38,14 @@ class Messages(dict[Key, Message]):
 
 
 class Display:
-    """Keeps the messages that make the present picture.
+    """Keeps the messages that make up the present picture.
 
-    Drawing commands are bytes, for meshcat's viewer; numbers are JSON, for the page around it.
+    Drawing commands are bytes, for meshcat's viewer; figures are JSON, for the page around it.
     One thread may write while others read.
 
     Parameters
     ----------
-    listener: is called with every message as it comes.
+    listener: called with every message when it comes.
     """
 
     def __init__(self, listener: Callable[[Key, Message], None] | None = None) -> None:
@@ -63,13 +63,13 @@ class Display:
         return meshcat.Visualizer(window=self)["/"]
 
     def send(self, command: Any) -> None:
-        """Take a meshcat command."""
+        """Accept a meshcat command."""
         content = command.lower()
         key = (str(content["type"]), str(content["path"]), str(content.get("property", "")))
         self._post(key, umsgpack.packb(content))
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:
-        """Send the page a message of a `kind`, which replaces the last of this kind; values as for `plain`."""
+        """Send the page a message of a `kind`, which replaces the last one of this kind; values as for `plain`."""
         text = json.dumps(plain({"type": kind, **content}), allow_nan=False, separators=(",", ":"))
         self._post(("tell", kind, ""), text)
 
@@ -89,10 +89,10 @@ class Display:
 
 
 def plain(value: Any) -> Any:
-    """`value` in the types of JSON.
+    """`value` in JSON types.
 
-    Numbers are rounded; those that are not finite become null. Arrays, tuples and sets become
-    lists, sets in order. A record becomes an object with its fields.
+    Numbers are rounded; those that are not finite become null. Arrays, tuples and sets become lists, sets in sorted
+    order. A record becomes an object with its fields.
     """
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()

@@ -1,6 +1,6 @@
-"""One HTML page that shows a plan without a network: the picture, its numbers, a scrubber.
+"""One HTML page that shows a plan without a network: the picture, its figures, a scrubber.
 
-The same page, without content of its own, is what the live viewer serves.
+The live viewer serves the same page, without content of its own.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
     Returns
     -------
-    What could not be drawn as the URDF asks, in words.
+    What could not be drawn as the URDF specifies, in words.
 
     Raises
     ------
-    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
-        the file is of the machine or the scene.
+    OutputError: the name ends in neither .html nor .htm, the folder does not exist or cannot be written, or the
+        file belongs to the machine or the scene.
     """
     return write_page_file(path, lambda: plan_page(plan), inputs=plan.input_files)
 
@@ -51,8 +51,8 @@ def write_page_file(
 
     Parameters
     ----------
-    make: gives the page as text, and what could not be drawn, in words; called once the file may be written.
-    inputs: files over which it must not be written.
+    make: returns the page as text, and what could not be drawn, in words; called once the file may be written.
+    inputs: files that must not be overwritten.
 
     Returns
     -------
@@ -60,8 +60,8 @@ def write_page_file(
 
     Raises
     ------
-    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
-        the file is one of `inputs`.
+    OutputError: the name ends in neither .html nor .htm, the folder does not exist or cannot be written, or the
+        file is one of `inputs`.
     """
     check_output(path, inputs)
     check_ending(path, PAGE_FORMATS, what="a page")
@@ -72,18 +72,18 @@ def write_page_file(
 
 
 def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
-    """The page as text, and what could not be drawn as the URDF asks, in words."""
+    """The page as text, and what could not be drawn as the URDF specifies, in words."""
     display = Display()
     graph = show_plan(display, plan)
     return page_of(plan.scene.name or "plan", display), graph.warnings
 
 
 def page_of(title: str, display: Display, *, css: str = "", body: str = "", script: str = "") -> str:
-    """A page that shows what is on a display, offline.
+    """A page that shows the content of a display, offline.
 
     Parameters
     ----------
-    css, body, script: what the page has beyond the plain one.
+    css, body, script: additions to the plain page.
     """
     messages = display.messages().values()
     content = {
@@ -94,11 +94,11 @@ def page_of(title: str, display: Display, *, css: str = "", body: str = "", scri
 
 
 def live_page(*, css: str = "", body: str = "", script: str = "") -> str:
-    """The page that a live viewer serves; its server sends what it shows.
+    """The page that a live viewer serves; its server sends the content.
 
     Parameters
     ----------
-    css, body, script: what the page has beyond the plain live view.
+    css, body, script: additions to the plain live view.
     """
     return _page("backhoe_planner", None, connect="'self' ws: wss:", css=css, body=body, script=script)
 
@@ -124,7 +124,7 @@ def html_page(title: str, *, policy: str, css: str, body: str, scripts: Sequence
     ----------
     title: plain text.
     policy: what its parts may load and run, as a content security policy.
-    css, body, scripts: its parts, each as it is.
+    css, body, scripts: its parts, inserted unchanged.
     """
     return "".join(
         (
@@ -140,13 +140,13 @@ def html_page(title: str, *, policy: str, css: str, body: str, scripts: Sequence
 
 
 def _json_in_script(content: Any) -> str:
-    """JSON that cannot end the script around it, whatever its strings hold."""
+    """JSON that cannot end the script around it, whatever its strings contain."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 @lru_cache(maxsize=1)
 def _meshcat() -> str:
-    """The viewer that meshcat's Python package brings along."""
+    """The viewer that comes with meshcat's Python package."""
     source = resources.files("meshcat").joinpath("viewer", "dist", "main.min.js").read_text(encoding="utf-8")
     return source.replace("</script", "<\\/script")

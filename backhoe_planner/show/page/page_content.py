@@ -1,4 +1,4 @@
-"""The numbers that the page shows beside the picture: of a problem, a posture and a plan."""
+"""The figures that the page shows next to the picture: for a problem, a posture and a plan."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _KEPT = {"pitch": "pitch", "above": "height", "below": "height", "rotation": "tu
 
 
 def show_plan(display: Display, plan: Plan) -> SceneGraph:
-    """Draw a plan and its animation, and tell the page its verdict, numbers and frames."""
+    """Draw a plan and its animation, and send the page its verdict, figures and frames."""
     problem = problem_to_show(plan)
     visualizer = display.visualizer()
     frames = timeline(problem, plan.trajectory)
@@ -51,7 +51,7 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
 
 
 def _leg(problem: Problem, leg: PlannedLeg) -> dict[str, Any]:
-    """What the page shows of a leg: its beginning, what it carries, and which obstacles are not there in it."""
+    """The facts of a leg for the page: its beginning, what it carries, and the obstacles that are not present in it."""
     carried = leg.problem.robot.carried
     there = {obstacle.name for obstacle in leg.problem.obstacles}
     away = [obstacle.name for obstacle in problem.obstacles if obstacle.name not in there]
@@ -59,7 +59,7 @@ def _leg(problem: Problem, leg: PlannedLeg) -> dict[str, Any]:
 
 
 def frame_numbers(frames: Timeline, links: tuple[str, ...]) -> dict[str, Any]:
-    """The numbers of every frame: time from the first one, joints, and by obstacle margins and indices of `links`."""
+    """The figures of every frame: time from the first one, joints, and per obstacle margins and indices of `links`."""
     numbers = [_numbers(row, links) for row in zip(*frames.nearest, strict=True)]
     return {
         "time": frames.time - frames.time[0],
@@ -80,15 +80,15 @@ def tell_problem(
     unnamed: Collection[str] = (),
     hidden: Collection[str] = (),
 ) -> None:
-    """Tell the page of the site and the machine: names and where they are written, clearances, limits.
+    """Send the page the facts about site and machine: names and their positions, clearances, limits.
 
     Parameters
     ----------
     graph, view: the picture and its camera.
-    obstacles: names of what margins are shown for.
-    task: what the machine does, in words; by default from its task.
-    unnamed: obstacles whose names are not written in the picture.
-    hidden: groups of `SceneGraph` that are not shown until they are switched on.
+    obstacles: names for which margins are shown.
+    task: what the machine does, in words; by default derived from its task.
+    unnamed: obstacles without a label in the picture.
+    hidden: groups of `SceneGraph` that are hidden until they are switched on.
     """
     robot, scene = problem.robot, problem.scene
     listed = {
@@ -131,7 +131,7 @@ def tell_problem(
 
 
 def shown_links(problem: Problem) -> tuple[str, ...]:
-    """Names of the links of a problem's machine, and of what it carries in some leg."""
+    """Names of the links of a problem's machine, and of the loads that it carries in some leg."""
     loads = [leg.robot.carried[0] for leg in problem.legs if leg.robot.carried is not None]
     return tuple(dict.fromkeys((*problem.robot.link_names, *loads)))
 
@@ -139,7 +139,7 @@ def shown_links(problem: Problem) -> tuple[str, ...]:
 def tell_step(
     display: Display, q: Any, *, time: float, nearest: tuple[CriticalPoint | None, ...], links: tuple[str, ...]
 ) -> None:
-    """Tell the page the numbers of one posture: joint positions q (n,) and margins, at `time` [s].
+    """Send the page the figures of one posture: joint positions q (n,) and margins, at `time` [s].
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def tell_step(
 
 
 def _kept(condition: Condition, q: Matrix) -> dict[str, Any]:
-    """What the page shows of a condition at every frame `q` (F, n): its value and margin, in degrees or metres."""
+    """The facts of a condition for the page, at every frame `q` (F, n): value and margin, in degrees or metres."""
     scale = _DEGREES if condition.unit == "rad" else 1.0
     values = condition.values(q)
     return {
@@ -164,6 +164,6 @@ def _kept(condition: Condition, q: Matrix) -> dict[str, Any]:
 
 
 def _numbers(nearest: tuple[CriticalPoint | None, ...], links: tuple[str, ...]) -> tuple[list[float | None], list[int]]:
-    """Margins [m], and indices of the links; None and -1 where there is no critical point."""
+    """Margins [m], and indices of the links; None and -1 if there is no critical point."""
     margins = [None if point is None else round(point.margin, 3) for point in nearest]
     return margins, [-1 if point is None else links.index(point.link) for point in nearest]

@@ -1,4 +1,4 @@
-"""The facts that the page lists of a plan."""
+"""The facts about a plan that the page lists."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from backhoe_planner.proof import KeepUse
 
 
 def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
-    """The facts that the page lists of a plan: name, value and remark of each."""
+    """The facts about a plan that the page lists: name, value and remark of each."""
     certificate, metrics = plan.certificate, plan.metrics
     facts = []
     tightest = certificate.min_clearance
@@ -63,7 +63,7 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
 
 
 def _about_duration(plan: Plan) -> str:
-    """Whether it is the objective, how long it was allowed to be, and how far above the least possible it is."""
+    """Whether the duration is the objective, which duration was allowed, and the excess over the least possible."""
     words = ["the objective"] if plan.minimised == "time" else []
     if plan.findings.allowed_time is not None:
         words.append(f"at most {plan.findings.allowed_time:.2f} s was allowed")
@@ -74,7 +74,7 @@ def _about_duration(plan: Plan) -> str:
 
 
 def _costs(plan: Plan) -> list[tuple[str, str, str]]:
-    """The work, and the objective where that is something else, with what is proven to be needed."""
+    """The work, and the objective if it is something else, with the proven lower bound."""
     facts, metrics, minimised = [], plan.metrics, plan.minimised
     work, cost, compared = metrics.energy.get("work"), metrics.cost, metrics.objective
     least = None
@@ -104,7 +104,7 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
 
 
 def _left(use: KeepUse) -> str:
-    """What is left of a condition, with its unit."""
+    """The remaining margin of a condition, with its unit."""
     return f"{np.degrees(use.margin):.2f}°" if use.unit == "rad" else f"{_metres(use.margin)} m"
 
 

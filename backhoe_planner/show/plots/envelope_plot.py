@@ -1,4 +1,4 @@
-"""A figure of where the tip can get, with the machine beside it."""
+"""A figure of the tip's reach, with the machine."""
 
 from __future__ import annotations
 
@@ -22,21 +22,20 @@ if TYPE_CHECKING:
 
 _SAMPLES = 300_000  # postures; chosen, several for each cell
 _CELLS = 220  # along the longer side; chosen, a cell is about a line wide
-_BEYOND = 0.08  # part of a joint's range by which samples go beyond its ends, to be clipped: the ends make the rim
+_BEYOND = 0.08  # part of a joint's range by which samples exceed its ends and are clipped: the ends form the rim
 _REGION, _RIM = "#cfe0f3", "#2b6cb0"
 _STEEL: Rgba = (0.55, 0.58, 0.62, 1.0)
 _LIGHT = np.array([0.2, -0.8, 0.57])  # direction of the light, from behind the reader's shoulder
-_MOST_TRIANGLES = 30_000  # chosen: the parts of a machine with more are drawn as their hulls
-_UPRIGHT = 0.99  # size of the z of an axis from which on it counts as vertical; chosen, 8 degrees
+_MOST_TRIANGLES = 30_000  # chosen: if a machine has more, its parts are drawn as their hulls
+_UPRIGHT = 0.99  # least absolute z of an axis that counts as vertical; chosen, 8 degrees
 _INK, _EARTH = "#1d2731", "#8a6a4a"
 
 
 def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
     """Write a figure of the tip's reach; `path` and errors as for `plot_plan`.
 
-    For a machine that works in an upright plane: that plane, with the machine from the
-    side and the figures of its data sheet. For any other: the reach from above and from
-    the side.
+    For a machine that works in an upright plane, it shows that plane, with the machine from the side and the figures of
+    its data sheet. For any other machine, it shows the reach from above and from the side.
     """
     figure = new_figure(path, 9.5, 7.2, inputs=robot.files)
     envelope = working_envelope(robot)
@@ -45,7 +44,7 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
         _draw_plane(figure.subplots(), robot, envelope, points)
     else:
         tips = reachable_points(robot)
-        flat = float(np.ptp(tips[:, 2])) < 1e-6  # an arm that lies level is seen from above only
+        flat = float(np.ptp(tips[:, 2])) < 1e-6  # a level arm is shown only from above
         views = (("from above", 0, 1),) if flat else (("from above", 0, 1), ("from the side", 0, 2))
         figure.set_size_inches(1.0 + 5.0 * len(views), 5.6)
         for view, (title, a, b) in zip(figure.subplots(1, len(views), squeeze=False)[0], views, strict=True):
@@ -59,10 +58,10 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
 
 
 def _in_plane(robot: Robot) -> Matrix | None:
-    """(k, 2) radius and height of the tip in the plane of the arm [m]; None where joints slide.
+    """(k, 2) radius and height of the tip in the plane of the arm [m]; None if joints are prismatic.
 
-    All axes of the plane are parallel, so the tip is the sum of the links, each turned by the
-    sum of the angles up to it.
+    All axes of the plane are parallel, so the tip is the sum of the links, each rotated by the sum of the angles up to
+    it.
     """
     kinematics = Kinematics(robot)
     rest = _rest(robot)
@@ -154,7 +153,7 @@ def _dimension(axes: Axes, a: tuple[float, float], b: tuple[float, float], text:
 
 
 def _draw_machine(axes: Axes, robot: Robot, a: int, b: int) -> None:
-    """The machine's parts over the axes `a` and `b` of the world, seen along the third, those behind first."""
+    """Draw the machine's parts over the world's axes `a` and `b`, seen along the third, the farthest first."""
     from matplotlib.collections import PolyCollection
 
     data = robot.model.createData()
@@ -186,7 +185,7 @@ def _draw_machine(axes: Axes, robot: Robot, a: int, b: int) -> None:
 
 
 def _parts(robot: Robot) -> list[tuple[int, Matrix, Rgba]]:
-    """Joint, triangles (k, 3, 3) in its frame, and colour of what is drawn of the machine."""
+    """Joint, triangles (k, 3, 3) in its frame, and colour of each drawn part of the machine."""
     drawn = machine_meshes(robot)[0]
     if sum(len(part.facets.faces) for part in drawn) <= _MOST_TRIANGLES:
         return [(part.joint, part.facets.vertices[part.facets.faces], part.rgba) for part in drawn]

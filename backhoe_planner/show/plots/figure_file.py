@@ -1,4 +1,4 @@
-"""Figures of matplotlib: how all of them look, and their files."""
+"""Figures of matplotlib: their common look, and their files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RESOLUTION = 150  # dots per inch; chosen, text of 8 points is readable on a sc
 
 
 def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inputs: tuple[Path, ...] = ()) -> Figure:
-    """A figure of this size [inches] that can be written to `path`; to be called before anything is computed.
+    """A figure of this size [inches] that can be written to `path`; call it before anything is computed.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inp
 
 
 def dress(axes: Axes) -> None:
-    """Draw axes as in all figures: no box, a pale grid behind the curves, small numbers."""
+    """Give axes the look of all figures: no box, a pale grid behind the curves, small numbers."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_axisbelow(True)
     axes.grid(color="0.92", linewidth=0.8)
@@ -56,6 +56,6 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], title: str) -> Non
 
 
 def plain_text(text: str) -> str:
-    """`text` so that matplotlib shows it literally: not as a formula, and not left out of legends."""
+    """`text` in a form that matplotlib shows literally: not as a formula, and not left out of legends."""
     escaped = text.replace("$", r"\$")
     return f" {escaped}" if escaped.startswith("_") else escaped

@@ -1,4 +1,4 @@
-"""The names of a sequence's legs above a figure's panels, in as many rows as keep them apart."""
+"""The names of a sequence's legs above a figure's panels, in as many rows as are needed to keep them apart."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SIZE = 7.5  # pt of the letters
-_LETTER = 0.62 * _SIZE  # pt, width of a letter of DejaVu Sans on the average, a little more
+_LETTER = 0.62 * _SIZE  # pt, average width of a letter of DejaVu Sans, rounded up
 _ROW = 1.3 * _SIZE  # pt from row to row
 _BESIDE = 3.0  # pt between a name and its line
-_ABOVE = 12.0  # pt above the panel, where its own remark has room
+_ABOVE = 12.0  # pt above the panel, which leaves room for the panel's own remark
 
 
 def label_rows(begins: Sequence[float], widths: Sequence[float]) -> list[int]:
-    """The row of each name, so that no two cover each other: the lowest that is free where it begins, from 0.
+    """The row of each name, so that no two overlap: the lowest that is free at its beginning, from 0.
 
     Parameters
     ----------
-    begins: where the names begin, rising.
-    widths: of the names, in the same unit.
+    begins: where the names begin, increasing.
+    widths: widths of the names, in the same unit.
     """
     ends: list[float] = []
     rows = []
@@ -36,15 +36,15 @@ def label_rows(begins: Sequence[float], widths: Sequence[float]) -> list[int]:
 
 
 def name_legs(axes: Axes, plan: Plan, *, width: float) -> float:
-    """Write the name of each leg, and what it carries, above where it begins.
+    """Write the name of each leg, and what it carries, above the leg's beginning.
 
     Parameters
     ----------
-    width: of the panel [pt].
+    width: width of the panel [pt].
 
     Returns
     -------
-    How high the names stand above the panel [pt]; 0 without legs.
+    Height of the names above the panel [pt]; 0 without legs.
     """
     if not plan.legs:
         return 0.0

@@ -1,4 +1,4 @@
-"""Panels of a plan without a motion: the posture at the start, beside its limits and what is near."""
+"""Panels for a plan without a motion: the posture at the start, with its limits and nearby obstacles."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from backhoe_planner.show.plots.figure_file import plain_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_BAR = 0.5  # height of a bar, where rows are 1 apart; chosen
-_ROW = 0.34  # inches for each row of a panel; chosen, a line of text and room
+_BAR = 0.5  # height of a bar, for rows that are 1 apart; chosen
+_ROW = 0.34  # inches for each row of a panel; chosen, a line of text and some space
 _FRAME = 0.9  # inches of a panel around its rows; chosen
 
 
 def posture_heights(problem: Problem, frames: Timeline) -> list[float]:
-    """Of the panels, as many as `draw_posture` fills [inches]."""
+    """Heights of the panels that `draw_posture` fills [inches]."""
     rows = [problem.robot.n] + ([len(frames.obstacles)] if frames.obstacles else [])
     return [_FRAME + _ROW * count for count in rows]
 
 
 def draw_posture(all_axes: list[Axes], plan: Plan, problem: Problem, frames: Timeline) -> None:
-    """Where each joint stands in its range, and the margin to each obstacle, at the start of a plan."""
+    """Draw the position of each joint in its range, and the margin to each obstacle, at the start of a plan."""
     _draw_joints(all_axes[0], plan, problem)
     if len(all_axes) > 1:
         _draw_margins(all_axes[1], plan, frames)
 
 
 def _draw_joints(axes: Axes, plan: Plan, problem: Problem) -> None:
-    """Ranges are drawn equally long, as some are of angles and some of metres; no range, no bar."""
+    """Ranges are drawn equally long, because some are angles and some lengths; without a range there is no bar."""
     rows, words = np.arange(plan.robot.n), []
     for joint, name in enumerate(plan.robot.joint_names):
         slides, q = bool(plan.robot.prismatic[joint]), float(plan.trajectory.q[0, joint])

@@ -1,4 +1,4 @@
-"""The site from above, with what every place costs: what the picture and the page draw."""
+"""The site from above, with the cost of every place: the content of the picture and the page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.machine import Base
 from backhoe_planner.site import Obstacle, build_obstacles
 from backhoe_planner.standing import Place, Spot, StandPlan
 
-COSTS = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear; the ends differ in brightness too
+COSTS = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to expensive; the ends differ in brightness too
 WHY = {  # why a machine cannot stand somewhere: a colour and words; places out of reach or off the line are not drawn
     "edge": ("#e9d3cf", "on the dig, or too near its edge"),
     "dump": ("#cfe0ee", "no place to dump in reach"),
@@ -22,9 +22,9 @@ WHY = {  # why a machine cannot stand somewhere: a colour and words; places out 
     "ground": ("#d8d8cf", "not level there, or not known"),
 }
 DIG, OBSTACLE, HEAP, MACHINE, GIVEN = "#8a6a4a", "#7d8894", "#b99b6b", "#1d2731", "#5d6b78"
-WHOLE = 0.98  # of the soil, from which on a place counts as reaching all of it; as of the search
-_LAID = 0.05  # m of loose soil that is drawn as a heap
-_DEAREST = 0.9  # of the costs from the least: the dearest tenth has one colour, so that a few do not stretch the scale
+WHOLE = 0.98  # part of the soil from which a place counts as reaching all of it; as in the search
+_LAID = 0.05  # m of loose soil from which it is drawn as a heap
+_DEAREST = 0.9  # of the costs in order: the most expensive tenth has one colour, so that a few do not stretch the scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class Cell:
 
     Attributes
     ----------
-    corners: (4, 2) of its cell [m].
-    spot: what was found there.
+    corners: (4, 2) corners of its cell [m].
+    spot: what was found at the place.
     """
 
     corners: Matrix
@@ -47,10 +47,10 @@ class Machine:
 
     Attributes
     ----------
-    outlines: (k, 2) of the parts that do not move [m].
-    axis: (2,) where it swings [m].
-    digs: (2,) the middle of what it digs [m].
-    label: its number among the places; empty for the place of the job's file.
+    outlines: (k, 2) outlines of the parts that do not move [m].
+    axis: (2,) position of the swing axis [m].
+    digs: (2,) middle of what the machine digs [m].
+    label: its number among the places; empty for the place in the job file.
     """
 
     outlines: tuple[Matrix, ...]
@@ -65,15 +65,15 @@ class Sketch:
 
     Attributes
     ----------
-    cells: places that are worth a colour.
+    cells: places that get a colour.
     digs: outlines of what is dug, section by section.
-    obstacles: names and outlines.
-    heaps: outlines of the heaps at the end, of trucks their beds.
-    machines: at the places of the answer.
-    given: at the place of the job's file; None where that is the answer.
+    obstacles: names and outlines of the obstacles.
+    heaps: outlines of the heaps at the end; for trucks, of their beds.
+    machines: machines at the places of the answer.
+    given: machine at the place of the job file; None if that is the answer.
     low, high: (2,) corners of all that is drawn.
-    range: least and greatest cost of the colours.
-    unit, scale: of the costs, and by what they are multiplied for it.
+    range: least and greatest cost of the colour scale.
+    unit, scale: unit of the costs, and the factor that converts costs to it.
     """
 
     cells: tuple[Cell, ...]
@@ -90,7 +90,7 @@ class Sketch:
 
 
 def sketch_of(plan: StandPlan) -> Sketch:
-    """What there is to draw of an answer."""
+    """The drawing of an answer."""
     found = plan.map
     cells = tuple(
         Cell(_cell(plan, np.array([x, y])), spot)
@@ -120,7 +120,7 @@ def sketch_of(plan: StandPlan) -> Sketch:
 
 
 def name_place(sketch: Sketch, outline: Matrix) -> tuple[float, float] | None:
-    """Where the name of an obstacle is written, x, y [m]; None where it lies beyond what is drawn."""
+    """Position of an obstacle's label, x, y [m]; None if the obstacle is beyond what is drawn."""
     low, high = np.maximum(outline.min(axis=0), sketch.low), np.minimum(outline.max(axis=0), sketch.high)
     if (low >= high).any():
         return None
@@ -181,7 +181,7 @@ def _heaps(plan: StandPlan) -> tuple[Matrix, ...]:
 
 
 def _laid(ground: Terrain) -> tuple[Matrix, ...]:
-    """Convex outlines of what lies loose on the ground."""
+    """Convex outlines of the loose soil on the ground."""
     from scipy.ndimage import label
     from scipy.spatial import ConvexHull
 
@@ -196,7 +196,7 @@ def _laid(ground: Terrain) -> tuple[Matrix, ...]:
 
 
 def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
-    """Names and outlines of the obstacles that have one from above."""
+    """Names and outlines of the obstacles that have an outline from above."""
     robot: Any = plan.places[0].plan.robot if plan.places else None
     if robot is None:
         return ()

@@ -34,8 +34,8 @@ def write_stand_page(plan: StandPlan, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
-        the file is one of the job's.
+    OutputError: the name ends in neither .html nor .htm, the folder does not exist or cannot be written, or the
+        file is one of the job's.
     """
     write_page_file(path, lambda: (stand_page(plan), ()), inputs=plan.job.files)
 
@@ -93,7 +93,7 @@ def _drawing(sketch: Sketch) -> str:
 
 
 def _body(machine: Machine, kind: str, shade: str) -> str:
-    """The parts that do not move, all rims below all faces: the outline around them is left."""
+    """The parts that do not move; all rims are below all faces, so that only the common outline remains."""
     every = "".join(f'<polygon points="{_points(one)}"/>' for one in machine.outlines)
     return f'<g class="{kind}"><g class="rims" stroke="{shade}">{every}</g><g class="faces">{every}</g></g>'
 
@@ -108,7 +108,7 @@ def _arm(machine: Machine) -> list[str]:
 
 
 def _ruler(sketch: Sketch) -> str:
-    """A line of one metre, and which way x and y go, in the lower left corner."""
+    """A line of one metre with the directions of x and y, in the lower left corner."""
     x, y = float(sketch.low[0]) + 0.35, -float(sketch.low[1]) - 0.35
     return (
         f'<path class="ruler" d="M{x:.3f} {y:.3f}h1M{x:.3f} {y:.3f}v-1"/>'

@@ -37,7 +37,7 @@ def plot_stand(plan: StandPlan, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    OutputError: the suffix is none of .png, .svg, .pdf, the folder cannot be written, or the file is one of the job's.
+    OutputError: the suffix is not .png, .svg or .pdf, the folder cannot be written, or the file is one of the job's.
     InputError: matplotlib is not installed.
     """
     sketch = sketch_of(plan)
@@ -96,7 +96,7 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
 def _machine(axes: Axes, machine: Machine, shade: str, *, filled: bool) -> None:
     from matplotlib.patches import Polygon
 
-    # all rims below all faces: of parts that overlap the outline around all of them is left
+    # all rims are below all faces, so that only the common outline of overlapping parts remains
     level, style, face = (0.4, "-", _BODY) if filled else (0.2, "--", "white")
     for outline in machine.outlines:
         axes.add_patch(

@@ -1,4 +1,4 @@
-"""A picture of points in two metrics, as SVG: those that no other beats are joined by a curve."""
+"""A picture of points in two metrics, as SVG: the points that no other beats are joined by a curve."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from collections.abc import Sequence
 
 _WIDTH, _HEIGHT = 340.0, 230.0  # units of the picture, which is drawn as wide as its card
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 8.0, 38.0  # room for numbers and names
-_MOST_POINTS = 3000  # that are drawn; chosen: more hide each other and make the page slow
-_TICKS = 4  # about as many on each axis
+_MOST_POINTS = 3000  # points drawn; chosen: more would hide each other and slow down the page
+_TICKS = 4  # approximate number on each axis
 
 Point = tuple[float, float, int, bool]
 
 
 def scatter(x_name: str, y_name: str, points: Sequence[Point], *, best: int | None, forward: bool) -> str:
-    """The picture.
+    """The picture as SVG.
 
     Parameters
     ----------
     points: x, y, number of the row, and whether no other row beats it.
-    best: the number of the row that gets a ring.
-    forward: whether less of x is better, so that the curve is drawn from there.
+    best: number of the row that gets a ring.
+    forward: whether less of x is better, so that the curve is drawn from the least x.
     """
     front = sorted((point for point in points if point[3]), key=lambda one: one[0], reverse=not forward)
     others = [point for point in points if not point[3]]
@@ -61,7 +61,7 @@ def scatter(x_name: str, y_name: str, points: Sequence[Point], *, best: int | No
 
 
 def _ends(values: Sequence[float]) -> tuple[float, float]:
-    """The ends of an axis that holds all values, with some room."""
+    """The ends of an axis that contains all values, with some room."""
     low, high = min(values), max(values)
     room = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
     return low - room, high + room

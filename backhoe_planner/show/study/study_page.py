@@ -1,4 +1,4 @@
-"""One HTML page that says what a study says, without a network and without scripts."""
+"""One HTML page with the results of a study, without a network and without scripts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from backhoe_planner.studies import Map, Share, StudyResult, Summary, map_of_two
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _SHADES = ((0x2F, 0xA8, 0x66), (0xF6, 0xE7, 0xA6), (0xE0, 0x7A, 0x5F))  # good, middling, bad
-_ONE_LINE = 18  # characters; chosen, more do not fit beside a bar on a phone
-_NONE = "#e6ebef"  # where nothing is verified
+_ONE_LINE = 18  # characters; chosen, more do not fit next to a bar on a phone
+_NONE = "#e6ebef"  # if nothing is verified
 
 
 def write_study_page(result: StudyResult, path: str | os.PathLike[str]) -> None:
@@ -21,7 +21,7 @@ def write_study_page(result: StudyResult, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    OutputError: the name ends neither in .html nor in .htm, or the folder cannot be written.
+    OutputError: the name ends in neither .html nor .htm, or the folder cannot be written.
     """
     inputs = [] if result.study.file is None else [result.study.file]
     write_page_file(path, lambda: (study_page(result), ()), inputs=inputs)
@@ -120,7 +120,7 @@ def _share_row(share: Share) -> str:
 
 
 def _map(result: StudyResult, summary: Summary) -> str:
-    """The two parameters on which most depends, coloured by the median of what is best."""
+    """The two parameters on which most depends, coloured by the median of the best metric."""
     found = map_of_two(summary, result.rows, result.outcomes, result.template.best)
     if found is None:
         return ""
@@ -156,7 +156,7 @@ def _cell(cell: Share | None, low: float, high: float, sign: float) -> str:
 
 
 def _shade(at: float) -> str:
-    """The colour at a part of the way from the best to the worst."""
+    """The colour at a fraction of the way from the best to the worst."""
     first, second, mix = (*_SHADES[:2], 2.0 * at) if at < 0.5 else (*_SHADES[1:], 2.0 * at - 1.0)
     mixed = (round(a + mix * (b - a)) for a, b in zip(first, second, strict=True))
     return "#" + "".join(f"{one:02x}" for one in mixed)
@@ -180,7 +180,7 @@ def _trade_offs(result: StudyResult, summary: Summary) -> str:
 
 
 def _label(text: str) -> str:
-    """A cell with the value of a parameter, on one line where it is short."""
+    """A cell with the value of a parameter, on one line if it is short."""
     kind = ' class="label"' if len(text) <= _ONE_LINE else ""
     return f"<td{kind}>{_text(text)}</td>"
 
