@@ -26,7 +26,7 @@ _CLEAR = 0.03  # m from the back to the ground; chosen, 3 degrees at the heel
 _CLEARANCE = 0.1  # rad from the path up to the plate at least; chosen, 6 degrees; cutting tools have 5 to 15
 _UPRIGHT = 0.5 * np.pi  # rad from the path to the plate: beyond it a body of soil stays in front of the blade
 _LENGTH = 15.0  # places over which the pitch returns to the wanted one, 45 cm; chosen among 3 to 40 for time and work
-_ROUND = 2  # places to each side over which its corners are rounded, twice: 12 cm
+_ROUND = 2  # places to each side over which the pitch's corners are rounded, twice: 12 cm
 _CLEAR_ROUNDED = 0.01  # m of `_CLEAR` that remain after that; chosen
 _SETS = 40  # of places at bounds, tried at most; a dozen is usual
 
@@ -150,7 +150,7 @@ def _rounded(pitch: Vector) -> Vector:
 def _smoothed(wanted: Vector, lower: Vector, upper: Vector) -> Vector:
     """(K,) the pitch that changes least and is closest to the wanted one, within its bounds [rad].
 
-    It minimizes sum (p_k+1 - p_k)^2 + sum (p_k - w_k)^2 / L^2, with the last place as close to its wanted pitch as
+    It minimises sum (p_k+1 - p_k)^2 + sum (p_k - w_k)^2 / L^2, with the last place as close to its wanted pitch as
     possible. The places at bounds are found by the primal-dual active set method, which ends in a few steps because
     the matrix is an M-matrix (M. Hintermueller, K. Ito, K. Kunisch, SIAM J. Optim. 13, 2002).
     """

@@ -18,7 +18,7 @@ _SWELL = 1.25  # volume of loose soil divided by that of the bank: usually 1.2 t
 # part of the accelerations, for the path's curvature and for the speed each: durations of 60 random cuts were then
 # estimated to 0.5 % on average, with a spread of 2 %; on rough ground a motion may take up to 50 % longer
 _OF_ACCELERATION = 0.75
-_INTERVALS = 250  # of the timing: within 1 % of the duration with 1000
+_INTERVALS = 250  # of the timing: the duration is within 1 % of that with 1000
 
 
 class Digger:

@@ -29,7 +29,7 @@ _NOTHING = 0.01  # m of depth that is not worth a cut; chosen, a fifth of the us
 _IDLE = 2e-3  # m of depth at which the edge only touches the ground; chosen: such ends of a path are left out
 _ABOVE = 0.1  # m above the ground at which a cut begins; chosen
 _NEARLY_LEVEL = 0.1  # rad beyond the level opening at which it still holds the heap; chosen
-_MOST_INWARD = 2.0  # m; chosen: the bucket's pin lies 1 m further out than its teeth when it is level
+_MOST_INWARD = 2.0  # m; chosen: the pin of a level bucket is 1 m further out than its teeth
 _LIFT = 0.7  # m from the ground up to the end of a cut: the level bucket reaches 0.5 m below its teeth
 _ENTRIES = (1.53, 0.95, 0.6)  # rad, the steepest descents, tried in turn: 88, 54, 34 degrees; chosen
 _LEAVES = (0.8, 1.53)  # rad: 46 degrees, faster by a tenth; and 88 along a wall, 4 cm off it in a trench of 1.2 m
@@ -71,7 +71,7 @@ def find_cut(
     leave: float | None = None,
     clears: Callable[[Matrix], Flags] | None = None,
 ) -> Cut | NoCut:
-    """A cut that begins at radius `start`, and fills the bucket and no more.
+    """A cut that begins at radius `start` and just fills the bucket.
 
     Parameters
     ----------

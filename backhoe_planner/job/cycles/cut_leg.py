@@ -32,7 +32,7 @@ class CutPath:
 
     Attributes
     ----------
-    q: (M, n) from above the ground to above the ground.
+    q: (M, n) joints, from above the ground to above the ground.
     first, last: indices between which it is the cut's own path.
     """
 

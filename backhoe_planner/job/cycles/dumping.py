@@ -38,7 +38,7 @@ class Truck:
 
     Attributes
     ----------
-    number: from 1.
+    number: number of the truck, from 1.
     bed: its bed with the load.
     """
 

@@ -22,7 +22,7 @@ from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.worksite.lanes import LEAVE, Lane, allowed_heights
 from backhoe_planner.job.worksite.worksite import Worksite
 
-_WHOLE = 1.0 - 1e-9  # of a column: part of it that is within the design
+_WHOLE = 1.0 - 1e-9  # of a column: then it counts as wholly within the design
 _THIN = 0.05  # m of that soil, for a cut to be found; chosen
 _PROGRESS = 1e-3  # m^3, the least that a cut takes; chosen
 # least part of a bucketful for a cut if no lane runs along the walls, so that some soil stays anyway; chosen

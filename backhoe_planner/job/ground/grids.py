@@ -66,7 +66,7 @@ def as_cell(cell: float) -> float:
 
 
 def empty_grid(low: Sequence[float] | Vector, high: Sequence[float] | Vector, cell: float) -> HeightGrid:
-    """A grid without any height from `low` to about `high` (2,) [m].
+    """A grid of unknown heights from `low` to approximately `high` (2,) [m].
 
     Raises
     ------

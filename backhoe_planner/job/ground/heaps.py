@@ -79,7 +79,7 @@ def deposited(
 
 
 def heap_room(terrain: Terrain, at: Sequence[float] | Vector, *, clear_of: Flags | None = None) -> float:
-    """How much loose soil can be poured at a place [m^3].
+    """The volume of loose soil that can be poured at a place [m^3].
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Slumping: loose soil that is steeper than its angle of repose slides until it is at rest.
 
-If two of eight neighbours differ by more than the angle of repose allows, loose soil moves from the higher to the
-lower, at most as much as there is. Pairs that share no column move at once, so that each step lowers the soil's
-centre of mass and keeps its volume. Undisturbed soil stays, even if upright: this model does not say how long a
-trench wall remains standing.
+If neighbouring columns (each has eight neighbours) differ by more than the angle of repose allows, loose soil moves
+from the higher to the lower, at most as much as there is. Pairs that share no column move at once, so that each step
+lowers the soil's centre of mass and keeps its volume. Undisturbed soil stays, even if upright: this model does not
+say how long a trench wall remains standing.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from backhoe_planner.job.ground.terrain import Terrain
 # of the drop between neighbours at the angle of repose: half a degree; chosen. Soil that is too steep by less than
 # half of it stays, so that a heap at the angle of repose does not move
 _WITHIN = 0.02
-_MOST_ROUNDS = 4_000  # chosen: a heap of 2 m^3 that falls on one column takes some 1,000
+_MOST_ROUNDS = 4_000  # chosen: a heap of 2 m^3 that collapses from one column takes some 1,000
 _MARGIN = 8  # columns around the changed area that are included at first; chosen
 _MORE = 24  # columns by which the area grows if soil reaches its border; chosen
 _ROUNDS_BETWEEN = 8  # between two checks whether the soil is at rest; chosen

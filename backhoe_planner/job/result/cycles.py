@@ -20,12 +20,12 @@ class CycleLeg:
 
     Attributes
     ----------
-    name: what it does.
+    name: the kind of motion.
     problem: machine, task, and all obstacles as they are during this motion, the ground among them.
     trajectory: the motion.
     certificate: what is proven about the motion.
     payload: mass in the bucket [kg]; for a cut, the mass at its end; for a dump, the mass at its beginning.
-    work: of the joints [J].
+    work: work of the joints [J].
     hydraulic: energy of the pump: highest pressure times whole flow [J]; nan for a machine without hydraulics.
     pump, engine: mean use of the pump's flow and of the engine's power, 0 to 1; nan for a machine without hydraulics.
     """
@@ -90,10 +90,10 @@ class Cycle:
 
     Attributes
     ----------
-    number: from 1.
+    number: number of the cycle, from 1.
     legs: approach, cut, swing, dump.
     digging: how the ground changes during the cut.
-    load: what the bucket holds during the cut.
+    load: the load of the bucket during the cut.
     before: the ground at the beginning of the cycle.
     dug: the ground after the cut.
     after: the ground after the dump, the heap on it.

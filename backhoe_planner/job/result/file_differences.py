@@ -14,8 +14,8 @@ def job_differences(said: JobPlanRecord, found: JobPlanRecord) -> list[str]:
 
     Parameters
     ----------
-    said: read from the file.
-    found: computed from its motions.
+    said: the record read from the file.
+    found: the record computed from its motions.
     """
     ours, theirs = (one.model_dump(mode="json", include=set(_COMPUTED)) for one in (said, found))
     return differences({key: ours[key] for key in _COMPUTED}, theirs, left_out=_NOT_COMPUTED)

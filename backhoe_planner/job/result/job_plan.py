@@ -56,10 +56,10 @@ class PatternEstimate:
     name: in words: ``level layers of 0.15 m``.
     cycles: their number.
     bank: soil that the pattern digs, as it lies in the ground [m^3].
-    duration: of all cycles [s].
-    work: of the joints [J].
+    duration: duration of all cycles [s].
+    work: work of the joints [J].
     cost: the objective per bank m^3 [s/m^3 or J/m^3].
-    finished: whether it digs all that may be dug.
+    finished: whether the pattern digs all that may be dug.
     chosen: whether this pattern is planned.
     """
 
@@ -83,13 +83,13 @@ class JobPlan:
     robot: the machine on its site.
     start: the ground before the first cycle.
     design: (rows, columns) height z of the design at the columns of the ground [m]; nan where nothing is to be dug.
-    share: (rows, columns) the part of each column that lies within the design, 0 to 1.
+    share: (rows, columns) the part of each column that is within the design, 0 to 1.
     allowed: (rows, columns) the lowest height that may and can be dug [m]; at least `design`, nan where that is.
     outline: (k, 2) corners of a convex area around what is dug [m], x, y.
-    cycles: one after the other.
+    cycles: the cycles, one after the other.
     undug: what stays above the design, and why.
     compared: the patterns that were compared, the best first.
-    capacity: of the bucket, heaped, loose [m^3].
+    capacity: heaped volume of loose soil in the bucket [m^3].
     effort, seed: as they were given.
     surveyed: whether the ground before the first cycle was given, and is not the job's own.
     failure: why the job ended early; empty if it did not.
@@ -138,7 +138,7 @@ class JobPlan:
 
     @property
     def reason(self) -> JobReason:
-        """Why it failed; empty where verified."""
+        """Why the plan failed; empty if it is verified."""
         if self.verified:
             return ""
         return self.failure or ("blocked" if not all(cycle.verified for cycle in self.cycles) else "not_done")
@@ -253,7 +253,7 @@ class JobPlan:
 
     @property
     def is_met(self) -> bool:
-        """Whether the design is met within its tolerance wherever it may be dug, and nothing is dug beside it."""
+        """Whether the design is met within its tolerance wherever it may be dug, and nothing is dug outside of it."""
         tolerance = self.job.dig.tolerance + 1e-9
         return bool(self._whole.any()) and max(self.over, self.under, self.beside) <= tolerance
 

@@ -134,7 +134,7 @@ class CycleRecord(Record):
     """One cycle."""
 
     step: str
-    """Part of the pattern."""
+    """The cycle's part of the pattern."""
     legs: tuple[LegRecord, ...]
     load: LoadRecord
     place: tuple[Finite, Finite, Finite]
@@ -150,11 +150,11 @@ class CycleRecord(Record):
     spilt: Amount
     """Loose soil that fell back [m^3]."""
     filled: Amount
-    """Part of the bucket's capacity."""
+    """Filled part of the bucket's capacity."""
     depth: Amount
     """Greatest depth of the teeth below the ground [m]."""
     duration: Amount
-    """[s]"""
+    """Duration [s]."""
     work: Amount
     """Work of the joints [J]."""
 
@@ -165,7 +165,7 @@ class UndugRecord(Record):
     reason: UndugReason
     by: str
     volume: Figure
-    """[m^3]"""
+    """Volume, as it lies in the ground [m^3]."""
     low: tuple[Finite, Finite]
     """Least x, y [m]."""
     high: tuple[Finite, Finite]
@@ -179,11 +179,11 @@ class PatternRecord(Record):
     name: str
     cycles: Number
     bank: Amount
-    """[m^3]"""
+    """Soil that the pattern digs, as it lies in the ground [m^3]."""
     duration: Figure
-    """[s]"""
+    """Duration of all cycles [s]."""
     work: Figure
-    """[J]"""
+    """Work of the joints [J]."""
     cost: Figure
     """The objective per bank m^3 [s/m^3 or J/m^3]."""
     finished: bool
@@ -275,7 +275,7 @@ class JobPlanRecord(Record):
     """Versions of the program and its libraries."""
     figures: JobFigures
     compared: tuple[PatternRecord, ...]
-    """Patterns of cuts, the one that is planned first."""
+    """Patterns of cuts; the first is the one that is planned."""
     undug: tuple[UndugRecord, ...]
     ground: GroundRecord
     """The ground before the first cycle."""

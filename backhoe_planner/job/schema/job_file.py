@@ -37,7 +37,7 @@ class Job(FileRecord):
     dump: Dump
     bucket: BucketSize = BucketSize()
     objective: Literal["time", "work"] = "time"
-    """What is minimized per cubic metre in the ground: time or work."""
+    """What is minimised per cubic metre in the ground: time or work."""
     pattern: PatternChoice = "auto"
     """Order in which the soil is cut: chosen by the planner, or prescribed; `plain` is level layers of 0.15 m."""
 

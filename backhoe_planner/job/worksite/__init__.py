@@ -1,1 +1,1 @@
-"""A job brought together with its machine: what is dug with what, where the arm can dig, and what cannot be."""
+"""A job combined with its machine: what is dug with what, where the arm can dig, and where it cannot."""

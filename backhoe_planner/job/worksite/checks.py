@@ -145,7 +145,7 @@ def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
 
 
 def _check_any(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Matrix) -> None:
-    """Refuse a job with soil to dig of which none can be dug."""
+    """Refuse a job that has soil to dig if none of it can be dug."""
     ground, tolerance = site.ground.surface, site.job.dig.tolerance
     known, wanted = np.isfinite(design), ground - design > tolerance
     # if a part is dug already, the rest may be what stays
@@ -166,7 +166,7 @@ def _beside(site: Worksite) -> str:
 
 
 def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
-    """Refuse a trench of which nothing can be dug, or not the whole length."""
+    """Refuse a trench that cannot be dug at all, or not over its whole length."""
     trench, job = site.job.dig.trench, site.job
     assert trench is not None
     reached = np.concatenate(

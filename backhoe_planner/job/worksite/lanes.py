@@ -33,13 +33,13 @@ _SPARE = 0.01  # m beyond every clearance, for positions between the sampled one
 _SAME = 1e-9  # m
 _BACK = 0.05  # m between the bucket's back and the remaining ground; chosen: cuts keep 3 cm, and turn only slowly
 _ARM = 0.05  # m that boom and stick keep from that ground beyond the clearance; chosen, for the same reason
-_AGAIN = 3  # times that this is repeated, because the ground left beside a place is raised too; chosen
+_AGAIN = 3  # times that the floor is checked again, because the ground left beside a place is raised too; chosen
 _FAN = 0.04  # rad between lanes of a wide design: 20 cm at 5 m; chosen, a third of a bucket's width
 _BESIDE = 1e-3  # m to each side of the blade: a trench that is no wider than that is dug in one lane; chosen
 _OUT = 0.98  # of the tolerance, by which a blade along a wall may go beyond it; chosen, below 1 for rounding
 _NEAREST = 0.2  # of the distance to a trench's far end: nothing nearer can be dug
 _ENTERING = 0.05  # m; chosen: the corners of an edge's line are rounded
-_STRIPS = 40  # across a column, each of which is checked for whether a blade reaches it; chosen, 2.5 cm in 1 m
+_STRIPS = 40  # strips across a column, each checked for whether a blade reaches it; chosen, 2.5 cm in 1 m
 _CLOSEST = 0.15  # m of radius from one lane along a wall to the next; chosen
 _OVERLAP = 0.8  # of the blade's width from one lane to the next, at the far end of a trench; chosen
 

@@ -137,7 +137,7 @@ def plain_soil(job: Job) -> Soil:
 
 
 def _problem(job: Job, robot: Robot) -> Problem:
-    """The site without the ground, with the task to stay where the machine starts."""
+    """The site without the ground; its task is to stay at the machine's start."""
     joints = job.start
     if joints is None:
         stand = np.clip(robot.middle, robot.limits.lower, robot.limits.upper)

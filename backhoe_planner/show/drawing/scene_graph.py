@@ -123,7 +123,7 @@ class SceneGraph:
             self._draw_critical_point(name)
         self.move(posture, leg=problem.legs[0].name if problem.legs else None)
 
-    # --- what stands still ----------------------------------------------------------
+    # --- what does not move ---------------------------------------------------------
 
     def _draw_stage(self, centre: Vector) -> None:
         set_stage(self._tree, reach=1.2 * self._radius)
@@ -144,7 +144,7 @@ class SceneGraph:
             if drawn.bounds is None:
                 continue
             low, top = drawn.bounds[:, 2]
-            scanned = obstacle.spec.shape == "pointcloud" and low < -_SHALLOW and top >= 0.0  # with the ground in it
+            scanned = obstacle.spec.shape == "pointcloud" and low < -_SHALLOW and top >= 0.0  # includes the ground
             if abs(top) <= _SHALLOW or scanned:  # its top is level with the ground, or it is the ground itself
                 outlines.append(drawn.facets.vertices[:, :2])
             elif top < 0.0:

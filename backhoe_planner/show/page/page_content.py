@@ -18,7 +18,7 @@ from backhoe_planner.show.drawing.timeline import CriticalPoint, Timeline, timel
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.plan_facts import plan_facts
 
-_DEGREES = float(np.degrees(1.0))  # in a radian
+_DEGREES = float(np.degrees(1.0))  # per radian
 _KEPT = {"pitch": "pitch", "above": "height", "below": "height", "rotation": "turned by at most"}
 
 

@@ -25,7 +25,7 @@ def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inp
 
     Raises
     ------
-    OutputError: the suffix is none of .png, .svg, .pdf, the folder cannot be written, or the file is one of `inputs`.
+    OutputError: the suffix is not .png, .svg or .pdf, the folder cannot be written, or the file is one of `inputs`.
     InputError: matplotlib is not installed.
     """
     check_ending(path, FIGURE_FORMATS, what="a figure")

@@ -1,1 +1,1 @@
-"""The map of a site by where a machine stands: a picture and a page."""
+"""The map of a site by the place of the machine: a picture and a page."""

@@ -112,7 +112,7 @@ class Stop(_Message):
 Droppable = Annotated[
     obstacle_shapes.Sphere | obstacle_shapes.Box | obstacle_shapes.Cylinder | obstacle_shapes.Capsule,
     Field(discriminator="shape"),
-]  # no files, and nothing without an end
+]  # no files, and nothing unbounded
 
 
 class Add(_Message):
@@ -176,7 +176,7 @@ def parse(text: str | bytes) -> Message:
         message = _MESSAGE.validate_json(text)
     except ValidationError as error:
         raise InputError(_first(error), key="message") from None
-    except ValueError as error:  # text that is no Unicode
+    except ValueError as error:  # the text is not Unicode
         raise InputError(f"is not JSON: {type(error).__name__}", key="message") from None
     if isinstance(message, Add):
         _check(message.obstacle)

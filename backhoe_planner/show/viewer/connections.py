@@ -28,7 +28,7 @@ class CappedServer(tornado.httpserver.HTTPServer):
     """
 
     def initialize(self, application: tornado.web.Application, *, max_body_size: int) -> None:  # type: ignore[override]
-        """Initialize with the arguments that tornado's own constructor passes on."""
+        """Initialise with the arguments that tornado's own constructor passes on."""
         super().initialize(application, idle_connection_timeout=_IDLE, body_timeout=_IDLE, max_body_size=max_body_size)
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         self._most = _MOST if soft == resource.RLIM_INFINITY else max(1, min(_MOST, int(_PART * soft)))

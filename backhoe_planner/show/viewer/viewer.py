@@ -89,7 +89,7 @@ class Viewer:
 
         Returns
         -------
-        Whether it was drawn.
+        Whether the step was drawn.
 
         Raises
         ------
