@@ -105,7 +105,11 @@ def _check_resumed(resume: JobPlan, job: Job, terrain: Terrain | None) -> None:
             allowed="a plan whose reason is interrupted",
         )  # fmt: skip
     if terrain is not None and not same_ground(resume.start, terrain):
-        raise InputError("began on another ground", key="terrain", allowed="that of the plan with which it goes on")
+        raise InputError(
+            "is not the ground on which the resumed plan began",
+            key="terrain",
+            allowed="the ground of that plan, or none",
+        )
 
 
 class _Run:

@@ -117,7 +117,7 @@ def test_what_cannot_be_is_refused_with_its_key(key: str, change: dict[str, Any]
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("-0.3,deep", "row 1, column 2"), ("-0.3,-0.3\n-0.3", "different lengths"), (",\n,", "nowhere how deep"),
+    [("-0.3,deep", "row 1, column 2"), ("-0.3,-0.3\n-0.3", "different lengths"), (",\n,", "does not say how deep"),
      ("-0.3,-1e308", "row 1, column 2")],
 )  # fmt: skip
 def test_a_design_surface_that_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:

@@ -152,7 +152,7 @@ def test_what_is_opened_is_said_in_plain_words(backhoe: Robot) -> None:
     [
         ({"password": ""}, "password: is empty"),
         ({"password": 7}, "password: is empty"),
-        ({"password": "a", "allow_anyone": True}, "password: is not asked for where anyone is allowed"),
+        ({"password": "a", "allow_anyone": True}, "password: has no effect together with allow_anyone"),
         ({"host": "192.0.2.7", "allow_anyone": True}, "host: is no address of this computer; found 192.0.2.7"),
         (
             {"host": "nobody.invalid", "allow_anyone": True},

@@ -211,7 +211,7 @@ def _opening(plates: list[Matrix], length: float) -> Matrix:
     longest = ends[np.argmax(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))]
     off = np.linalg.norm(longest - [length, 0.0], axis=1)
     if float(np.min(off)) > _AT_TEETH * float(np.linalg.norm(longest[1] - longest[0])):
-        problem = "the bucket's shape does not show its opening: no side of it that is longest begins at the teeth"
+        problem = "the opening cannot be found in the bucket's shape: its longest side does not begin at the teeth"
         raise InputError(problem, key="bucket.capacity", allowed="a capacity in m^3")
     return np.asarray(longest[np.argsort(off)])
 

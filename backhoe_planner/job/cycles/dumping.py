@@ -328,8 +328,8 @@ def _out_of_reach(site: Worksite, place: Vector, top: float) -> str:
     radii = radii_of_dumps(site, place, top)
     where = f"the bucket cannot be emptied over x {place[0]:.2f}, y {place[1]:.2f} m, {top:.2f} m high"
     if radii is None:
-        return f"{where}: it can nowhere in this direction"
-    return f"{where}: in this direction it can {radii[0]:.1f} to {radii[1]:.1f} m from the swing axis"
+        return f"{where}: it cannot be emptied anywhere in this direction"
+    return f"{where}: in this direction it can be emptied {radii[0]:.1f} to {radii[1]:.1f} m from the swing axis"
 
 
 def swing_towards(site: Worksite, off: Vector) -> float:

@@ -70,7 +70,7 @@ def deposited(
     row, column = np.argwhere(laid)[0].tolist()
     where = f"x {terrain.x[column]:.2f} m, y {terrain.y[row]:.2f} m"
     border = laid[[0, -1]].any() or laid[:, [0, -1]].any()
-    why = "beyond the ground that is known" if border else "where none may lie"
+    why = "beyond the known ground" if border else "an area that must stay clear"
     return Refusal(
         f"a heap of {volume:.2f} m^3 at x {place[0]:.2f} m, y {place[1]:.2f} m reaches {why} ({where}); "
         f"there is room for {room:.2f} m^3",

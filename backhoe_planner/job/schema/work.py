@@ -55,7 +55,8 @@ class Trench(Record):
         deepest = self.depth + max(self.slope, 0.0) * self.length
         if deepest <= self.tolerance:
             raise ValueError(
-                f"is {deepest:g} m deep at most, of which the tolerance leaves {self.tolerance:g} m: nothing is to dig"
+                f"is at most {deepest:g} m deep, which is within the tolerance of {self.tolerance:g} m: "
+                "there is nothing to dig"
             )
         if self.depth + self.slope * self.length <= 0.0:
             raise ValueError(

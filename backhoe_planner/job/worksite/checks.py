@@ -83,8 +83,8 @@ def _check_design(site: Worksite, design: Matrix) -> None:
     known = np.isfinite(design)
     if not (site.share > 1.0 - _ROUNDING).any():
         raise SceneError(
-            "no column of the ground lies whole within what is to be dug", file=job.file, key=key,
-            hint="it lies beyond the ground that the job has, or is narrower than a column: see ground.cell",
+            "no column of the ground is wholly inside the area to be dug", file=job.file, key=key,
+            hint="the area is outside the job's ground, or narrower than a column: see ground.cell",
         )  # fmt: skip
     above = np.where(known, design - ground.surface, -np.inf)
     if not (above < 0.0)[known].any() or float(above.max()) > job.dig.tolerance:

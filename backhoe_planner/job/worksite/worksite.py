@@ -258,7 +258,7 @@ def _design(job: Job, ground: Terrain) -> Design:
     except InputError as error:
         raise SceneError(str(error), file=job.file, key="dig.surface.file") from None
     if not np.isfinite(z).any():
-        raise SceneError("says nowhere how deep is to be dug", file=file, found="no height in any cell")
+        raise SceneError("does not say how deep to dig", file=file, found="no height in any cell")
     return SurfaceDesign(np.array(surface.low), surface.cell, z)
 
 

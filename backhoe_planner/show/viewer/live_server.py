@@ -184,7 +184,7 @@ class LiveServer:
         self._address = find_address(host)
         self.password = None if password is None else Password(password)
         if self.password is not None and allow_anyone:
-            raise InputError("is not asked for where anyone is allowed", key="password", hint="give one of the two")
+            raise InputError("has no effect together with allow_anyone", key="password", hint="give one of the two")
         if not (self._address.is_of_this_computer_alone or self.password is not None or allow_anyone):
             raise InputError(
                 f"everybody who can reach this address over the network could {self.opens}", key="host", found=host,

@@ -23,9 +23,8 @@ from backhoe_planner.files.found_file import is_file
 _SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _WORDS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 34737, 42112, 42113
 _MODEL, _RASTER, _UNIT, _UPRIGHT_UNIT = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
-_FEET = re.compile(
-    r"\b(?:ft|ftUS|foot|feet)\b", re.IGNORECASE
-)  # in the name of a projection: "California zone 5 (ftUS)"
+# in the name of a projection, such as "California zone 5 (ftUS)"
+_FEET = re.compile(r"\b(?:ft|ftUS|foot|feet)\b", re.IGNORECASE)
 _SQUARE_WITHIN = 1e-6  # of the cell: the two scales of square cells differ by rounding only
 _FORMATS = ("F", "I", "L", "I;16", "I;16B", "I;16L", "I;16N")  # Pillow's names of one band of numbers
 

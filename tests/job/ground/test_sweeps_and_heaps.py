@@ -155,10 +155,10 @@ def test_room_for_a_heap() -> None:
     found = deposited(terrain, (3.0, 1.8), 1.02 * room, clear_of=clear_of)
     assert isinstance(found, Refusal)
     assert found.room == pytest.approx(room)
-    assert "where none may lie" in found.reason
+    assert "an area that must stay clear" in found.reason
     border = deposited(terrain, (0.3, 0.0), 1.0)
     assert isinstance(border, Refusal)
-    assert "beyond the ground that is known" in border.reason
+    assert "beyond the known ground" in border.reason
     with pytest.raises(InputError, match="is not on the grid"):
         deposited(terrain, (9.0, 0.0), 1.0)
 
