@@ -1,4 +1,4 @@
-"""A plan, followed live: where something turns up on the way, the machine waits, gives way or goes round.
+"""Following a plan live: if something turns up on the path, the machine waits, gives way or goes around it.
 
 The plan's own clock s runs slower the further the machine is off the plan:
 
@@ -7,10 +7,10 @@ The plan's own clock s runs slower the further the machine is off the plan:
 
 v_p is the mean rate over the next step: with nothing in the way the machine is on the plan after
 every step, and loses no time. Otherwise it waits for what is in its way, leaves the plan as far
-as it must, and comes back to it. Where it gets nowhere for a while, it holds still, and a way
+as it must, and comes back to it. If it makes no progress for a while, it holds still, and a path
 from there to the earliest clear place on the rest of the plan is searched in the background
-(`rejoining`). That way is followed by the same law under the same servo; the rest of the plan
-stays as it was. Whatever is planned, the servo alone decides what is safe.
+(`rejoining`). The machine follows that path by the same law under the same servo; the rest of the
+plan stays as it was. Whatever is planned, the servo alone decides what is safe.
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ from backhoe_planner.motion import Trajectory, keep_of
 from backhoe_planner.planning import Plan
 
 # The numbers are chosen; validation/placements.py drives machines with them.
-_PART = 0.5  # part of the acceleration that brakes the way back onto the plan; the rest follows the plan
+_PART = 0.5  # part of the acceleration for braking on the return to the plan; the rest is for following it
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _ARRIVED = 1e-3  # rad or m from the end of the plan
 _ON_PLAN = _ARRIVED  # rad or m off the plan within which its clock does not wait
-_RESTS_AT_END = 1e-2  # rad/s or m/s: slower than that the machine rests at the end of the plan
-_STILL = 1e-6  # rad/s or m/s: slower than that a way may begin, which is planned from rest
+_RESTS_AT_END = 1e-2  # rad/s or m/s: a slower machine counts as at rest at the end of the plan
+_STILL = 1e-6  # rad/s or m/s: the machine must be slower when a detour is searched, which is planned from rest
 _PUSHED = 0.2  # rad or m by which the machine is pushed away: more than it slides to and fro
-_NOTICED = 0.3  # s without progress after which the machine says that it waits
-_PATIENCE = 1.0  # s without progress after which a way round is searched
-_PATIENCE_CROSSING = 4.0  # s, where the obstacle that holds the machine moves: it may pass
+_NOTICED = 0.3  # s without progress after which the status says that the machine waits
+_PATIENCE = 1.0  # s without progress after which a detour is searched
+_PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it may pass
 _WINDOW = 0.4  # s in which there must be progress by `_PACE` or by `_APPROACH`
 _PACE = 0.05  # part of the planned speed by which the clock goes on
 _APPROACH = 0.1  # part of the slowest joint's greatest rate by which the machine comes nearer to the plan
-_FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck: then it is free again
+_FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck, after which it is free again
 _LONGEST_SEARCH = LONGEST + 5.0  # s after which an answer is no longer awaited: the search has ended by itself before
-_ATTEMPTS = 4  # searches in a row that find nothing before the machine says that it is blocked
-_LONGEST_BREAK = 16.0  # s between two searches that find nothing, which is doubled from 1 s on
-_OFF = 0.1  # rad or m that the machine may have moved from where a way begins
-_RECHECK = 0.2  # s between two checks of a way while the surroundings change
+_ATTEMPTS = 4  # failed searches in a row after which the status says that the machine is blocked
+_LONGEST_BREAK = 16.0  # s, longest break between two failed searches; it doubles from 1 s on
+_OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
+_RECHECK = 0.2  # s between two checks of a detour while the surroundings change
 
 
 class FollowerStatus(str, Enum):
-    """How the following of a plan goes; see `FollowerState`."""
+    """How following a plan is going; see `FollowerState`."""
 
     FOLLOWING = "following"
     WAITING = "waiting"
@@ -85,10 +85,10 @@ class FollowerState:
     behind: how much later than planned the machine is [s].
     deviation: of the joint that is farthest from the plan at `plan_time` [rad or m].
     done: whether the machine rests at the end of the plan.
-    status: ``following``; ``waiting``: no progress, and soon a way round is searched;
-        ``going_round``: on a way that rejoins the plan; ``blocked``: no way was found, and
+    status: ``following``; ``waiting``: no progress, and soon a detour is searched;
+        ``going_round``: on a detour that rejoins the plan; ``blocked``: no detour was found, and
         further searches follow; ``arrived``.
-    reason: what the machine waits for, goes round, or is blocked by, in words; else empty.
+    reason: what the machine waits for, goes around, or is blocked by, in words; otherwise empty.
     """
 
     state: ServoState
@@ -105,25 +105,25 @@ class PlanFollower:
 
     Parameters
     ----------
-    servo: its machine must have the plan's joints. Where it stands off the beginning of the
+    servo: its machine must have the plan's joints. If the machine is not at the beginning of the
         plan, it goes there first.
     plan: a plan, or its trajectory alone.
-    executor: runs the searches for ways round (0.1 to 8 s each). The default is one thread of
+    executor: runs the searches for detours (0.1 to 8 s each). The default is one thread of
         the follower's own, which shares the interpreter with the loop: steps may come some
         milliseconds late while the machine holds still. A `ProcessPoolExecutor` avoids that.
     seed: of the searches, not negative.
-    allow_failed: whether a plan whose verdict is ``failed`` is followed as well, to the end of what
-        motion it has, which is not the end of its task and may lead past limits and clearances;
-        the servo keeps those.
+    allow_failed: whether a plan whose verdict is ``failed`` is followed as well, to the end of the
+        motion that it has. That is not the end of its task, and the motion may violate limits and
+        clearances; the servo keeps those.
 
     Raises
     ------
     InputError: the plan failed, and that is not allowed, or it has no motion; it is for other joints
-        than the machine's; the machine carries something in a leg of it that the servo's scene does not know; the
+        than the machine's; in one of its legs the machine carries something that the servo's scene does not have; the
         seed is negative.
 
-    Along the plan of a sequence, obstacles that are there for some legs only are put there and taken away with
-    these legs, the machine carries what it carries in the leg, and what is to be kept is that of the leg.
+    Along the plan of a sequence, obstacles that are present in some legs only are added and removed with
+    these legs, and the load and the conditions to be kept are those of the leg.
 
     `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own thread
     once a running search is over.
@@ -167,7 +167,7 @@ class PlanFollower:
         self._progress = _Progress(self._slowest)
         self._searches = _Searches(executor)
         self._seed = seed
-        self._failed = 0  # searches in a row that found nothing, or a way that led nowhere
+        self._failed = 0  # searches in a row that found nothing, or a detour that led nowhere
         self._stuck_at = -np.inf  # s of the plan
         self._again_at = 0.0  # s: when to search again
         self._failed_at, self._failed_for = 0.0, -1  # s, and revision of the surroundings, of the last failure
@@ -185,7 +185,7 @@ class PlanFollower:
         self.close()
 
     def close(self) -> None:
-        """End the searches. Later steps follow the plan, but go round nothing new."""
+        """End the searches. Later steps follow the plan, but no longer find detours around new obstacles."""
         self._searches.close()
 
     @property
@@ -209,7 +209,7 @@ class PlanFollower:
                 if self._holding:
                     self._search()
                 elif self._may_succeed and servo.time >= self._again_at:
-                    # along the plan once more; another search only if that still leads nowhere
+                    # try the plan once more; search again only if that still leads nowhere
                     self._retrying = True
         else:
             if self._was_holding:
@@ -229,14 +229,15 @@ class PlanFollower:
         )
 
     def _enter_leg(self) -> None:
-        """Let site and conditions be those of the leg in which the plan's clock stands; nothing without legs."""
+        """Set the site and the conditions to those of the leg at the plan's clock; without legs do nothing."""
         if self._legs is not None and self._legs.enter(self._plan.clock):
             self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
 
     def _look_around(self) -> None:
-        """Be patient anew where the site has changed: what was in the way may be gone.
+        """Restart the patience when the site has changed: what was in the way may be gone.
 
-        Not where it changes all the time, as an obstacle does that is tracked: a way would never be searched.
+        This does not apply to a site that changes all the time, such as one with a tracked obstacle, because then no
+        search would ever begin.
         """
         servo = self.servo
         if servo.revision != self._seen:
@@ -245,7 +246,7 @@ class PlanFollower:
             self._seen, self._seen_at = servo.revision, servo.time
 
     def _must_hold(self) -> bool:
-        """Whether to hold still: while a way is searched, and, where there is none, until something changes."""
+        """Whether to hold still: while a detour is searched, and, if none was found, until something changes."""
         servo = self.servo
         if self._holding:
             return not self._searches.under_way or servo.revision == self._searches.revision
@@ -260,7 +261,7 @@ class PlanFollower:
         off, rates = reference.q - servo.q, reference.rates(servo.dt)
         deviation = float(np.abs(off).max())
         pace = min(max((_TOLERANCE - _late(off, rates)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
-        # no faster towards the plan than can be braked in time
+        # no faster towards the plan than the machine can brake in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
         off_plan = deviation > _ON_PLAN
@@ -302,7 +303,7 @@ class PlanFollower:
                 self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
 
     def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
-        """Count a search that failed. After several, or where no effort helps (`final`), pause the searches."""
+        """Count a search that failed. After several, or if no effort helps (`final`), pause the searches."""
         self._failed = max(self._failed + 1, _ATTEMPTS if final else 0)
         self._retrying = False
         self._failed_at, self._failed_for, self._may_succeed = self.servo.time, revision, not final
@@ -312,7 +313,7 @@ class PlanFollower:
             self._again_at = self.servo.time + min(2.0 ** (self._failed - _ATTEMPTS), _LONGEST_BREAK)
 
     def _watch_round(self, deviation: float) -> None:
-        """Go back to the plan at the end of the way round, and check that the way is still clear."""
+        """Go back to the plan at the end of the detour, and check that the detour is still clear."""
         found, servo = self._round, self.servo
         assert found is not None
         if found.reference.ended and deviation < _TOLERANCE:
@@ -326,7 +327,7 @@ class PlanFollower:
             self._searches.begin(servo.revision, servo.time, is_still_clear, servo.robot, servo.snapshot(), rest)
 
     def _ahead(self) -> Trajectory:
-        """The motion onto which a way round may lead: of a sequence, to the end of the leg."""
+        """The motion that a detour may rejoin: for a sequence, up to the end of the leg."""
         if self._legs is None:
             return self._trajectory
         rows = slice(0, self._legs.leg.last + 1)
@@ -354,7 +355,7 @@ class PlanFollower:
         if answer is None:
             return
         servo = self.servo
-        if answer is False and self._round is not None:  # the way round is no longer clear
+        if answer is False and self._round is not None:  # the detour is no longer clear
             self._round = None
             self._holding = True
         elif isinstance(answer, Rejoining):
@@ -396,7 +397,7 @@ class PlanFollower:
 
 
 def _refuse_failed(plan: Plan, *, allowed: bool) -> None:
-    """A plan that failed is followed only where that is asked for, and never the start alone: it would arrive."""
+    """Refuse a failed plan unless it is `allowed`, and always if it is only the start: that would count as arrived."""
     why = f"{plan.verdict}: {plan.reason}" + (f" ({plan.message})" if plan.message else "")
     if not allowed:
         raise InputError(
@@ -409,7 +410,7 @@ def _refuse_failed(plan: Plan, *, allowed: bool) -> None:
 
 @dataclass
 class _Round:
-    """A way round that is being followed."""
+    """A detour that is being followed."""
 
     reference: Reference
     rejoins_at: float
@@ -419,7 +420,7 @@ class _Round:
 
 
 def _late(off: Vector, rates: Vector) -> float:
-    """How far the machine is behind or beside the plan [rad or m], for which the clock must wait.
+    """How far the machine is behind or beside the plan [rad or m]; the clock must wait for that.
 
     The clock does not wait for a machine that is ahead: if it did, it would demand harder braking of a
     machine that brakes as hard as it can, and the machine would run further ahead.
@@ -441,7 +442,7 @@ class _Progress:
 
     Attributes
     ----------
-    waited: how long there was no progress [s], window by window.
+    waited: how long there has been no progress [s], counted in windows.
     """
 
     def __init__(self, slowest: float) -> None:
@@ -456,7 +457,7 @@ class _Progress:
         if deviation > self._nearest + _PUSHED or self._clock == np.inf:
             self._clock, self._nearest = clock, deviation
         self._looked += dt
-        # near the end no more is asked for than what is left
+        # near the end no more progress is required than what is left
         further = clock > self._clock + _PACE * _WINDOW or (reference.ended and self._clock < clock)
         approach = min(self._approach, 0.5 * self._nearest)
         if further or (deviation < self._nearest - approach and self._nearest > _ARRIVED):
@@ -469,7 +470,7 @@ class _Progress:
 
 
 class _Searches:
-    """One call at a time in an executor: the one that was given, or a thread of its own."""
+    """Runs one call at a time in an executor: the given one, or a thread of its own."""
 
     def __init__(self, executor: Executor | None) -> None:
         self._executor = executor
@@ -506,12 +507,12 @@ class _Searches:
         self._future = None
         try:
             found = future.exception() or future.result()
-        except CancelledError as error:  # by whoever owns the executor
+        except CancelledError as error:  # cancelled by the owner of the executor
             return error
         return TypeError("no answer came back") if found is None else found
 
     def drop(self) -> None:
-        """No longer wait for the answer."""
+        """Stop waiting for the answer."""
         if self._future is not None:
             self._future.cancel()
             self._future = None

@@ -1,9 +1,9 @@
-"""What is to be kept along a plan, while something pushes the machine off it or holds it back.
+"""The conditions to be kept along a plan while something pushes the machine off it or holds it back.
 
-The servo keeps the machine clear, and knows nothing of a full bucket. So the follower watches: where
-the machine slides off the plan and what is to be kept would be lost before it could stop, it is
-held still instead, until a way round is found that keeps it. Only what comes nearer by itself can then
-still make it lose it: the machine gives way to a person rather than to keep its bucket level.
+The servo keeps the machine clear, but knows nothing of a full bucket. So the follower watches: if
+the machine slides off the plan and a condition would be lost before it could stop, the machine is
+held still instead, until a detour is found that keeps the condition. Only an approaching obstacle can
+then still break it: the machine gives way to a person rather than keep its bucket level.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 
-_HELD = 0.5  # s for which the machine is held; chosen: it takes some tenths to stop
-_BRAKED = 1.0  # part of the braking time for which the present rate counts; 0.5 would be exact, the rest is room
+_HELD = 0.5  # s for which the machine is held; chosen: it needs some tenths of a second to stop
+_BRAKED = 1.0  # part of the braking time for which the present rate counts; 0.5 would be exact, the rest is a margin
 
 
 class KeptFollowing:
-    """Whether the machine has to stop for what is to be kept.
+    """Decides whether the machine has to stop to keep the conditions of its task.
 
     Parameters
     ----------
-    keep: None where nothing is.
+    keep: the conditions; None if there are none.
     limits: of the joints.
     """
 
@@ -34,7 +34,7 @@ class KeptFollowing:
 
     @property
     def lost(self) -> str:
-        """What is not kept now, or would not have been, in words; empty where nothing is missing."""
+        """The condition that is not kept, or would not have been, in words; empty if there is none."""
         return self._lost
 
     def must_stop(self, q: Vector, v: Vector, *, time: float, off_plan: bool) -> bool:
@@ -43,7 +43,7 @@ class KeptFollowing:
         Parameters
         ----------
         time: now [s].
-        off_plan: whether the machine is beside its plan; on it all is kept.
+        off_plan: whether the machine is off its plan; on the plan every condition is kept.
         """
         if self._keep is None:
             return False

@@ -1,4 +1,4 @@
-"""The site of a sequence that is followed: what is there or carried in some legs only comes and goes with them."""
+"""The site while a sequence is followed: obstacles and loads of some legs only come and go with these legs."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.planning import Plan, PlannedLeg
 
-_AHEAD = 0.3  # s before a leg from which on its load is measured; chosen, 60 pairs at steps of 20 ms
+_AHEAD = 0.3  # s before a leg at which measuring its load begins; chosen, 60 pairs at steps of 20 ms
 
 
 class LegSite:
-    """Puts the obstacles that are there for some legs only, and takes them away, as the plan goes on.
+    """Adds and removes the obstacles that are present in some legs only, as the plan goes on.
 
-    So it does with what the machine carries. Whatever else is put there or taken away by hand stays as it is.
+    It does the same with what the machine carries. It leaves alone whatever else is added or removed by hand.
 
     Parameters
     ----------
-    servo: whose surroundings and load are kept in step with the plan.
+    servo: its surroundings and load are kept in step with the plan.
     plan: of a sequence.
 
     Raises
     ------
-    InputError: the machine carries something in a leg, and the servo's scene has no leg of that name with the same.
+    InputError: the machine carries something in a leg, and the servo's scene has no leg of that name with that load.
     """
 
     def __init__(self, servo: Servo, plan: Plan) -> None:
@@ -35,11 +35,11 @@ class LegSite:
 
     @property
     def leg(self) -> PlannedLeg:
-        """The leg for which the site is now."""
+        """The leg that the site is set up for now."""
         return self._legs[max(self._index, 0)]
 
     def enter(self, clock: float) -> bool:
-        """Let the site be that of the leg at `clock` of the plan [s]; whether it is another leg than before."""
+        """Set up the site for the leg at `clock` of the plan [s]; return whether it is another leg than before."""
         index = sum(leg.begins <= clock for leg in self._legs) - 1
         if self._carries and index + 1 < len(self._legs) and self._legs[index + 1].begins - clock < _AHEAD:
             self._servo.prepare_to_carry(self._legs[index + 1].name)
@@ -61,7 +61,7 @@ class LegSite:
 
 
 def _check_loads(servo: Servo, plan: Plan) -> None:
-    """A servo knows the shapes that its own scene names."""
+    """Check that the servo's scene has the plan's loads: a servo only knows the shapes that its own scene names."""
     known = {leg.name: leg.carries for leg in servo.scene.task.sequence or ()}
     for leg in plan.scene.task.sequence or ():
         same_files = plan.scene.folder == servo.scene.folder or not hasattr(leg.carries, "file")

@@ -1,7 +1,7 @@
-"""A motion that was driven by hand, as a plan: certified, and written like any other.
+"""A motion that was driven by hand, as a plan: certified and written like any other.
 
 A plan needs a task. The task of a recording is to bring the tip from where the motion began
-to where it ended. Nobody set that goal, so it is not shown, and the tip error says nothing.
+to where it ended. Nobody set that goal, so it is not shown, and the tip error is meaningless.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def plan_from_recording(
 
     Parameters
     ----------
-    robot, scene: in which the motion was driven; start and task of the scene are replaced.
-    trajectory: the motion; it has no legs, also where the scene's task is a sequence.
-    obstacles: records as in a scene file, of how they were during the recording; the scene's by default.
+    robot, scene: the machine and the scene in which it was driven; the scene's start and task are replaced.
+    trajectory: the motion; it has no legs, even if the scene's task is a sequence.
+    obstacles: records as in a scene file, describing the obstacles during the recording; the scene's by default.
     recording: notes of what the recording leaves out, kept in the plan file.
     zones: visits to zones, kept in the plan file.
 
@@ -45,7 +45,7 @@ def plan_from_recording(
     content["start"] = {"joints": dict(zip(robot.joint_names, trajectory.q[0].tolist(), strict=True))}
     content["task"] = {"goal": {"position": Kinematics(robot).at(trajectory.q[-1]).tip_position.tolist()}}
     given = content.get("obstacles", ()) if obstacles is None else obstacles
-    # nobody who drives by hand begins a leg: what is there for some legs only was there all the time
+    # driving by hand has no legs: what is present in some legs only was present all the time
     content["obstacles"] = [{key: one for key, one in dict(obstacle).items() if key != "legs"} for obstacle in given]
     done = scene_from_dict(content, folder=scene.folder, file=scene.file)
     problem = build_problem(robot, done)
@@ -62,7 +62,7 @@ def plan_from_recording(
 
 
 def is_recording(plan: Plan) -> bool:
-    """Whether a plan is the recording of a motion driven by hand."""
+    """Whether a plan is a recording of a motion driven by hand."""
     return plan.method == "teleop"
 
 
@@ -72,5 +72,5 @@ def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
 
 
 def problem_to_show(plan: Plan) -> Problem:
-    """The problem of a plan for pictures and pages, where that of a recording has no goal."""
+    """The problem of a plan for pictures and pages; for a recording it has no goal."""
     return replace(plan.problem, goals=(), path=None) if is_recording(plan) else plan.problem

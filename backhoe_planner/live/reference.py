@@ -1,12 +1,12 @@
-"""A motion as it is followed: smooth between its samples, with a clock of its own.
+"""The reference for following a motion: smooth between its samples, with a clock of its own.
 
 Between the samples of a trajectory the joints move linearly, so their rates jump at every
-sample. A machine cannot jump. The reference has the rate of each segment in the middle of that
-segment, rest at both ends, and rates that change linearly between: no acceleration is greater
-than those that are certified (`Trajectory.accelerations`), and so a machine can keep to it
-exactly. It leaves the straight lines by a T^2 / 8 on a corner (`chord_sagitta`); what it falls
-short of is spread evenly over the motion. Where the samples are too far apart for that, the
-straight lines are followed.
+sample. A machine cannot follow such jumps. The reference has the rate of each segment in the
+middle of that segment, is at rest at both ends, and its rates change linearly in between. No
+acceleration is greater than the certified ones (`Trajectory.accelerations`), so a machine can
+follow it exactly. At a corner it leaves the straight lines by a T^2 / 8 (`chord_sagitta`); the
+position error that remains at the end is spread evenly over the motion. If the samples are too
+far apart for that, the straight lines are followed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class _Pieces(NamedTuple):
     Attributes
     ----------
     time: (K,) of the knots [s].
-    q, v, a: (K, n) at each knot, and from there on [rad or m, and per s, s^2].
+    q, v, a: (K, n) position and velocity at each knot, and acceleration from there on [rad or m, and per s, s^2].
     """
 
     time: Vector
@@ -52,7 +52,7 @@ class Reference:
 
     Attributes
     ----------
-    clock: the time of the motion that has come [s]; may be set.
+    clock: the time along the motion that has been reached [s]; may be set.
     end: of the motion [s].
     """
 
@@ -68,7 +68,7 @@ class Reference:
 
     @property
     def ended(self) -> bool:
-        """Whether the clock has come to the end."""
+        """Whether the clock has reached the end."""
         return self.clock >= self.end
 
     @property
@@ -86,7 +86,7 @@ class Reference:
         return (self._at(self.clock + dt) - self._at(self.clock)) / dt
 
     def advance(self, by: float) -> None:
-        """Let the clock go on `by` [s], to the end at most."""
+        """Advance the clock `by` [s], to the end at most."""
         self.clock = min(self.clock + by, self.end)
 
     def rest(self) -> Matrix:
@@ -98,13 +98,13 @@ class Reference:
 
 
 def _straight(motion: Trajectory) -> _Pieces:
-    """The motion as it is: linear between the samples."""
+    """The motion unchanged: linear between the samples."""
     still = np.zeros_like(motion.q)
     return _Pieces(motion.time, motion.q, np.vstack((motion.segment_velocities(), still[-1:])), still)
 
 
 def _smooth(motion: Trajectory) -> _Pieces:
-    """Rates that are linear in time between the middles of the segments."""
+    """The motion with rates that are linear in time between the middles of the segments."""
     rates, rest = motion.segment_velocities(), np.zeros((1, motion.q.shape[1]))
     time = np.concatenate(([0.0], 0.5 * (motion.time[1:] + motion.time[:-1]), motion.time[-1:]))
     v, spans = np.vstack((rest, rates, rest)), np.diff(time)[:, None]

@@ -1,9 +1,9 @@
-"""A way from where the machine stands back onto the rest of a motion, round what stands on it now.
+"""A detour from where the machine is back onto the rest of a motion, around what is in its way now.
 
 The rest of the motion consists of stretches that are proven clear and parts that are not.
 The machine is brought to the earliest place from which it can go on: the first clear one
-behind the obstacle. Where a short search finds no way there, longer ones search a way to any
-of the stretches, with less room to spare. The way begins with a retreat from the obstacle.
+behind the obstacle. If a short search finds no detour to that place, longer ones search a detour
+to any of the stretches, with less room to spare. The detour begins with a retreat from the obstacle.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from backhoe_planner.planning import (
 from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
-_EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at the further ones
+_EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at later ones
 # The numbers are chosen; validation/placements.py drives machines with them.
-_EASY = (0.02, 0.005)  # m beyond every clearance: kept at the first attempt, the second where the first finds no way
-_HARD = (0.003, 0.01)  # m beyond every clearance: kept at the further attempts, in turn
+_EASY = (0.02, 0.005)  # m beyond every clearance, at the first attempt; the second if the first finds no detour
+_HARD = (0.003, 0.01)  # m beyond every clearance, at later attempts, in turn
 _ROOMY = 0.01  # m beyond every clearance that a place to rejoin at should have
 _LOOKS = 100  # samples of a stretch among which such a place is searched
 _RETREAT = _EASY[0]  # m beyond every clearance to which the machine retreats first
 _RETREAT_STEP, _RETREAT_STEPS = 0.002, 30  # m by which a margin grows in a step of the retreat, and the most steps
-_PAUSE = 0.02  # s at rest between the retreat and the way
+_PAUSE = 0.02  # s at rest between the retreat and the rest of the detour
 _HERE = 0.1  # rad or m within which the machine counts as being at a place
 _PLACES = 6  # places on the rest of the motion that are tried
-_WAYS = 3  # ways of the first attempt, of which the shortest is taken
+_WAYS = 3  # paths of the first attempt; the shortest is taken
 _DEPTH = 9  # halvings of a segment in a proof; 512 parts
-LONGEST = 25.0  # s after which an attempt ends that has not ended by its counts: only what runs away takes so long
+LONGEST = 25.0  # s after which an attempt is ended if its counts have not ended it: only a runaway takes so long
 
 
 @dataclass(frozen=True, eq=False)
 class RejoiningQuery:
-    """The question of a search; it can be sent to another process.
+    """The input of a search; it can be sent to another process.
 
     Attributes
     ----------
-    robot, scene, limits: the machine, the site and payload, and the limits of the joints.
-    obstacles: each where it is now; those that move count as standing there.
-    q: (n,) where the machine stands, at rest [rad or m].
-    motion: the motion that is to be rejoined.
-    since: the time of the motion that was reached [s].
+    robot, scene, limits: the machine, the site and payload, and the joint limits.
+    obstacles: each where it is now; moving ones count as standing still there.
+    q: (n,) configuration of the machine, at rest [rad or m].
+    motion: the motion to be rejoined.
+    since: the time along the motion that was reached [s].
     seed: of the sampling, not negative.
     attempt: number of the attempt, from 0. The first three grow more thorough; each samples anew.
     """
@@ -75,13 +75,13 @@ class RejoiningQuery:
 
 @dataclass(frozen=True, eq=False)
 class Rejoining:
-    """A motion from where the machine stands, from rest to rest, to a place on the query's motion.
+    """A motion from where the machine is, from rest to rest, to a place on the query's motion.
 
     Attributes
     ----------
     motion: keeps every clearance and limit of the query.
-    rejoins_at: the time on the query's motion of the place where it ends [s].
-    around: name of the obstacle in between; None where there is none.
+    rejoins_at: the time on the query's motion of the place where the detour ends [s].
+    around: name of the obstacle in between; None if there is none.
     """
 
     motion: Trajectory
@@ -91,12 +91,12 @@ class Rejoining:
 
 @dataclass(frozen=True)
 class NoRejoining:
-    """The answer that no way was found.
+    """The answer that no detour was found.
 
     Attributes
     ----------
     reason: why, in words, with the obstacle's name.
-    searched: whether there is a place to go to, so that more effort may find a way.
+    searched: whether there is a place to go to, so that more effort may find a detour.
     """
 
     reason: str
@@ -104,13 +104,13 @@ class NoRejoining:
 
 
 def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
-    """A way to the earliest clear place on the rest of a motion.
+    """Find a detour to the earliest clear place on the rest of a motion.
 
     The same query gives the same answer. OMPL's global seed is set.
     """
     keep = keep_of(query.robot, query.scene)
     if keep is not None and not keep.holds(query.q):
-        keep = keep.widened(query.q)  # where it is lost already, the way back loses no more
+        keep = keep.widened(query.q)  # if it is already violated, the detour violates it no further
     problem = Problem(
         robot=query.robot,
         scene=query.scene,
@@ -131,7 +131,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
 
 
 def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> bool:
-    """Whether a way through `q` (K, n) provably keeps clear of `obstacles`, each where it is now."""
+    """Whether the path through `q` (K, n) provably keeps clear of `obstacles`, each where it is now."""
     proximity = _proximity_now(robot, obstacles)
     return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(q))
 
@@ -144,7 +144,7 @@ class _Search:
         self._time = np.concatenate(([query.since], query.motion.time[later]))
         self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
         self._start = query.q
-        self._obstruction: Obstruction | None = None  # the first on the motion, from its time on
+        self._obstruction: Obstruction | None = None  # the first one on the rest of the motion, with its time
 
     def run(self) -> Rejoining | NoRejoining:
         here = self._proximity.tightest(self._query.q)
@@ -159,7 +159,7 @@ class _Search:
         return found or NoRejoining(self._why(here), searched=bool(places))
 
     def _why(self, here: Obstruction | None) -> str:
-        """Why no way was found, in words."""
+        """Why no detour was found, in words."""
         kept = "" if self._problem.keep is None else ", keeping what is asked for on the way"
         return f"{self._what_stands(here)}{kept}"
 
@@ -182,7 +182,7 @@ class _Search:
             if first == 0 and here:
                 ahead = np.abs(self._q[: end + 1] - self._query.q).max(axis=1) > _HERE
                 if not ahead.any():
-                    if end == last:  # the end is near: there is no place behind it
+                    if end == last:  # the end is near: no place comes after it
                         yield last
                     continue
                 first = int(ahead.argmax())
@@ -192,7 +192,7 @@ class _Search:
                 yield last
 
     def _stretches(self) -> Iterator[tuple[int, int]]:
-        """First and last sample of every stretch of the rest that is proven clear."""
+        """First and last sample of every stretch of the rest of the motion that is proven clear."""
         first = None
         last = len(self._q) - 1
         for row in range(last + 1):
@@ -217,7 +217,7 @@ class _Search:
             self._obstruction = found and replace(found, time=float(self._time[row]))
 
     def _roomiest(self, first: int, end: int) -> int:
-        """The first sample of a stretch that is roomy; if none of the first `_LOOKS` is, the roomiest of them."""
+        """The first sample of a stretch with enough room; if the first `_LOOKS` have none, the roomiest of them."""
         best, most = first, -np.inf
         for row in range(first, min(end, first + _LOOKS) + 1):
             margin = self._margin(self._q[row])
@@ -228,7 +228,7 @@ class _Search:
         return best
 
     def _margin(self, q: Vector) -> float:
-        """The least margin at `q` (n,) [m]."""
+        """The smallest margin at `q` (n,) [m]."""
         tightest = self._proximity.tightest(q)
         return np.inf if tightest is None else tightest.margin
 
@@ -250,7 +250,7 @@ class _Search:
         return None
 
     def _timed(self, way: SmoothWay) -> Trajectory:
-        """The retreat, a pause, and the way."""
+        """The timed motion of the retreat, a pause, and the path `way`."""
         limits, drive = self._query.limits, drive_of(self._problem)
         motion = time_way(way, limits, drive=drive)
         back = np.array([self._query.q, self._start])
@@ -262,7 +262,7 @@ class _Search:
         return Trajectory.from_steps(np.concatenate((first.time, pause + motion.time)), np.vstack((first.q, motion.q)))
 
     def _retreat(self, q: Vector) -> Vector:
-        """(n,) a posture near q with more room, if q has little: the servo lets the machine only move away there."""
+        """(n,) a posture near q with more room, if q has little: there the servo only lets the machine move away."""
         proximity, limits = self._proximity, self._query.limits
         found = q
         for _ in range(_RETREAT_STEPS):
@@ -283,7 +283,7 @@ class _Search:
         return found if check.segment_is_clear(q, found) else q
 
     def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[JointPath]:
-        """Several ways, shortened; one alone where it is straight, and at the further attempts."""
+        """Several paths, shortened; only one if it is straight, and at later attempts."""
         query = self._query
         found: list[JointPath] = []
         for turn in range(_WAYS):
@@ -298,5 +298,5 @@ class _Search:
 
 
 def _proximity_now(robot: Robot, obstacles: tuple[Obstacle, ...]) -> Proximity:
-    """The distances to obstacles that all stand still where they are now."""
+    """The distances to obstacles, with all of them standing still where they are now."""
     return Proximity(robot, tuple(replace(one, appears_at=0.0, velocity=np.zeros(3)) for one in obstacles))

@@ -12,7 +12,7 @@ from backhoe_planner.machine import Robot
 
 _FASTEST_WISH = 100.0  # m/s or rad/s: chosen, faster than any machine; keeps the numbers of the problem small
 
-_LEAST_WISH = 1e-6  # m/s, rad/s: less counts as no wish to move; chosen, far above rounding
+_LEAST_WISH = 1e-6  # m/s or rad/s: less counts as no wish to move; chosen, far above rounding
 
 
 class Commands:
@@ -21,14 +21,14 @@ class Commands:
     Parameters
     ----------
     dt: time between two steps [s].
-    watchdog: a wish ends when no command came for this long [s].
+    watchdog: a wish ends when no command has come for this long [s].
 
     Attributes
     ----------
     tip: (3,) wished velocity of the tip [m/s], world, or None.
     joints: (n,) wished velocity of the joints [rad/s or m/s], or None.
     pitch: wished rate of the bucket's pitch [rad/s], or None.
-    asks: whether a motion is wished for: a velocity of 0 is a wish to stand.
+    asks: whether a motion is wished for; a velocity of 0 is a wish to stand still.
     """
 
     def __init__(self, robot: Robot, *, dt: float, watchdog: float) -> None:
@@ -41,7 +41,7 @@ class Commands:
         self.asks = False
 
     def understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
-        """Take a step's command, see `Servo.step`, and return what became of it. Nothing is raised."""
+        """Take the command of a step, see `Servo.step`, and return what became of it. Nothing is raised."""
         if tip_velocity is None and joint_velocity is None and pitch_rate is None:
             found = Command.HELD
         elif self._take(tip_velocity, joint_velocity, pitch_rate):
@@ -57,7 +57,7 @@ class Commands:
         return found
 
     def _take(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> bool:
-        """Make a command the wish, if it is understood; whether it was."""
+        """Make a command the wish if it is understood; return whether it was."""
         tip = None if tip_velocity is None else _numbers(tip_velocity, 3)
         joints = None if joint_velocity is None else _numbers(joint_velocity, self._n)
         pitch = None if pitch_rate is None else _numbers(pitch_rate, 1)
@@ -77,7 +77,7 @@ class Commands:
 
 
 def _numbers(values: object, count: int) -> Vector | None:
-    """`values` as (count,) finite numbers, or None where they are not."""
+    """`values` as (count,) finite numbers, or None if they are not."""
     try:
         found = np.array(values)
         if found.dtype.kind not in "fiu":
@@ -93,7 +93,7 @@ def _numbers(values: object, count: int) -> Vector | None:
 
 
 def _capped(wish: Vector | None) -> Vector | None:
-    """A wish with its direction kept and its largest number at most `_FASTEST_WISH`."""
+    """The wish, scaled so that its largest number is at most `_FASTEST_WISH`."""
     if wish is None:
         return None
     largest = max(map(abs, wish.tolist()))

@@ -1,20 +1,20 @@
-"""The force that goes back to the hand: what the machine refuses, and never any energy.
+"""The force fed back to the hand: it shows what the machine refuses, and never feeds in energy.
 
     F_wished = -B (r . t)^+ t  -  B rho(margin) ((r . n)^+ + (x_w . n)^+) n,    r = x_free - x
 
-r is what the tip would do with nothing in the way and no joint limit, minus what it does.
-Of a machine that slides or stands it is the refused part of the wish. The hand feels its
-components into the obstacle (n) and along the rest of the hand's own motion (t). The rest
-of r is left out, so that the hand is not pulled aside when the machine gives way. rho rises
-smoothly from 0 to 1 as an obstacle comes near, before anything is refused. The force
-saturates smoothly at its largest.
+r is the velocity that the tip would have with nothing in the way and no joint limit, minus
+the one that it has. If the machine slides or stands still, r is the refused part of the wish.
+The hand feels the components of r into the obstacle (n) and along the rest of the hand's own
+motion (t). The rest of r is left out, so that the hand is not pulled aside when the machine
+gives way. rho rises smoothly from 0 to 1 as an obstacle comes near, before anything is
+refused. The force saturates smoothly at its largest value.
 
 The force is smoothed over a hundredth of a second, so that it does not jump.
 
 Passivity: a ledger (a passivity observer after Hannaford and Ryu, 2002) holds the energy
-that the hand has given so far. A force F holds until the next sample. Until then the hand
+that the hand has put in so far. A force F is held until the next sample. Until then the hand
 moves at its velocity w, changed by at most dw. F is scaled so that the most energy that it
-can give, dt (F . w + |F| dw), is no more than the ledger holds.
+can give back, dt (F . w + |F| dw), is no more than the ledger holds.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, straight_towards
 from backhoe_planner.native import compiled
 
-_SEED = 1e-7  # J that a force against the hand may use before the hand has given any; chosen, too little to feel
-_LEAK = 1e-13  # J per sample, so that an empty ledger can fill again; about a millionth of that
+_SEED = 1e-7  # J that a force against the hand may use before the hand has put in any; chosen, too little to feel
+_LEAK = 1e-13  # J per sample, so that an empty ledger can fill again; about a millionth of `_SEED`
 _SMOOTHED_OVER = 0.01  # s: chosen, faster than a hand reacts
 _SLOW_HAND = 0.02  # m/s: chosen, the direction of a slower hand is mostly noise
 _MOST_STORED = 0.2  # J that the ledger holds at most: chosen, so that a long push is not given back as one blow
-_REMEMBERED = 0.02  # s for which being held back counts, so that a status does not flicker; chosen
+_REMEMBERED = 0.02  # s for which being held back still counts, so that a status does not flicker; chosen
 
 HandState: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 
 
 class Recently:
-    """Whether something holds, or did just now, so that what follows from it does not flicker.
+    """Whether a condition holds or did just before, so that what depends on it does not flicker.
 
     Parameters
     ----------
@@ -51,21 +51,21 @@ class Recently:
         self._counts_for = 0
 
     def next(self, *, holds: bool) -> bool:
-        """The same in the next step, in which it holds or not."""
+        """Whether the condition held recently, after the next step, in which it `holds` or not."""
         self._counts_for = self._steps if holds else self._counts_for - 1
         return self._counts_for > 0
 
 
 class Refusal:
-    """Compares the tip with that of a machine that has nothing in its way.
+    """Compares the joint velocity with that of a machine that has nothing in its way.
 
-    Whether something is in the way is a matter of the whole machine: where one joint is held, what the others do is
-    not what they would do without it, also where each of them goes at its own target.
+    Whether something is in the way is decided for the whole machine: if one joint is held back, the others do not
+    move as they would otherwise, even if each of them goes at its own target velocity.
 
     Parameters
     ----------
     dt: length of a step [s].
-    changes: n numbers, by how much a joint's velocity can change in a step [rad/s or m/s].
+    changes: n numbers, by how much the velocity of each joint can change in a step [rad/s or m/s].
     """
 
     def __init__(self, dt: float, changes: tuple[float, ...]) -> None:
@@ -75,22 +75,22 @@ class Refusal:
         self._held = Recently(dt)
 
     def next(self, v: Vector, *, wish: Vector, target: Vector) -> Vector:
-        """(n,) velocity with nothing in the way, minus v (n,); see `VelocityWish` for `wish` and `target` (n,)."""
+        """(n,) the velocity with nothing in the way, minus v (n,); see `VelocityWish` for `wish` and `target` (n,)."""
         self._free = straight_towards(wish, self._free, self._changes)
         beyond, off = self._free - v, v - target
         if not self._held.next(holds=float(off.dot(off)) > TOLERANCE * TOLERANCE):
-            beyond *= self._keeps  # the machine catches up with what it would have done
+            beyond *= self._keeps  # the machine catches up with the free motion
             self._free = v + beyond
         return beyond
 
 
 def refused_part(wish: Vector, difference: Vector) -> Vector:
-    """(3,) the part of a wish (3,) that is not followed, where the tip's velocity falls short by `difference` (3,).
+    """(3,) the part of a wish (3,) that is not followed, if the tip's velocity falls short by `difference` (3,).
 
-    A wish w is the sum of what is followed, f, and of what is refused, r, which are parts of it: neither points
-    against the other, f . r >= 0. With f = w - r that is the ball |r - w/2| <= |w|/2, in which also |r| <= |w|. Of it r
-    is the point that is nearest to `difference`. Where the tip goes at the nearest velocity of any convex set that has
-    0 in it, `difference` itself lies there. It need not where the machine gives way to what moves, or comes out of a
+    A wish w is the sum of the followed part f and the refused part r, and neither points against the other:
+    f . r >= 0. With f = w - r this is the ball |r - w/2| <= |w|/2, in which also |r| <= |w|. r is the point of that
+    ball nearest to `difference`. If the tip has the velocity nearest to the wish in any convex set that contains 0,
+    `difference` itself is in the ball. It need not be if the machine gives way to a moving obstacle or leaves a
     violation.
     """
     (x, y, z), (dx, dy, dz) = wish.tolist(), difference.tolist()
@@ -108,7 +108,7 @@ class Feedback:
     ----------
     dt: time between samples, over which a force is held [s].
     damping: B, the force per refused speed [N s/m].
-    largest: the force that is approached and never exceeded [N].
+    largest: the force that is approached but never exceeded [N].
     sharpest: greatest acceleration of the hand for which passivity holds [m/s^2].
     """
 
@@ -125,12 +125,12 @@ class Feedback:
         Parameters
         ----------
         hand: (3,) velocity of the hand since the last sample, which is the wish [m/s], world.
-        refused: (3,) r, what the tip would do with nothing in the way, minus what it does [m/s], world.
-        normal: (3,) unit vector into the nearest obstacle, world; zeros where none is near.
-        nearness: rho, 0 where obstacles are far, 1 where no more approach is possible.
+        refused: (3,) r, the tip's velocity with nothing in the way, minus its real one [m/s], world.
+        normal: (3,) unit vector into the nearest obstacle, world; zeros if none is near.
+        nearness: rho, 0 if obstacles are far, 1 if no further approach is possible.
         """
         try:
-            # a sum of numbers is finite only where all of them are, or else they are checked one by one
+            # if the sum is finite, so are all the numbers; otherwise they are checked one by one below
             right = (
                 isinstance(nearness, float)
                 and 0.0 <= nearness <= 1.0
@@ -148,7 +148,7 @@ class Feedback:
 
 
 class HandSettings(NamedTuple):
-    """The numbers of a `Feedback`, see there, and those of this module; `part` is smoothed away in a step."""
+    """The settings of a `Feedback`, see there, and this module's constants; `part` is the smoothing per step."""
 
     dt: float
     damping: float
@@ -169,8 +169,8 @@ def force_on_hand(
 
     Parameters
     ----------
-    state: the force before (3), the same smoothed only (3) [N], what the hand has given and may come back [J], and
-        the part of the force that was given.
+    state: the force before (3), the smoothed force before it was bounded and scaled (3) [N], the energy that the hand
+        has put in and that may be given back [J], and the scale of the force.
     """
     # three numbers each: plain numbers cost a fraction of what arrays would
     (hx, hy, hz), (rx, ry, rz), (nx, ny, nz) = hand.tolist(), refused.tolist(), normal.tolist()
@@ -194,7 +194,7 @@ def force_on_hand(
         along = (fx * hx + fy * hy + fz * hz) * bounded / size
         most = dt * (along + bounded * sharpest * dt)
         held = max(stored + (seed if along <= 0.0 else 0.0), leak)
-        # what is stored is neither spent at once nor released at once, so that the scale is smooth too
+        # the stored energy is neither spent nor released all at once, so that the scale is smooth too
         scale = min(scale + part, 1.0)
         if most > 0.0:
             scale = min(scale, max(part * held, leak) / most)

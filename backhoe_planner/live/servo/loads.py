@@ -9,7 +9,7 @@ from backhoe_planner.site import Scene, with_carried
 
 
 class Loads:
-    """The loads of a scene's sequence by their legs; of legs that carry the same, one.
+    """The loads of a scene's sequence by their legs; legs that carry the same share one load.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Loads:
             self._number[leg.name] = NO_LOAD if leg.carries is None else known.index(leg.carries)
 
     def number_of(self, leg: str | None) -> int:
-        """The number of what is carried in a leg, `NO_LOAD` where that is nothing or `leg` is None.
+        """The number of the load of a leg, `NO_LOAD` if the leg carries nothing or `leg` is None.
 
         Raises
         ------

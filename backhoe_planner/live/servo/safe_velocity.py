@@ -1,11 +1,11 @@
-"""The nearest safe velocity to a wish: a small QP, and a check of what it promises.
+"""The safe velocity nearest to a wish: a small QP, and a check of its solution.
 
     min_v |v - v_w|_W   s.t.   rows of the braking path, rows of evasion
 
-W weighs what the tip notices. The rows are linear, so the braking path of the solution is
-checked; where it is not clear, its rows are added and the problem is solved anew. Every
-obstacle that moves adds a row, which demands a velocity away from it that the machine can
-still reach:
+W weighs what the tip notices. The rows are only linear, so the braking path of the solution
+is checked; if it is not clear, its rows are added and the problem is solved again. Every
+moving obstacle adds a row, which demands a velocity away from it that the machine can still
+reach:
 
     g v + u.n >= -sqrt(2 a_n margin),   a_n = sum_j |g_j| a_j / 2
 """
@@ -44,13 +44,13 @@ from backhoe_planner.live.planes.path_rows import Candidates, rows_of_path
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
 from backhoe_planner.native import compiled
 
-_BINDING = 1e-5  # rad/s or m/s: a row that is kept by more does not bind; the solver's tolerance is 1e-6
+_BINDING = 1e-5  # rad/s or m/s: a row that is kept with more to spare does not bind; the solver's tolerance is 1e-6
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
-_ATTEMPTS_IF_TORN = 2  # as `ATTEMPTS`, where something moves: chosen, the next step corrects again
+_ATTEMPTS_IF_TORN = 2  # as `ATTEMPTS`, if something moves: chosen, the next step corrects again
 _FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
-_SURE, _SURER = 0.9, 0.5  # parts of the way on which a path is just clear; chosen, gaps are not quite linear
-_LEAST_BLEND = 0.01  # of the way: less is braking
-_SLOW = 1e-3  # m/s: what comes no faster is as far away in time as at this speed; chosen
+_SURE, _SURER = 0.9, 0.5  # parts of the blend at which a path is just clear; chosen, gaps are not quite linear
+_LEAST_BLEND = 0.01  # part of the way from braking to a velocity: less is braking
+_SLOW = 1e-3  # m/s: slower obstacles count as approaching at this speed when times are compared; chosen
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
 _HELD = _BINDING, TOLERANCE, MOST_SOFT_ROWS, MOST_ITERATIONS
 _NONE: Indices = np.zeros(0, dtype=np.intp)
@@ -58,13 +58,13 @@ _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row e
 
 
 class VelocityWish(NamedTuple):
-    """What the joints are to do in a step, and how far they may go.
+    """The wished velocity of the joints in a step, and the velocities that they may have.
 
     Attributes
     ----------
-    v: (n,) the velocity that is wished for [rad/s or m/s].
-    target: (n,) the next velocity on the way there, if nothing is in the way [rad/s or m/s].
-    task: (m, n) Jacobian of the wish for the tip; None where the wish is for the joints.
+    v: (n,) the wished velocity [rad/s or m/s].
+    target: (n,) the next velocity towards v, if nothing is in the way [rad/s or m/s].
+    task: (m, n) Jacobian of the wish for the tip; None if the wish is for the joints.
     null: (n,) the part of v in its null space [rad/s or m/s].
     for_tip: whether the wish is for the tip.
     range: the velocities that keep the joint limits.
@@ -86,7 +86,7 @@ class SafeVelocity(NamedTuple):
     v: (n,) [rad/s or m/s].
     held_back: whether something is in the way of the wish.
     evading: whether something that moves is in the way.
-    end: (n,) of its braking path [rad or m]; None where the machine brakes on the path of the step before.
+    end: (n,) of its braking path [rad or m]; None if the machine brakes on the path of the step before.
     """
 
     v: Vector
@@ -104,14 +104,14 @@ def velocity_program(
 ) -> QuadraticProgram:
     """The problem whose solution is the velocity nearest to `target` (n,), as the tip notices it.
 
-    Only the tip's velocity at the target counts, not each joint's: if each joint's did, the others
-    would be driven on where one cannot follow.
+    Only the tip's velocity at the target counts, not that of each joint: otherwise, if one joint
+    could not follow, the others would still be driven on.
 
     Parameters
     ----------
     wish: gives the task and the null space.
     low, high: (n,) bounds of the velocity [rad/s or m/s].
-    rows: that it must keep.
+    rows: that the velocity must keep.
     """
     if wish.task is None:
         return QuadraticProgram(_identity(len(target)), -target, low, high, rows)
@@ -120,7 +120,7 @@ def velocity_program(
 
 @lru_cache(maxsize=8)
 def _identity(n: int) -> Matrix:
-    """(n, n) to be read only."""
+    """(n, n) the identity, read-only."""
     return np.eye(n)
 
 
@@ -140,14 +140,14 @@ def velocity_within_rows(
     most: Vector, G: Matrix, h: Vector, changes: tuple[float, ...], fastest: tuple[float, ...], tolerance: float,
     most_iterations: int, /,
 ) -> tuple[Vector, int, int] | None:  # fmt: skip
-    """(n,) the next velocity on the way from v (n,) to the part of the wish (n,) that soft rows and bounds leave.
+    """(n,) the next velocity from v (n,) towards the part of the wish (n,) that soft rows and bounds allow.
 
-    And how many programs were solved for it, and the solver's iterations; None where it needs more.
+    Also how many programs were solved for it, and the solver's iterations. None if more than that is needed.
 
     Parameters
     ----------
     task, null, free: of the cost, see `cost_of_tip`; without a task each joint's velocity counts alike.
-    low, high: (n,) bounds of the next velocity; least, most: (n,) of what can be reached in the end [rad/s or m/s].
+    low, high: (n,) bounds of the next velocity; least, most: (n,) bounds however long it takes [rad/s or m/s].
     G, h: (K, n), (K,) of the rows G v <= h.
     changes, fastest, tolerance: see `next_within`.
     most_iterations: of the solver for one program.
@@ -172,17 +172,17 @@ def velocity_held_as_before(
     low: Vector, high: Vector, lowest: Vector, highest: Vector, changes: tuple[float, ...], fastest: tuple[float, ...],
     for_tip: bool, rules: tuple[float, ...], /,
 ) -> tuple[Vector | None, bool, int, int, int] | None:  # fmt: skip
-    """The `velocity_within_rows` that what bound along the path of a step ago leaves, if the `target` (n,) breaks it.
+    """The `velocity_within_rows` for the rows of the path of a step ago, if the `target` (n,) breaks any of them.
 
-    None where it does not. Beside the velocity whether it is without the null space, as a limit cuts the target of a
-    wish for the tip; how many rows there are; the programs and iterations. No velocity where it takes more than that.
+    None if it breaks none. Also whether the null space was left out, because a limit cuts the target of a wish for the
+    tip; the number of rows; the programs and iterations. The velocity is None if more is needed.
 
     Parameters
     ----------
     pairs to parts, start, end: see `rows_of_path`, of the path of a step ago.
-    q, target, dt, acceleration: see `braking_line`: the path that the rows are to be of.
+    q, target, dt, acceleration: see `braking_line`; they give the path that the rows are to hold for.
     wish to fastest: see `velocity_within_rows`, with `lowest` and `highest` for `least` and `most`.
-    rules: by how much a row is broken that binds, the tolerance of limits, and the most rows and iterations.
+    rules: the room below which a row binds, the tolerance of limits, and the most rows and iterations.
     """
     binding, tolerance, most_rows, most_iterations = rules
     _, now_end, look, _, slowest, sharper = braking_line(q, target, dt, acceleration)
@@ -207,7 +207,7 @@ def _nearest_within(
     target: Vector, task: Matrix | None, null: Vector, free: float, low: Vector, high: Vector, G: Matrix, h: Vector,
     most_iterations: int,
 ) -> tuple[Vector, int] | None:  # fmt: skip
-    """(n,) the velocity nearest to the target (n,) within bounds and rows, and the solver's iterations."""
+    """(n,) the velocity nearest to the target (n,) within the bounds and rows, and the solver's iterations."""
     H, f = (_identity(len(target)), -target) if task is None else cost_of_tip(task, target, null, free)
     solved = soft_solution(H, f, low, high, G, h, most_iterations)
     return None if solved is None else (np.minimum(np.maximum(solved[0], low), high), solved[1])
@@ -218,8 +218,8 @@ class VelocityFilter:
 
     Parameters
     ----------
-    check: of the machine's braking paths.
-    recovery: finds the way out where the machine is closer to something than allowed.
+    check: the check of the machine's braking paths.
+    recovery: finds the way out if the machine is closer to something than allowed.
     """
 
     def __init__(self, check: PathCheck, recovery: Recovery) -> None:
@@ -229,7 +229,7 @@ class VelocityFilter:
         self._nothing_comes = Rows.none("evasion", len(self._acceleration))
 
     def choose(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
-        """The velocity nearest to the wish whose braking path is proven clear; braking where there is none."""
+        """The velocity nearest to the wish whose braking path is proven clear; braking if there is none."""
         if len(self._bounds.inside) or self._recovery.held_outside(state.q):
             return self._recover(state, wish, near)
         check, (low, high, *_) = self._check, wish.range
@@ -237,13 +237,13 @@ class VelocityFilter:
         evasion = self._evasion_rows(near, low, high)
         held_back = evading = False
         first = straight = None
-        # what moves may ask for what something that stands forbids
+        # a moving obstacle may demand a velocity that a static one forbids
         torn = self._bounds.anything_moves and (
             len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
         )
         held = self._held_as_before(state, wish, evasion, torn=torn)
         if held is not None:
-            # what held the machine back a step ago mostly still does: no path at the wish has to be checked first
+            # what held the machine back a step ago mostly still does: the path at the wish need not be checked first
             start, held_back, evading = 1, True, not evasion.are_kept_by(wish.target, TOLERANCE)
             v, wish = held
         else:
@@ -260,7 +260,7 @@ class VelocityFilter:
             if attempt == 0 and found.clear and not late:
                 straight = path, found
             if attempt and found.stands_clear and self._bounds.anything_moves:
-                # what moves is met by one correction a step: it goes on moving, and the next step corrects again
+                # one correction a step is enough for moving obstacles: they move on, and the next step corrects again
                 return self._accept(path, awake, found, evading=evading)
             nearer = v
             if attempt < most - 1:
@@ -272,7 +272,7 @@ class VelocityFilter:
                     return self._accept(path, awake, found, evading=evading)
                 break
             v = nearer
-        if straight is not None:  # only the buffer is missing, and asking for it leads nowhere
+        if straight is not None:  # only the buffer is missing, and demanding it found nothing better
             return self._accept(straight[0], awake, straight[1], evading=evading)
         brake = self._braking(state.v)
         brakes = torn and np.abs(v - brake).max() < _UNCHANGED  # that path was checked last
@@ -287,9 +287,9 @@ class VelocityFilter:
     def _held_as_before(
         self, state: JointState, wish: VelocityWish, evasion: Rows, *, torn: bool
     ) -> tuple[Vector, VelocityWish] | None:
-        """The same as `_within_limits` with the rows of the path that was taken a step ago.
+        """The result of `_within_limits` with the rows of the path that was taken a step ago.
 
-        None where there are none, and where the wish keeps them.
+        None if there are no rows, or if the wish keeps them.
         """
         check, joints = self._check, self._joints
         if not (torn or len(evasion.h) or joints.shares_load):
@@ -313,9 +313,9 @@ class VelocityFilter:
         return self._within_limits(state, wish, (*before, evasion))
 
     def _part_of_the_way(self, awake: Awake, found: PathClearance) -> float:
-        """The part of the way from braking to a velocity at which what stands is just clear, if all gaps are linear.
+        """The part of the way from braking to a velocity at which static obstacles are just clear, for linear gaps.
 
-        found: of the velocity's path.
+        found: the clearance of the velocity's path.
         """
         bounds, pairs = self._bounds, awake.pairs
         short = (found.bound < bounds.required.take(pairs)) & bounds.stands.take(pairs)
@@ -334,7 +334,7 @@ class VelocityFilter:
         return SafeVelocity(path.v, held_back, evading, path.end)
 
     def _recover(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
-        """The velocity of the way out. What was proven of it must be kept from now on."""
+        """The velocity of the way out. The distances proven for it must be kept from now on."""
         bounds, clearance = self._bounds, self._separation.clearance
         pairs = bounds.inside
         low, high = self._recovery.slow_bounds(state.q, state.v, wish.range.low, wish.range.high)
@@ -360,19 +360,19 @@ class VelocityFilter:
         return self._accept(found.path, awake, found.clearance)
 
     def _braking(self, v: Vector) -> Vector:
-        """(n,) the next velocity while braking from v (n,), within what a step can change."""
+        """(n,) the next velocity while braking from v (n,), within the change that a step allows."""
         change = self._joints.change
         return np.minimum(np.maximum(self._joints.brake(v), v - change), v + change)
 
     def _within_limits(
         self, state: JointState, wish: VelocityWish, rows: tuple[Rows, ...] = ()
     ) -> tuple[Vector, VelocityWish]:
-        """(n,) the next velocity on the way to the wish, or to the part that the joints' limits and rows leave of it.
+        """(n,) the next velocity towards the wish, or towards the part of it that joint limits and rows allow.
 
-        Also the wish, without its null space where a limit cuts it.
+        Also the wish, without its null space if a limit cuts it.
         """
         target, (low, high, *_) = wish.target, wish.range
-        # a joint that changes by all it can is at its bound, and rounding must not say on which side
+        # a joint that changes by all it can is at its bound, and rounding must not decide on which side
         for rate, least, most in zip(target.tolist(), low.tolist(), high.tolist(), strict=True):
             if not least - TOLERANCE <= rate <= most + TOLERANCE:
                 break
@@ -380,17 +380,17 @@ class VelocityFilter:
             v = self._within_rows(state, wish, rows) if rows else np.minimum(np.maximum(target, low), high)
             return v, wish
         if wish.for_tip:
-            # clipped joint by joint, the others would lead the tip elsewhere
+            # if each joint were clipped on its own, the others would lead the tip elsewhere
             wish = wish._replace(null=np.zeros(len(target)))
         elif not rows:
             return np.minimum(np.maximum(target, low), high), wish
         return self._within_rows(state, wish, rows), wish
 
     def _within_rows(self, state: JointState, wish: VelocityWish, rows: tuple[Rows, ...]) -> Vector:
-        """(n,) the next velocity on the way to the part of the wish that rows and limits leave.
+        """(n,) the next velocity towards the part of the wish that rows and limits allow.
 
-        The velocity that can be reached in the end is found first: the nearest one of each single
-        step, within the joints' accelerations, need not lead there.
+        The velocity that can be reached in the end is found first: taking the nearest one in each
+        single step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
         stacked, joints = StackedRows.of(rows, len(low)), self._joints
@@ -414,14 +414,14 @@ class VelocityFilter:
     def _solve(
         self, state: JointState, program: QuadraticProgram, stacked: StackedRows, *, first: Indices | None = None
     ) -> tuple[Vector, Indices | None]:
-        """(n,) the solution within its bounds, or braking where there is none; and the rows that were kept."""
+        """(n,) the solution within its bounds, or braking if there is none; and the rows that were kept."""
         solution = solve_with_binding_rows(program, first=first, stacked=stacked)
         self._check.note(solution)
         x = self._joints.brake(state.v) if solution is None else solution.x
         return np.minimum(np.maximum(x, program.low), program.high), None if solution is None else solution.kept
 
     def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
-        """The rows of obstacles that come nearer, and of moving ones that are too close already."""
+        """The rows of obstacles that are approaching, and of moving ones that are already too close."""
         separation = self._separation
         if len(near.pairs) == 0 or not self._bounds.anything_moves:
             return self._nothing_comes
@@ -434,7 +434,7 @@ class VelocityFilter:
         if len(chosen) == 0:
             return self._nothing_comes
         least, nearest = near.gaps.least[:, 0], near.gaps.nearest[:, 0]
-        # by the time that is left until the clearance is cut
+        # the time that is left until the clearance is violated
         room = (least - clearance) / np.maximum(-drift, _SLOW)
         if len(chosen) > MOST_CANDIDATES:
             k = chosen[room.take(chosen).argpartition(MOST_CANDIDATES - 1)[:MOST_CANDIDATES]]

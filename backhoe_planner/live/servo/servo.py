@@ -1,22 +1,22 @@
-"""The servo: it takes a wish a thousand times a second, and gives a motion that is always safe.
+"""The servo: it takes a wish a thousand times a second and returns a motion that is always safe.
 
-Every step keeps one invariant: if the machine brakes from here on, in proportion, it
-touches nothing and passes no limit (`braking_path`). A new velocity is taken only if the
-braking path that follows from it is proven clear. If none is, the machine brakes along
-the path that was proven one step earlier. So no wish, and no failure of the
-optimisation, can drive it into an obstacle that stands still.
+Every step keeps one invariant: if the machine brakes from now on, all joints in proportion,
+it touches nothing and passes no limit (`braking_path`). A new velocity is taken only if the
+braking path that follows from it is proven clear. If there is none, the machine brakes along
+the path that was proven one step earlier. So no wish, and no failure of the optimisation,
+can drive the machine into a static obstacle.
 
 The nearest safe velocity is found by a small QP (`safe_velocity`). Its rows are the gaps
-of the links' corners along the braking path (`path_check`), and one row for each obstacle
-that moves, which demands a velocity away from it that the machine can still reach.
+of the links' corners along the braking path (`path_check`), and one row for each moving
+obstacle, which demands a velocity away from it that the machine can still reach.
 
-Where the machine is closer to something than allowed (it began so, or an obstacle was put
-there), this may only get better: of every obstacle the deepest violation over the links
-falls at every step, and the next step must keep what was proven. Where no such motion leads
-out, the machine follows a way that is nowhere deeper than where it began, and the length of
-that way falls at every step (`recovery`).
+If the machine is closer to something than allowed (from the start, or because an obstacle
+was put there), this may only get better: for every obstacle the deepest violation over the
+links falls at every step, and the next step must keep what was proven. If no such motion
+leads out, the machine follows a route along which no violation is deeper than at the start,
+and the length of that route falls at every step (`recovery`).
 
-Within the slow distance of one of the scene's zones the wish is scaled down, direction kept.
+Within the slow distance of one of the scene's zones the wish is scaled down; its direction is kept.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ from backhoe_planner.site import (
     swing_sectors,
 )
 
-_INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
+_INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish and are not named in the state; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
-_PARTLY = 0.1  # part of the wish that is refused, from which on a machine near an obstacle slides along it; chosen
-_MOSTLY = 0.5  # part of a wish that is refused from which on a machine at rest counts as held; chosen
-_STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, beyond them it is a slip
+_PARTLY = 0.1  # refused part of the wish above which a machine near an obstacle counts as sliding along it; chosen
+_MOSTLY = 0.5  # refused part of the wish above which a machine at rest counts as held; chosen
+_STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, a dt outside is a slip
 
 
 class Servo:
@@ -71,17 +71,17 @@ class Servo:
 
     Parameters
     ----------
-    robot, scene: the machine, and the site in which it stands. Of the scene's task only what the legs of a sequence
-        carry is used, by `carry`; nothing is carried before.
+    robot, scene: the machine, and its site. The only part of the scene's task that is used is what the legs of a
+        sequence carry; nothing is carried before `carry` is called.
     dt: length of a step [s], a microsecond to a second.
-    q: (n,) where the joints stand [rad or m]; by default the scene's start.
-    watchdog: the machine stops when no command came for this long [s]; infinite for never.
-    circulate: whether a tip that is pushed straight into an obstacle goes round it.
+    q: (n,) initial joint positions [rad or m]; by default the scene's start.
+    watchdog: the machine stops when no command has come for this long [s]; infinite for never.
+    circulate: whether a tip that is pushed straight into an obstacle goes around it.
     self_collision: whether the machine is also kept clear of itself.
     feedback: computes the force on the hand; `Feedback(dt)` by default.
     load: for drives that the joints share, such as one pump: load(q, v) is the part of their
-        capacity that joint velocities v (n,) at q (n,) take. Wishes are cut back so that it is at
-        most 1. It may be exceeded to evade an obstacle, or on the way out of a violation.
+        capacity that joint velocities v (n,) at q (n,) need. Wishes are scaled down so that it is at
+        most 1. It may be exceeded to evade an obstacle, or to leave a violation.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class Servo:
     ----------
     robot, scene, dt: as above; the robot has the scene's tip and swing sectors, and what it carries now.
     circulate: as above; may be set.
-    limits: of the joints in this scene.
+    limits: joint limits in this scene.
     last_error: the last error inside a step, which then braked; None if there was none.
 
     `step` raises nothing. The servo owns its working memory: do not share one between threads.
@@ -166,29 +166,29 @@ class Servo:
 
     @property
     def time(self) -> float:
-        """Time since the servo began [s]."""
+        """Time since the servo started [s]."""
         return self._steps * self.dt
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """Names of the obstacles that are there now."""
+        """Names of the obstacles that are present now."""
         return self._site.names
 
     @property
     def revision(self) -> int:
-        """How often an obstacle was put there, taken away, moved by hand or given another velocity."""
+        """Count of changes: an obstacle was added, removed, moved by hand or given another velocity."""
         return self._site.revision
 
     def snapshot(self) -> tuple[Obstacle, ...]:
-        """The obstacles that are there now, each where it is now, with its present velocity. Takes some 10 us each."""
+        """The obstacles present now, each at its present position and velocity. Takes some 10 us each."""
         return self._site.snapshot()
 
     def is_moving(self, name: str | None = None) -> bool:
-        """Whether there is an obstacle of that name, or any, that has a velocity now."""
+        """Whether the obstacle of that name, or any if `name` is None, has a velocity now."""
         return self._site.is_moving(name)
 
     def add(self, obstacle: Obstacle | Mapping[str, Any]) -> None:
-        """Put an obstacle there, from the next step on.
+        """Add an obstacle, from the next step on.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class Servo:
         self._add([self._site.build(obstacle)])
 
     def add_points(self, name: str, points: object, *, resolution: float = 0.1, clearance: float | None = None) -> None:
-        """Put a scan there: every voxel in which a point lies is solid. A scan of the same name is replaced.
+        """Add a scan: every voxel that contains a point is solid. A scan of the same name is replaced.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class Servo:
             self._add([scan])
 
     def remove(self, name: str) -> None:
-        """Take an obstacle or a zone away, also one that has not appeared yet.
+        """Remove an obstacle or a zone, also one that has not appeared yet.
 
         Raises
         ------
@@ -235,7 +235,7 @@ class Servo:
         self._recovery.changed()
 
     def move(self, name: str, by: object) -> None:
-        """Put an obstacle elsewhere at once, by `by` (3,) from where it is now [m], world.
+        """Move an obstacle at once, by `by` (3,) from where it is now [m], world.
 
         Raises
         ------
@@ -257,9 +257,9 @@ class Servo:
     def carry(self, leg: str | None) -> None:
         """Carry what is carried in a leg of the scene's sequence, from the next step on; None for nothing.
 
-        It is a part of the machine's shape, and keeps the clearances of the link that holds it. Where it is closer
-        than allowed when it comes, that may only get better. Takes 20 us for each pair that is not known to be
-        clear, see `prepare_to_carry`.
+        The load is a part of the machine's shape, and keeps the clearances of the link that holds it. If it is closer
+        to something than allowed when it is taken up, that may only get better. Takes 20 us for each pair that is not
+        known to be clear, see `prepare_to_carry`.
 
         Raises
         ------
@@ -279,9 +279,9 @@ class Servo:
         self._recovery.changed()
 
     def prepare_to_carry(self, leg: str | None) -> None:
-        """Measure a few of the pairs of what is carried in a leg that is about to begin; takes about 0.1 ms.
+        """Measure a few of the pairs of the load of a leg that is about to begin; takes about 0.1 ms.
 
-        Called between some steps before `carry`, it leaves little to be measured there.
+        If it is called between some steps before `carry`, little is left to be measured there.
 
         Raises
         ------
@@ -294,19 +294,19 @@ class Servo:
 
     @property
     def way_to_go(self) -> float | None:
-        """How far any point of the machine still has to move until it is clear, at most [m].
+        """Upper bound of the distance that any point of the machine still has to move until it is clear [m].
 
-        It falls at every step on a way out along which violations may grow back; None elsewhere.
+        It falls at every step on a route out along which violations may grow back; None otherwise.
         """
         return self._recovery.to_go
 
     @property
     def work(self) -> StepWork:
-        """What the last step took, counted; obstacles that appeared in it are not in."""
+        """The counted work of the last step, without that for obstacles that appeared in it."""
         return self._check.work
 
     def shift_of(self, name: str) -> Vector:
-        """(3,) how far an obstacle has moved from where it was put [m].
+        """(3,) how far an obstacle has moved from where it was added [m].
 
         Raises
         ------
@@ -323,7 +323,7 @@ class Servo:
         self._measure(pairs)
 
     def _update_moving(self) -> None:
-        """Update which pairs there are and which of them move, and how far in a step."""
+        """Update which pairs there are, which of them move, and how far they move in a step."""
         self._check.forget()
         self._boxes.forget(blocking=True)
         per_step = self.dt * self._site.speed
@@ -331,7 +331,7 @@ class Servo:
         self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
 
     def _measure(self, pairs: Indices) -> None:
-        """Measure pairs (K,) that are new or were moved."""
+        """Measure `pairs` (K,) that are new or were moved."""
         if len(pairs) == 0:
             return
         self._check.forget()
@@ -355,22 +355,22 @@ class Servo:
         ----------
         tip_velocity: (3,) wished velocity of the tip [m/s], world.
         joint_velocity: (n,) wished velocity of the joints [rad/s or m/s]; instead of `tip_velocity`.
-        pitch_rate: wished rate of the bucket's pitch, with `tip_velocity` [rad/s]; left out, pitch is free.
+        pitch_rate: wished rate of the bucket's pitch, with `tip_velocity` [rad/s]; without it the pitch is free.
 
         Without any of them the last wish holds, until the watchdog ends it. A command that is not
-        finite, of the wrong shape or contradictory counts as none. Nothing is raised.
+        finite, has the wrong shape or is contradictory counts as none. Nothing is raised.
         """
         self._steps += 1
         command = self._commands.understand(tip_velocity, joint_velocity, pitch_rate)
         before = self._state
         try:
             return self._move(command)
-        except Exception as error:  # noqa: BLE001  whatever it was, braking was proven before
+        except Exception as error:  # noqa: BLE001  whatever the error, braking was proven before
             self.last_error = error.with_traceback(None)
             return self._brake(command, failed=True, moved=self._state is not before)
 
     def _move(self, command: Command) -> ServoState:
-        """Find what is near, the wish and the nearest safe velocity, and take the step."""
+        """Find what is near, the joint wish and the nearest safe velocity, and take the step."""
         self._drift()
         if self._separation.clusters and not self._boxes.renew(self._state, self._steps):
             return self._brake(command, failed=False)
@@ -395,7 +395,7 @@ class Servo:
         return self._report(command, near, wish, request, chosen, pace)
 
     def _drift(self) -> None:
-        """Let obstacles appear and move on, and place the machine where it is."""
+        """Let obstacles appear and move on, and compute the machine's placement."""
         if due := self._site.due(self.time):
             self._add(due)
         if self._site.anything_moves:
@@ -404,14 +404,14 @@ class Servo:
         self._tip.place(self._state.q)
 
     def _pace_of_sectors(self) -> float:
-        """The part of the wished speed that the slow distances of swing sectors leave."""
+        """The part of the wished speed that the slow distances of swing sectors allow."""
         if not self._sectors:
             return 1.0
         swing = float(self._state.q[0])
         return min(pace(min(swing - low, high - swing), room) for low, high, room in self._sectors)
 
     def _advance(self, v: Vector, end: Vector | None) -> None:
-        """Take the step at v (n,). Without `end` (n,) the braking path stays the one that was proven before."""
+        """Take the step at v (n,). Without `end` (n,) the braking path remains the one that was proven before."""
         before, moved = self._state, v * self.dt
         self._bounds.advance(moved, None if end is None else end - before.end)
         q = before.q + moved
@@ -461,7 +461,7 @@ class Servo:
         )
 
     def _nearest(self, pair: int, margin: float) -> Obstruction | None:
-        """The tightest pair as an obstruction; None where it is beyond the influence distance."""
+        """The tightest pair as an obstruction; None if it is beyond the influence distance."""
         return self._site.obstruction(pair, margin, self.time) if margin < self._influence else None
 
     def _status(
@@ -473,11 +473,11 @@ class Servo:
         if evading:
             return Status.EVADING
         if max(map(abs, self._state.v.tolist())) <= _CREEPS:
-            # a machine that begins to move, or that nobody asks to, is at rest, too
+            # a machine that begins to move, or that has no wish to move, is slow as well
             held = asks and (held_back or at_limit or refused.dot(refused) > _MOSTLY**2 * wish.dot(wish))
             if held or command in (Command.TIMED_OUT, Command.INVALID):
                 return Status.STOPPED
-        # what was chosen may be as wished while the wish itself already gave way to what is near
+        # the chosen velocity may equal the wish of the joints when that already gave way to an obstacle nearby
         gives_way = margin < CLOSE and refused.dot(refused) > _PARTLY**2 * wish.dot(wish)
         if asks and (held_back or self._gives_way.next(holds=bool(gives_way))):
             return Status.SLIDING
@@ -488,7 +488,7 @@ class Servo:
         return Status.NEAR_SINGULARITY if singular else Status.OK
 
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
-        """Brake after a failure, or as nothing else is proven, unless the step was taken already."""
+        """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
         if not moved:
             self._advance(self._joints.brake(self._state.v), None)
         J, commands = self._tip.jacobian[:3], self._commands

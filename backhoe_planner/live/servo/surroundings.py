@@ -1,4 +1,4 @@
-"""The obstacles around the machine while it moves: they come, go and move, by name."""
+"""The obstacles around the machine while it moves: they are added, removed and moved by name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from backhoe_planner.site import (
 from backhoe_planner.site.schema import obstacle_shapes
 
 _FARTHEST = 1000.0  # m or m/s: chosen, beyond any site; a larger number is a slip
-_VOXELS = (0.001, 100.0)  # m: shortest and longest edge; chosen, beyond them it is a slip
+_VOXELS = (0.001, 100.0)  # m: shortest and longest edge; chosen, an edge outside is a slip
 
 
 _Told: TypeAlias = tuple[Literal["obstacle", "machine"], str, str, float]
@@ -34,7 +34,7 @@ _Told: TypeAlias = tuple[Literal["obstacle", "machine"], str, str, float]
 
 @dataclass
 class _Placed:
-    """An obstacle that is there: its number in `Separation`, velocity (3,) [m/s], and shift (3,) since it came [m]."""
+    """A present obstacle: its number in `Separation`, velocity (3,) [m/s], and shift (3,) since it was added [m]."""
 
     number: int
     obstacle: Obstacle
@@ -51,7 +51,7 @@ class Surroundings:
     stands: (P,) whether the pair's obstacle stands still.
     speed: (P,) of the pair's obstacle [m/s].
     anything_moves: whether any obstacle does, also one that has no pairs.
-    revision: how often an obstacle was put there, taken away, moved by hand or given another velocity.
+    revision: how often an obstacle was added, removed, moved by hand or given another velocity.
     """
 
     def __init__(self, robot: Robot, scene: Scene, separation: Separation) -> None:
@@ -64,29 +64,29 @@ class Surroundings:
         self.stands: Flags
         self.speed: Vector
         self.revision = 0
-        # what was told of pairs, for as long as there are the same ones and the same of them count
+        # cached results of `_tell`, valid as long as the pairs and the set of them that counts stay the same
         self._told: dict[int, _Told] = {}
         self._told_for: Vector | None = None
         self._sort()
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the obstacles that are there now."""
+        """Names of the obstacles that are present now."""
         return tuple(self._placed)
 
     def snapshot(self) -> tuple[Obstacle, ...]:
-        """The obstacles that are there now, each where it is now, with its present velocity."""
+        """The obstacles present now, each at its present position and velocity."""
         return tuple(
             replace(shifted(placed.obstacle, placed.shift), velocity=placed.velocity.copy())
             for placed in self._placed.values()
         )
 
     def is_moving(self, name: str | None) -> bool:
-        """Whether there is an obstacle of that name, or any, that has a velocity."""
+        """Whether the obstacle of that name, or any if `name` is None, has a velocity."""
         return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
     def obstruction(self, pair: int, margin: float, now: float) -> Obstruction:
-        """A pair's link and what it must not touch, for a `margin` [m] that was found at the time `now` [s]."""
+        """A pair's link and what it must not touch, with the `margin` [m] found at the time `now` [s]."""
         separation = self._separation
         if self._told_for is not separation.clearance:  # there are other pairs, or others count
             self._told_for, self._told = separation.clearance, {}
@@ -97,7 +97,7 @@ class Surroundings:
         return Obstruction(kind, name, link, margin + clearance, margin, now)
 
     def _tell(self, pair: int) -> _Told:
-        """What a pair's link must not touch, of which kind and name, the link, and the clearance to be kept [m]."""
+        """Kind and name of what a pair's link must not touch, the link, and the clearance to be kept [m]."""
         separation, pieces = self._separation, self._separation.own_pieces
         owner, clearance = int(separation.owner[pair]), float(separation.clearance[pair])
         link = pieces[separation.piece[pair]].link
@@ -106,13 +106,13 @@ class Surroundings:
         return "obstacle", self._name_of[owner], link, clearance
 
     def shift_of(self, name: str) -> Vector:
-        """(3,) how far an obstacle has moved from where it was put [m]; InputError if there is none of that name."""
+        """(3,) how far an obstacle has moved from where it was added [m]; InputError if there is none of that name."""
         return self._find(name).shift.copy()
 
     # --- new obstacles -----------------------------------------------------------------
 
     def build(self, obstacle: Obstacle | Mapping[str, Any]) -> Obstacle:
-        """An obstacle that can be put there, see `Servo.add`."""
+        """An obstacle that is ready to be added, see `Servo.add`."""
         if isinstance(obstacle, Mapping):
             spec = obstacle_from_dict(obstacle)
             obstacle = build_obstacle(spec, folder=self._scene.folder, clearance=self._scene.clearance)
@@ -120,12 +120,12 @@ class Surroundings:
         check_links(self._robot, obstacle.links, key=f"{obstacle.name}.links")
         in_use = self._names_in_use()
         if obstacle.zone is not None and obstacle.name not in self._placed:
-            in_use.pop(obstacle.zone.name, None)  # the zone itself, which was taken away, is put back
+            in_use.pop(obstacle.zone.name, None)  # the zone itself, which was removed, is added again
         check_name(obstacle.name, in_use=in_use)
         return obstacle
 
     def build_scan(self, name: str, points: object, *, resolution: float, clearance: float | None) -> Obstacle | None:
-        """The voxels in which points (k, 3) lie, as an obstacle; None without points. See `Servo.add_points`."""
+        """The voxels that contain points (k, 3), as an obstacle; None without points. See `Servo.add_points`."""
         replaced = self._placed.get(name) if isinstance(name, str) else None
         is_scan = replaced is not None and isinstance(replaced.obstacle.spec, obstacle_shapes.PointCloud)
         check_name(name, in_use={} if is_scan else self._names_in_use("an obstacle that is no scan"))
@@ -168,7 +168,7 @@ class Surroundings:
     # --- changes -----------------------------------------------------------------------
 
     def put(self, obstacles: Iterable[Obstacle], *, now: float) -> Indices:
-        """Put obstacles there at the time `now` [s]; the indices of the pairs of those that appear at once."""
+        """Add obstacles at the time `now` [s]; return the indices of the pairs of those that appear at once."""
         numbered: dict[int, Obstacle] = {}
         for obstacle in obstacles:
             if obstacle.appears_at > 0.0:
@@ -190,13 +190,13 @@ class Surroundings:
         return pairs
 
     def slow_from(self, pairs: Indices) -> Vector:
-        """(K,) margin within which the obstacles of `pairs` (K,) slow the machine down [m]; 0 where they do not."""
+        """(K,) margin within which the obstacles of `pairs` (K,) slow the machine down [m]; 0 if they do not."""
         owners, place = np.unique(self._separation.owner[pairs], return_inverse=True)
         slow = [self._placed[self._name_of[number]].obstacle.slow for number in owners.tolist()]
         return np.array(slow, dtype=float)[place]
 
     def due(self, now: float) -> list[Obstacle]:
-        """Take the obstacles that have appeared by `now` [s] off the waiting list, to be put there."""
+        """Take the obstacles that have appeared by `now` [s] off the waiting list, to be added."""
         if not self._waiting:
             return []
         due = [replace(obstacle, appears_at=0.0) for obstacle in self._waiting if obstacle.appears_at <= now]
@@ -204,7 +204,7 @@ class Surroundings:
         return due
 
     def take_away(self, name: str) -> Flags:
-        """Take an obstacle away, also one that has not appeared yet, and return which pairs are left, (P,)."""
+        """Remove an obstacle, also one that has not appeared yet, and return which pairs are left, (P,)."""
         if self._is_waiting(name):
             self._waiting = [obstacle for obstacle in self._waiting if obstacle.name != name]
             return np.ones(len(self._separation), dtype=bool)
@@ -256,7 +256,7 @@ class Surroundings:
         return self._placed[name]
 
     def _names_in_use(self, obstacles: str = "an obstacle") -> dict[str, str]:
-        """Every name that nothing new may have, with what has it; what obstacles are called is given."""
+        """Every name that nothing new may have, with what has it; `obstacles` says what to call an obstacle."""
         names = [*self._placed, *(obstacle.name for obstacle in self._waiting)]
         return dict.fromkeys(names, obstacles) | {zone.name: "a zone of the scene" for zone in self._scene.zones}
 
@@ -275,7 +275,7 @@ class Surroundings:
             self._stands_at(placed, placed.shift.copy())
         self._movers = [placed for placed in self._placed.values() if placed.moves]
         self.anything_moves = len(self._movers) > 0
-        # one array for all that move, so that a step moves them at once; each holds its row of it
+        # one array for all moving obstacles, so that a step moves them at once; each obstacle holds its row of it
         self._velocities = np.array([placed.velocity for placed in self._movers]).reshape(-1, 3)
         self._shifts = np.array([placed.shift for placed in self._movers]).reshape(-1, 3)
         for placed, shift in zip(self._movers, self._shifts, strict=True):
@@ -287,7 +287,7 @@ class Surroundings:
 
 
 def shifted(obstacle: Obstacle, by: Vector) -> Obstacle:
-    """The same obstacle, `by` (3,) from where it was built [m]."""
+    """The same obstacle, shifted by `by` (3,) from where it was built [m]."""
     if not by.any():
         return obstacle
     pieces = tuple(

@@ -15,8 +15,8 @@ from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
 from backhoe_planner.native import compiled
 
-_SIDEWAYS = 0.2  # part of the speed into an obstacle above which the wish itself says which way round; chosen
-_STEEP = 0.9  # size of a normal's z from which on its surface is level, with no "up" along it; chosen, 26 degrees
+_SIDEWAYS = 0.2  # of the speed into an obstacle: a wish with more speed sideways decides which way around; chosen
+_STEEP = 0.9  # size of a normal's z above which its surface is level, with no "up" along it; chosen, 26 degrees
 _UP = np.array([0.0, 0.0, 1.0])
 _NOTHING = np.zeros((0, 3))
 _NO_SENSE = np.zeros(3)
@@ -29,7 +29,7 @@ class JointWish(NamedTuple):
     ----------
     v: (n,) wished velocity, within the joints' rates [rad/s or m/s].
     tip: (3,) wished velocity of the tip [m/s], world.
-    task: (m, n) Jacobian of the wish for the tip; None where the wish is for the joints.
+    task: (m, n) Jacobian of the wish for the tip; None if the wish is for the joints.
     null: (n,) the part of v in its null space [rad/s or m/s].
     singular: whether the machine is near a singularity.
     """
@@ -46,7 +46,7 @@ class TipTask:
 
     Parameters
     ----------
-    check: of the machine's braking paths.
+    check: the check of the machine's braking paths.
     influence: margin within which an obstacle acts on the null space [m].
 
     Attributes
@@ -54,7 +54,7 @@ class TipTask:
     law: the completed law.
     position: (3,) of the tip [m], world, after `place`.
     jacobian: (6, n) of the tip, world axes, after `place`.
-    blocking: (3,) unit vector into what holds the tip back; zeros where nothing does.
+    blocking: (3,) unit vector into what holds the tip back; zeros if nothing does.
     """
 
     def __init__(self, robot: Robot, check: PathCheck, *, influence: float) -> None:
@@ -63,7 +63,7 @@ class TipTask:
         frame = robot.model.frames[robot.tip_frame]
         self._joint = int(frame.parentJoint)
         self._t = np.append(frame.placement.translation, 1.0)
-        self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
+        self._to_tip = np.eye(6)  # maps a twist at the world's origin to the tip
         self.jacobian = np.zeros((6, robot.n))
         self.position = np.zeros(3)
         self._rows = _movable_tip_rows(robot)
@@ -74,15 +74,15 @@ class TipTask:
         self._sense = _NO_SENSE
 
     def place(self, q: Vector) -> None:
-        """Forward kinematics at q (n,), and the tip's Jacobian."""
+        """Compute the forward kinematics at q (n,) and the tip's Jacobian."""
         at = self._at
         at.place(0, q)
         self.position = place_tip(at.T[0, self._joint], self._t, at.J[0], self._to_tip, self.jacobian)
 
     def wish(self, q: Vector, command: Commands, near: Near, *, circulate: bool) -> JointWish:
-        """The velocity of the joints for a command at q (n,), where the machine must have been placed.
+        """The velocity of the joints for a command at q (n,); call `place` with this q before.
 
-        With `circulate` a tip that is pushed straight into an obstacle goes round it.
+        With `circulate` a tip that is pushed straight into an obstacle goes around it.
         """
         n = self._robot.n
         if command.joints is not None:
@@ -119,9 +119,9 @@ class TipTask:
         return JointWish(v / over, command.tip, J, null / over, damped)
 
     def _critical_points(self, q: Vector, near: Near) -> CriticalRows:
-        """The rows that the law takes at q (n,): one for each near pair, at its nearest point.
+        """The rows that the law needs at q (n,): one for each near pair, at its nearest point.
 
-        Where the pairs were not looked at in this step, their margins follow from how fast they fall.
+        If the pairs were not examined in this step, their margins are extrapolated linearly from when they were.
         """
         margin = near.margin
         if len(margin) == 0 or margin[margin.argmin()] >= self.law.influence:
@@ -136,7 +136,7 @@ class TipTask:
         return CriticalRows(margin + rows.gradient.dot(q - near.q), rows.gradient, rows.drift)
 
     def _around(self, tip: Vector) -> Vector:
-        """The wish for the tip (3,), turned along the surface that blocks it."""
+        """The wish for the tip (3,), with its part into the surface that blocks it turned along that surface."""
         into = float(tip.dot(self.blocking))
         if into <= 0.0:
             self._sense = _NO_SENSE
@@ -151,8 +151,8 @@ def turn_along_surface(tip: Vector, normal: Vector, sense: Vector, rises: bool, 
 
     Parameters
     ----------
-    tip: (3,) the wish, of which a part goes into the surface [m/s]; normal: (3,) unit vector into it.
-    sense: (3,) the unit vector of the step before, zeros where there is none: it counts where the wish is straight into
+    tip: (3,) the wish, which has a part into the surface [m/s]; normal: (3,) unit vector into it.
+    sense: (3,) the unit vector of the step before, zeros if there is none. It decides if the wish is straight into
         the surface.
     rises: whether the tip can go up.
     """
@@ -172,7 +172,7 @@ def turn_along_surface(tip: Vector, normal: Vector, sense: Vector, rises: bool, 
 
 @compiled
 def place_tip(pose: Matrix, tip: Vector, J: Matrix, to_tip: Matrix, jacobian: Matrix, /) -> Vector:
-    """(3,) where the `tip` (4,) of a body placed at `pose` (4, 4) is [m], and its `jacobian` (6, n) from J (6, n).
+    """(3,) position of the `tip` (4,) of a body at `pose` (4, 4) [m]; writes its `jacobian` (6, n) from J (6, n).
 
     The upper right part of `to_tip` (6, 6), omega -> omega x tip, is written, too; its rest is the identity.
     """
@@ -184,7 +184,7 @@ def place_tip(pose: Matrix, tip: Vector, J: Matrix, to_tip: Matrix, jacobian: Ma
 
 
 def _movable_tip_rows(robot: Robot) -> Flags:
-    """(3,) in which directions of the world any joint can move the tip at all."""
+    """(3,) whether any joint can move the tip at all along each axis of the world."""
     rng, kinematics = np.random.default_rng(0), Kinematics(robot)
     found = [movable_rows(kinematics.at(robot.random_q(rng)).jacobian[:3]) for _ in range(8)]
     return np.asarray(np.any(found, axis=0))
