@@ -1,1 +1,1 @@
-"""The boxes that stand for the cells of clusters near the links."""
+"""The boxes that represent the cells of clusters near the links."""

@@ -1,13 +1,13 @@
-"""Where the boxes that stand for clusters were found, and how far the links may come from there.
+"""Where the boxes that represent clusters were found, and how far the links may move from there.
 
-Boxes hold all cells that were within `covered` of a link where they were found. So they are good for all that
-the machine may do in some steps and braking after these, if no point of the link comes further than that from
-where it was then, less what must be kept.
+Boxes contain all cells that were within `covered` of a link where they were found. So they are valid for everything
+that the machine may do in some steps followed by braking, if no point of the link moves further from where it was
+then than `covered` minus the clearance.
 
 In that time the joints stay within `spread` of a straight line, on which they go on as fast as now. The link is placed
 at the ends of equal parts of that line. Between these a point is off its chord by no more than `bend_weights` says,
-and off the line by no more than the spread times its radii. That is far less than the length of all
-joints' ways times these.
+and off the line by no more than the spread times its radii. This bound is far smaller than the lengths of all joint
+motions times these radii.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from backhoe_planner.live.braking.joint_bounds import JointBounds
 from backhoe_planner.machine import bend_weights
 from backhoe_planner.native import compiled
 
-_OFF = 0.02  # m that points may be off their chords; chosen, small beside the ways of links in motion
+_OFF = 0.02  # m that points may be off their chords; chosen, small beside the travel of links in motion
 MOST_PARTS = 4  # of the line; chosen, to bound the work
-SLACK = 0.15  # of the distance by which boxes around a cluster's cells may be nearer; chosen, less makes more boxes
-_HOLDS_BACK = 0.05  # m of margin, within which a box on the way may hold the machine back; chosen
-_CLOSE = 0.2  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
-_LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
+SLACK = 0.15  # part of the distance by which boxes may be nearer than their cells; chosen, less makes more boxes
+_HOLDS_BACK = 0.05  # m of margin within which a box along the line may hold the machine back; chosen
+_CLOSE = 0.2  # of the nearest distance: when a link has moved by more than this, its boxes are found again; chosen
+_LEAST = 0.02  # m, least value of that travel; chosen, so that it is not done at every step at a wall
 _RULES = _CLOSE, _LEAST
 
 
@@ -40,10 +40,10 @@ class Line(NamedTuple):
     Attributes
     ----------
     ends: (S, n) of the parts, from where the joints are [rad or m].
-    beside: (C,) how far points of each class may come from the chords between their places at the ends [m].
-    way: (C,) how far they may come from where they are [m].
-    change: (C,) how far the end of the braking path may move until braking begins, at any of them [m].
-    time: until the machine stands [s].
+    beside: (C,) how far points of each class may leave the chords between their places at the ends [m].
+    way: (C,) how far they may move from where they are [m].
+    change: (C,) how far they may move at the end of the braking path until braking begins [m].
+    time: until the machine stands still [s].
     """
 
     ends: Matrix
@@ -56,12 +56,12 @@ class Line(NamedTuple):
     def ahead(
         cls, state: JointState, joints: JointBounds, steps: int, *, travel: Matrix, furthest: Vector, turning: Vector
     ) -> Line:
-        """Of so many steps and one more, and braking after these; see `Separation` for `travel` and the others."""
+        """The line of `steps` and one more, followed by braking; see `Separation` for `travel` and the others."""
         return cls(*line_ahead(*line_arguments(state, joints, steps), travel, furthest, turning, _parts(joints, steps)))
 
 
 def line_arguments(state: JointState, joints: JointBounds, steps: int) -> tuple[Vector, Vector, Vector, Vector, Vector]:
-    """The first arguments of `line_ahead`, for so many steps and one more."""
+    """The first arguments of `line_ahead`, for `steps` and one more."""
     return *state, (steps + 1) * joints.change, joints.acceleration
 
 
@@ -76,8 +76,8 @@ class BoxPlaces:
     Parameters
     ----------
     clusters: the K pairs of a link with a cluster.
-    joint, fat, columns: of every piece the joint, the radius [m], and the corners with a 1 below each (4, V) [m].
-    counting: those of them that count now.
+    joint, fat, columns: for every piece the joint, the radius [m], and the corners with a 1 below each (4, V) [m].
+    counting: those of `clusters` that count now.
 
     Attributes
     ----------
@@ -104,14 +104,14 @@ class BoxPlaces:
             self.note(one)
 
     def note(self, one: ClusterPairs) -> None:
-        """The boxes of a link were found anew, or what it must not touch has moved on, or has another speed."""
+        """Note that the boxes of a link were found again, or that its cluster has moved on or has another speed."""
         row = self.clusters.index(one)
         self._found_at[row], self._covered[row], self._nearest[row] = one.found_at, one.covered, one.nearest
         self._speed[row] = one.speed
         self._witnesses[row] = one.witnesses if one.speed == 0.0 else np.nan
 
     def moved(self, T: Array) -> Matrix:
-        """(S, K) how far any point of the link is at most from where it was when its boxes were found [m].
+        """(S, K) upper bound of how far any point of a link is from where it was when its boxes were found [m].
 
         T: (S, joints, 4, 4) see `Placements`.
         """
@@ -121,14 +121,14 @@ class BoxPlaces:
         self, state: JointState, joints: JointBounds, steps: int, at: Placements, room: Placements,
         known: KnownDistances, planes: Matrix, *, travel: Matrix, furthest: Vector, turning: Vector, near: float,
     ) -> tuple[ClusterPairs | None, float, Line]:  # fmt: skip
-        """Whose boxes are to be found anew first, if all are to hold for a line ahead, how urgent, and the line.
+        """The link whose boxes must be found again first to hold for the line ahead, its urgency, and the line.
 
-        None where none are. It is urgent from 1 on, and infinitely so where boxes do not hold.
+        Boxes have to be found again from urgency 1 on; below, the link is None. Infinite means that they do not hold.
 
         Parameters
         ----------
         state, joints, steps, travel, furthest, turning: see `Line.ahead`. There must be a link with boxes.
-        at: placements, of which row 0 holds the machine; room: those of the line's ends, written.
+        at: placements whose row 0 holds the machine; room: output, the placements of the line's ends.
         planes: (P, 4) of all pairs, see `Separation`.
         near: margin within which boxes are to be exact where the machine is [m].
         """
@@ -141,18 +141,18 @@ class BoxPlaces:
         return (self.clusters[row] if most >= 1.0 else None), most, Line(ends, beside, way, change, time)
 
     def way_of(self, one: ClusterPairs, T: Array) -> float:
-        """How far any point of a link is at most from where it is in the first of the placements T [m]."""
+        """Upper bound of how far any point of a link is from where it is in the first of the placements T [m]."""
         row = slice(self.clusters.index(one), self.clusters.index(one) + 1)
         begun = T[0, self._joint[row], :3]
         return float(ways_of_links(T, self._joint[row], begun, self._columns[row], self._fat[row]).max())
 
 
 class KnownDistances(NamedTuple):
-    """What is known of the distances of all pairs, and what the odometers had counted then.
+    """The known bounds of the distances of all pairs, each plus its odometer's value then, and the odometers.
 
     Attributes
     ----------
-    distance, odometer: (P,) where the machine is, and (C,) what its odometers count now [m].
+    distance, odometer: (P,) where the machine is, and (C,) the odometers' present values [m].
     proven, path_odometer: (P,), (C,) the same over its braking path [m].
     """
 
@@ -169,9 +169,9 @@ def line_ahead(
 ) -> tuple[Matrix, Vector, Vector, Vector, float]:  # fmt: skip
     """The fields of `Line` from q, v (n,) and the `end` (n,) of the present braking path [rad or m].
 
-    The joints go at velocities v_k that are within what is `gained` of v, and brake from one of them in proportion, for
-    T_k / 2 at v_k. So in t seconds at these, they are within t times that of q + v t, and t is no more
-    than `rules` and braking allow.
+    The joints move at velocities v_k that are within `gained` of v, and brake in proportion from one of them, which
+    covers T_k / 2 times v_k. So after t seconds at these velocities they are within t times `gained` of q + v t, and t
+    is bounded by `rules` and by braking.
 
     Parameters
     ----------
@@ -204,14 +204,14 @@ def most_urgent_boxes(
     covered: Vector, nearest: Vector, speed: Vector, counts: Vector, urgent_rules: tuple[float, ...], now: Array,
     T: Array, J: Array, /,
 ) -> tuple[int, float, Matrix, Vector, Vector, Vector, float]:  # fmt: skip
-    """Which of K links, of which there are some, has the greatest `box_urgency` for the line ahead; that; and the line.
+    """Which of K links, K > 0, has the greatest `box_urgency` for the line ahead; the urgency; and the line.
 
     Parameters
     ----------
     q to line_rules: see `line_ahead`; factors, slides: see `place_on_line`.
     joint to exact_rules: see `inexact_boxes`; begun, fat: see `ways_of_links`; covered to urgent_rules: `box_urgency`.
-    now: (joints, 4, 4) where the machine is.
-    T, J: room for the placements of the line's ends, written.
+    now: (joints, 4, 4) placement of the machine.
+    T, J: output: the placements of the line's ends.
     """
     line = line_ahead(q, v, end, gained, acceleration, travel, furthest, turning, line_rules)
     ends, beside, way, change, time = line
@@ -236,24 +236,24 @@ def inexact_boxes(
     clearance: Vector, beside: Vector, way: Vector, change: Vector, distance: Vector, odometer: Vector, proven: Vector,
     path_odometer: Vector, rules: tuple[float, ...], /,
 ) -> Vector:  # fmt: skip
-    """(K,) 1 for links one of whose boxes matters and may be less exact than if it was found anew.
+    """(K,) 1 for links with a box that matters and may be less exact than if it were found again.
 
-    It matters where it is near now, and acts, and where it comes so near on the line that it may hold the link back.
+    A box matters if it is near now, so that it acts, or if it comes so near on the line that it may hold the link back.
 
     A box is still exact if the point of the link that was nearest to the cell at its face is hardly further away from
     that cell than the link is from the box: the cells are no further than that.
 
     Parameters
     ----------
-    T: (S, joints, 4, 4) placements of the line's ends, of which the first is where the machine is.
+    T: (S, joints, 4, 4) placements of the line's ends; the first one is where the machine is.
     joint, columns, classes, clearance: (K,), (K, 4, V), (K,), (K,) see `BoxPlaces`.
     witnesses: (K, B, 6) see `ClusterPairs`.
     planes: (P, 4) of all pairs, see `Separation`; those of clusters are in the world.
     pairs: (K B,) the pairs of the links.
     beside, way, change: see `Line`.
     distance, odometer, proven, path_odometer: see `KnownDistances`.
-    rules: margin within which a box is near now, and that within which one comes near [m], and the part of a cell's
-        distance that its box has to have at least.
+    rules: margin within which a box is near now, margin within which one comes near [m], and the least part of a
+        cell's distance that its box must have.
     """
     near, comes_near, exact = rules
     each = pairs.reshape(len(joint), -1)
@@ -277,14 +277,14 @@ def box_urgency(
     moved: Matrix, covered: Vector, nearest: Vector, clearance: Vector, speed: Vector, counts: Vector, classes: Indices,
     beside: Vector, time: float, inexact: Vector, rules: tuple[float, ...], /,
 ) -> Vector:  # fmt: skip
-    """(K,) how much the boxes of K links have to be found anew; infinite where they do not hold what a line needs.
+    """(K,) how urgently the boxes of K links have to be found again; infinite if they do not cover what a line needs.
 
-    They should be where little is left of what they hold, and where the link has moved a part of the distance that it
-    had, and one of them comes near and may be less exact than if it was found anew.
+    They have to be if little is left of the distance that they cover, or if one of them matters and may be inexact and
+    the link has moved by a certain part of the distance to its nearest box.
 
     Parameters
     ----------
-    moved: (S, K) how far each link is from where they were found, at the ends of the line's parts [m].
+    moved: (S, K) how far each link is from where its boxes were found, at the ends of the line's parts [m].
     covered, nearest, clearance, speed, counts, classes: (K,) see `BoxPlaces`.
     beside, time: see `Line`.
     inexact: (K,) see `inexact_boxes`.
@@ -302,16 +302,16 @@ def box_urgency(
 
 @compiled
 def ways_of_links(T: Array, joint: Indices, begun: Array, columns: Array, fat: Vector, /) -> Matrix:
-    """(S, K) how far any point of a link is at most from where it was, with its body placed at `begun` (K, 3, 4) [m].
+    """(S, K) upper bound of how far any point of a link is from where it was with its body at `begun` (K, 3, 4) [m].
 
-    A point moves as its place in the frame of the link, so that none in the hull of its corners moves further than
-    a corner.
+    The displacement is affine in the point's place in the frame of the link, so no point in the hull of the corners
+    moves further than a corner.
 
     Parameters
     ----------
     T: (S, joints, 4, 4) see `Placements`.
     joint: (K,) of each link's body.
-    columns: (K, 4, V) the link's corners with a 1 below each; fat: (K,) it lies within that of their hull [m].
+    columns: (K, 4, V) the link's corners with a 1 below each; fat: (K,) the link is within this of their hull [m].
     """
     change = T.take(joint, axis=1)[:, :, :3] - begun
     off = np.matmul(change, columns)
@@ -328,14 +328,14 @@ def put_planes(
     numbers: Matrix, pairs: Indices, fat: float, velocity: Matrix, shift: Vector, found_at: Matrix, far: float,
     planes: Matrix, drift: Vector, points: Matrix, faces: Matrix, witnesses: Matrix, /,
 ) -> Vector:  # fmt: skip
-    """(K,) distances of the `pairs` (K,) of a link with boxes, so `far` where one stands for none [m].
+    """(K,) distances of the `pairs` (K,) of a link from boxes, `far` for a pair without a box [m].
 
     Parameters
     ----------
     numbers: (B, 50) of the boxes, see `boxes_of_cells`.
-    fat: the link lies within that of the hull of its corners [m].
+    fat: the link is within this of the hull of its corners [m].
     velocity: (P, 3) of all pairs' obstacles [m/s]; shift: (3,) of this one from where it was built [m].
-    found_at: (3, 4) pose of the link's body then [m].
+    found_at: (3, 4) pose of the link's body when they were found [m].
     planes, drift, points: (P, 4), (P,), (P, 6) of all pairs, see `Separation`, written.
     faces: (P, 15) of all pairs, see `faces_of`, written.
     witnesses: (K, 6) see `ClusterPairs`, written.

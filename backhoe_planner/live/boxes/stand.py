@@ -1,4 +1,4 @@
-"""Where a piece of an obstacle stands, or a box around cells of one."""
+"""The placement of a piece of an obstacle, or of a box around an obstacle's cells."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Part
 from backhoe_planner.machine.shape import shapes
 
-_MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side; chosen, to bound the work
+_MOST_CORNERS = 64  # of an obstacle's piece that is examined in the link's frame; chosen, to bound the work
 
 
 class Stand:
-    """A piece of an obstacle, or a box around cells of one, and its `shift` (3,) from where it was built [m]."""
+    """A piece of an obstacle, or a box around its cells, and its `shift` (3,) from where it was built [m]."""
 
     def __init__(self, of: shapes.Piece | Part, shift: Vector | None = None) -> None:
         self._of = of
@@ -23,17 +23,17 @@ class Stand:
 
     @cached_property
     def piece(self) -> shapes.Piece:
-        """The piece where it was built; that of a box around cells is made when it is first asked for."""
+        """The piece where it was built; the piece of a box around cells is made at the first access."""
         return self._of.piece if isinstance(self._of, Part) else self._of
 
     @property
     def corners(self) -> Matrix | None:
-        """(k, 3) of it [m]; None where it has too many, or none."""
+        """(k, 3) corners of the piece [m]; None if it has too many, or none."""
         hull = self.piece.hull
         return hull if 0 < len(hull) <= _MOST_CORNERS else None
 
     def place(self) -> object:
-        """Coal's transform; it is made anew only after a shift."""
+        """Coal's transform; it is only recomputed after a shift."""
         shift = self.shift.tolist()
         if self._placed[0] != shift:
             R, t = self.piece.pose

@@ -1,12 +1,12 @@
 """The braking path: where the machine goes if it brakes from now on.
 
-The machine brakes in proportion: all joints slow down together, on a straight line in the
-joints. With T = max_j |v_j| / a_j, a step of dt at v and then braking lead from q to
+The machine brakes in proportion: all joints slow down together, on a straight line in joint
+space. With T = max_j |v_j| / a_j, a step of dt at v followed by braking leads from q to
 
     e = q + v (dt + T / 2)
 
-Wherever braking begins, what is left of it is a part of that line. So if the braking path is
-proven clear at one step, the motion can always be ended without touching anything.
+Wherever braking begins, the rest of the motion is a part of that line. So if the braking path
+is proven clear at one step, the machine can always stop without touching anything.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from backhoe_planner.machine import Robot, bend_weights, chain_factors, chain_pl
 from backhoe_planner.native import compiled
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
-FINEST_PARTS = 2 * MOST_PARTS  # of one that is looked at in halves of its parts
+FINEST_PARTS = 2 * MOST_PARTS  # of a path that is examined in halves of its parts
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
 _BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
 _FINE = _BEND, float(MOST_PARTS)
@@ -35,7 +35,7 @@ class JointState(NamedTuple):
     Attributes
     ----------
     q, v: (n,) positions [rad or m], and velocities of the last step [rad/s or m/s].
-    end: (n,) where the braking path that was proven ends [rad or m].
+    end: (n,) end of the proven braking path [rad or m].
     """
 
     q: Vector
@@ -44,7 +44,7 @@ class JointState(NamedTuple):
 
 
 class PathClearance(NamedTuple):
-    """What is proven of a braking path before it is taken, for K pairs that could come too close.
+    """The proven clearance of a braking path before it is taken, for K pairs that could come too close.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class PathClearance(NamedTuple):
     closely: (K,) for pairs that were measured at several places of the path, the sample at which they were
         tightest, from 1 on; 0 for the others.
 
-    Of a path that is not the first of its step, `gaps` and `closely` are of the pairs whose obstacle stands still.
+    For a path that is not the first of its step, `gaps` and `closely` cover only pairs whose obstacle stands still.
     """
 
     free: bool
@@ -69,7 +69,7 @@ class PathClearance(NamedTuple):
 
 
 class Placements:
-    """Where the bodies are at several configurations at once; working memory.
+    """The placements of the bodies at several configurations; working memory.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class Placements:
         self.T[:] = np.eye(4)
         self.R, self.t = self.T[..., :3, :3], self.T[..., :3, 3]
         self.J = np.zeros((most, 6, n))
-        # views of Pinocchio's own memory, which is never allocated anew
+        # views of Pinocchio's own memory, which is never reallocated
         self._poses = joint_poses(self._data)
         self._jacobian = self._data.J.reshape(6, n)
         self._rows = [(self.T[sample, :, :3], self.J[sample]) for sample in range(most)]
@@ -105,18 +105,18 @@ class Placements:
         keep_placements(self._poses, self._jacobian, T, J)
 
     def place_line(self, q: Vector, delta: Vector, parts: int, *, every: int = 1) -> None:
-        """Fill rows 1, 1 + `every`, ... up to `parts` with the placements that part of the way from q (n,) by delta."""
+        """Fill rows i = 1, 1 + `every`, ... up to `parts` with the placements at q + i / parts delta (n,)."""
         place_on_line(q, delta, parts, every, *self.chain, self.T, self.J)
 
     def spread(self, count: int) -> None:
-        """Let rows 1 to `count` become 2, 4, ... to twice that."""
+        """Move rows 1 to `count` to rows 2, 4, ... up to twice `count`."""
         for sample in range(count, 0, -1):
             self.T[2 * sample], self.J[2 * sample] = self.T[sample], self.J[sample]
 
 
 @compiled
 def keep_placements(poses: Array, J: Matrix, own_poses: Array, own_J: Matrix, /) -> None:
-    """Copy poses (joints, 3, 4) and Jacobians (6, n) to `own_poses` and `own_J`."""
+    """Copy `poses` (joints, 3, 4) and Jacobians J (6, n) to `own_poses` and `own_J`."""
     own_poses[...], own_J[...] = poses, J
 
 
@@ -124,7 +124,7 @@ def keep_placements(poses: Array, J: Matrix, own_poses: Array, own_J: Matrix, /)
 def braking_line(
     q: Vector, v: Vector, dt: float, acceleration: tuple[float, ...], /
 ) -> tuple[Vector, Vector, float, float, int, float]:
-    """`delta` (n,), `end` (n,), `look`, `time` and `bend_of_end` of a `BrakingPath`, with its parameters."""
+    """`delta` (n,), `end` (n,), `look`, `time` and `bend_of_end` of a `BrakingPath` with these parameters."""
     times = [abs(rate) / most for rate, most in zip(v.tolist(), acceleration, strict=True)]
     braking = max(times)
     slowest, look = times.index(braking), dt + 0.5 * braking
@@ -135,11 +135,11 @@ def braking_line(
 
 @compiled
 def bend_in_parts(delta: Vector, turning: Vector, furthest: Vector, fine: tuple[float, ...], /) -> tuple[Vector, int]:
-    """(n,) the `bend_weights` of a motion, and how many equal parts of it are looked at.
+    """(n,) the `bend_weights` of a motion, and into how many equal parts it is divided.
 
     Parameters
     ----------
-    furthest: (n,) the largest travel radius of any pair: no point bends more than that makes of the weights.
+    furthest: (n,) the largest travel radius of any pair: no point bends more than the weights times this radius.
     fine: how far a point may be off the chord of a part [m], and the greatest number of parts.
     """
     bend = bend_weights(delta, turning)
@@ -168,24 +168,24 @@ def place_on_line(
 
 
 class BrakingPath:
-    """The line from q to e, looked at in equal parts.
+    """The line from q to e, divided into equal parts.
 
     Parameters
     ----------
-    q: (n,) where the joints are [rad or m].
+    q: (n,) joint positions [rad or m].
     v: (n,) velocity of the step that is about to be taken [rad/s or m/s].
     dt: length of the step [s]; 0 for braking from now on.
     acceleration: n numbers that braking is planned with [rad/s^2 or m/s^2].
     furthest: (n,) the largest travel radius of any pair, see `travel_bounds`.
-    turning: (n,) 1 for hinges, 0 for slides.
+    turning: (n,) 1 for revolute joints, 0 for prismatic ones.
 
     Attributes
     ----------
     delta: (n,) e - q [rad or m].
     end: (n,) e [rad or m].
-    time: until the machine stands [s].
-    look: the time that the path is worth at v, dt + T / 2 [s].
-    bend: (n,) its `bend_weights`; there once `parts` was asked for.
+    time: until the machine stands still [s].
+    look: the time in which v covers the path, dt + T / 2 [s].
+    bend: (n,) its `bend_weights`; set once `parts` was read.
     bend_of_end: the joint k that takes longest to brake, and c of de/dv = look I + c v e_k^T; c is 0 at rest [s^2/rad].
     """
 
@@ -207,7 +207,7 @@ class BrakingPath:
         return self._parts
 
     def halve(self, placements: Placements | None = None) -> None:
-        """Look at halves of its parts from now on; placements that hold the path are filled anew."""
+        """Divide the path into halves of its parts from now on; update the placements that hold the path."""
         parts = self.parts
         self._parts = 2 * parts
         if placements is not None:
@@ -215,14 +215,14 @@ class BrakingPath:
             placements.place_line(self.q, self.delta, 2 * parts, every=2)
 
     def off_chord(self, travel: Matrix) -> Vector:
-        """(K,) how far points may be off the chord of a part, for radii (K, n) [m]; to be read only."""
+        """(K,) how far points may be off the chord of a part, for radii `travel` (K, n) [m]; read-only."""
         parts = self.parts
         if self._off is None or self._off[0] is not travel or self._off[1] != parts:
             self._off = travel, parts, travel.dot(self.bend) / (8.0 * parts * parts)
         return self._off[2]
 
     def keep_off_chord(self, travel: Matrix, off: Vector) -> None:
-        """What `off_chord` says of radii (K, n) is known, (K,) [m]."""
+        """Store the known result `off` (K,) [m] of `off_chord` for radii `travel` (K, n)."""
         self._off = travel, self.parts, off
 
     def place(self, placements: Placements) -> None:

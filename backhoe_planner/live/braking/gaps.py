@@ -1,4 +1,4 @@
-"""The gaps between the corners of the machine's links and the planes of its pairs, and room for them."""
+"""The gaps between the corners of the machine's links and the planes of its pairs, and memory for them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, 
 
 
 class Memory:
-    """Room for `Separation.gaps`, which are written anew in every step and change their size."""
+    """Memory for `Separation.gaps`, which are overwritten in every step and change their size."""
 
     def __init__(self) -> None:
         self._gaps = np.zeros(0)
 
     def gaps(self, pairs: int, samples: int, corners: int) -> Array:
-        """Room for the gaps (pairs, samples, corners); what it held is lost."""
+        """Memory for the gaps (pairs, samples, corners); its previous content is lost."""
         size = pairs * samples * corners
         if size > len(self._gaps):
             self._gaps = np.zeros(2 * size)
@@ -43,7 +43,7 @@ class Gaps(NamedTuple):
     least: Matrix
 
     def put(self, rows: Indices, others: Gaps) -> None:
-        """Take over those of other pairs' gaps as `rows` (K,)."""
+        """Overwrite `rows` (K,) with the gaps of `others`."""
         for own, other in zip(self, others, strict=True):
             own[rows] = other
 
@@ -60,12 +60,12 @@ def corner_gaps(
 
     Parameters
     ----------
-    planes, joint, other: (P, 4), (P,), (P,) of all pairs, see `Separation`; without `other` all stand in the world.
-    piece, corners: (P,) whose corners count, and (M, 4, V) those of all pieces, with a 1 below each [m].
+    planes, joint, other: (P, 4), (P,), (P,) of all pairs, see `Separation`; without `other` all are fixed in the world.
+    piece, corners: (P,) the piece whose corners count, and (M, 4, V) those of all pieces, with a 1 below each [m].
     T: (S, joints, 4, 4) see `Placements`.
-    drift: (P,) rates at which the planes move on along their normals [m/s]; only what comes nearer counts.
+    drift: (P,) rates at which the planes move along their normals [m/s]; only approaching planes count.
     step: the time from sample to sample [s].
-    gaps: (K, S, V) all of them, written here [m].
+    gaps: (K, S, V) output: the gaps of all corners [m].
     """
     count = len(T)
     seen = planes.take(pairs, axis=0)
@@ -79,7 +79,7 @@ def corner_gaps(
         if np.count_nonzero(nearer):
             seen = np.repeat(seen[None], count, axis=0) if seen.ndim == 2 else seen
             seen[..., 3] += (step * np.arange(count))[:, None] * nearer
-    # as seen from the links; the 1 below each corner takes the last number
+    # in the links' frames; the 1 below each corner multiplies the last number
     local = np.matmul(seen[..., None, :], T.take(joint.take(pairs), axis=1))[:, :, 0]
     np.matmul(local.transpose(1, 0, 2), corners.take(piece.take(pairs), axis=0), out=gaps)
     nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
@@ -92,7 +92,7 @@ def near_gaps(
     pairs: Indices, lower: Vector, counted: Vector, planes: Matrix, joint: Indices, other: Indices | None,
     piece: Indices, corners: Array, T: Array, clearance: Vector, distance: Vector, /,
 ) -> tuple[Array, Indices, Matrix, Vector, Vector]:  # fmt: skip
-    """The gaps of near `pairs` (K,), which of their corners have the least ones, and these; and see `note_gaps`.
+    """The gaps of near `pairs` (K,), which corners have the least ones, these least gaps, and those of `note_gaps`.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def near_gaps(
 
 @compiled
 def least_over_path(pairs: Indices, least: Matrix, classes: Indices, off: Vector, /) -> Vector:
-    """(K,) the least gap of each of `pairs` (K,) over all samples, less how far points may be off the chords [m].
+    """(K,) the least gap of each of `pairs` (K,) over all samples, minus how far points may be off the chords [m].
 
     Parameters
     ----------
-    least: (K, S) at the samples [m].
-    classes, off: (P,) of all pairs their row of `off` (C,) [m].
+    least: (K, S) the least gaps at the samples [m].
+    classes, off: (P,) for all pairs their row of `off` (C,) [m].
     """
     found: Vector = np.minimum.reduce(least, axis=1)
     found -= off.take(classes.take(pairs))
@@ -122,7 +122,7 @@ def least_over_path(pairs: Indices, least: Matrix, classes: Indices, off: Vector
 def left_over_path(
     pairs: Indices, bound: Vector, required: Vector, tolerance: float, /
 ) -> tuple[Vector, Indices]:  # fmt: skip
-    """(K,) by how much `bound` (K,) is more than what `pairs` (K,) must keep [m], and where that is below -tolerance.
+    """(K,) by how much `bound` (K,) exceeds what `pairs` (K,) must keep [m], and the rows where it is below -tolerance.
 
     required: (P,) of all pairs [m].
     """
@@ -132,26 +132,26 @@ def left_over_path(
 
 @lru_cache(maxsize=64)
 def _firsts(pairs: int, samples: int, corners: int) -> Indices:
-    """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, to be read only."""
+    """(pairs, samples) where each row of the gaps (pairs, samples, corners) begins, read-only."""
     return np.arange(0, pairs * samples * corners, corners).reshape(pairs, samples)
 
 
 @compiled
 def blended_points(gaps: Array, least: Matrix, pieces: Indices, corners: Array, width: float, /) -> Matrix:
-    """(K, 4) the nearest point of each pair at the first sample, in its link's frame, with a 1 behind [m].
+    """(K, 4) the nearest point of each pair at the first sample, in its link's frame, with a 1 appended [m].
 
-    Corners that are less than `width` [m] further away than the nearest have a part in it.
+    Corners that are less than `width` [m] further away than the nearest one contribute to it.
 
     Parameters
     ----------
     gaps, least: (K, S, V), (K, S), see `Gaps`.
-    pieces, corners: (K,), (M, 4, V) whose corners these are, see `corner_gaps`.
+    pieces, corners: (K,), (M, 4, V) the piece of each pair, and the corners of all pieces, see `corner_gaps`.
     """
     part = (least[:, :1] + width) - gaps[:, 0]
     np.maximum(part, 0.0, out=part)
     part *= part
     points = np.matmul(corners.take(pieces, axis=0), part[:, :, None])[..., 0]
-    points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
+    points /= points[:, 3:]  # the sum of the weights, from the 1 below each corner
     return np.asarray(points)
 
 
@@ -165,7 +165,7 @@ def nearest_rows(
     Parameters
     ----------
     gaps, least, width: see `blended_points`.
-    piece: (P,) whose corners count; corners: (M, 4, V) those of all pieces, with a 1 below each [m].
+    piece: (P,) the piece whose corners count; corners: (M, 4, V) those of all pieces, with a 1 below each [m].
     planes, joint, other, mask, T, J: see `plane_rows`; the first sample counts.
     """
     points = blended_points(gaps, least, piece.take(pairs), corners, width)
@@ -182,11 +182,11 @@ def plane_rows(
     Parameters
     ----------
     samples: (R,) rows of T, or one for all.
-    points: in the links' frames, with a 1 behind each [m].
-    planes, joint, other, mask: (P, 4), (P,), (P,), (P, n) of all pairs; without `other` all stand in the world.
+    points: in the links' frames, with a 1 appended to each [m].
+    planes, joint, other, mask: (P, 4), (P,), (P,), (P, n) of all pairs; without `other` all are fixed in the world.
     T, J: (S, joints, 4, 4), (S, 6, n) see `Placements`.
     """
-    n = planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of what does not lie in a row
+    n = planes.take(pairs, axis=0)[:, :3]  # in this order: `take` copies all of an array that is not contiguous
     joints = joint.take(pairs)
     at_once = isinstance(samples, int)
     if other is not None and _some(bodies := other.take(pairs)):
@@ -196,7 +196,7 @@ def plane_rows(
     x = np.matmul(frames, points[:, :, None])[..., 0]
     products = x.take(_NEXT_LAST, axis=1)
     products *= n.take(_LAST_NEXT, axis=1)
-    both = np.empty((len(pairs), 6))  # minus n, and minus n cross x, as the planes have minus the normals
+    both = np.empty((len(pairs), 6))  # -n and -(x cross n), since the planes hold minus the normals
     np.negative(n, out=both[:, :3])
     np.subtract(products[:, 3:], products[:, :3], out=both[:, 3:])
     rows: Matrix = mask.take(pairs, axis=0)
@@ -205,5 +205,5 @@ def plane_rows(
 
 
 def _some(numbers: Indices) -> bool:
-    """Whether any of numbers (K,), K > 0, is not 0; none is less."""
+    """Whether any of `numbers` (K,), K > 0, none of them negative, is not 0."""
     return bool(numbers[numbers.argmax()])

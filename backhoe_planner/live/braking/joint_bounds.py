@@ -1,4 +1,4 @@
-"""The joint velocities that a step may take: accelerations, rates, and room to brake before a limit."""
+"""The joint velocities that a step may have: accelerations, rates, and room to brake before a limit."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.native import compiled
 
 BRAKING = 0.8  # part of the acceleration that braking is planned with; chosen, the rest is left for corrections
-RECOVERY = 1.0  # 1/s: speed of the way back per what is missing; chosen
-SLOWEST_RECOVERY = 0.02  # m/s or rad/s: chosen, so that the way back ends in finite time
-FASTEST_RECOVERY = 0.25  # m/s or rad/s: chosen, so that the way back begins gently
+RECOVERY = 1.0  # 1/s: speed of the return per amount of violation; chosen
+SLOWEST_RECOVERY = 0.02  # m/s or rad/s: chosen, so that the return ends in finite time
+FASTEST_RECOVERY = 0.25  # m/s or rad/s: chosen, so that the return begins gently
 TOLERANCE = 1e-9  # rad, m, rad/s or m/s: far above rounding, and too little to matter
 
 _RATES = RECOVERY, SLOWEST_RECOVERY, FASTEST_RECOVERY, TOLERANCE, BRAKING
@@ -29,9 +29,9 @@ class VelocityRange(NamedTuple):
     Attributes
     ----------
     low, high: (n,) bounds of those that this step can reach [rad/s or m/s].
-    least, most: (n,) bounds of all of them, however long it takes to get there [rad/s or m/s].
+    least, most: (n,) bounds of all of them, however long it takes to reach them [rad/s or m/s].
     look: `BrakingPath.look` of the longest braking path that this step could begin [s].
-    cuts_wish: whether the wish lies outside.
+    cuts_wish: whether the wish is outside.
     """
 
     low: Vector
@@ -43,13 +43,13 @@ class VelocityRange(NamedTuple):
 
 
 class JointBounds:
-    """What one step can do to the joints' velocity.
+    """The changes that one step can make to the joint velocities.
 
     Parameters
     ----------
     limits: of the joints.
     dt: length of a step [s].
-    load: see `Servo`; None where each joint is limited by itself alone.
+    load: see `Servo`; None if each joint has its own limits only.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class JointBounds:
 
     @property
     def shares_load(self) -> bool:
-        """Whether the joints share something, as the flow of a pump."""
+        """Whether the joints share a capacity, such as the flow of a pump."""
         return self._load is not None
 
     def brake(self, v: Vector) -> Vector:
@@ -84,11 +84,11 @@ class JointBounds:
         return float((np.abs(v) / self.acceleration).max())
 
     def towards(self, wish: Vector, v: Vector) -> Vector:
-        """(n,) the next velocity straight from v (n,) to the wish (n,), as far as acceleration allows."""
+        """(n,) the next velocity on the straight line from v (n,) to the wish (n,), as far as acceleration allows."""
         return straight_towards(wish, v, self.changes)
 
     def velocity_range(self, q: Vector, v: Vector, wish: Vector) -> VelocityRange:
-        """The velocities that the step from q, v (n,) may take. Beyond a limit a joint must come back."""
+        """The velocities that the step from q, v (n,) may have. A joint beyond a limit must come back."""
         return VelocityRange(*reachable_velocities(q, v, wish, self.dt, self._joints, _RATES))
 
     def changes_of_end(self, q: Vector, v: Vector, end: Vector, look: float) -> Vector:
@@ -99,20 +99,20 @@ class JointBounds:
         return changes_of_end(q, v, end, self.changes, look, self.dt / BRAKING)
 
     def over_rates(self, q: Vector, v: Vector) -> float:
-        """By which factor joint velocities v (n,) at q (n,) exceed the joints' rates or the load; at least 1."""
+        """The factor by which joint velocities v (n,) at q (n,) exceed the joints' rates or the load; at least 1."""
         over = largest_part(v, self.fastest)
         return over if self._load is None else max(over, self._load(q.copy(), v.copy()))
 
     def next_towards(
         self, wish: Vector, q: Vector, v: Vector, *, low: Vector, high: Vector, G: Matrix, h: Vector
     ) -> tuple[Vector, Vector, bool]:
-        """(n,), (n,) the next velocity towards the wish, and the same within bounds; whether that keeps the rows.
+        """(n,), (n,) the next velocity towards the wish, and the same within bounds; whether it keeps bounds and rows.
 
-        The wish is cut back where it exceeds the joints' rates or the load, and what is left keeps the rows, too.
+        The wish is scaled down if it exceeds the joints' rates or the load, and the scaled wish keeps the rows, too.
 
         Parameters
         ----------
-        wish, q, v: (n,) the wished velocity, where the joints are, and their velocity [rad/s or m/s, rad or m].
+        wish, q, v: (n,) the wished velocity, and the joints' positions and velocities [rad/s or m/s, rad or m].
         low, high: (n,) bounds [rad/s or m/s].
         G, h: (K, n), (K,) of the rows G v <= h.
         """
@@ -120,7 +120,7 @@ class JointBounds:
         return next_within(wish, v, low, high, self.changes, self.fastest, load, G, h, TOLERANCE)
 
     def room_for(self, more: Vector, v: Vector) -> float:
-        """The largest part, at most 1, of `more` (n,) that fits within the joints' rates beside v (n,)."""
+        """The largest part, at most 1, of `more` (n,) that can be added to v (n,) within the joints' rates."""
         part = 1.0
         for add, rate, (_, _, fastest) in zip(more.tolist(), v.tolist(), self._ranges, strict=True):
             if abs(add) * part > 1e-12:
@@ -130,14 +130,14 @@ class JointBounds:
 
 @compiled
 def largest_part(v: Vector, fastest: tuple[float, ...], /) -> float:
-    """The largest of v (n,) over the rates `fastest` of the joints, without signs; at least 1."""
+    """The largest ratio of |v| (n,) to the rates `fastest` of the joints; at least 1."""
     rates: list[float] = v.tolist()
     return max(1.0, *(abs(rate) / most for rate, most in zip(rates, fastest, strict=True)))
 
 
 @compiled
 def straight_towards(wish: Vector, v: Vector, changes: tuple[float, ...], /) -> Vector:
-    """(n,) how far a velocity comes straight from v (n,) to the wish (n,), of which each may change by `changes`."""
+    """(n,) the velocity furthest on the straight line from v (n,) to the wish (n,) if each may change by `changes`."""
     rates = v.tolist()
     change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
     part = 1.0
@@ -157,7 +157,7 @@ def next_within(
     Parameters
     ----------
     changes, fastest: by how much each velocity may change, and the rates of the joints [rad/s or m/s].
-    load: the part of what the joints share that the wish takes.
+    load: the part of the joints' shared capacity that the wish needs.
     """
     over = max(1.0, load, *(abs(rate) / most for rate, most in zip(wish.tolist(), fastest, strict=True)))
     if over > 1.0 and not np.count_nonzero(G.dot(wish / over) > h + tolerance):
@@ -174,7 +174,7 @@ def changes_of_end(
 ) -> Vector:
     """(n,) by how much the end of the braking path can change; see `JointBounds.changes_of_end`, `later` in [s]."""
     joints = zip(q.tolist(), v.tolist(), end.tolist(), changes, strict=True)
-    # the end moves with the step taken, and with the change of velocity
+    # the end moves with the step, and with the change of velocity
     by = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
     return np.array(by)
 
@@ -187,8 +187,8 @@ def reachable_velocities(
 
     Parameters
     ----------
-    joints: of each of n joints its limits, its largest velocity, by how much that can change in a step, the
-        acceleration that braking is planned with, and 1 / that.
+    joints: for each of n joints its limits, its largest velocity, by how much its velocity can change in a step, the
+        acceleration that braking is planned with, and the reciprocal of that.
     rates: RECOVERY, SLOWEST_RECOVERY, FASTEST_RECOVERY, TOLERANCE and BRAKING.
     """
     recovery, slowest, quickest, tolerance, braking = rates
@@ -218,7 +218,7 @@ def reachable_velocities(
         reached_low.append(down if low < down else up if low > up else low)
         reached_high.append(down if high < down else up if high > up else high)
     if tight:
-        # a joint needs all that is left of its range to brake: the others must not make that way longer
+        # a joint needs all that is left of its range to brake: the others must not make its braking path longer
         caps = [joint[4] * max(time - dt, 0.0) for joint in joints]
         highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
         lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]

@@ -1,4 +1,4 @@
-"""What a step does to the bounds of all pairs, see `pair_bounds`: points travel, planes say more, paths are proven."""
+"""How a step changes the bounds of all pairs, see `pair_bounds`: by travel, by planes and by proven paths."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ def count_travel(
     travel: Matrix, moved: Vector, end_moved: Vector | None, pairs: Indices, bound: Vector, classes: Indices,
     start: Vector, path: Vector, proven: Vector, /,
 ) -> tuple[Vector, float, float]:  # fmt: skip
-    """(C,) how far points of each class have come in a step, the most of these, and the most on the braking path [m].
+    """(C,) how far points of each class moved in a step, the maximum, and the maximum on the braking path [m].
 
-    Both are added to the odometers `start` and `path` (C,), and what is proven of `pairs` is written to `proven` (P,).
+    Both travels are added to the odometers `start` and `path` (C,), and the `bound` of `pairs` goes to `proven` (P,).
 
     Parameters
     ----------
     travel: (C, n) see `Separation`.
     moved, end_moved: (n,) by how much the joints and the end of the braking path moved [rad or m]; without
         `end_moved` the path is the one before, and nothing is written to `path` and `proven`.
-    pairs, bound: (K,) those with a new bound over that path, and the bound [m].
-    classes: (P,) rows of the odometers of all pairs.
+    pairs, bound: (K,) the pairs with a new bound over that path, and the bound [m].
+    classes: (P,) rows of the odometers for all pairs.
     """
     moved_by: Vector = travel.dot(np.abs(moved))
     start += moved_by
@@ -40,12 +40,12 @@ def count_travel(
 def keep_proven(
     pairs: Indices, bound: Vector, clearance: Vector, stands: Flags, required: Vector, /,
 ) -> None:  # fmt: skip
-    """Let `pairs` (K,) keep what is proven of them, `bound` (K,), up to their clearance [m].
+    """Require `pairs` (K,) to keep their proven distance `bound` (K,), up to their clearance [m].
 
     Parameters
     ----------
-    clearance, stands: (P,) of all pairs. What is required of an obstacle that stands becomes no less.
-    required: (P,) what they must keep, written here [m].
+    clearance, stands: (P,) of all pairs. The requirement for a static obstacle never decreases.
+    required: (P,) output: the distances that they must keep [m].
     """
     kept = np.maximum(required.take(pairs), bound)
     required[pairs] = np.minimum(clearance.take(pairs), np.where(stands.take(pairs), kept, bound))
@@ -55,14 +55,14 @@ def keep_proven(
 def note_gaps(
     pairs: Indices, lower: Vector, counted: Vector, least: Matrix, clearance: Vector, distance: Vector, /,
 ) -> tuple[Vector, Vector]:  # fmt: skip
-    """(K,), (K,) lower bounds of the distances of `pairs` (K,), by their planes too, and beyond their clearance [m].
+    """(K,), (K,) lower bounds of the distances of `pairs` (K,), from their planes too, and those minus clearance [m].
 
     Parameters
     ----------
-    lower, counted: (K,) the bounds before, and what the odometer says [m].
-    least: (K, S) the least gap of each at the samples, of which the first counts [m].
+    lower, counted: (K,) the bounds before, and the odometers' present values [m].
+    least: (K, S) the least gap of each pair at the samples; the first sample counts [m].
     clearance: (P,) of all pairs [m].
-    distance: (P,) bounds, and what the odometer had counted, written here [m].
+    distance: (P,) output: the bounds plus the odometers' present values [m].
     """
     found = np.maximum(lower, least[:, 0])
     distance[pairs] = counted + found

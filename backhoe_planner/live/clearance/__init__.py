@@ -1,1 +1,1 @@
-"""What is known of every distance, and the check of a braking path."""
+"""Known bounds of every distance, and the check of a braking path."""

@@ -1,4 +1,4 @@
-"""The boxes that stand for clusters around the links are found anew where they do not hold all that counts."""
+"""Finds the boxes that represent clusters around the links again when they no longer hold all cells that count."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from backhoe_planner.live.clearance.pair_bounds import Near
 from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.machine import Robot
 
-_EVERY = 10  # steps after which boxes are looked at again, where none are due; chosen
+_EVERY = 10  # steps after which boxes are checked again, if none are due; chosen
 _AHEAD = 0.15  # m beyond what counts now, within which boxes are found; chosen
 
 
 class BoxUpkeep:
-    """Finds boxes anew in the steps of one machine.
+    """Finds boxes again during the steps of one machine.
 
     Parameters
     ----------
     robot: the machine.
-    check: of its braking paths.
+    check: the check of its braking paths.
     influence: margin within which obstacles act [m].
     """
 
@@ -32,17 +32,17 @@ class BoxUpkeep:
         self._line = Placements(robot, MOST_PARTS + 1)
         self._seen: tuple[JointState | None, int, Line | None] = None, 0, None  # the line that `self._line` holds
         self._due = 0
-        self._blocking: ClusterPairs | None = None  # whose boxes may have forbidden the last step
+        self._blocking: ClusterPairs | None = None  # its boxes may have forbidden the last step
         self._in_vain_until = 0  # the step before which boxes that just proved too little are not found again
 
     def forget(self, *, blocking: bool = False) -> None:
-        """Boxes are looked at in the next step; with `blocking` it is also forgotten which ones forbade a step."""
+        """Check boxes in the next step; with `blocking` also forget which ones forbade a step."""
         self._due = 0
         if blocking:
             self._blocking = None
 
     def note(self, near: Near, *, held_back: bool) -> None:
-        """A step was found, or none was because something `held_back` the machine."""
+        """Note whether a step was found, or none was because something `held_back` the machine."""
         self._blocking = self._bounds.tightest_cluster(near) if held_back else None
 
     def find_for(self, pairs: Indices, state: JointState) -> None:
@@ -53,20 +53,20 @@ class BoxUpkeep:
                 self._bounds.find_boxes(one, self._at, reach=self._reach_of(one, state))
 
     def renew(self, state: JointState, step: int) -> bool:
-        """Find the boxes of one link and one cluster anew, where that is due; of more where the next step needs them.
+        """Find the boxes of one link and one cluster again if that is due; those of more if the next step needs them.
 
-        What can wait is found bit by bit in the steps to come, so that none of them takes long.
+        Boxes that can wait are found bit by bit in the following steps, so that none of these takes long.
 
-        False where boxes cannot hold all that the machine could come to: it has to slow down.
+        False if boxes cannot hold everything that the machine could come near: it has to slow down.
         """
         if self._bounds.short and not state.v.any():
-            # no path from here keeps what these must keep: only here they are as far away as the cells
+            # no path from here keeps what these boxes must keep: only here are they as far away as the cells
             self._find(self._bounds.short[0], state)
         elif self._blocking is not None:
             # boxes that were found further away may forbid what the cells allow
             if self._blocking not in self._bounds.short or step >= self._in_vain_until:
                 self._find(self._blocking, state)
-                # while it brakes, a step later they prove as little
+                # while the machine brakes, they prove as little one step later
                 self._in_vain_until = step + _EVERY
             self._blocking = None
         elif self._bounds.searches:
@@ -85,9 +85,9 @@ class BoxUpkeep:
             self._due = step + _EVERY
             return True
         self._find(one, state)
-        self._due = step + 1  # the next step looks whether there are more that cannot wait long
+        self._due = step + 1  # the next step checks whether there are more that cannot wait long
         for _ in self._separation.clusters:
-            # of the others only those that this step or the next one needs cannot wait
+            # of the others, only those that this step or the next one needs cannot wait
             one, urgent = self._most_urgent(state, 1)
             if one is None or urgent < math.inf:
                 return True
@@ -99,7 +99,7 @@ class BoxUpkeep:
         return self._check.path(state.q, state.v, step=False)
 
     def _find(self, one: ClusterPairs, state: JointState) -> None:
-        """Find the boxes of a link and a cluster anew."""
+        """Find the boxes of a link and a cluster again."""
         self._bounds.find_boxes(one, self._at, reach=self._reach_of(one, state), path=self._path(state))
 
     def _reach_of(self, one: ClusterPairs, state: JointState) -> float:
@@ -109,9 +109,9 @@ class BoxUpkeep:
         return float(one.clearance + max(self._influence, way) + _AHEAD)
 
     def _ahead(self, state: JointState, steps: int) -> tuple[Line, Array]:
-        """The line along which the machine goes on in so many steps, and the placements of its ends.
+        """The line along which the machine goes on in so many steps, and the placements at the ends of its parts.
 
-        The machine must have been placed where it is.
+        The placements' row 0 must already hold the machine.
         """
         before, of_steps, seen = self._seen
         if seen is not None and before is state and of_steps == steps:
@@ -127,7 +127,7 @@ class BoxUpkeep:
         return line, self._line.T[: len(line.ends)]
 
     def _most_urgent(self, state: JointState, steps: int) -> tuple[ClusterPairs | None, float]:
-        """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
+        """The link and cluster whose boxes must be found again first if all are to hold for `steps`, and how urgent."""
         separation = self._separation
         one, urgent, line = separation.places.most_urgent(
             state, self._joints, steps, self._at, self._line, self._bounds.known, separation.planes,

@@ -2,11 +2,11 @@
 
 A distance that was measured, or proven over a braking path, stays valid if the travel of
 the pair's points since then is subtracted. That travel is counted once for all pairs that
-have the same radii: an odometer per class adds up how far points can have come. A bound is
-kept as what it would have been when the odometer stood at 0.
+have the same radii: one odometer per class adds up how far points can have moved. A bound is
+stored as the value that it would have had at odometer 0.
 
-Pairs that are far away are not looked at in a step: those that are near or a little further
-are chosen once, and chosen anew when the odometers have moved by that little.
+Pairs that are far away are not examined in a step: the pairs that are near or a little further
+away are chosen once, and chosen again when the odometers have moved by that extra distance.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ from backhoe_planner.live.planes.separation import FAR, Separation
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
-_NEAR_RENEWED_EVERY = 2  # steps, where something is within `CLOSE`; chosen, one measurement costs some 20 us
-_FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, where nothing is
-_AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path take some 10 MB
+_NEAR_RENEWED_EVERY = 2  # steps, if something is within `CLOSE`; chosen, one measurement costs some 20 us
+_FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, if nothing is
+_AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path need some 10 MB
 _PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured before it is carried; chosen
 _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
-_SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` are looked at anew; chosen, 5 % of that
-_SKIN = 0.2  # m of travel after which pairs are chosen anew; chosen, some hundred steps of a quick motion
-_ROOM = 0.1  # m that boxes have to keep more than they must before their planes are not looked at; chosen
-_URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
-_MOVED = 0.1  # of the margin and that: chosen, planes are renewed after 2 mm at a wall, and 2 cm at 0.2 m from it
+_SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` are examined again; chosen, 5 % of that
+_SKIN = 0.2  # m of travel after which pairs are chosen again; chosen, some hundred steps of a quick motion
+_ROOM = 0.1  # m beyond their clearance at which the planes of boxes are not examined; chosen
+_URGENT = 0.02  # m of margin: chosen, nearer pairs are renewed about equally often
+_MOVED = 0.1  # of margin + `_URGENT`: chosen, planes are renewed after 2 mm at a wall, and after 2 cm at 0.2 m from it
 _STALE = CLOSE, _URGENT, _MOVED
 _EXACT = (
     0.1 * BUFFER
-)  # m by which a bound may be less than the distance without being measured; chosen, hardly anything
+)  # m by which a bound may be below the distance without being measured again; chosen, hardly anything
 
 
 _NOTHING = np.zeros(0, dtype=np.intp), np.zeros(0)
 
 
 class Near(NamedTuple):
-    """The pairs that are near at the beginning of a step, as they were when they were last looked at.
+    """The pairs that are near at the beginning of a step, as they were when last examined.
 
-    That is in the same step where anything is close, moves or slows the machine down. Elsewhere the machine has
-    moved by no more than `_SEEN_ANEW` since.
+    They are examined in the same step if anything is close, moves or slows the machine down. Otherwise the machine
+    has moved by no more than `_SEEN_ANEW` since then.
 
     Attributes
     ----------
-    q: (n,) where the joints were then [rad or m].
+    q: (n,) joint positions at that time [rad or m].
     pairs: (K,) their indices.
     gaps: from every corner of the link to the pair's plane, at one sample.
     distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
-    next: the tightest of the pairs that are left out because too many are near; -1 where none is.
+    next: the tightest of the pairs that are left out because too many are near; -1 if none is left out.
     next_margin: of that pair [m].
     """
 
@@ -87,7 +87,7 @@ class Awake(NamedTuple):
 
 
 class _Watch:
-    """The pairs (K,) that are looked at, and their classes, until the odometers have moved by `until` [m]."""
+    """The pairs (K,) to examine, and their classes, until the odometers have moved by `until` [m]."""
 
     def __init__(self) -> None:
         self.pairs: Indices = np.zeros(0, dtype=np.intp)
@@ -95,7 +95,7 @@ class _Watch:
         self.until = -math.inf
 
     def choose(self, pairs: Indices, classes: Indices, *, until: float = _SKIN) -> None:
-        """From now on look at `pairs` (K,), of all with these classes (P,)."""
+        """From now on examine `pairs` (K,); `classes` (P,) are those of all pairs."""
         self.pairs, self.classes, self.until = pairs, classes.take(pairs), until
 
 
@@ -104,7 +104,7 @@ class PairBounds:
 
     Parameters
     ----------
-    influence: margin within which a pair is looked at [m].
+    influence: margin within which a pair is examined [m].
 
     Attributes
     ----------
@@ -112,31 +112,32 @@ class PairBounds:
         than allowed, the distance that was proven last.
     inside: indices of the pairs that are closer than allowed and whose obstacle stands still.
     stands: (P,) whether the pair's obstacle stands still.
-    anything_moves: whether the obstacle of any pair does not.
-    short: links and clusters whose new boxes prove less of the braking path than must be kept. What the boxes before
-        proved of it holds, so that the machine can brake on it; then they have to be found where it stands.
+    anything_moves: whether the obstacle of any pair moves.
+    short: links and clusters whose new boxes prove less for the braking path than must be kept. The proof by the
+        previous boxes still holds, so the machine can brake along the path; once it stands, the boxes have to be found
+        again.
     """
 
     def __init__(self, separation: Separation, *, influence: float) -> None:
         self._separation = separation
         self._influence = influence
         count, classes = len(separation), len(separation.travel)
-        # over the braking path and at its start, each and what the odometer had counted
+        # bounds over the braking path and at its start, each plus the odometer's value at that time
         self._proven, self._distance = np.full(count, -FAR), np.full(count, -FAR)
         self.required = separation.clearance.copy()
-        self._renewed_at = np.full(count, -np.inf)  # what the odometer had counted when a pair was measured last
-        # margins within which a pair is looked at, and within which it slows the machine down
+        self._renewed_at = np.full(count, -np.inf)  # the odometer's value when a pair was last measured
+        # margins within which a pair is examined, and within which it slows the machine down
         self._reach, self._slow_from = np.full(count, influence), np.zeros(count)
         self.inside: Indices = np.zeros(0, dtype=np.intp)
         self.stands: Flags = np.ones(count, dtype=bool)
         self.anything_moves = False
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         self._moved_by = np.zeros(classes)
-        # the pairs that may be near, and whose braking path may be, until the odometers have moved that far [m]
+        # the pairs that may be near now, and those that may be near on the braking path
         self._around, self._around_path = _Watch(), _Watch()
-        # what was near when it was last looked at, for as long as the machine has not moved by that much more [m]
+        # the pairs found near when last examined, and the travel for which this remains valid [m]
         self._seen: tuple[Near | None, float] = None, 0.0
-        # the boxes that are being found, and what the odometer of their link had counted when that began
+        # the search for boxes that is running, and the odometer's value of their link when it began
         self._search: tuple[BoxSearch, float] | None = None
         self._accepted: tuple[Indices, Vector] = _NOTHING
         self.short: list[ClusterPairs] = []
@@ -144,7 +145,7 @@ class PairBounds:
     # --- which pairs there are -----------------------------------------------------------
 
     def extend(self, pairs: Indices, *, slow: Vector) -> None:
-        """Take in new pairs (K,); within the margins `slow` (K,) they slow the machine down [m]."""
+        """Add new `pairs` (K,); within the margins `slow` (K,) they slow the machine down [m]."""
         count = len(pairs)
         far = np.full(count, -FAR)
         self._proven, self._distance = np.append(self._proven, far), np.append(self._distance, far)
@@ -154,13 +155,13 @@ class PairBounds:
         self._reach = np.append(self._reach, np.maximum(slow, self._influence))
 
     def keep(self, kept: Flags) -> None:
-        """Forget the pairs for which `kept` (P,) is false."""
+        """Remove the pairs for which `kept` (P,) is false."""
         for name in ("_proven", "_distance", "required", "_renewed_at", "_reach", "_slow_from"):
             setattr(self, name, getattr(self, name)[kept])
         self._accepted = _NOTHING
 
     def sort(self, stands: Flags, per_step: Vector, per_step_on_path: Vector) -> None:
-        """Take over which pairs' obstacles stand still.
+        """Set which pairs' obstacles stand still, and how fast the others move.
 
         Parameters
         ----------
@@ -176,14 +177,14 @@ class PairBounds:
         self._look_at_all()
 
     def _look_at_all(self) -> None:
-        """Choose anew which pairs are looked at; there are others, or they move otherwise."""
+        """Choose again which pairs are examined, because the pairs or their motion have changed."""
         self._search = None
         self.short = [one for one in self.short if one in self._separation.counting_clusters]
         self._around.until = self._around_path.until = -math.inf
         self._seen = None, 0.0
 
     def drift(self) -> None:
-        """Let the obstacles move on for a step."""
+        """Update the bounds for obstacles that move on for a step."""
         self._distance -= self._per_step
         self._proven -= self._per_step_on_path
         self._renewed_at -= self._per_step
@@ -191,7 +192,7 @@ class PairBounds:
         self._around_path.until -= self._furthest_step
 
     def measure(self, pairs: Indices, path: BrakingPath, at: Placements) -> None:
-        """Measure pairs that are new or were moved, and note their distances over the braking path."""
+        """Measure `pairs` that are new or were moved, and note their distances over the braking path."""
         separation = self._separation
         self._search = None
         self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
@@ -205,7 +206,7 @@ class PairBounds:
     # --- what is carried -----------------------------------------------------------------
 
     def carry(self, pairs: Indices, path: BrakingPath) -> Indices:
-        """What is carried has changed: the pairs of a load that is no longer carried do not count from now on.
+        """Update the bounds after a change of load: the pairs of a load that is no longer carried stop counting.
 
         Parameters
         ----------
@@ -214,7 +215,7 @@ class PairBounds:
 
         Returns
         -------
-        Those of `pairs` of which too little is known: they must be measured before the next step.
+        Those of `pairs` about which too little is known: they must be measured before the next step.
         """
         separation = self._separation
         self.required = np.minimum(self.required, separation.clearance)
@@ -229,9 +230,9 @@ class PairBounds:
         return np.asarray(pairs[~clear])
 
     def prepare(self, pairs: Indices, at: Placements) -> None:
-        """Measure a few of the pairs (K,) of a load that is carried soon, those that have moved most since first.
+        """Measure a few of the `pairs` (K,) of a load that is carried soon, the ones that have moved most first.
 
-        Only those that may be near, by the placements' row 0.
+        Only pairs that may be near are measured, at the placements' row 0.
         """
         separation = self._separation
         near = pairs[self.lower()[pairs] < separation.full_clearance[pairs] + _PREPARED_WITHIN]
@@ -241,22 +242,22 @@ class PairBounds:
             self._note_renewed(pair)
 
     def find_boxes(self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None) -> None:
-        """Find anew the boxes that stand for a cluster around a link, by the placements' row 0.
+        """Find again the boxes that represent a cluster around a link, at the placements' row 0.
 
         Parameters
         ----------
         reach: distance within which its cells count [m].
-        path: the present braking path, of which distances that must be kept were proven with the boxes before. None
-            where none were.
+        path: the present braking path, if distances that must be kept along it were proven with the previous boxes;
+            otherwise None.
         """
         if self._search is not None and self._search[0].one is one:
-            self._search = None  # of before
+            self._search = None  # this search replaces the running one
         kept = float(self.required[one.pairs].min())
         if self._put_boxes(one, at, reach, is_new=path is None) and path is not None:
             self._prove_boxes(one, kept, at, reach=reach, path=path)
 
     def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
-        """Begin to find the same boxes bit by bit in the steps to come; False where that has to be done at once."""
+        """Begin to find these boxes bit by bit in the following steps; False if they have to be found at once."""
         search = self._separation.search_boxes(
             one, at, 0, reach=reach, exact=one.clearance + self._influence, slack=SLACK
         )
@@ -269,7 +270,7 @@ class PairBounds:
         return self._search is not None
 
     def search_on(self, at: Placements, path: BrakingPath) -> None:
-        """Do the next bit, with parameters as for `find_boxes`; the last one puts the boxes there."""
+        """Do the next bit of the search, with parameters as for `find_boxes`; the last one installs the boxes."""
         assert self._search is not None
         search, odometer = self._search
         found = next(search.bits)
@@ -279,14 +280,14 @@ class PairBounds:
         one, kept = search.one, float(self.required[search.one.pairs].min())
         before = self._separation.keep_boxes(one, self._of_boxes)
         boxes = one.take(found, search.reach, search.found_at)
-        if one.nearest <= 0.0:  # what is in something takes more than that
+        if one.nearest <= 0.0:  # a link inside something needs the full search
             self.find_boxes(one, at, reach=search.reach, path=path)
             return
         came, separation = float(self._start_odometer[one.classes]) - odometer, self._separation
         self.set_distance(one.pairs, separation.put_boxes(one, boxes) - came)
         self._note_renewed(one.pairs)
         self._prove_boxes(one, kept, at, reach=search.reach, path=path)
-        if one in self.short:  # those before hold the path, and what the machine can do until boxes are looked at again
+        if one in self.short:  # the previous boxes cover the path, and any motion until boxes are checked again
             separation.put_back(one, before, self._of_boxes)
             self._look_at_all()
             self.short.remove(one)
@@ -294,15 +295,15 @@ class PairBounds:
 
     @property
     def _of_boxes(self) -> tuple[Array, ...]:
-        """What is known of all pairs and changes with their boxes."""
+        """The data of all pairs that change with their boxes."""
         return *self._separation.of_boxes, self._distance, self._renewed_at, self._proven, self.required
 
     def _prove_boxes(self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath) -> None:
-        """Note what is proven of new boxes over the present braking path.
+        """Note the distances that are proven for new boxes over the present braking path.
 
         Parameters
         ----------
-        kept: what the boxes before have to keep at least [m].
+        kept: the least distance that the previous boxes have to keep [m].
         at, reach, path: as for `find_boxes`.
         """
         separation, pairs, own = self._separation, one.pairs, one.classes
@@ -320,19 +321,19 @@ class PairBounds:
         path.place(at)
         bound = separation.proven_on(pairs, path, at, path.time)
         if bound.min() < kept - TOLERANCE:
-            # a box is nearer than all cells are: without slack none is here, and there are more of them. Elsewhere
-            # on the path one may still be, so that these are of use only where they hold as much
+            # a box is nearer than all its cells. Without slack none is nearer here, but that needs more boxes, and
+            # elsewhere on the path one may still be nearer, so they are only of use if they cover as much
             covered = one.covered
             self._put_boxes(one, at, reach, slack=0.0)
             if one.covered < covered and not at_rest:
                 self._put_boxes(one, at, reach)
             bound = separation.proven_on(pairs, path, at, path.time)
         self.set_proven(pairs, bound)
-        # boxes may hold more than the cells do: what was proven of the cells stays proven
+        # boxes may contain more than the cells do: what was proven for the cells remains proven
         keeps = np.maximum(bound, kept)
         if bound.min() < kept - TOLERANCE:
             if at_rest:
-                # it would find no path that keeps what was proven: the way out begins here
+                # no path would keep what was proven: the way out begins here
                 keeps = bound
             else:
                 self.short.append(one)
@@ -342,9 +343,9 @@ class PairBounds:
     def _put_boxes(
         self, one: ClusterPairs, at: Placements, reach: float, *, is_new: bool = False, slack: float = SLACK
     ) -> bool:
-        """Let the boxes of a cluster around a link be those that are found now, and note their distances.
+        """Install the boxes of a cluster around a link that are found now, and note their distances.
 
-        False where there are none, as before.
+        False if there are none, as before.
         """
         found = self._separation.find_boxes(
             one, at, 0, reach=reach, exact=one.clearance + self._influence,
@@ -358,43 +359,43 @@ class PairBounds:
 
     @property
     def known(self) -> KnownDistances:
-        """What is known of all distances; to be read only."""
+        """The known bounds of all distances; read-only."""
         return KnownDistances(self._distance, self._start_odometer, self._proven, self._path_odometer)
 
     def find_inside(self) -> None:
-        """Find the pairs of what stands that are closer than allowed."""
+        """Find the pairs of static obstacles that are closer than allowed."""
         short = self.required < self._separation.clearance - TOLERANCE
         self.inside = (self.stands & short).nonzero()[0]
 
     def set_distance(self, pairs: Indices, distance: Vector) -> None:
-        """Note the distances (K,) at the beginning of this step [m]."""
+        """Note the distances (K,) of `pairs` (K,) at the beginning of this step [m]."""
         self._distance[pairs] = distance + self._start_odometer[self._separation.classes[pairs]]
         self._around.until = -math.inf
         self._seen = None, 0.0
 
     def require(self, pairs: Indices, distance: Vector) -> None:
-        """From now on pairs (K,) must keep these distances (K,) [m]."""
+        """Require `pairs` (K,) to keep these distances (K,) from now on [m]."""
         self.required[pairs] = distance
         self._around_path.until = -math.inf
 
     def room_of_braking(self, pairs: Indices) -> Vector:
-        """(K,) what is proven of the present braking path beyond what is required [m]."""
+        """(K,) by how much the proven distances over the present braking path exceed the required ones [m]."""
         separation = self._separation
         proven = self._proven.take(pairs)
         proven -= self._path_odometer.take(separation.classes.take(pairs))
         return np.asarray(proven - self.required.take(pairs))
 
     def set_proven(self, pairs: Indices, bound: Vector) -> None:
-        """Note the distances (K,) that are proven over the present braking path [m]."""
+        """Note the distances `bound` (K,) that are proven over the present braking path [m]."""
         self._proven[pairs] = bound + self._path_odometer[self._separation.classes[pairs]]
         self._around_path.until = -math.inf
 
     # --- during a step -------------------------------------------------------------------
 
     def near(self, q: Vector, at: Placements) -> Near:
-        """Pairs that may be within the influence distance at q (n,), the placements' row 0; of many the tightest.
+        """The pairs that may be within the influence distance at q (n,), the placements' row 0; of many the tightest.
 
-        What is known of a pair that is left out becomes less with every step, so that its turn comes.
+        The bound of a pair that is left out falls with every step, so that its turn comes.
         """
         seen, left = self._seen
         if seen is not None and left >= 0.0:
@@ -405,7 +406,7 @@ class PairBounds:
         return found
 
     def _near(self, q: Vector, at: Placements) -> Near:
-        """The same, looked at now."""
+        """The near pairs, examined now."""
         separation = self._separation
         watch = self._around
         if watch.until < 0.0:
@@ -422,7 +423,7 @@ class PairBounds:
         return Near(q, pairs, gaps, distance, margin, *left_out)
 
     def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
-        """Which of `pairs` (K,) are the tightest or slow the machine down; of the others the tightest, and its margin.
+        """Which of `pairs` (K,) are the tightest or slow the machine down; the tightest of the others and its margin.
 
         margin: (K,) of the pairs [m].
         """
@@ -433,7 +434,7 @@ class PairBounds:
         return kept, (-1 if kept[rest] else int(pairs[rest]), float(margin[rest]))
 
     def pace(self, near: Near) -> float:
-        """The part of the wished speed that the slow distances of zones leave."""
+        """The part of the wished speed that the slow distances of zones allow."""
         if not self._slows:
             return 1.0
         slow = self._slow_from[near.pairs]
@@ -451,21 +452,21 @@ class PairBounds:
             left -= self._path_odometer.take(separation.classes)
             most = _SKIN + float(budget.max())
             watch.choose((left < most + BUFFER).nonzero()[0], separation.classes, until=most)
-        # pairs within the buffer are always looked at: else a wish would be held back every other step
+        # pairs within the buffer are always examined: otherwise a wish would be held back every other step
         pairs = not_proven(self._proven, self.required, watch.pairs, watch.classes, self._path_odometer, budget, BUFFER)
         if len(self.inside):  # the way out of these is found separately
             pairs = pairs[~np.isin(pairs, self.inside)]
         return Awake(pairs, budget)
 
     def accept(self, awake: Indices, clearance: PathClearance) -> None:
-        """A braking path is about to be taken; `clearance` is what was proven of it for the pairs `awake` (K,)."""
+        """Note that a braking path is about to be taken, with its `clearance` for the pairs `awake` (K,)."""
         self._accepted = awake, clearance.bound
         keep_proven(awake, clearance.bound, self._separation.clearance, self.stands, self.required)
 
     def advance(self, moved: Vector, end_moved: Vector | None) -> None:
-        """The joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,) [rad or m].
+        """Note that the joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,) [rad or m].
 
-        `end_moved` is None where the machine goes on along the braking path that was accepted before.
+        `end_moved` is None if the machine goes on along the braking path that was accepted before.
         """
         separation = self._separation
         self._moved_by, most, most_on_path = count_travel(
@@ -477,16 +478,16 @@ class PairBounds:
         self._seen = self._seen[0], self._seen[1] - most
 
     def renew(self, near: Near, at: Placements, step: int) -> None:
-        """Measure one plane anew every few steps, by the placements' row 0.
+        """Measure one plane again every few steps, at the placements' row 0.
 
-        The nearer it is and the further it has moved since, the sooner; and every other time the nearest of all. Of
-        what has hardly moved for its margin none.
+        The nearer a pair is and the further it has moved since it was measured, the sooner its turn comes; every other
+        time it is the nearest of all. Pairs that have hardly moved relative to their margin are left out.
         """
         if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
             return
         separation = self._separation
         turn, far = step // _NEAR_RENEWED_EVERY % 2 > 0, step % _FAR_RENEWED_EVERY == 0
-        pair = stalest_pair(  # not near.margin: some pairs were measured since the beginning of the step
+        pair = stalest_pair(  # without near.margin: some pairs were measured since the beginning of the step
             near.pairs, self._distance, separation.clearance, self._renewed_at, separation.classes,
             self._start_odometer, turn, far, _STALE,
         )  # fmt: skip
@@ -500,17 +501,17 @@ class PairBounds:
         self._renewed_at[pair] = counted
 
     def _note_renewed(self, pairs: Indices | int) -> None:
-        """Pairs (K,) were measured in this step."""
+        """Note that `pairs` (K,) were measured in this step."""
         self._renewed_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
 
     def renew_soon(self, pairs: Indices) -> None:
-        """Let these pairs be measured soon: their planes are from elsewhere than where the machine is."""
+        """Have these pairs measured soon: their planes were not measured where the machine is."""
         self._renewed_at[pairs] = -np.inf
 
     # --- after it ------------------------------------------------------------------------
 
     def tightest(self, near: Near) -> tuple[int, float]:
-        """The near pair with the least margin, and that margin after the step [m]; -1 where none is near."""
+        """The near pair with the least margin, and that margin after the step [m]; -1 if none is near."""
         pairs = near.pairs
         if len(pairs) == 0:
             return -1, math.inf
@@ -522,21 +523,21 @@ class PairBounds:
             beyond = near.next_margin - float(self._moved_by.max())
             if beyond < margin:
                 pair, margin = near.next, beyond
-        if margin < 0.0 and self.stands[pair]:  # what is required was proven, of this step or of braking before it
+        if margin < 0.0 and self.stands[pair]:  # the required distance was proven, for this step or earlier braking
             margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
         return pair, margin
 
     def tightest_cluster(self, near: Near) -> ClusterPairs | None:
-        """The link and the cluster that the near pair with the least margin is of; None where it is of no cluster."""
+        """The link and the cluster of the near pair with the least margin; None if that pair is of no cluster."""
         pair, _ = self.tightest(near)
         return next((one for one in self._separation.counting_clusters if pair in one.pairs), None)
 
     def lower(self) -> Vector:
-        """(P,) lower bounds of all distances where the machine is [m]."""
+        """(P,) lower bounds of all distances at the machine's present configuration [m]."""
         return self._distance - self._start_odometer[self._separation.classes]
 
     def tightest_of_all(self) -> tuple[int, float]:
-        """The same of all pairs, from the bounds alone."""
+        """The pair with the least margin of all pairs, and that margin [m], from the bounds alone; -1 without pairs."""
         separation = self._separation
         margins = self.lower() - separation.clearance
         if len(margins) == 0:

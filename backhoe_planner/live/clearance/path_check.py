@@ -1,16 +1,16 @@
-"""The check of a braking path: proven clear, or turned into rows that a clear one satisfies.
+"""The check of a braking path: it is proven clear, or turned into rows that a clear path satisfies.
 
-Where a braking path is not clear, its rows are the gaps of the links' corners along it,
+If a braking path is not clear, its rows are the gaps of the links' corners along it,
 
     gap_i(s) - s g_i D (v - v_ref) >= clearance_i
 
-with s from 0 to 1 along the path, and D the derivative of its end by v. So the next
-velocity is chosen by the same gaps that will be checked.
+with s from 0 to 1 along the path, and D the derivative of its end with respect to v. So the
+next velocity is chosen by the same gaps that will be checked.
 
-The rows only lead to good velocities: no proof rests on them. Whatever they leave out, and
-whatever is not measured because the step has had its share of work (`step_work`), is among
-the pairs of the check with the bound that is known of it. A path is taken only if all of
-them are clear.
+The rows only lead to good velocities: no proof rests on them. The check also covers pairs that
+the rows leave out, and pairs that are not measured because the step has used up its share of
+work (`step_work`), with the bound that is known for them. A path is taken only if all pairs
+are clear.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from backhoe_planner.live.clearance.pair_bounds import Awake, PairBounds
 from backhoe_planner.live.planes.path_rows import rows_of_path
 from backhoe_planner.live.planes.separation import Separation
 
-MOST_CANDIDATES = 24  # rows of one kind, among which those that bind are sought; chosen
-_OF_STANDING = 16  # of these for what stands, where both stand and move; chosen, most of them
-_LOOKS = 12  # pairs that are measured anew per path at most; chosen
-_MOVING_LOOKS = 3  # the same where only what moves is too near: it does not decide whether a path may be taken
+MOST_CANDIDATES = 24  # rows of one kind, among which the binding ones are searched; chosen
+_OF_STANDING = 16  # of these for static obstacles, if there are static and moving ones; chosen, most of them
+_LOOKS = 12  # pairs that are measured again per path at most; chosen
+_MOVING_LOOKS = 3  # the same if only moving obstacles are too near: they do not decide whether a path may be taken
 _RESERVED = CLOSER_LOOK + 1  # distances for the end of a step: of a pair that is clear again, and the oldest plane
-_WHOLE = 3.0  # by so many times more points may be off the chord of a whole part than off that of its halves
+_WHOLE = 3.0  # a whole part adds this many times the chord error of its halves
 _RULES = BUFFER, float(MOST_CANDIDATES), float(_OF_STANDING)
-_SHARE = 3  # a path may take this part of the distances that a step still has, so that some are left for the next
+_SHARE = 3  # a path may use one in so many of the distances that a step has left; the rest are for the next paths
 
 
 class PathCheck:
@@ -44,8 +44,8 @@ class PathCheck:
 
     Parameters
     ----------
-    separation, bounds, joints: the pairs, their bounds, and what the joints can do.
-    at: placements; row 0 holds the machine, and a check fills the rows behind it.
+    separation, bounds, joints: the pairs, their bounds, and the bounds of the joint velocities.
+    at: placements; row 0 holds the machine, and a check fills the rows after it.
 
     Attributes
     ----------
@@ -63,13 +63,13 @@ class PathCheck:
     # --- work --------------------------------------------------------------------------
 
     def begin_step(self, near: int) -> None:
-        """From now on the work is that of a new step, in which so many pairs are near."""
+        """Begin to count the work of a new step, in which `near` pairs are near."""
         self._before = self.separation.measured
         self._pairs = near
         self._paths = self._rows = self._problems = self._iterations = 0
 
     def note(self, solution: BindingSolution | None) -> None:
-        """A quadratic program was solved in this step."""
+        """Count a quadratic program that was solved in this step."""
         if solution is not None:
             self._rows = max(self._rows, solution.rows)
             self._problems += solution.problems
@@ -77,19 +77,19 @@ class PathCheck:
 
     @property
     def distances_left(self) -> int:
-        """How many more distances this step may measure for paths; 0 where none."""
+        """How many more distances this step may measure for paths."""
         return max(MOST_DISTANCES - _RESERVED + self._before - self.separation.measured, 0)
 
     @property
     def work(self) -> StepWork:
-        """The work of this step until now."""
+        """The work of this step so far."""
         distances = self.separation.measured - self._before
         return StepWork(self._rows, self._problems, self._iterations, self._paths, distances, self._pairs)
 
     # --- paths -------------------------------------------------------------------------
 
     def path(self, q: Vector, v: Vector, *, step: bool = True) -> BrakingPath:
-        """The path of a step at v (n,) from q (n,) and braking after it; without `step`, of braking alone."""
+        """The path of a step at v (n,) from q (n,) followed by braking; without `step`, of braking alone."""
         joints, separation = self.joints, self.separation
         dt = joints.dt if step else 0.0
         return BrakingPath(
@@ -108,13 +108,13 @@ class PathCheck:
         first: tuple[BrakingPath, PathClearance] | None = None,
         by_rows: bool = False,
     ) -> PathClearance:
-        """What is proven of a path for the pairs `awake`. If there are any, the placements hold the path then.
+        """The proven clearance of a path for the pairs `awake`. If there are any, the placements hold the path then.
 
         Parameters
         ----------
-        first: of the paths of this step the one that was checked for all pairs, and what was found. What moves
-            then has the bound that follows from there, as it does not decide whether a path may be taken.
-        by_rows: whether the path's velocity keeps rows already. What moves is not measured anew then.
+        first: the path of this step that was checked for all pairs, and its clearance. With it, the bounds of moving
+            obstacles are derived from that clearance, as they do not decide whether a path may be taken.
+        by_rows: whether the path's velocity already keeps rows. Moving obstacles are not measured again then.
         """
         pairs = awake.pairs
         if first is not None:
@@ -132,7 +132,7 @@ class PathCheck:
         return found
 
     def _look_along(self, pairs: Indices, path: BrakingPath, *, by_rows: bool, in_halves: bool) -> PathClearance:
-        """The same for pairs (K,) of all kinds, with the path's parts or their halves."""
+        """The clearance for static and moving `pairs` (K,), with the path's parts or their halves."""
         separation, at = self.separation, self.at
         required, stands = self.bounds.required, self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
@@ -144,11 +144,11 @@ class PathCheck:
             path.halve(at)
             in_halves = True
             bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
-            # a plane that was kept until it fell short is old: it would hold the machine back without need
+            # a plane that was kept until it fell short is old: it would hold the machine back needlessly
             left, short = left_over_path(pairs, bound, required, -BUFFER)
         if len(short):
-            # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes
-            # longest
+            # a moving obstacle that may touch is measured in its turn, at the beginning of a step: measuring a
+            # penetration takes longest
             decides = stands[pairs[short]]
             again = short[decides if by_rows else decides | (bound[short] > 0.0)]
             if len(again):
@@ -160,9 +160,9 @@ class PathCheck:
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def _may_be_bent(self, pairs: Indices, short: Indices, left: Vector, path: BrakingPath, *, by_rows: bool) -> bool:
-        """Whether what stands may fall `short` only because points may be off the chords of the path's parts.
+        """Whether static obstacles may fall `short` only because points may be off the chords of the path's parts.
 
-        left: (K,) of each pair's bound beyond what is required [m].
+        left: (K,) by how much each pair's bound exceeds what is required [m].
         """
         standing = short[self.bounds.stands.take(pairs.take(short))]
         if len(standing) == 0 or by_rows:
@@ -171,18 +171,18 @@ class PathCheck:
         return not np.count_nonzero(off < -left.take(standing))
 
     def _needs_halves(self, pairs: Indices, left: Vector, path: BrakingPath) -> bool:
-        """Whether what stands, with room `left` (K,) [m] by halves of the parts, would fall short by whole ones."""
+        """Whether static obstacles that have room `left` (K,) [m] with half parts would fall short with whole ones."""
         off = path.off_chord(self.separation.travel).take(self.separation.classes.take(pairs))
         return bool(np.count_nonzero((left < _WHOLE * off) & self.bounds.stands.take(pairs)))
 
     def _clearance_of_standing(
         self, awake: Awake, stands: Flags, path: BrakingPath, before: BrakingPath, found: PathClearance
     ) -> PathClearance:
-        """The same where what moves has a bound by what was `found` of the path `before`.
+        """The clearance with the bounds of moving obstacles derived from what was `found` for the path `before`.
 
-        stands: (K,) of which pairs the obstacle stands still.
+        stands: (K,) whether the pair's obstacle stands still.
 
-        On both paths it is met after the same part of the way, so that they differ by no more than their ends.
+        The two paths are compared at equal parts of their lengths, where they differ by no more than their ends.
         """
         separation, (pairs, budget) = self.separation, awake
         now = self.clearance(Awake(pairs[stands], budget), path)
@@ -206,10 +206,10 @@ class PathCheck:
         gaps: Gaps,
         closely: Indices,
     ) -> None:
-        """Measure pairs whose bound falls short with one plane each, then what stands with several.
+        """Measure pairs whose bound falls short with one plane each, then static obstacles with several.
 
-        What stands comes first, and of it what falls short the most: it decides whether the path
-        may be taken. `bound`, `gaps` and `closely` are those of `PathClearance`, to be improved.
+        Static obstacles come first, and among them those that fall short the most: they decide whether
+        the path may be taken. `bound`, `gaps` and `closely` are those of `PathClearance`, to be improved.
         """
         separation, at = self.separation, self.at
         required, stands = self.bounds.required[pairs], self.bounds.stands[pairs]
@@ -236,16 +236,16 @@ class PathCheck:
         self.bounds.renew_soon(pairs[again])
 
     def keep(self, path: BrakingPath) -> None:
-        """A path was taken: if it is the one that was checked last, its rows are good for the next step, too."""
+        """Note that a path was taken: if it was checked last, its rows are valid for the next step, too."""
         if self._last is not None and self._last[1] is not path:
             self._last = None
 
     def forget(self) -> None:
-        """What was found of the path that was taken is no longer true."""
+        """Drop the result for the path that was taken: it is no longer valid."""
         self._last = None
 
     def path_before(self) -> tuple[Any, ...] | None:
-        """What `velocity_held_as_before` has to know of the path that was taken a step ago; None if unknown."""
+        """The arguments of `velocity_held_as_before` for the path that was taken a step ago; None if unknown."""
         if self._last is None or len(self._last[0].pairs) == 0:
             return None
         separation, ((pairs, budget), path, found) = self.separation, self._last
@@ -256,12 +256,12 @@ class PathCheck:
         )  # fmt: skip
 
     def rows_before(self, q: Vector, v: Vector, *, firm: bool) -> tuple[Rows, ...]:
-        """The rows of the path of a step at v (n,) from q (n,) by what was found of the one that was taken a step ago.
+        """The rows of the path of a step at v (n,) from q (n,), derived from the path that was taken a step ago.
 
-        None where that is unknown.
+        There are none if nothing is known of that path.
 
-        The two paths are so close to each other that the gaps along the one follow from those along the
-        other and from how fast they fall.
+        The two paths are so close to each other that the gaps along one follow from those along the
+        other and from how fast these fall.
         """
         return () if self._last is None else self.rows(*self._last, firm=firm, now=self.path(q, v))
 
@@ -274,15 +274,15 @@ class PathCheck:
         firm: bool = False,
         now: BrakingPath | None = None,
     ) -> tuple[Rows, ...]:
-        """The rows of what could bind along a path [m/s]. The placements must hold the path.
+        """The rows that could bind along a path [m/s]. The placements must hold the path.
 
         Parameters
         ----------
-        found: of that path, with the gaps of all pairs.
-        now: a path one step later, which the rows are to be of.
-        firm: whether those of what stands are hard, and those of what moves a block of their own. Soft ones are
-            weighed against a person who walks into the machine, and what comes out runs into the post behind it.
-            A machine that stands still keeps the hard ones.
+        found: the clearance of that path, with the gaps of all pairs.
+        now: a path one step later; the rows are then for that path.
+        firm: whether the rows of static obstacles are hard, and those of moving ones a block of their own. If all were
+            soft, they would be traded off against a person who walks into the machine, and the result could run into
+            a post behind it. A machine that stands still keeps the hard rows.
         """
         separation, (pairs, budget) = self.separation, awake
         if len(pairs) == 0:
@@ -299,7 +299,7 @@ class PathCheck:
         if not firm or len(h) == 0:
             return (Rows("braking", G, h),)
         hard = bounds.stands.take(pairs)
-        soft = ~hard | (h < 0.0)  # a way back to the buffer is wished for, not demanded
+        soft = ~hard | (h < 0.0)  # a return to the buffer is wished for, not demanded
         return (
             Rows("braking", G[hard], np.maximum(h[hard], 0.0), Kind.HARD),
             Rows("braking, soft", G[soft], h[soft]),

@@ -1,1 +1,1 @@
-"""Planes between the machine and what it must not touch, and what they say of distances along a path."""
+"""Planes between the machine and what it must not touch, and the distances along a path that they prove."""

@@ -1,6 +1,6 @@
-"""Which pairs are looked at in a step: those that are near, those whose braking path is not proven, the stalest one.
+"""The choice of the pairs to examine in a step: near ones, those without a proven braking path, the stalest one.
 
-And how far apart one of them is.
+Also how far apart the bodies of a pair are.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _EMPTY = np.zeros(0)
 
 
 class Measured(NamedTuple):
-    """What was measured of a pair.
+    """The measurement of a pair.
 
     Attributes
     ----------
@@ -35,11 +35,11 @@ class Measured(NamedTuple):
 def near_now(
     distance: Vector, within: Vector, pairs: Indices, classes: Indices, odometer: Vector, /
 ) -> tuple[Indices, Vector, Vector]:
-    """Those (K,) of `pairs` (M,) that may be near, their lower bounds (K,) and what their odometers say (K,) [m].
+    """Those (K,) of `pairs` (M,) that may be near, their lower bounds (K,) and their odometers' values (K,) [m].
 
     Parameters
     ----------
-    distance: (P,) lower bounds of all pairs, and what the odometer had counted [m]; within: (P,) what is near [m].
+    distance: (P,) lower bounds of all pairs plus the odometer's value then [m]; within: (P,) nearer ones count [m].
     classes: (M,) rows of the odometer (C,) for the `pairs`.
     """
     counted = odometer.take(classes)
@@ -56,13 +56,13 @@ def not_proven(
     proven: Vector, required: Vector, pairs: Indices, classes: Indices, odometer: Vector, budget: Vector,
     buffer: float, /,
 ) -> Indices:  # fmt: skip
-    """Those of `pairs` (M,) of which too little is proven of the braking path, if it may move by `budget` (C,) [m].
+    """Those of `pairs` (M,) for which too little of the braking path is proven if it may move by `budget` (C,) [m].
 
     Parameters
     ----------
-    proven: (P,) of all pairs, and what the odometer had counted [m]; required: (P,) what must be kept [m].
+    proven: (P,) of all pairs plus the odometer's value then [m]; required: (P,) the distance that must be kept [m].
     classes: (M,) rows of the odometer (C,) for the `pairs`.
-    buffer: to be kept beyond that [m].
+    buffer: to be kept beyond the required distance [m].
     """
     left = proven.take(pairs)
     left -= required.take(pairs)
@@ -73,11 +73,11 @@ def not_proven(
 
 @compiled
 def margins_now(pairs: Indices, distance: Vector, clearance: Vector, classes: Indices, odometer: Vector, /) -> Vector:
-    """(K,) by how much the distances of `pairs` (K,) are more than their clearance at least [m].
+    """(K,) lower bounds of the margins of `pairs` (K,): distance minus clearance [m].
 
     Parameters
     ----------
-    distance: (P,) lower bounds of all pairs, and what the odometer had counted [m]; clearance: (P,) of them [m].
+    distance: (P,) lower bounds of all pairs plus the odometer's value then [m]; clearance: (P,) of all pairs [m].
     classes: (P,) their rows of the odometer (C,).
     """
     found = distance.take(pairs)
@@ -91,15 +91,16 @@ def stalest_pair(
     pairs: Indices, distance: Vector, clearance: Vector, renewed: Vector, classes: Indices, odometer: Vector,
     nearest_first: bool, far: bool, rules: tuple[float, ...], /,
 ) -> int:  # fmt: skip
-    """Which of `pairs` (K,) to measure anew; -1 for none.
+    """Which of `pairs` (K,) to measure again; -1 for none.
 
     Parameters
     ----------
     distance, clearance, classes, odometer: as for `margins_now`.
-    renewed: (P,) what the odometer had counted when each was measured last [m].
+    renewed: (P,) the odometer's value when each pair was last measured [m].
     nearest_first: whether the nearest one comes first, if it is close.
-    far: whether one is also measured where none is close.
-    rules: margin within which a pair is close, what is added to it [m], and the part of both that it must have moved.
+    far: whether a pair is also measured if none is close.
+    rules: margin within which a pair is close [m], a length added to its margin [m], and the part of that sum that it
+        must have moved.
     """
     if len(pairs) == 0:
         return -1
@@ -119,7 +120,7 @@ def stalest_pair(
 def tightest_pair(
     pairs: Indices, distance: Vector, clearance: Vector, classes: Indices, odometer: Vector, /
 ) -> tuple[int, float]:
-    """Which of `pairs` (K,), of which there are some, has the least of `margins_now`, and that margin [m]."""
+    """Which of `pairs` (K,), K > 0, has the least of `margins_now`, and that margin [m]."""
     margins = margins_now(pairs, distance, clearance, classes, odometer)
     row = int(margins.argmin())
     return int(pairs[row]), float(margins[row])
@@ -137,15 +138,15 @@ def known_apart(
     T: Array,
     /,
 ) -> float:
-    """How far a pair's bodies are apart at most, by what was measured last [m]; infinite where that is unknown.
+    """Upper bound of the distance of a pair's bodies, from the last measurement [m]; infinite if unknown.
 
-    By the points between which it was measured, and by how far the link's point is off what stands for the obstacle,
-    if that is a box or a half-space.
+    It follows from the two points of that measurement, and from the distance of the link's point from the obstacle's
+    piece, if that is a box or a half-space.
 
     Parameters
     ----------
-    joint, other, velocity: (P,), (P,), (P, 3) of all pairs, see `Separation`. Nothing is known of what moves.
-    points: (P, 6) that of the link and that of the other body, each in the frame of its body [m]; nan where unknown.
+    joint, other, velocity: (P,), (P,), (P, 3) of all pairs, see `Separation`. For a moving obstacle nothing is known.
+    points: (P, 6) the points of the link and of the other body, each in the frame of its body [m]; nan if unknown.
     faces: (P, 15) see `faces_of`; shift: (3,) of the obstacle from where these are [m].
     T: (joints, 4, 4) poses of all bodies.
     """
@@ -165,13 +166,13 @@ def hulls_apart(
 ) -> tuple[float, Vector, float, Vector] | None:
     """The distance of two bodies that are hulls of corners with a radius each, and the rest of `Measured`.
 
-    None where it takes coal: where they touch or nearly do, where one has no corners, and always in plain Python.
+    None if coal is needed: if they touch or nearly do, if one has no corners, and always in plain Python.
 
     Parameters
     ----------
-    corners: (V, 4) of the link, of which the first three numbers count, in the frame of its body [m].
+    corners: (V, 4) of the link, in the frame of its body; only the first three numbers count [m].
     fat, other_fat: the radii [m].
-    T, T_other: (4, 4) where the bodies are.
-    other: (W, 3) or (W, 4) corners of the other one in the frame of its body, less a `shift` (3,) [m].
+    T, T_other: (4, 4) poses of the bodies.
+    other: (W, 3) or (W, 4) corners of the other body in its frame, before a `shift` (3,) is added [m].
     """
     return None

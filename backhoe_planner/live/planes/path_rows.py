@@ -1,4 +1,4 @@
-"""The gaps along a braking path, the corners that could bind there, and the rows that they become."""
+"""The gaps along a braking path, the corners that could bind there, and the rows made from them."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ def gaps_along_path(
     planes: Matrix, joint: Indices, other: Indices | None, piece: Indices, corners: Array, drift: Vector | None,
     step: float, classes: Indices, required: Vector, tolerance: float, T: Array, J: Array, gaps: Array, /,
 ) -> tuple[Vector, Indices, Matrix, Vector, Vector, Indices]:  # fmt: skip
-    """Place the bodies along a path, and find what it leaves to `pairs` (K,).
+    """Place the bodies along a path, and find the gaps and proven distances of `pairs` (K,).
 
     Returns
     -------
     (C,) how far points may be off the chords of its parts [m]; which corner of each pair has the least gap at each
-    sample (K, S), and that gap (K, S) [m]; (K,) the proven distance over the path [m], and by how much that is more
-    than what is required [m]; the rows of the pairs where it is less.
+    sample (K, S), and that gap (K, S) [m]; (K,) the proven distance over the path [m], and by how much it exceeds
+    the required one [m]; the rows of the pairs for which it is too small.
 
     Parameters
     ----------
-    q, delta: (n,) start and way of the path [rad or m], of so many `parts`; bend: (n,) its `bend_weights`.
+    q, delta: (n,) start and displacement of the path [rad or m], in `parts` parts; bend: (n,) its `bend_weights`.
     factors, slides: see `place_on_line`; travel: (C, n) see `Separation`.
     planes, joint, other, piece, corners, drift, step: see `corner_gaps`.
     classes, required, tolerance: see `least_over_path` and `left_over_path`.
-    T, J: see `Placements`; its rows 1 to `parts` are written. The first must be there.
-    gaps: (K, S, V) all of them, written here [m].
+    T, J: see `Placements`; its rows 1 to `parts` are written. Row 0 must already be filled.
+    gaps: (K, S, V) output: the gaps of all corners [m].
     """
     place_on_line(q, delta, parts, 1, factors, slides, T, J)
     off = travel.dot(bend) / (8.0 * parts * parts)
@@ -48,10 +48,10 @@ class Candidates(NamedTuple):
     Attributes
     ----------
     gaps: (K, M) of every corner [m].
-    within: (K,) gaps below this count [m]; -inf for other pairs.
+    within: (K,) gaps below this count [m]; -inf for pairs that are left out.
     nearest: (K,) the column of the least gap.
-    room: (K,) what is left of a pair's least gap, in the measure by which pairs are compared.
-    pairs: rows of the pairs that are looked at, each with a corner that counts.
+    room: (K,) what is left of a pair's least gap, in the unit in which pairs are compared.
+    pairs: rows of the pairs that are considered, each with a corner that counts.
     """
 
     gaps: Matrix
@@ -61,11 +61,11 @@ class Candidates(NamedTuple):
     pairs: Indices
 
     def among(self, those: Flags) -> Candidates:
-        """The same without the pairs for which `those` (K,) is false."""
+        """The candidates without the pairs for which `those` (K,) is false."""
         return Candidates(self.gaps, self.within, self.nearest, self.room, self.pairs[those[self.pairs]])
 
     def all_of(self, most: int) -> tuple[Indices, Indices] | None:
-        """Pair and column of every corner that counts; None where there are more than `most`."""
+        """Pair and column of every corner that counts; None if there are more than `most`."""
         if len(self.pairs) > most:
             return None
         counts = self.gaps < self.within[:, None]
@@ -77,8 +77,8 @@ class Candidates(NamedTuple):
     def tightest(self, most: int) -> tuple[Indices, Indices]:
         """Pair and column of the corners with the least gaps of every pair, at most `most` of all pairs together.
 
-        So that a pair with many corners does not crowd out the others. Where there are more pairs
-        than that, those with the least room. Both ascend.
+        All pairs get the same share, so that a pair with many corners does not crowd out the others. If there
+        are more pairs than `most`, those with the least room are taken. Both results ascend.
         """
         pairs = self.pairs
         if len(pairs) > most:
@@ -101,19 +101,18 @@ def binding_corners(
 ) -> tuple[Indices, Indices, Indices, Vector, Vector]:  # fmt: skip
     """The corners of `pairs` (K,) that could bind along a path: row of the pair, sample and corner, (R,) each.
 
-    Beside them (R,) by how much the gap there is more than what is needed, and (R,) by how much the gap of the same
-    corner at the first sample is less than what is to be kept [m].
+    Also (R,) by how much the gap there exceeds the needed one, and (R,) by how much the gap of the same corner at the
+    first sample falls short of what is to be kept [m].
 
     Parameters
     ----------
-    gaps, nearest, least: (K, S, V), (K, S), (K, S) see `Gaps`. Where the machine is, the first sample, it is at any
-        velocity.
+    gaps, nearest, least: (K, S, V), (K, S), (K, S) see `Gaps`. The first sample gives no rows: no velocity changes it.
     bound, closely: (K,) see `PathClearance`.
-    required, classes: (P,) what must be kept [m], and the row of `off` and `budget` (C,).
+    required, classes: (P,) the distance that must be kept [m], and the row of `off` and `budget` (C,).
     off: (C,) how far points may be off the chords of the path's parts [m].
     budget: (C,) how far they may leave the path [m].
-    stands: (P,) whether the obstacle does, where corners of what stands and of what moves are counted apart.
-    rules: what is to be kept beyond that [m], how many corners there may be, and how many of them of what stands.
+    stands: (P,) whether the obstacle stands still, if corners of static and moving obstacles are counted separately.
+    rules: what is to be kept beyond `required` [m], the most corners, and the most of them for static obstacles.
     """
     buffer, most, of_standing = rules[0], int(rules[1]), int(rules[2])
     each = classes.take(pairs)
@@ -126,7 +125,7 @@ def binding_corners(
     looked = (closely > 0).nonzero()[0]
     if len(looked):
         within[(closely > 0) & (bound >= within - needed + wanted)] = -np.inf
-        # a pair that was measured closely keeps one plane, which is right where it was measured
+        # a pair that was measured closely keeps one plane, which is only exact where it was measured
         on_path = on_path.copy()
         for row in looked.tolist():
             tight[row] = closely[row] - 1
@@ -154,17 +153,17 @@ def rows_of_path(
     drift: Vector, parts: int, v: Vector, look: float, slowest: int, sharper: float, start: Vector, end: Vector,
     now_start: Vector | None, now_end: Vector | None, dt: float, /,
 ) -> tuple[Indices, Matrix, Vector]:  # fmt: skip
-    """The pairs (R,) whose corners could bind along a path, and the rows G (R, n), h (R,) of these.
+    """The pairs (R,) whose corners could bind along a path, and their rows G (R, n), h (R,).
 
     Parameters
     ----------
     pairs, gaps, nearest, least, bound, closely, required, classes, off, budget, stands, rules: see `binding_corners`.
     planes, joint, other, mask, T, J: see `plane_rows`.
-    piece, corners: (P,) whose corners count, and (M, V, 4) those of all pieces, with a 1 behind each [m].
+    piece, corners: (P,) the piece whose corners count, and (M, V, 4) those of all pieces, with a 1 appended [m].
     drift: (P,) rates at which the planes move on along their normals [m/s].
     parts, v, look, slowest, sharper: see `rows_by_velocity`.
     start, end: (n,) of the path [rad or m].
-    now_start, now_end: (n,) of the one a step later that the rows are to be of; None where they are of the path.
+    now_start, now_end: (n,) of the path a step later, if the rows are to be for that one; otherwise None.
     dt: how much later that is [s].
     """
     k, samples, corner, room, short = binding_corners(
@@ -188,18 +187,18 @@ def rows_by_velocity(
 ) -> tuple[Matrix, Vector]:  # fmt: skip
     """G (R, n) and h (R,) of the rows G v <= h that keep gaps along a path [m/s].
 
-    The end of the path moves by D = look I + sharper v e_slowest^T with v, and a sample by its part of that.
+    The end of the path changes with v by D = look I + sharper v e_slowest^T, and a sample by its part of that.
 
     Parameters
     ----------
     G: (R, n) how fast the gaps fall with the joints [m/rad]; room: (R,) how much is left of them [m].
-    short: (R,) how much is missing at the path's start [m]. Never more is asked for.
-    samples: (R,) of the `parts` of the path at which they are.
-    v, look: (n,) velocity of the path [rad/s or m/s], and the time that it is worth [s].
+    short: (R,) how much is missing at the path's start [m]. It limits the retreat that a row demands.
+    samples: (R,) the sample of each gap, from 1 to `parts`.
+    v, look: (n,) velocity of the path [rad/s or m/s], and the time in which v covers the path [s].
     slowest, sharper: the joint that takes longest to brake, and by how much the path becomes longer with its speed;
         see `BrakingPath.bend_of_end`.
-    moves: (2, n) how far the start and the end of the path that the rows are to be of are from this one's [rad or m];
-        None where they are the same.
+    moves: (2, n) from the start and end of this path to those of the path that the rows are for [rad or m]; None if
+        it is the same path.
     comes: (R,) how far the planes move on in the same time [m]; with `moves`.
     """
     part = samples / parts

@@ -1,8 +1,8 @@
-"""The planes that a pair was last looked at closely with.
+"""The planes of the last close look at each pair.
 
-As long as neither of its bodies is another one, and what it must not touch stands where it stood, each of
-them still bounds the pair's distance wherever the link is. A machine that brakes along the path of
-before is where they were measured, so that they mostly prove its path without a measurement.
+As long as the pair's bodies are the same and the one that must not be touched has not moved, each of these
+planes still bounds the pair's distance wherever the link is. A machine that brakes along its previous path
+is where they were measured, so they mostly prove its path without a new measurement.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-MOST_PLANES = 8  # of a pair; chosen, twice as many as one look measures
+MOST_PLANES = 8  # kept for a pair; chosen, twice as many as one look measures
 _NO_NORMALS, _NO_OFFSETS = np.zeros((0, 3)), np.zeros(0)
 
 
 class _Kept(NamedTuple):
-    """Planes, and the piece, the body and the shift (3,) of it that they are of."""
+    """Planes, with the piece, the other body and its shift (3,) that they belong to."""
 
     piece: int
     body: object
@@ -34,7 +34,7 @@ class PlaneSets:
         self._kept: dict[int, _Kept] = {}
 
     def of(self, pair: int, piece: int, body: object, shift: list[float] | None) -> tuple[Matrix, Vector]:
-        """Normals (k, 3) and offsets (k,) [m] that hold for a pair whose body is at `shift` (3,) [m]."""
+        """Normals (k, 3) and offsets (k,) [m] that are valid for a pair whose body is at `shift` (3,) [m]."""
         kept = self._kept.get(pair)
         if kept is None or kept.piece != piece or kept.body is not body or kept.shift != shift:
             return _NO_NORMALS, _NO_OFFSETS
@@ -43,5 +43,5 @@ class PlaneSets:
     def keep(
         self, pair: int, piece: int, body: object, shift: list[float] | None, normals: Matrix, offsets: Vector
     ) -> None:
-        """Keep these in place of the pair's others."""
+        """Keep these planes in place of the pair's previous ones."""
         self._kept[pair] = _Kept(piece, body, shift, normals[:MOST_PLANES], offsets[:MOST_PLANES])

@@ -5,8 +5,8 @@ between them: with unit normal n from the link to the obstacle,
 
     d = max_n  (min over the obstacle of n . z) - (max over the link of n . x)
 
-The maximum is reached by coal's normal, inside too. So the plane of one measurement bounds
-the distance at all other configurations as well, without asking coal: as long as the
+The maximum is reached by coal's normal, also in penetration. So the plane of one measurement
+bounds the distance at all other configurations as well, without calling coal: as long as the
 obstacle stands still, it stays on its side of the plane, and the gap between the plane and
 the corners of the link, wherever they are, is a lower bound of the distance. The same holds
 for a plane that moves with the link, and the corners of the obstacle.
@@ -52,10 +52,10 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
 MACHINE = -1  # owner of the pairs of the machine with itself
-FAR = 1e3  # m: beyond any site; the bound -FAR says nothing
-_NOT_COUNTING = -1e9  # m: clearance of the pairs of what is not carried now; far below any bound of a distance
-_PLANES = 4  # measured along a path that is looked at closely; chosen, each costs some 20 us
-_BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
+FAR = 1e3  # m: beyond any site; the bound -FAR is no information
+_NOT_COUNTING = -1e9  # m: clearance of the pairs of loads that are not carried now; far below any bound of a distance
+_PLANES = 4  # measured along a path that is examined closely; chosen, each costs some 20 us
+_BLENDED = 0.1  # m: chosen, corners that are this much further away do not contribute to the nearest point
 _NO_FACES, _NO_SHIFT = np.full(15, np.nan), np.zeros(3)
 _NO_BOXES = np.zeros((0, 50))
 
@@ -68,31 +68,31 @@ class Separation:
     Parameters
     ----------
     robot: the machine.
-    q: (n,) where it stands at the beginning. It may be outside of the limits; from there it only comes back.
+    q: (n,) its initial configuration. It may be outside the joint limits; from there the machine only comes back.
     self_collision: whether the machine is also kept clear of itself.
     laden: the same machine with each load that it may carry. None of them counts until `carry`.
 
     Attributes
     ----------
-    own_pieces: the robot's `self_pieces`, or those of `Robot.pieces` where it is not kept clear of itself; and its
-        loads'.
+    own_pieces: the robot's `self_pieces`, or `Robot.pieces` if it is not kept clear of itself; then the pieces of its
+        loads.
     owner: (P,) number that the obstacle was added with; `MACHINE` for pairs of the machine with itself.
-    clearance: (P,) distance to be kept, with what the machine's tracking error can take [m]; of a load that is not
-        carried now so little that the pair never counts.
-    full_clearance: (P,) the same, of a load as if it were carried [m].
-    load: (P,) number of the load that the pair is of, `NO_LOAD` of the machine's own.
+    clearance: (P,) distance to be kept, including the machine's tracking error [m]; for a load that is not carried
+        now it is so small that the pair never counts.
+    full_clearance: (P,) the same, but with every load as if it were carried [m].
+    load: (P,) number of the load that the pair belongs to, `NO_LOAD` for the machine's own pairs.
     piece, other_piece: (P,) rows of `own_pieces`: the one that comes near, and, for a pair of the
-        machine with itself, the one that must not be touched; -1 else.
-    classes: (P,) row of `travel` that holds for the pair.
+        machine with itself, the one that must not be touched, otherwise -1.
+    classes: (P,) row of `travel` that applies to the pair.
     velocity: (P, 3) of the obstacle [m/s], world.
     drift: (P,) rate at which the obstacle's own motion moves its plane along the normal [m/s].
     planes: (P, 4) minus the normal, and how far along the normal a link without radius may come, in the
         frame of the other body: the product with a corner and a 1 is the gap between them [m].
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
     furthest: (n,) the largest of `travel` for each joint.
-    turning: (n,) 1 for hinges, 0 for slides.
+    turning: (n,) 1 for revolute joints, 0 for prismatic ones.
     clusters: the links' pairs with obstacles of thousands of cells; `counting_clusters` without those of loads that
-        are not carried now, and `places` where their boxes were found.
+        are not carried now, and `places` for where their boxes were found.
     measured: how many distances were measured so far.
     """
 
@@ -152,11 +152,11 @@ class Separation:
     # --- what there is ---------------------------------------------------------------
 
     def add(self, number: int, obstacle: Obstacle) -> Indices:
-        """Take an obstacle in under a number, and return the indices of its pairs. They have no plane yet."""
+        """Add an obstacle under a number, and return the indices of its pairs. They have no plane yet."""
         return self.add_all({number: obstacle})
 
     def add_all(self, obstacles: Mapping[int, Obstacle]) -> Indices:
-        """The same of several obstacles by their numbers at once: the work does not grow with their square."""
+        """Add several obstacles by their numbers at once: the work does not grow with the square of their count."""
         owner, clearance, piece, velocity = [self.owner], [self.full_clearance], [self.piece], [self.velocity]
         first, faces = len(self), list(self._faces)
         for number, obstacle in obstacles.items():
@@ -190,7 +190,7 @@ class Separation:
         return np.arange(first, first + added, dtype=np.intp)
 
     def remove(self, number: int) -> Flags:
-        """Forget an obstacle by its number, and return which pairs are left, (P,)."""
+        """Remove an obstacle by its number, and return which pairs are left, (P,)."""
         kept = self.owner != number
         for name in (
             "owner", "full_clearance", "load", "classes", "piece", "other_piece", "planes", "velocity", "drift",
@@ -205,19 +205,19 @@ class Separation:
         return np.asarray(kept)
 
     def carry(self, load: int) -> None:
-        """Let the pairs of the load of this number count, and those of no other; `NO_LOAD` for none."""
+        """Let the pairs of the load with this number count, and those of no other load; `NO_LOAD` for none."""
         self._carried = load
         self._count()
 
     def pairs_of_load(self, load: int) -> tuple[Indices, Indices]:
-        """The indices of a load's pairs, none for `NO_LOAD`: those with a plane each, and those of clusters."""
+        """The indices of a load's pairs, none for `NO_LOAD`: pairs with one plane each, and pairs of clusters."""
         if load == NO_LOAD:
             return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
         of_load, of_cluster = self.load == load, np.isin(self.owner, [one.number for one in self.clusters])
         return (of_load & ~of_cluster).nonzero()[0], (of_load & of_cluster).nonzero()[0]
 
     def _count(self) -> None:
-        """Which pairs count."""
+        """Update which pairs count."""
         counts = (self.load == NO_LOAD) | (self.load == self._carried)
         self.clearance = np.where(counts, self.full_clearance, _NOT_COUNTING)
         self.counting_clusters = [
@@ -231,9 +231,9 @@ class Separation:
         return rows_on(self.robot, self._laden, self._own, links)
 
     def place_at(self, number: int, shift: Vector) -> None:
-        """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are.
+        """Place an obstacle for coal at `shift` (3,) from where it was built [m]; planes stay where they are.
 
-        The array is kept and not copied: a measurement uses what it holds then.
+        The array is kept and not copied: a measurement uses its content at that time.
         """
         for stand in self._stands_of[number]:
             stand.shift = shift
@@ -241,7 +241,7 @@ class Separation:
 
     def _add_cluster(self, number: int, obstacle: Obstacle, cluster: Cluster, links: Sequence[int]) -> None:
         speed = float(np.linalg.norm(obstacle.velocity))
-        cluster.prepare_boxes(self._ball)  # which takes longer than a step may
+        cluster.prepare_boxes(self._ball)  # this takes longer than a step may
         for link in links:
             own = self.own_pieces[link].piece
             classes = int(self._class_of_piece[link])
@@ -253,15 +253,15 @@ class Separation:
         self, one: ClusterPairs, at: Placements, sample: int,
         *, reach: float, exact: float, slack: float, is_new: bool,
     ) -> Vector | None:  # fmt: skip
-        """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
+        """Find again the boxes that represent a cluster around a link; return the distance of each of its pairs [m].
 
-        None where there are none, as before: all that is known of its pairs stays true.
+        None if there are no boxes now and before: all that is known about its pairs remains true.
 
         Parameters
         ----------
         reach: distance within which its cells count [m].
         exact: distance up to which boxes are to be as exact as cells [m].
-        is_new: whether nothing is known of it from the step before.
+        is_new: whether nothing is known about it from the step before.
         slack: see `ClusterPairs.find`.
         """
         shift = self._shifts[one.number]
@@ -276,12 +276,12 @@ class Separation:
     def search_boxes(
         self, one: ClusterPairs, at: Placements, sample: int, *, reach: float, exact: float, slack: float
     ) -> BoxSearch | None:
-        """Begin to find the same boxes bit by bit; None where they have to be found at once."""
+        """Begin to find these boxes bit by bit; None if they have to be found at once."""
         pose = at.T[sample, self._joint_of[one.piece]]
         return one.search(pose, self._shifts[one.number], reach, exact=exact, slack=slack)
 
     def put_boxes(self, one: ClusterPairs, parts: Sequence[Part]) -> Vector:
-        """Let these boxes stand for a cluster around a link; the distance from each of its pairs as they say [m]."""
+        """Let these boxes represent a cluster around a link; return the distance of each of its pairs by them [m]."""
         shift = self._shifts[one.number]
         one.boxes = len(parts)
         one.witnesses = np.empty((len(one.pairs), 6))
@@ -295,7 +295,7 @@ class Separation:
         return distance
 
     def _put_bodies(self, one: ClusterPairs, bodies: Sequence[Stand | None]) -> None:
-        """Let these stand for the first pairs of a link, and nothing for the others."""
+        """Let these bodies belong to the first pairs of a link, and none to its other pairs."""
         stands = self._stands_of[one.number]
         for pair, body in zip_longest(one.pairs.tolist(), bodies):
             if (before := self._body[pair]) is not None:
@@ -307,18 +307,18 @@ class Separation:
 
     @property
     def of_boxes(self) -> tuple[Array, ...]:
-        """What is known of all pairs and changes with the boxes that are found."""
+        """The data of all pairs that change with the boxes that are found."""
         return self.planes, self.drift, self._points, self._faces
 
     def keep_boxes(self, one: ClusterPairs, known: Sequence[Array]) -> KeptBoxes:
-        """The boxes of a link, to be put back; `known` are arrays of all pairs that change with them."""
+        """Store the boxes of a link for `put_back`; `known` are arrays of all pairs that change with them."""
         pairs = one.pairs
         return KeptBoxes(
             one.fields, [self._body[pair] for pair in pairs.tolist()], [each.take(pairs, axis=0) for each in known]
         )
 
     def put_back(self, one: ClusterPairs, kept: KeptBoxes, known: Sequence[Array]) -> None:
-        """Let the boxes of a link be those that were kept."""
+        """Restore the boxes of a link that were kept."""
         vars(one).update(kept.fields)
         for each, values in zip(known, kept.known, strict=True):
             each[one.pairs] = values
@@ -343,7 +343,7 @@ class Separation:
         T, stand, shift = at.T[sample], self._body[pair], _NO_SHIFT
         if second >= 0:
             corners, fat = self._corners4[second], float(self._fat[second])
-        elif stand is None:  # of a cluster, and stands for nothing
+        elif stand is None:  # a pair of a cluster without a box
             return Measured(FAR, np.zeros(3), FAR, np.zeros(3))
         else:
             corners, fat, shift = stand.piece.hull, stand.piece.radius, stand.shift
@@ -354,7 +354,7 @@ class Separation:
     def _measure_by_coal(
         self, piece: int, T_own: Matrix, second: int, stand: Stand | None, T_other: Matrix
     ) -> Measured:
-        """The same of a piece on a body at T_own, and the piece `second` of a body at T_other, or what stands there."""
+        """Measure a piece of a body at T_own against the piece `second` of a body at T_other, or against `stand`."""
         shape, own = self._own_shapes[piece]
         here = T_own.dot(own)
         if stand is None:
@@ -379,10 +379,11 @@ class Separation:
         return distance
 
     def is_exact(self, pair: int, at: Placements, sample: int, distance: float, tolerance: float) -> bool:
-        """Whether a lower bound of a pair's `distance` is less than the true one by no more than a tolerance [m].
+        """Whether a lower bound of a pair's `distance` is below the true one by no more than a tolerance [m].
 
-        By the points between which it was renewed last: the true distance is not more than theirs, and not more than
-        that of the link's point from a box or a half-space. False where these say less, and where the obstacle moves.
+        This follows from the points of its last measurement: the true distance is at most that between these points,
+        and at most that of the link's point from a box or a half-space. False if these do not prove it, or if the
+        obstacle moves.
         """
         stand = self._body[pair]
         apart = known_apart(
@@ -394,7 +395,7 @@ class Separation:
     def gradients(self, pairs: Indices, at: Placements, sample: int, *, keep: bool = False) -> tuple[Vector, Matrix]:
         """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad].
 
-        keep: whether the planes are kept.
+        keep: whether to keep the planes.
         """
         distance, n, x = np.zeros(len(pairs)), np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
         for row, pair in enumerate(pairs.tolist()):
@@ -407,7 +408,7 @@ class Separation:
         return distance, np.asarray((both @ at.J[sample]) * self.mask[pairs])
 
     def least_gaps(self, pairs: Indices, at: Placements, sample: int) -> Vector:
-        """(K,) lower bounds of the distances at one sample, by the planes alone [m]."""
+        """(K,) lower bounds of the distances at one sample, from the planes alone [m]."""
         return np.asarray(self.gaps(pairs, at, slice(sample, sample + 1)).least[:, 0])
 
     def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
@@ -425,9 +426,9 @@ class Separation:
 
         Parameters
         ----------
-        samples: rows of the placements, the first so many or a slice.
-        drift_time: how long the planes of what comes nearer move on, from the first sample to the last [s].
-        memory: to which they are written; new arrays where there is none.
+        samples: rows of the placements, as a slice or as a number of first rows.
+        drift_time: how long the planes of approaching obstacles move on, from the first sample to the last [s].
+        memory: to which the gaps are written; new arrays without it.
         """
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         count = len(T)
@@ -443,7 +444,7 @@ class Separation:
     def near_gaps(
         self, pairs: Indices, lower: Vector, counted: Vector, at: Placements, distance: Vector
     ) -> tuple[Gaps, Vector, Vector]:
-        """The gaps of `pairs` (K,) at the placements' row 0, and see `note_gaps`."""
+        """The gaps of `pairs` (K,) at the placements' row 0, and the results of `note_gaps`."""
         other = self.other if self.some_relative else None
         gaps, nearest, least, found, margin = near_gaps(
             pairs, lower, counted, self.planes, self.joint, other, self.piece, self._columns4, at.T[:1],
@@ -455,7 +456,7 @@ class Separation:
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float,
         *, required: Vector, tolerance: float, memory: Memory,
     ) -> tuple[Gaps, Vector, Vector, Indices]:  # fmt: skip
-        """Fill the placements with a path, and what it leaves to `pairs` (K,); see `gaps_along_path` and `least_on`."""
+        """Place the bodies along a path, and find the clearance of `pairs` (K,); see `gaps_along_path`, `least_on`."""
         parts, bend = path.parts, path.bend
         gaps = memory.gaps(len(pairs), parts + 1, self._columns4.shape[2])
         other, drift = self.other if self.some_relative else None, self.drift if drift_time > 0.0 else None
@@ -472,13 +473,13 @@ class Separation:
         """(K,) proven lower bound of the distance over the whole path, and the gaps at its samples.
 
         Between the samples a corner leaves its chord by no more than `BrakingPath.off_chord`.
-        `drift_time` [s] is how long the obstacles move on along the path; 0 where none moves.
+        `drift_time` [s] is how long the obstacles move on along the path; 0 if none moves.
         """
         gaps = self.gaps(pairs, at, path.parts + 1, drift_time=drift_time, memory=memory)
         return least_over_path(pairs, gaps.least, self.classes, path.off_chord(self.travel)), gaps
 
     def proven_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
-        """(K,) the same bound, with a closer look where it is below the clearance [m]."""
+        """(K,) the bound of `least_on`, with a closer look if it is below the clearance [m]."""
         bound, _ = self.least_on(pairs, path, at, drift_time)
         for row in (bound < self.clearance[pairs]).nonzero()[0].tolist():
             bound[row] = max(bound[row], self.closer_look(int(pairs[row]), path, at, drift_time))
@@ -487,17 +488,17 @@ class Separation:
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
         """Lower bound of one pair's distance over the path, with the best of several planes for each part [m].
 
-        With the planes of the last look, and up to `_PLANES` that are measured along the path, each where those
-        before leave the least. The plane of the tightest sample is kept.
+        It uses the planes of the last look, and up to `_PLANES` that are measured along the path, each where the
+        planes so far leave the smallest gap. The plane of the tightest sample is kept.
         """
         return self.look_closely(pair, path, at, drift_time)[0]
 
     def look_closely(
         self, pair: int, path: BrakingPath, at: Placements, drift_time: float, *, enough: float = math.inf
     ) -> tuple[float, int]:
-        """The same bound, and the sample at which all planes together leave the least.
+        """The bound of `closer_look`, and the sample at which all planes together leave the smallest gap.
 
-        enough: the bound with which no more planes are measured [m].
+        enough: the bound above which no more planes are measured [m].
         """
         joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
         stand = self._body[pair]
@@ -512,7 +513,7 @@ class Separation:
         gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
         least, measured = -FAR, np.zeros(count, dtype=bool)
         for number in range(min(_PLANES, count) + 1):
-            # a part is clear if any one plane clears both its ends
+            # a part is clear if a single plane clears both its ends
             parts = np.minimum(gaps[:-1], gaps[1:]).max(axis=1, initial=-FAR)
             least = max(least, float(parts.min()) - off - drift)
             if least >= enough or number == min(_PLANES, count):
@@ -537,7 +538,7 @@ class Separation:
         return least, tight
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
-        """The same bound with the plane `n` (3,) through `point` (3,) at the path's start, moving with the link."""
+        """The same bound, with the plane of normal `n` (3,) through `point` (3,) at the start, moving with the link."""
         stand = self._body[pair]
         if stand is None or stand.corners is None:
             return -FAR
@@ -550,7 +551,7 @@ class Separation:
         base = np.einsum("si,si->s", normals, at.t[:count, joint])
         gaps = normals @ corners.T - base[:, None]
         gaps -= start + stand.piece.radius
-        # as seen from the link the corners turn the other way round, and further out
+        # in the link's frame the corners turn in the opposite sense, and further out
         size = np.abs(path.delta)
         far = float(np.sqrt(((corners - point) ** 2).sum(axis=1).max())) + float(size @ self.travel[self.classes[pair]])
         mask = np.abs(self.mask[pair])
@@ -562,22 +563,22 @@ class Separation:
     # --- rows ------------------------------------------------------------------------
 
     def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
-        """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
+        """(R, n) how fast the gaps of these `corners` fall with the joints [m/rad]."""
         other, points = self.other if self.some_relative else None, self._corners4[self.piece[pairs], corners]
         return plane_rows(pairs, samples, points, self.planes, self.joint, other, self.mask, at.T, at.J)
 
     def of_rows(
         self, at: Placements
     ) -> tuple[Matrix, Indices, Indices | None, Indices, Array, Matrix, Array, Array, Vector]:
-        """What `rows_of_path` has to know of all pairs, and of where the bodies are."""
+        """The arguments of `rows_of_path` that describe all pairs and the placements of the bodies."""
         other = self.other if self.some_relative else None
         return self.planes, self.joint, other, self.piece, self._corners4, self.mask, at.T, at.J, self.drift
 
     def nearest_rows(self, pairs: Indices, gaps: Gaps, at: Placements) -> Matrix:
         """(K, n) how fast the distance rises at the first sample, at the nearest point of each pair [m/rad].
 
-        The point is blended from the corners by their `gaps` there: corners that are almost as near have
-        a part in it, so that it does not jump from edge to edge where a flat end passes a wall.
+        The point is blended from the corners by their `gaps` there: corners that are almost as near
+        contribute to it, so that it does not jump from edge to edge when a flat end passes a wall.
         """
         other = self.other if self.some_relative else None
         return nearest_rows(
@@ -586,14 +587,14 @@ class Separation:
         )  # fmt: skip
 
     def world_normal(self, pair: int, at: Placements) -> Vector:
-        """(3,) the normal of a pair's plane at the first sample, in the world."""
+        """(3,) the normal of a pair's plane at the first sample, world."""
         other = self.other[pair]
         normal: Vector = -self.planes[pair, :3]
         return at.R[0, other].dot(normal) if other else normal
 
 
 def _no_planes(count: int) -> Matrix:
-    """(count, 4) planes of which nothing is known: the bound -FAR says nothing."""
+    """(count, 4) unknown planes, with the bound -FAR, which is no information."""
     planes = np.zeros((count, 4))
     planes[:, 3] = -FAR
     return planes

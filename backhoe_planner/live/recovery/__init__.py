@@ -1,1 +1,1 @@
-"""The way out where the machine is closer to something than allowed."""
+"""The way out if the machine is closer to something than allowed."""

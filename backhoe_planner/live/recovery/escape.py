@@ -1,27 +1,27 @@
-"""The search for a way out of a posture q that is closer to something than allowed.
+"""The search for a route out of a posture q that is closer to something than allowed.
 
-Two kinds of way are searched.
+Two kinds of route are searched.
 
-A *falling* way is a chain of postures along which the deepest violation of every obstacle
-falls from each to the next. Such chains are found by descents towards random postures: of
+A *falling* route is a chain of postures along which the deepest violation of every obstacle
+falls from each to the next. Such chains are found by descents towards random postures: among
 the steps that make every obstacle's deepest violation fall, the one nearest to the wished
-direction is taken. The first descent wishes for nothing; it is the one that the servo
+direction is taken. The first descent has no wished direction; it is the one that the servo
 makes by itself.
 
-A way *below* is a chain of straight lines to a clear posture, along which no obstacle's
+A route *below* is a chain of straight lines to a clear posture, along which no obstacle's
 deepest violation exceeds what it was where the machine began. Along it
 
-    W(q) = length of the way from q to its end
+    W(q) = length of the route from q to its end
 
-falls, so the machine cannot get stuck. In between a violation may grow back, up to what it
-was. The way is a straight line to one of many clear postures, or else is found by two trees
-that grow towards each other (RRT-Connect, Kuffner and LaValle 2000).
+falls, so the machine cannot get stuck. In between a violation may grow again, up to what it
+was. The route is a straight line to one of many clear postures; otherwise it is found by two
+trees that grow towards each other (RRT-Connect, Kuffner and LaValle 2000).
 
-Both only steer the servo, which measures every step anew.
+Both only guide the servo, which measures every step itself.
 
-The search is a generator: between two yields it looks at one posture, or at `_AT_ONCE` of
-its pairs where many are close, so that it can be spread over the servo's steps. It looks at
-no more than `MOST_LOOKS` postures, and keeps no more than that.
+The search is a generator: between two yields it examines one posture, or `_AT_ONCE` of its
+pairs if many are close, so that it can be spread over the servo's steps. It examines no more
+than `MOST_LOOKS` postures, and stores no more than that.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from backhoe_planner.machine import JointLimits, Robot
 
 # The counts are chosen: they bound the work of a search.
 _DESCENTS, _DESCENT_LOOKS = 40, 120  # descents, and the postures of one
-_GOALS, _CLEAR_GOALS = 300, 40  # postures that are tried as ends of a way, and the most that are kept
-_TREE_LOOKS, _LINE_LOOKS = 4000, 4000  # postures, of the trees, and of the straight lines
-_PAIRS_PER_LOOK = 2000  # whose bounds take as long as one measurement, some 20 us
+_GOALS, _CLEAR_GOALS = 300, 40  # postures that are tried as ends of a route, and the most that are kept
+_TREE_LOOKS, _LINE_LOOKS = 4000, 4000  # postures of the trees, and of the straight lines
+_PAIRS_PER_LOOK = 2000  # the bounds of so many pairs take as long as one measurement, some 20 us
 _AT_ONCE = 8  # pairs of one posture that are measured between two yields
 _BRANCHES = 3  # branches that a tree grows at once
 _NEAR_BY = 0.5  # rad or m: chosen, spread of the ends near q
-_TRUST = 0.03  # rad or m: longest step of a descent; chosen, so that gradients hold about so far
+_TRUST = 0.03  # rad or m: trust region, the longest step of a descent; chosen, gradients are valid about so far
 _SHORTEST = 1e-4  # rad or m: chosen, a shorter step of a descent leads nowhere
 _RESOLUTION = 0.02  # rad or m between two looks along a line; chosen, the servo measures its steps anew
 _EXTEND = 10.0 * _RESOLUTION  # rad or m: length of a branch
-_BEYOND = 0.003  # m beyond its clearance at which a way ends; chosen, just more than the servo's `BUFFER`
-_SLIGHT = 1e-3  # m that a joint's way back may be too deep: chosen, the servo's own rows make room for it
+_BEYOND = 0.003  # m beyond every clearance where a route ends; chosen, just more than the servo's `BUFFER`
+_SLIGHT = 1e-3  # m that a joint's return may be too deep: chosen, the servo's own rows make room for it
 _NEAR = 0.1  # m beyond its clearance within which a descent measures a pair; chosen, a few steps
 _FALLS = 1e-7  # m by which V falls at a step of a descent, and below which V counts as unchanged: rounding
-_HOLDS = 0.5  # part of its room by which a pair may deepen in a step of a descent; chosen
+_HOLDS = 0.5  # part of its room by which a pair may get deeper in a step of a descent; chosen
 MOST_LOOKS = (
     (_DESCENTS + 1) * _DESCENT_LOOKS
     + _GOALS
@@ -69,12 +69,12 @@ RouteSearch = Generator[None, None, "EscapeRoute | None"]
 
 @dataclass(frozen=True)
 class EscapeRoute:
-    """A way out.
+    """A route out.
 
     Attributes
     ----------
     nodes: (N, n) postures, with straight lines between them [rad or m].
-    falling: whether it is a falling way; else it is one below.
+    falling: whether it is a falling route; otherwise it is one below.
     """
 
     nodes: Matrix
@@ -87,18 +87,18 @@ class EscapeSearch:
     Parameters
     ----------
     robot, limits: the machine, and its limits in this site.
-    separation: the pairs. It is only read, and must not change while the search goes on.
-    q: (n,) where the machine stands [rad or m].
-    watched: indices of the pairs that stand still.
+    separation: the pairs. It is only read, and must not change during the search.
+    q: (n,) configuration of the machine [rad or m].
+    watched: indices of the pairs whose obstacles stand still.
     inside: those of them that are violated.
-    ceiling: (P,) how deep every pair of `separation` may be on a way below [m].
+    ceiling: (P,) how deep every pair of `separation` may be on a route below [m].
     rng: draws the random postures.
-    known: (P,) lower bounds of all distances at q [m], so that what is far is not looked at again.
+    known: (P,) lower bounds of all distances at q [m], so that far pairs are not examined again.
 
     Attributes
     ----------
-    looked: how many postures and pairs were looked at until now; a posture counts once more for every
-        `_PAIRS_PER_LOOK` pairs whose bounds it takes.
+    looked: how many postures and pairs were examined so far; a posture counts once more for every
+        `_PAIRS_PER_LOOK` pairs whose bounds it needs.
     """
 
     def __init__(
@@ -125,21 +125,21 @@ class EscapeSearch:
         self._ceiling = np.where(self._inside, ceiling[watched], 0.0) + _FALLS
         self._travel = separation.travel[separation.classes[watched]]
         self._lower, self._upper = limits.lower, limits.upper
-        # random postures lie between these; a half turn either way for joints without limits
+        # random postures are between these; a half turn either way for joints without limits
         self._from = np.where(np.isfinite(limits.lower), limits.lower, q - np.pi)
         self._to = np.where(np.isfinite(limits.upper), limits.upper, q + np.pi)
         count = len(watched)
-        # distances that were measured, or bounds of them, each at a posture
+        # measured distances or bounds of them, each at a posture
         self._distance = np.full(count, -np.inf) if known is None else known[watched]
         self._seen_at = np.tile(q, (count, 1))
 
     def descent(self, q: Vector) -> RouteSearch:
-        """The falling way on which the violations fall fastest from q (n,), or None where that leads nowhere."""
+        """The falling route on which the violations fall fastest from q (n,), or None if it does not lead out."""
         nodes = yield from self._descend(q, None, 1.0)
         return None if nodes is None else EscapeRoute(np.array(nodes), True)
 
     def falling(self, q: Vector) -> RouteSearch:
-        """A falling way from q (n,), or None."""
+        """A falling route from q (n,), or None."""
         for number in range(_DESCENTS):
             aim = self._rng.uniform(self._from, self._to)
             nodes = yield from self._descend(q, aim, _PARTS[number % len(_PARTS)])
@@ -148,7 +148,7 @@ class EscapeSearch:
         return None
 
     def below(self, q: Vector) -> RouteSearch:
-        """A way below from q (n,), or None."""
+        """A route below from q (n,), or None."""
         goals = yield from self._clear_postures(q)
         if not goals:
             return None
@@ -166,7 +166,7 @@ class EscapeSearch:
         return EscapeRoute(np.array(nodes), False)
 
     def returns(self, q: Vector) -> Generator[None, None, bool]:
-        """Whether the joints can come straight back within their limits from q (n,), where nothing is violated."""
+        """Whether the joints can return straight to within their limits from q (n,), where nothing is violated."""
         return (yield from self._line_is_allowed(q, np.clip(q, self._lower, self._upper), _SLIGHT))
 
     # --- one posture -------------------------------------------------------------------
@@ -176,8 +176,8 @@ class EscapeSearch:
 
         Returns
         -------
-        (K,) depths [m]; indices (M,) of the pairs that were measured; (M, n) how these deepen with
-        the joints [m/rad].
+        (K,) depths [m]; indices (M,) of the pairs that were measured; (M, n) how their depths grow
+        with the joints [m/rad].
         """
         least = self._distance - (self._travel * np.abs(q - self._seen_at)).sum(axis=1)
         close = (least < self._clearance + max(margin, _BEYOND)).nonzero()[0]
@@ -199,12 +199,12 @@ class EscapeSearch:
         self._distance[close], self._seen_at[close] = distance, q
         return self._clearance - least, close, falls
 
-    # --- a falling way -----------------------------------------------------------------
+    # --- a falling route ---------------------------------------------------------------
 
     def _descend(self, q: Vector, aim: Vector | None, part: float) -> Generator[None, None, list[Vector] | None]:
-        """The postures of a descent from q (n,) towards `aim` (n,), or None where it does not lead out.
+        """The postures of a descent from q (n,) towards `aim` (n,), or None if it does not lead out.
 
-        `part` is by how much V is to fall per length of a step [m/rad].
+        `part` is the wished fall of V per length of a step [m/rad].
         """
         nodes, trust = [q], _TRUST
         depth, close, falls = yield from self._depth(q, _NEAR)
@@ -224,7 +224,7 @@ class EscapeSearch:
             found = way_back(
                 rows, _HOLDS * (deepest[own] - depth[own]),
                 target=wish,
-                # beyond a limit a joint may come back, not go further out
+                # a joint beyond a limit may come back, but not go further out
                 low=np.minimum(np.maximum(-trust, self._lower - q), 0.0),
                 high=np.maximum(np.minimum(trust, self._upper - q), 0.0),
                 fastest=part * trust,
@@ -248,10 +248,10 @@ class EscapeSearch:
                     return None
         return None
 
-    # --- a way below -------------------------------------------------------------------
+    # --- a route below -----------------------------------------------------------------
 
     def _clear_postures(self, q: Vector) -> Generator[None, None, list[Vector]]:
-        """Clear postures, the nearest to q (n,) first: some near by, others with only a few joints moved."""
+        """Clear postures, the nearest to q (n,) first: some are nearby, others have only a few joints moved."""
         rng, found = self._rng, []
         within = np.clip(q, self._lower, self._upper)
         for number in range(_GOALS):
@@ -270,7 +270,7 @@ class EscapeSearch:
         return sorted(found, key=lambda goal: float(np.abs(goal - q).max()))
 
     def _line_is_allowed(self, start: Vector, end: Vector, most: Vector | float) -> Generator[None, None, bool]:
-        """Whether no pair is deeper than `most` (K,) [m] at any look along a straight line."""
+        """Whether no pair is deeper than `most` (K,) [m] at any examined posture along a straight line."""
         count = _looks(start, end)
         for part in range(1, count + 1):
             depth, _, _ = yield from self._depth(start + (part / count) * (end - start))
@@ -280,7 +280,7 @@ class EscapeSearch:
         return True
 
     def _connect(self, q: Vector, goals: list[Vector]) -> Generator[None, None, list[Vector] | None]:
-        """A way from q (n,) to one of the goals (n,) by two trees, or None."""
+        """A route from q (n,) to one of the goals (n,) by two trees, or None."""
         trees = [_Tree([q]), _Tree(goals)]
         looks = 0
         while looks < _TREE_LOOKS:
@@ -301,7 +301,7 @@ class EscapeSearch:
         return None
 
     def _grow(self, tree: _Tree, aim: Vector) -> Generator[None, None, tuple[int | None, int]]:
-        """Grow a tree towards a posture (n,): the node that came nearest, or None, and the looks that it took."""
+        """Grow a tree towards a posture (n,); return the node that came nearest, or None, and the looks needed."""
         nearest = tree.nearest(aim)
         start = tree.nodes[nearest]
         length = float(np.abs(aim - start).max())
@@ -323,7 +323,7 @@ class EscapeSearch:
         return reached, looks
 
     def _shorter(self, nodes: list[Vector]) -> Generator[None, None, list[Vector]]:
-        """The same way without the nodes that straight lines can skip."""
+        """The same route without the nodes that straight lines can skip."""
         kept, here, looks = [nodes[0]], 0, 0
         while here < len(nodes) - 1:
             after = here + 1
@@ -340,12 +340,12 @@ class EscapeSearch:
 
 
 def _looks(start: Vector, end: Vector) -> int:
-    """How many looks a line from `start` to `end` (n,) takes."""
+    """How many looks a line from `start` to `end` (n,) needs."""
     return max(int(np.ceil(float(np.abs(end - start).max()) / _RESOLUTION)), 1)
 
 
 class _Tree:
-    """Postures, each with the one it was reached from."""
+    """Postures, each with the one that it was reached from."""
 
     def __init__(self, roots: list[Vector]) -> None:
         self.nodes = list(roots)
@@ -360,7 +360,7 @@ class _Tree:
         return len(self.nodes) - 1
 
     def back_from(self, number: int) -> list[Vector]:
-        """From a node to its root."""
+        """The postures from a node to its root."""
         way = []
         while number >= 0:
             way.append(self.nodes[number])

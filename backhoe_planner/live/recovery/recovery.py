@@ -1,38 +1,39 @@
-"""The way out where the machine is closer to something than allowed.
+"""The way out if the machine is closer to something than allowed.
 
-Of every obstacle (and of the machine with itself) the deepest violation
+For every obstacle (and for the machine with itself) the deepest violation
 
     V = max over its violated pairs of (clearance - distance)
 
 falls at every step: it is measured at the end of the step and along the braking path that
-follows. `violation_descent` says which velocity makes it fall fastest. The fastest descent
-can lead into a local minimum, where no joint rate makes V smaller. So as soon as the
-machine is inside something, a way out is searched, spread over the steps (`escape`):
+follows. `violation_descent` finds the velocity that makes it fall fastest. The fastest descent
+can lead into a local minimum, where no joint rate makes V smaller. So as soon as the machine
+is inside something, a route out is searched, spread over the steps (`escape`):
 
-1. the chain of postures down which the fastest descent leads, if it leads out;
+1. the chain of postures along which the fastest descent leads, if it leads out;
 2. another chain of postures along which V falls;
-3. a way *below*, that is nowhere deeper than where the machine began.
+3. a route *below*, along which no violation is deeper than where the machine began.
 
-The servo takes the direction of 1 and 2, and V falls at every step. Only on 3 may V come
-back up to what it was at the beginning, and no further. There
+On routes 1 and 2 the servo only takes their direction, and V falls at every step. Only on a
+route 3 may V rise again to what it was at the beginning, and no further. There
 
-    W = sum over the way of r_j |dq_j|
+    W = sum over the route of r_j |dq_j|
 
 falls at every step. It is an upper bound of how far any point of the machine still has to
-move until it is clear, and so of V. Where all three fail, and fail again some seconds later,
-the machine stays, and V does not grow: either nothing within its limits is clear, or every
-way there is deeper than the start.
+move until it is clear, and so of V. If all three fail, and fail again some seconds later, the
+machine stays, and V does not grow: either nothing within its limits is clear, or every route
+there is deeper than the start.
 
-Until the first descent is known to lead out or not, V falls as fast as it can. While 2 and
-3 are searched, it falls as slowly as can be measured, so that the way still begins where
+Until it is known whether the first descent leads out, V falls as fast as it can. While 2 and
+3 are searched, it falls as slowly as can be measured, so that the route still begins where
 the machine is. A joint beyond its limit also comes back at every step, however slowly, and
-at its full rate once nothing is violated. Where obstacles then keep it from coming back, a
-way 3 is searched for it as well. Where they would do so at the end of a way 1 or 2, a way 3
+at its full rate once nothing is violated. If obstacles then keep it from coming back, a
+route 3 is searched for it as well. If they would do so at the end of a route 1 or 2, a route 3
 is preferred.
 
-When the surroundings change, all that is dropped and begins anew. Per step the search looks
-at `_LOOKS_PER_STEP` postures and pairs, and the way on at no more pairs than the step may
-measure (`step_work`). Where that does not suffice to prove a way on, the machine brakes.
+When the surroundings change, all this is dropped and begins again. Per step the search
+examines `_LOOKS_PER_STEP` postures and pairs, and the next motion is checked against no more
+pairs than the step may measure (`step_work`). If these do not suffice to prove a motion, the
+machine brakes.
 """
 
 from __future__ import annotations
@@ -56,39 +57,39 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.motion import SAMPLE_PERIOD
 
 ATTEMPTS = 3  # problems that are solved per step at most; chosen, to bound its work
-BLENDS = (0.5, 0.2)  # parts of the way from braking to the velocity that was tried last; chosen
+BLENDS = (0.5, 0.2)  # blends from braking to the velocity that was tried last; chosen
 _HOLDS = 2.0  # 1/s: k, how soon pairs that are not the deepest are bound; chosen
-_INSIDE_SPEED = 0.5  # m/s that a point may move by one joint; chosen, so that little lies between two looks
-_LEAST_RADIUS = 0.1  # m, of a joint whose points hardly travel; chosen, keeps its rate finite
-# m by which the deepest violation falls in a step of 20 ms at least, less by the square in shorter ones, as it begins
-# from rest; and in any: above the rounding of a distance
+_INSIDE_SPEED = 0.5  # m/s of a point by one joint at most; chosen, so that it moves little between two looks
+_LEAST_RADIUS = 0.1  # m, for a joint whose points hardly travel; chosen, keeps its rate finite
+# m by which the deepest violation falls at least in a step of 20 ms, scaled by the square in shorter ones, as it starts
+# from rest; and m by which it falls in any step: above the rounding of a distance
 _FALLS, _LEAST_FALL = 1e-8, 1e-12
 _LEVEL = 1e-9  # m: a violation that is deeper by less counts as no deeper; rounding
-_FOLLOWED_FALL = 1e-3  # m/s at which V must fall on a falling way; chosen, so that the way decides the direction
-_WAITING_FALL = 1e-4  # m/s while the search is on: about a tenth of that
-_FEW = 3  # violated pairs that are all measured; chosen, to find out which need not be costs as much
-_LOOKS_PER_STEP = 12  # postures and pairs that the search looks at; chosen, each costs some 20 us
-_PROGRESS = 1e-3  # m by which what is left must fall to count as progress; chosen
+_FOLLOWED_FALL = 1e-3  # m/s at which V must fall on a falling route; chosen, so that the route decides the direction
+_WAITING_FALL = 1e-4  # m/s while the search is running: a tenth of `_FOLLOWED_FALL`
+_FEW = 3  # so few violated pairs are all measured; chosen, finding out which need not be costs as much
+_LOOKS_PER_STEP = 12  # postures and pairs that the search examines; chosen, each costs some 20 us
+_PROGRESS = 1e-3  # m by which the remaining violation or route must fall to count as progress; chosen
 _RETURN_PROGRESS = 3e-3  # rad or m by which a joint beyond its limit must come back to count as progress; chosen
 _PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search, and after one that found nothing; chosen
-_AT_NODE = 0.01  # rad or m within which a node of a way counts as reached; chosen, half of `escape`'s resolution
-_AHEAD = 0.06  # rad or m: how far ahead a falling way is aimed at; chosen, twice the longest step of a descent
-_BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks at a braking path, and how many at most; chosen
+_AT_NODE = 0.01  # rad or m within which a node of a route counts as reached; chosen, half of `escape`'s resolution
+_AHEAD = 0.06  # rad or m: look-ahead on a falling route; chosen, twice the longest step of a descent
+_BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks along a braking path, and the most looks; chosen
 _SLOWEST_RETURN = 1e-5  # rad/s or m/s of a joint beyond its limit; chosen, so that it never stands still
-_STEP_END = FINEST_PARTS + 1  # row of the placements, behind those of a braking path
+_STEP_END = FINEST_PARTS + 1  # row of the placements, after those of a braking path
 
 
 @dataclass(frozen=True)
 class RecoveryStep:
-    """What is known of the step that is to be taken.
+    """The input for the step that is about to be taken.
 
     Attributes
     ----------
-    state: where the joints are.
+    state: of the joints.
     low, high: (n,) bounds of the velocity, see `Recovery.slow_bounds` [rad/s or m/s].
-    target, brake: (n,) the velocity that is wished, and the one that brakes [rad/s or m/s].
+    target, brake: (n,) the wished velocity, and the one that brakes [rad/s or m/s].
     awake: pairs that are not violated and could come too close.
-    evasion: rows of obstacles that come nearer.
+    evasion: rows of approaching obstacles.
     """
 
     state: JointState
@@ -102,13 +103,13 @@ class RecoveryStep:
 
 @dataclass(frozen=True)
 class RecoveryPath:
-    """The braking path of a velocity that leads out, with what was measured and proven of it.
+    """The braking path of a velocity that leads out, with its measured and proven distances.
 
     Attributes
     ----------
     path: with the velocity.
-    clearance: what was proven for the pairs that are not violated.
-    level: (K,) for every violated pair, how deep the deepest of its obstacle will be [m].
+    clearance: proven for the pairs that are not violated.
+    level: (K,) for every violated pair, how deep the deepest pair of its obstacle will be [m].
     """
 
     path: BrakingPath
@@ -122,8 +123,8 @@ class _Depths(NamedTuple):
     Attributes
     ----------
     level, most: (K,) at the end of the step, and the greatest anywhere [m].
-    worse: (K,) which pairs come too deep, their distances [m] and gradients there, and when [s]; None
-        where none does.
+    worse: (K,) which pairs get too deep, their distances [m] and gradients there, and when [s]; None
+        if none does.
     """
 
     level: Vector
@@ -132,16 +133,16 @@ class _Depths(NamedTuple):
 
 
 class Recovery:
-    """The way out of one machine.
+    """Leads one machine out of violations.
 
     Parameters
     ----------
     robot: the machine.
-    check: of its braking paths.
+    check: the check of its braking paths.
 
     Attributes
     ----------
-    to_go: W [m] while the machine is on a way 3, None otherwise.
+    to_go: W [m] while the machine is on a route 3, None otherwise.
     """
 
     def __init__(self, robot: Robot, check: PathCheck) -> None:
@@ -152,27 +153,27 @@ class Recovery:
         self._slow = np.array([_INSIDE_SPEED / max(radius, _LEAST_RADIUS) for radius in separation.furthest])
         self._radius = np.maximum(separation.furthest, _LEAST_RADIUS)
         self._rng = np.random.default_rng(0)
-        self._outside = True  # perhaps: not known yet. Once within the limits, no step leads out of them
+        self._outside = True  # possibly: not known yet. Once within the limits, no step leads out of them
         self._least_outside, self._held_for = math.inf, 0
         self.to_go: float | None = None
         self.changed()
 
     def changed(self) -> None:
-        """The surroundings have changed: drop every search and way."""
+        """Drop every search and route, because the surroundings have changed."""
         self._begun = self._rests = False
         self._running: RouteSearch | None = None
         self._escape: EscapeSearch | None = None
         self._leave()
 
     def _leave(self) -> None:
-        """Leave the way that was found."""
+        """Drop the route that was found."""
         self._route: EscapeRoute | None = None
         self._node = 1
         self._left: Vector = np.zeros(0)  # (N,) W at the nodes
         self.to_go = None
 
     def held_outside(self, q: Vector) -> bool:
-        """Whether something keeps the joints at q (n,) from coming back within their limits: a way is needed."""
+        """Whether something keeps the joints at q (n,) from coming back within their limits: a route is needed."""
         if not self._outside:
             return False
         limits = self._limits
@@ -190,11 +191,11 @@ class Recovery:
         return False
 
     def slow_bounds(self, q: Vector, v: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
-        """(n,), (n,) bounds of the velocity, so slow that little lies between two looks at a braking path.
+        """(n,), (n,) bounds of the velocity, so slow that points move little between two looks along a braking path.
 
-        They lie within `low` and `high` (n,), as far as the accelerations from v (n,) allow. A joint
-        beyond a limit may come back slowly, but not stand still: at full rate it could drive something
-        deeper.
+        They are within `low` and `high` (n,), as far as the accelerations from v (n,) allow. A joint
+        beyond a limit may come back slowly, because at full rate it could drive something deeper, but
+        it may not stand still.
         """
         up, down = v + self._change, v - self._change
         if not self._rests:
@@ -206,11 +207,11 @@ class Recovery:
         return low, high
 
     def choose(self, pairs: Indices, stands: Flags, step: RecoveryStep) -> tuple[Vector, RecoveryPath | None]:
-        """How deep the violated pairs are (K,) [m], and the step on the way out; None where the machine must brake.
+        """How deep the violated pairs are (K,) [m], and the step on the way out; None if the machine must brake.
 
-        The violated pairs are measured where the step ends and along its braking path. Where
-        they are deeper there than the linear rows promised, the measurement becomes one more
-        row (a cutting plane), and the problem is solved anew.
+        The violated pairs are measured where the step ends and along its braking path. If they
+        are deeper there than the linear rows promised, the measurement becomes one more row
+        (a cutting plane), and the problem is solved again.
 
         Parameters
         ----------
@@ -253,17 +254,17 @@ class Recovery:
                 cut = slack[worse] + (there - distance)[worse] / span + falls[worse] @ v
                 all_rows, all_slack = np.vstack((all_rows, falls[worse])), np.append(all_slack, cut)
             elif found.stands_clear and (found.clear or attempt == ATTEMPTS - 1):
-                # on a way 3 a pair that is out may have to go in again
+                # on a route 3 a pair that is out may have to go in again
                 level = ceiling if below and (depths.most > 0.0).any() else depths.level
                 return depth, RecoveryPath(path, found, level)
             if not found.clear:
-                # rest must keep these rows: a motion that they demand could contradict the way out
+                # standing still must satisfy these rows: a motion that they demand could contradict the way out
                 (more,) = self._check.rows(step.awake, path, found)
                 others = (*others, more._replace(h=np.maximum(more.h, 0.0)))
         return depth, None
 
     def _aim(self, step: RecoveryStep, deepest: float) -> tuple[Vector, float]:
-        """(n,) the velocity that is wished, and how fast V is to fall [m/s], where `deepest` is V [m]."""
+        """(n,) the wished velocity, and how fast V is to fall [m/s]; `deepest` is V [m]."""
         route = self._route
         if route is not None:
             return self._along(route, step), _FOLLOWED_FALL if route.falling else 0.0
@@ -274,13 +275,13 @@ class Recovery:
     def _depths_here(self, pairs: Indices) -> tuple[Vector, Matrix, Flags]:
         """Distances of the violated pairs where the machine is (K,) [m], and how fast they fall (K, n) [m/rad].
 
-        Where there are many, only those that may be deepest are measured, and what is known of the
-        others is a lower bound without a gradient; (K,) says which were measured.
+        If there are many, only those that may be deepest are measured, and the others have a lower
+        bound without a gradient; the last result (K,) says which were measured.
         """
         separation, most = self._separation, self._check.distances_left // 2
         if len(pairs) <= most:
             return *separation.gradients(pairs, self._at, 0), np.ones(len(pairs), dtype=bool)
-        # never less than what was proven when the step before was taken
+        # never less than what was proven when the previous step was taken
         distance = np.maximum(separation.least_gaps(pairs, self._at, 0), self._check.bounds.required[pairs])
         chosen = np.argpartition(distance - separation.clearance[pairs], most)[:most]
         falls, measured = np.zeros((len(pairs), self._robot.n)), np.zeros(len(pairs), dtype=bool)
@@ -291,8 +292,8 @@ class Recovery:
     def _depths_along(self, pairs: Indices, path: BrakingPath, most: Vector, *, below: bool) -> _Depths | None:
         """How deep the pairs get on a braking path, up to where one is deeper than allowed.
 
-        `most` (K,) is the depth that must not be exceeded on a way 3 (`below`), and from which it must
-        fall elsewhere [m]. None where that would take more distances than the step has left.
+        `most` (K,) is the depth that must not be exceeded on a route 3 (`below`), and from which it must
+        fall otherwise [m]. None if that would need more distances than the step has left.
         """
         separation, at, owner = self._separation, self._at, self._separation.owner[pairs]
         before = most + _LEVEL if below else most - self._falls
@@ -307,7 +308,7 @@ class Recovery:
             now = by_owner(depth, owner)
             worse = depth > np.maximum(before, 0.0)
             if not below:
-                # V must still be falling there, so that it falls all the way, also while braking
+                # V must still be falling there, so that it falls all along the path, also while braking
                 worse |= (depth > np.maximum(now - self._falls, 0.0)) & (falls @ path.v >= 0.0)
                 before = now
             if span == self._dt:
@@ -320,9 +321,9 @@ class Recovery:
     def _deepest_at(self, pairs: Indices, sample: int, allowed: Vector) -> tuple[Vector, Matrix] | None:
         """Distances of the violated pairs at one sample (K,) [m], and how fast they fall (K, n) [m/rad].
 
-        Measured are the deepest of every obstacle and what may be deeper than `allowed` (K,) [m]. Of the
-        others the planes prove that they are neither; these have their lower bound and no gradient. None
-        where more distances are needed than the step has left.
+        The deepest pairs of every obstacle are measured, and those that may be deeper than `allowed` (K,) [m].
+        The planes prove that the others are neither; these have their lower bound and no gradient. None
+        if more distances are needed than the step has left.
         """
         separation, owner = self._separation, self._separation.owner[pairs]
         clearance = separation.clearance[pairs]
@@ -348,10 +349,10 @@ class Recovery:
         parts = min(max(math.ceil(length / _BETWEEN), 1), _MOST_SPANS)
         return [self._dt, *(path.look * part / parts for part in range(1, parts + 1))]
 
-    # --- where going down leads nowhere --------------------------------------------------
+    # --- when the descent leads nowhere --------------------------------------------------
 
     def _continue_search(self, pairs: Indices, stands: Flags, q: Vector, deepest: Vector) -> None:
-        """Go on with the search for a way out, or begin one where the machine makes no progress."""
+        """Continue the search for a route out, or begin one if the machine makes no progress."""
         if not self._begun:
             self._begun = True
             self._ceiling = np.zeros(len(self._separation))
@@ -389,9 +390,9 @@ class Recovery:
         self._running = self._routes(self._escape, q)
 
     def _routes(self, escape: EscapeSearch, q: Vector) -> RouteSearch:
-        """Search the ways 1, 2 and 3 in turn; None where none is found."""
+        """Search routes 1, 2 and 3 in turn; None if none is found."""
         turn = self._tries % 3
-        if turn == 2:  # by descent alone, for a change
+        if turn == 2:  # every third time by descent alone
             return None
         if turn == 0:
             route = yield from escape.descent(q)
@@ -415,7 +416,7 @@ class Recovery:
             self._still_to_go = math.inf
 
     def _along(self, route: EscapeRoute, step: RecoveryStep) -> Vector:
-        """(n,) the velocity along a way that was found."""
+        """(n,) the velocity along the route that was found."""
         last = len(route.nodes) - 1
         ahead = _AHEAD if route.falling else _AT_NODE
         while self._node < last and np.abs(route.nodes[self._node] - step.state.q).max() < ahead:
@@ -437,14 +438,14 @@ class Recovery:
         return np.asarray(step.state.v + part * change)
 
     def _nearer(self, q: Vector, v: Vector) -> bool:
-        """Whether a step at v (n,) from q (n,) leaves less to go of a way 3."""
+        """Whether a step at v (n,) from q (n,) leaves less to go on a route 3."""
         if self._route is None or self.to_go is None:
             return False
         way = self._route.nodes[self._node] - q - v * self._dt
         return bool(np.abs(way) @ self._radius + self._left[self._node] < self.to_go)
 
     def clear_again(self, pairs: Indices, found: RecoveryPath) -> tuple[Indices, Vector]:
-        """Those of the violated pairs that are clear again along the path, and their proven distances (K,) [m]."""
+        """The violated pairs that are clear again along the path, and their proven distances (K,) [m]."""
         separation = self._separation
         pairs = pairs[found.level <= 0.0][: max(self._check.distances_left // CLOSER_LOOK, 1)]
         if len(pairs) == 0:

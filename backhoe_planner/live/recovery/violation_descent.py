@@ -1,19 +1,19 @@
 """The joint velocity by which the deepest violation falls fastest.
 
-Of every obstacle (and of the machine with itself) the deepest violation is
+For every obstacle (and for the machine with itself) the deepest violation is
 
     V = max over its violated pairs of (clearance - distance)
 
-A pair that is less deep may become deeper, but never deeper than V: several links that
-stick in one obstacle need not leave it by the same side, and if each were held to its own
+A pair that is less deep may become deeper, but never deeper than V: several links that are
+stuck in one obstacle need not leave it on the same side, and if each were held to its own
 depth, none could move.
 
     max t   s.t.   g_i v + t <= k (V - depth_i)   for every violated pair
 
-over the joint rates within reach; g_i is how fast a pair's distance falls. The term with k
-leaves pairs that are far from being the deepest free, and binds them gradually, so that no
-row enters with a jump. Of all the best velocities the one nearest to the wish is taken.
-Where no joint rate makes V smaller, t is 0.
+over the joint rates within reach; g_i is how fast a pair's distance falls with the joints. The
+term with k leaves pairs that are far from being the deepest free, and binds them gradually, so
+that no row enters with a jump. Among all the best velocities the one nearest to the wish is
+taken. If no joint rate makes V smaller, t is 0.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, BindingSolution, Kind, QuadraticProgram, Rows, solve_with_binding_rows
 
 SMALLEST = 1e-12  # below any rate or row that matters: keeps divisions finite
-_WISH = 1e-3  # weight of the wish beside the speed of the way back; chosen, so that it only breaks ties
+_WISH = 1e-3  # weight of the wish beside the speed of the fall; chosen, so that it only breaks ties
 
 
 def way_back(
@@ -46,15 +46,15 @@ def way_back(
     ----------
     rows: (R, n) g, how fast the distances of the violated pairs fall with the joints [m/rad].
     slack: (R,) k (V - depth) [m/s].
-    target: (n,) the velocity that is wished [rad/s or m/s].
+    target: (n,) the wished velocity [rad/s or m/s].
     low, high: (n,) the velocities that the joints can reach in this step [rad/s or m/s].
     fastest: speed of the fall that is enough [m/s].
     others: rows of everything else.
-    note: takes what was solved, to count the work.
+    note: receives the solution, to count the work.
 
     Returns
     -------
-    None where the solver fails.
+    None if the solver fails.
     """
     n = len(target)
     # scaled by what the joints can change, so that a start from rest is as exact as any other
@@ -81,7 +81,7 @@ def way_back(
 
 
 def _scaled(block: Rows, middle: Vector, reach: Vector) -> Rows:
-    """The same conditions for u with v = middle + reach u, each row of size 1, without the speed t."""
+    """The same conditions on u with v = middle + reach u, each row scaled to size 1, without the speed t."""
     G = block.G * reach
     size = np.maximum(np.abs(G).sum(axis=1), SMALLEST)
     return block._replace(G=_with_speed(G / size[:, None], 0.0), h=(block.h - block.G @ middle) / size)
