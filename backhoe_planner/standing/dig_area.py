@@ -1,4 +1,4 @@
-"""What is dug, as the search for a place sees it: points with their soil, and where no machine may stand for it."""
+"""The dig as the search for a place sees it: points with their soil, and where no machine may stand."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.job import Worksite
 
-EDGE = 0.6  # m between machine and dig: 2 ft of OSHA 29 CFR 1926.651(j)(2), 0.6 m free of load of DIN 4124
+EDGE = 0.6  # m between machine and dig: 2 ft in OSHA 29 CFR 1926.651(j)(2), 0.6 m free of load in DIN 4124
 _SPACING = 0.1  # m between points, at least
 _MOST_POINTS = 400.0
-_ACROSS = 7  # points across the blade, as of the lanes
-_FAN = 0.04  # rad between lanes, as of the lanes
-_STEP = 0.1  # m of radius between places of a blade
+_ACROSS = 7  # points across the blade, as for the lanes
+_FAN = 0.04  # rad between lanes, as for the lanes
+_STEP = 0.1  # m of radius between positions of the blade
 
 
 @dataclass(frozen=True, eq=False)
 class DigArea:
-    """What is to be dug.
+    """The area to be dug.
 
     Attributes
     ----------
     site: the job, without obstacles.
-    points: (C, 2) in it [m].
+    points: (C, 2) in the area [m].
     z: (C,) heights of the design there [m].
-    soil: (C,) how much soil each stands for [m^3].
+    soil: (C,) how much soil each point stands for [m^3].
     keep_off: (K, 2) points that the machine keeps `distance` [m] away from.
-    ground: height of the ground there, about [m].
-    in_line: whether it is as wide as the bucket, so that the arm must dig along it.
-    middle: (2,) of it [m].
-    direction: (2,) unit vector along it; of a surface along its longer side.
-    length: along that [m].
+    ground: approximate height of the ground there [m].
+    in_line: whether the area is only as wide as the bucket, so that the arm must dig along it.
+    middle: (2,) of the area [m].
+    direction: (2,) unit vector along the area; for a surface along its longer side.
+    length: along `direction` [m].
     width: across it [m].
     """
 
@@ -51,16 +51,16 @@ class DigArea:
 
     @property
     def outline(self) -> Matrix:
-        """(k, 2) corners of a convex area around it [m]."""
+        """(k, 2) corners of a convex outline of the area [m]."""
         return self.site.design.outline
 
     @property
     def depth(self) -> float:
-        """The greatest [m]."""
+        """Greatest depth of the dig [m]."""
         return self.ground - float(self.z.min())
 
     def covered(self, axis: Vector) -> Flags:
-        """(C,) which points a bucket's whole width can be laid over from a swing axis at `axis` (2,) [m]."""
+        """(C,) whether the whole width of the bucket fits over each point, from a swing axis at `axis` (2,) [m]."""
         if self.in_line:
             return np.ones(len(self.points), dtype=bool)
         site, width = self.site, self.site.bucket.width
@@ -83,10 +83,10 @@ class DigArea:
 
 
 def dig_area(site: Worksite) -> DigArea:
-    """What the job of a worksite digs.
+    """The area that the job of a worksite digs.
 
-    The machine stands at least `EDGE` from it. Beside a trench, and all around a surface, it stands at least as far
-    away as is dug deep there, so that its load, which spreads at 45 degrees, does not bear on the wall.
+    The machine stands at least `EDGE` away from it. Beside a trench, and all around a surface, the distance is also at
+    least the depth of the dig, so that the machine's load, which spreads at 45 degrees, does not bear on the wall.
     """
     outline = site.design.outline
     low, high = outline.min(axis=0), outline.max(axis=0)
@@ -123,7 +123,7 @@ def dig_area(site: Worksite) -> DigArea:
 
 
 def _grid(middle: Vector, direction: Vector, length: float, width: float, spacing: float) -> Matrix:
-    """(k, 2) points in a rectangle, in the middles of cells of about `spacing` [m]."""
+    """(k, 2) points in a rectangle, at the centres of cells of about `spacing` [m]."""
     left = np.array([-direction[1], direction[0]])
     u, v = (
         (np.arange(max(round(size / spacing), 1)) + 0.5) * size / max(round(size / spacing), 1) - 0.5 * size

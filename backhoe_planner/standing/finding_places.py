@@ -1,4 +1,4 @@
-"""`stand`: from where a job is dug in least time or work."""
+"""`stand`: finds the places from which a job is dug in least time or work."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from backhoe_planner.standing.result import Place, StandPlan, StandReason
 from backhoe_planner.standing.sections import dig_in_sections
 from backhoe_planner.standing.site_map import REASONS, SAME_SHARE, SiteMap, SpotFinder, site_map
 
-_ESTIMATED = {"quick": 5, "normal": 10, "thorough": 20}  # places; chosen, an estimate takes a tenth of a plan
-_PLANNED = 2  # places beside the given one that are planned in full, by default
+_ESTIMATED = {"quick": 5, "normal": 10, "thorough": 20}  # places; chosen, an estimate takes a tenth of a plan's time
+_PLANNED = 2  # places that are planned in full in addition to the given one, by default
 
 
 @dataclass(frozen=True)
 class StandStep:
-    """What is told while places are looked for.
+    """A progress report of the search for places.
 
     Attributes
     ----------
-    what: is done, in words.
-    done, total: how much of it.
+    what: what is being done, in words.
+    done, total: how much of it is done, and how much there is.
     """
 
     what: str
@@ -51,15 +51,15 @@ def stand(
 
     Parameters
     ----------
-    job: whose machine is to be placed; its `objective` says what counts.
-    count: how many of the best places are planned in full beside the given one, 1 or more.
+    job: its machine is to be placed; its `objective` says whether time or work counts.
+    count: how many of the best places are planned in full in addition to the given one, 1 or more.
     effort: ``quick``, ``normal`` or ``thorough``: how many places are estimated, and the effort of all plans.
     seed: of every random choice, not negative.
-    watch: called with a `StandStep` as it goes on.
+    watch: called with a `StandStep` as the search goes on.
 
     Returns
     -------
-    The answer in any case. It digs what the given place does, and costs no more, where that place can be planned.
+    The answer in any case. If the given place can be planned, the answer digs the same soil and costs no more.
 
     Raises
     ------
@@ -106,11 +106,11 @@ def stand(
 
 
 def spot_finder(job: Job, told: Callable[[str, int, int], object]) -> SpotFinder:
-    """What says of any place what it is worth.
+    """Build the `SpotFinder` that evaluates any place for a job.
 
     Parameters
     ----------
-    told: called with what is done, how much of it is, and of how much.
+    told: called with what is being done, how much of it is done, and how much there is.
     """
     told("mapping the reach", 0, 1)
     free = build_worksite(job_with(job, obstacles=False))
@@ -123,7 +123,7 @@ def spot_finder(job: Job, told: Callable[[str, int, int], object]) -> SpotFinder
 
 
 def _why_nowhere(found: SiteMap) -> str:
-    """What keeps the machine from the places that reach most, in words."""
+    """Why the machine cannot stand at the places that reach most, in words."""
     refused = [spot for row in found.spots for spot in row if spot.reason]
     best = max(refused, key=lambda spot: (spot.share, REASONS.index(spot.reason)))
     x, y = best.base.position
@@ -133,7 +133,7 @@ def _why_nowhere(found: SiteMap) -> str:
 
 
 def _where_most(found: SiteMap) -> str:
-    """From where most of it could be dug, in words."""
+    """The place from which most of the soil could be dug, in words."""
     standing = [spot for row in found.spots for spot in row if math.isfinite(spot.cost)]
     if not standing:
         return _why_nowhere(found)

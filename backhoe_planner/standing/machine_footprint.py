@@ -1,4 +1,4 @@
-"""The ground that a machine covers: how far any point is from the parts that do not move, seen from above."""
+"""The ground that a machine covers: the distance of any point from its parts that do not move, seen from above."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import Base, Robot
 
-_CELL = 0.05  # m of the grid of distances: that of the ground
-_AROUND = 3.0  # m around the machine that the grid covers; chosen, farther is far enough
-_HALF_DIAGONAL = 0.5 * 2.0**0.5  # of a cell: by so much a distance that is looked up may be off
+_CELL = 0.05  # m, cell of the grid of distances: that of the ground
+_AROUND = 3.0  # m around the machine that the grid covers; chosen, greater distances do not matter
+_HALF_DIAGONAL = 0.5 * 2.0**0.5  # of a cell: the largest error of a distance that is looked up
 
 
 class MachineFootprint:
-    """What a machine covers of the ground: tractor, stabilizers, and all else that does not move.
+    """The ground that a machine covers: tractor, stabilizers, and everything else that does not move.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class MachineFootprint:
 
     Attributes
     ----------
-    outlines: of its parts, (k, 2) corners of a convex area each [m], in the axes of its root link.
+    outlines: of its parts, (k, 2) corners of a convex area each [m], in the frame of its root link.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -49,9 +49,9 @@ class MachineFootprint:
         self._distance = _CELL * np.asarray(distance_transform_edt(~covered))
 
     def distances(self, base: Base, points: Array) -> Array:
-        """(...) how far points (..., 2) [m], world, are at least from the machine that stands at `base` [m].
+        """(...) lower bound of the distance of points (..., 2) [m], world, from the machine that stands at `base` [m].
 
-        Right to 4 cm, never too much; at most 3 m.
+        It is accurate to 4 cm, never too large, and at most 3 m.
         """
         own = _in_axes_of(base, points)
         last = np.array(self._distance.shape[::-1]) - 1
@@ -75,9 +75,9 @@ def _in_axes_of(base: Base, points: Array) -> Array:
 
 
 def _outline(points: Matrix, radius: float) -> Matrix:
-    """(k, 2) the corners of the convex hull of points (m, 2), and of a square of half its edge around each [m].
+    """(k, 2) corners of the convex hull of squares around points (m, 2), `radius` being half an edge [m].
 
-    Counter-clockwise.
+    They are ordered counter-clockwise.
     """
     from scipy.spatial import ConvexHull
 
@@ -88,5 +88,5 @@ def _outline(points: Matrix, radius: float) -> Matrix:
 
 
 def axis_offset(axis: Vector, base: Base) -> Vector:
-    """(2,) the swing axis [m], in the axes of the root link at `base`, of an axis (2,) in the world [m]."""
+    """(2,) position of a swing axis (2,) [m], world, in the frame of the root link at `base` [m]."""
     return np.asarray(_in_axes_of(base, axis))

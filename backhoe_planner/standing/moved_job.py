@@ -1,4 +1,4 @@
-"""The same job from another place, or a part of it."""
+"""The same job from another place, or a part of the job."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def job_with(
     heaps: Sequence[Sequence[float]] | None = None,
     name: str | None = None,
 ) -> Job:
-    """A job with some of its parts replaced; what is None stays.
+    """A job with some of its parts replaced; a part that is None is kept.
 
     Parameters
     ----------
     base: where the machine stands.
-    obstacles: whether obstacles and zones stay; of the zones swing sectors do in any case.
+    obstacles: whether obstacles and zones are kept; swing sectors are kept in any case.
     dig, ground: as in a job file.
     heaps: places of `dump.heap.at`.
     """

@@ -1,4 +1,4 @@
-"""One place for a whole job: the best of the map are estimated, the best of these and the given place planned."""
+"""One place for a whole job: the best of the map are estimated; the best of these and the given place are planned."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from backhoe_planner.standing.site_map import SAME_SHARE, SiteMap, Spot, SpotFin
 
 _APART = 0.35  # m between places that are estimated; chosen, so that these are not all next to each other
 _SAME_PLACE = 1e-6  # m and rad: chosen far above rounding
-_SAME_BANK = 0.01  # of the soil: what an answer may dig less than the given place
-_NOTED = 0.005  # m^3 of what stays undug: less is not worth a word
+_SAME_BANK = 0.01  # of the soil: how much less an answer may dig than the given place
+_NOTED = 0.005  # m^3 left undug: less is not reported
 _FEW = 0.98  # of the most soil by the estimates: places that dig less are planned last
 
 
 def best_spots(found: SiteMap, count: int) -> list[Spot]:
-    """The best places of a map, apart from each other, of those that reach the most."""
+    """The cheapest places of a map among those that reach the most soil, some distance apart from each other."""
     every = [spot for row in found.spots for spot in row if math.isfinite(spot.cost)]
     most = max((spot.share for spot in every), default=0.0)
     kept: list[Spot] = []
@@ -36,7 +36,7 @@ def best_spots(found: SiteMap, count: int) -> list[Spot]:
 
 
 def job_at(job: Job, spot: Spot, finder: SpotFinder) -> Job:
-    """A job with its machine at a place, and the heaps that are used from there."""
+    """A job with its machine at a place, and with the heaps that are used from there."""
     heaps = None
     if job.dump.heap is not None:
         heaps = [finder.dumps[number].place.tolist() for number in spot.dumps]
@@ -47,13 +47,13 @@ def rank(
     job: Job, spots: Sequence[Spot], finder: SpotFinder, *, count: int, effort: str, seed: int,
     told: Callable[[str, int, int], object],
 ) -> list[RankedPlace]:  # fmt: skip
-    """Places, the best first; that of the job's file is one of them.
+    """Places, the best first; the place of the job's file is one of them.
 
     Parameters
     ----------
-    spots: to be estimated, but for one that is the given place.
-    count: how many of them are planned in full, beside the given place.
-    told: called with what is done, how much of it is, and of how much.
+    spots: to be estimated, except one that equals the given place.
+    count: how many of them are planned in full, in addition to the given place.
+    told: called with what is being done, how much of it is done, and how much there is.
     """
     own = finder.at(finder.site.plane.axis)
     here = job.site_scene.base
@@ -81,7 +81,7 @@ def rank(
 
 
 def _is_alike(one: Job, other: Job) -> bool:
-    """Whether the machine stands at the same place in two forms of one job, and the same heaps are used."""
+    """Whether two versions of one job have the machine at the same place and use the same heaps."""
     first, second = one.site_scene.base, other.site_scene.base
     if math.dist(first.position, second.position) > _SAME_PLACE or abs(first.heading - second.heading) > _SAME_PLACE:
         return False
@@ -91,7 +91,7 @@ def _is_alike(one: Job, other: Job) -> bool:
 
 
 def _in_order(ranked: list[RankedPlace]) -> list[RankedPlace]:
-    """The best first: what is verified, digs as much as the given place and costs least, then the rest."""
+    """The best first: those that are verified, dig as much as the given place and cost least, then the rest."""
     given = next(one for one in ranked if one.given)
     least = (1.0 - _SAME_BANK) * given.bank if given.plan is not None and given.plan.verified else 0.0
 
@@ -126,7 +126,7 @@ def _planned(job: Job, place: RankedPlace, finder: SpotFinder, *, effort: str, s
 
 
 def reaches_machine(plan: JobPlan, base: Base, finder: SpotFinder) -> bool:
-    """Whether loose soil comes to lie on the ground that the machine covers."""
+    """Whether a plan puts loose soil on the ground that the machine covers."""
     end = plan.end
     fresh = end.loose - plan.start.loose > end.cell
     nodes = np.stack(np.meshgrid(end.x, end.y), axis=-1)[fresh]

@@ -1,7 +1,7 @@
-"""Reach maps: how deep the teeth go at every radius, and what a cycle takes there, wherever the machine stands.
+"""Reach maps: how deep the teeth reach at every radius, and what a cycle costs there, wherever the machine stands.
 
-They are made once for a machine and its soil, on level ground without obstacles, and looked up for thousands of
-places: a place only says at which radius and in which direction soil and dump lie.
+They are computed once for a machine and its soil, on level ground without obstacles, and looked up for thousands of
+places: a place only determines the radius and direction of soil and dump.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from backhoe_planner.job import (
 from backhoe_planner.machine import Base, Dynamics, JointLimits
 from backhoe_planner.standing.moved_job import job_with
 
-_FARTHEST, _NEAREST = 7.5, 0.9  # m from the swing axis between which the reach is asked for; the machine of 4.4 m depth
-# reaches 5.7 m
-_DEEPER = 0.05  # m: depths that are the same map
-_EVERY = 0.25  # m between radii at which a cut is looked for; chosen
+_FARTHEST, _NEAREST = 7.5, 0.9  # m from the swing axis between which the reach is computed; the machine with 4.4 m
+# digging depth reaches 5.7 m
+_DEEPER = 0.05  # m: depths are rounded up to this for sharing a map
+_EVERY = 0.25  # m between radii at which a cut is searched; chosen
 _DEPTH = 0.3  # m, greatest depth of these cuts; chosen, that of the layers that are chosen most often
 _LENGTH = 2.5  # m of radius in which such a cut must end; chosen, a bucket is full after 0.8 to 1.5 m
-_NEARLY_AS_FULL = 0.5  # of the soil in the fullest cut, where none fills the bucket; chosen
-_DUMPS = np.arange(0.6, _FARTHEST, 0.1)  # m, radii at which emptying the bucket is looked at
+_NEARLY_AS_FULL = 0.5  # of the soil in the fullest cut, if none fills the bucket; chosen
+_DUMPS = np.arange(0.6, _FARTHEST, 0.1)  # m, radii at which emptying the bucket is evaluated
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,9 @@ class DumpTable:
     Attributes
     ----------
     r: (D,) from the swing axis [m].
-    level, opened: (D, n) postures before and after, with the first joint at 0; nan where there is none.
+    level, opened: (D, n) postures before and after, with the first joint at 0; nan if there is none.
     lift: (D,) potential energy of the machine with a full bucket in `level` [J].
-    fall: (D,) of the empty machine in `opened` [J].
+    fall: (D,) potential energy of the empty machine in `opened` [J].
     """
 
     r: Vector
@@ -62,15 +62,15 @@ class DumpTable:
 
 @dataclass(frozen=True, eq=False)
 class ReachMap:
-    """What a machine reaches, and what a cycle costs, by radius from its swing axis.
+    """The reach of a machine, and the cost of a cycle, by radius from its swing axis.
 
     Attributes
     ----------
     r, floor: (K,) radii and the lowest heights z at which the teeth dig there [m].
     cuts: (M,) radii at which a cut begins.
     time, work: (M,) of the cut alone [s], [J].
-    bank: (M,) soil that it takes, as it lies in the ground [m^3].
-    begin, end: (M, n) postures where it begins and ends, with the first joint at 0.
+    bank: (M,) bank volume of the soil that the cut takes [m^3].
+    begin, end: (M, n) postures at its beginning and end, with the first joint at 0.
     full, empty: (M,) potential energy in `end` with the soil, and in `begin` without [J].
     limits: of the joints.
     swings: (2,) least and greatest swing angle [rad].
@@ -95,9 +95,9 @@ class ReachMap:
         return np.asarray(floor <= z)
 
     def depth_range(self, z: float) -> tuple[float, float] | None:
-        """The least and the greatest radius between which the teeth dig down to a height z [m]; None for none.
+        """The least and the greatest radius of the longest stretch in which the teeth dig down to a height z [m].
 
-        It is the longest such stretch.
+        None if there is no such stretch.
         """
         fine = np.concatenate(([False], self.floor <= z, [False]))
         steps = np.flatnonzero(np.diff(fine.astype(int)))
@@ -108,12 +108,14 @@ class ReachMap:
         return float(self.r[first]), float(self.r[after - 1])
 
     def cycle(self, r: Vector, turn: Vector, dump: DumpTable, radius: float) -> tuple[Vector, Vector]:
-        """(C,) time [s/m^3] and (C,) work [J/m^3] of cycles per bank volume, of soil at radii r (C,) [m].
+        """(C,) time [s/m^3] and (C,) work [J/m^3] of cycles per bank volume, for soil at radii r (C,) [m].
+
+        Both are infinite if the bucket cannot be emptied there.
 
         Parameters
         ----------
-        turn: (C,) from the soil to the dump [rad], either way.
-        dump: where the bucket is emptied, at a `radius` [m]; infinite where it cannot be.
+        turn: (C,) angle from the soil to the dump [rad], of either sign.
+        dump: for emptying the bucket, at a `radius` [m].
         """
         level, opened, lift, fall = (
             _at(dump.r, values, np.array([radius])) for values in (dump.level, dump.opened, dump.lift, dump.fall)
@@ -131,7 +133,7 @@ class ReachMap:
 
 
 def travel_times(step: Array, limits: JointLimits) -> Array:
-    """(...) least times for steps (..., n) of the joints from rest to rest, by their rates and accelerations [s]."""
+    """(...) least times for steps (..., n) of the joints from rest to rest, for their rates and accelerations [s]."""
     way = np.abs(step)
     ramps = way * limits.acceleration < limits.velocity**2
     slow = 2.0 * np.sqrt(way / limits.acceleration)
@@ -140,7 +142,7 @@ def travel_times(step: Array, limits: JointLimits) -> Array:
 
 
 class _Machine:
-    """A job's machine in its soil on level ground, which equals that of any other job that differs in nothing else."""
+    """A job's machine in its soil on level ground; equal for all jobs that agree in everything that matters for it."""
 
     def __init__(self, job: Job, ground: float, depth: float) -> None:
         content = job.to_dict()
@@ -157,12 +159,12 @@ class _Machine:
 
 
 def reach_map(job: Job, *, ground: float, depth: float) -> ReachMap:
-    """The reach of a job's machine in its soil; made once for all jobs with the same.
+    """The reach map of a job's machine in its soil; computed once for all jobs with the same machine and soil.
 
     Parameters
     ----------
     ground: height z of level ground [m].
-    depth: the deepest that is asked for [m].
+    depth: the greatest depth that is needed [m].
 
     Raises
     ------
@@ -209,11 +211,11 @@ def _made(machine: _Machine) -> ReachMap:
 
 
 def dump_table(site: Worksite, top: float) -> DumpTable:
-    """Emptying the bucket by radius.
+    """The table of emptying the bucket by radius.
 
     Parameters
     ----------
-    top: height of what lies there [m].
+    top: height over which the bucket is emptied [m].
     """
     n, heading = site.robot.n, site.plane.heading(0.0)
     ahead = np.array([np.cos(heading), np.sin(heading)])
@@ -236,7 +238,7 @@ def _cut_at(site: Worksite, digger: Digger, ground: float, r: float) -> Cut | No
 
 
 def _fullest(job: Job, tried: Sequence[Cut | NoCut]) -> list[Cut]:
-    """The cuts that fill the bucket; where none does, as in hard soil, those that fill most of it."""
+    """The cuts that fill the bucket; if none does, as in hard soil, those that take the most soil."""
     cuts = [cut for cut in tried if isinstance(cut, Cut)]
     if not cuts:
         hard = [cut for cut in tried if isinstance(cut, NoCut) and cut.kind == "cylinder"]
@@ -247,7 +249,7 @@ def _fullest(job: Job, tried: Sequence[Cut | NoCut]) -> list[Cut]:
 
 
 def _at(x: Vector, values: Array, at: Vector) -> Array:
-    """(C, ...) `values` (M, ...) over x (M,), between its places linear, at places (C,); beyond them as at the ends."""
+    """(C, ...) `values` (M, ...) over x (M,), interpolated linearly at `at` (C,); constant beyond the ends."""
     if values.ndim == 1:
         return np.interp(at, x, values)
     return np.column_stack([np.interp(at, x, column) for column in values.T])

@@ -1,4 +1,4 @@
-"""Where to stand: the answer, and all that was compared for it."""
+"""Where to stand: the answer, and all places that were compared for it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class RankedPlace:
     Attributes
     ----------
     base: of the machine.
-    given: whether it is that of the job's file.
-    rough: its cost by the site map [s/m^3 or J/m^3], per bank m^3 as all costs; nan where the machine cannot stand.
-    estimated: by the cheap models of the patterns; nan where that is not known.
-    bank: soil that it digs by the plan, or by the estimate where it is not planned [m^3].
-    plan: in full; None where it is not planned.
-    note: what keeps the machine or the job from there, or what stays undug; empty where nothing does.
+    given: whether it is the place of the job's file.
+    rough: its cost by the site map [s/m^3 or J/m^3], per bank m^3 as all costs; nan if the machine cannot stand there.
+    estimated: its cost by the cheap models of the patterns; nan if unknown.
+    bank: soil that is dug by the plan, or by the estimate if it is not planned [m^3].
+    plan: the full plan; None if it is not planned.
+    note: why the machine or the job cannot be there, or what remains undug; empty if there is nothing to say.
     """
 
     base: Base
@@ -41,7 +41,7 @@ class RankedPlace:
 
     @property
     def planned(self) -> float:
-        """Its cost as it was planned in full [s/m^3 or J/m^3]; nan where it was not."""
+        """Its cost by the full plan [s/m^3 or J/m^3]; nan if it was not planned."""
         return math.nan if self.plan is None else self.plan.cost
 
 
@@ -52,9 +52,9 @@ class Place:
     Attributes
     ----------
     base: of the machine.
-    plan: of what is dug from there, on the ground that the places before leave.
-    section: (2, 2) the ends of the part of the trench that is dug from there [m], x, y; None where it is all.
-    travel: how far the machine moves from the place before [m]; 0 for the first. Its time is not counted.
+    plan: of what is dug from there, on the ground as the previous places leave it.
+    section: (2, 2) the ends of the part of the trench that is dug from there [m], x, y; None if it is all of it.
+    travel: how far the machine moves from the previous place [m]; 0 for the first. Its time is not counted.
     """
 
     base: Base
@@ -64,7 +64,7 @@ class Place:
 
     @property
     def job(self) -> Job:
-        """What is dug from there, as a job of its own."""
+        """The part of the work that is dug from there, as a job of its own."""
         return self.plan.job
 
 
@@ -75,13 +75,13 @@ class StandPlan:
     Attributes
     ----------
     job: as it was given.
-    places: in order; none where there is none.
-    ranking: of the places that were compared for the whole job, the best first; empty where it takes several.
+    places: in order; empty if there is none.
+    ranking: of the places that were compared for the whole job, the best first; empty if several places are needed.
     map: the cost by position.
-    footprints: (k, 2) outlines of the parts of the machine that do not move [m], in the axes of its root link.
-    failure: why there is no such place; empty where there is.
+    footprints: (k, 2) outlines of the parts of the machine that do not move [m], in the frame of its root link.
+    failure: why the job cannot be dug; empty if it can.
     note: the same in a sentence.
-    planning_time: [s] of the processor.
+    planning_time: processor time [s].
     """
 
     job: Job
@@ -95,7 +95,7 @@ class StandPlan:
 
     @property
     def verified(self) -> bool:
-        """Whether the plans of all places are, and dig all that may be dug."""
+        """Whether the plans of all places are verified and dig all that may be dug."""
         return not self.failure and bool(self.places) and all(place.plan.verified for place in self.places)
 
     @property
@@ -105,22 +105,22 @@ class StandPlan:
 
     @property
     def reason(self) -> StandReason:
-        """Why it failed; empty where verified."""
+        """Why it failed; empty if verified."""
         return "" if self.verified else self.failure or "not_done"
 
     @property
     def bank(self) -> float:
-        """Soil that is dug from all places, as it lay in the ground [m^3]."""
+        """Bank volume of the soil that is dug from all places [m^3]."""
         return sum(place.plan.bank for place in self.places)
 
     @property
     def duration(self) -> float:
-        """Of all cycles, without the machine's own travel [s]."""
+        """Duration of all cycles, without the machine's own travel [s]."""
         return sum(place.plan.duration for place in self.places)
 
     @property
     def work(self) -> float:
-        """Of the joints [J]."""
+        """Work of the joints [J]."""
         return sum(place.plan.work for place in self.places)
 
     @property
@@ -137,19 +137,19 @@ class StandPlan:
 
     @property
     def given(self) -> RankedPlace | None:
-        """The place of the job's file, as it was compared; None where it was not."""
+        """The place of the job's file, as it was compared; None if it was not."""
         return next((one for one in self.ranking if one.given), None)
 
     @property
     def gain(self) -> float:
-        """By what part the answer costs less than the given place; nan where that is not planned."""
+        """The part by which the answer costs less than the given place; nan if that is not planned."""
         given = self.given
         return math.nan if given is None or given.plan is None else 1.0 - self.cost / given.planned
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the answer (JSON), and beside it for each place its job (YAML), its plan (JSON) and its ground (CSV).
 
-        The names of these begin with that of `path`: ``stand.json``, ``stand_1.yaml``, ``stand_1.json``,
+        Their names begin with that of `path`: ``stand.json``, ``stand_1.yaml``, ``stand_1.json``,
         ``stand_1_ground.csv``, ``stand_2.yaml``, ...
 
         Raises

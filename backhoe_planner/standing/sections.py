@@ -1,7 +1,7 @@
-"""A trench that is too long for one place: sections, from the far one on, while the machine moves back along the line.
+"""Sections of a trench that is too long for one place, dug from the far one on while the machine moves back.
 
-The machine stands on the line of the trench, on ground that is not dug yet, and digs towards the part that is open
-already. The near end of a section is left as a slope, which belongs to the next section.
+The machine stands on the line of the trench, on ground that is not dug yet, and digs towards the part that is already
+open. The near end of a section is left as a slope, which belongs to the next section.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from backhoe_planner.standing.one_place import reaches_machine
 from backhoe_planner.standing.result import Place, StandReason
 from backhoe_planner.standing.site_map import LINE_STEP, SAME_SHARE, Spot, SpotFinder
 
-_SPARE = 0.05  # m of radius that a section stays within the reach at both ends; chosen
-_OVERLAP = 0.1  # m by which a section goes beyond the slope that the one before leaves; chosen
+_SPARE = 0.05  # m of radius by which a section is within the reach at both ends; chosen
+_OVERLAP = 0.1  # m by which a section extends beyond the slope that the previous one leaves; chosen
 _MOST_PLACES = 50
 _TRIES = 2  # places of a section that are planned, the best first
-_AROUND = 1.0  # m of ground around all that is dug, heaped and reached
+_AROUND = 1.0  # m of ground around everything that is dug, heaped and reached
 _APART = 0.4  # m between places of a section that are tried
 
 
@@ -36,7 +36,7 @@ class Section:
 
     Attributes
     ----------
-    start, end: from the end of the trench at which is begun [m]; the machine stands beyond `end`.
+    start, end: distances from the end of the trench where digging begins [m]; the machine stands beyond `end`.
     dig: the section as a trench of its own, as in a job file.
     spots: places for the machine, the best first.
     """
@@ -49,12 +49,12 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """What came of digging in sections.
+    """The result of digging in sections.
 
     Attributes
     ----------
     places: in order.
-    failure, note: why they do not dig all of it; empty where they do.
+    failure, note: why they do not dig the whole trench; empty if they do.
     """
 
     places: tuple[Place, ...]
@@ -69,7 +69,7 @@ def dig_in_sections(
 
     Parameters
     ----------
-    told: called with what is done, how much of it is, and of how much.
+    told: called with what is being done, how much of it is done, and how much there is.
     """
     laid_out = layout(job, finder)
     if isinstance(laid_out, str):
@@ -96,9 +96,9 @@ def dig_in_sections(
 
 
 def layout(job: Job, finder: SpotFinder) -> tuple[Section, ...] | str:
-    """The sections of a trench with the places for them, the fewest that there are; or why there are none.
+    """The fewest possible sections of a trench, with the places for them; or why there are none.
 
-    It begins at the end from which the whole costs less by the site map.
+    Digging begins at the end from which the whole trench costs less by the site map.
     """
     trench = job.dig.trench
     assert trench is not None
@@ -151,7 +151,7 @@ def _laid_out(
 
 
 def _line(trench: Trench, backward: bool) -> tuple[Vector, Vector]:
-    """(2,) where is begun, and (2,) the direction in which the machine moves back."""
+    """(2,) where digging begins, and (2,) the direction in which the machine moves back."""
     a, b = np.array(trench.start), np.array(trench.end)
     if backward:
         a, b = b, a
@@ -198,7 +198,7 @@ def _spots(
 
 
 def _clear_of_the_way(finder: SpotFinder, start: Vector, ahead: Vector) -> list[int]:
-    """Numbers of the dumps that do not come to lie where the machine drives back along a line from `start` (2,) [m]."""
+    """Numbers of the dumps that are clear of the machine when it drives back along a line from `start` (2,) [m]."""
     half = max((float(np.abs(outline[:, 1]).max()) for outline in finder.footprint.outlines), default=0.0)
     found = []
     for number, dump in enumerate(finder.dumps):
@@ -210,7 +210,7 @@ def _clear_of_the_way(finder: SpotFinder, start: Vector, ahead: Vector) -> list[
 
 
 def _whole_ground(job: Job, finder: SpotFinder) -> dict[str, Any]:
-    """The ground of all sections alike: each begins on that which the one before leaves."""
+    """The common ground of all sections: each begins on the ground that the previous one leaves."""
     given = job.model_dump(mode="json", by_alias=True, exclude_unset=True).get("ground", {})
     if job.ground.file is not None or job.ground.low is not None:
         return dict(given)
@@ -230,11 +230,11 @@ def _dig(
     job: Job, finder: SpotFinder, section: Section, at: tuple[int, dict[str, Any], Terrain | None], *, effort: str,
     seed: int,
 ) -> Place | str:  # fmt: skip
-    """One section, planned from the best of its places that does; or why from none.
+    """One section, planned from the best of its places that works; or why none works.
 
     Parameters
     ----------
-    at: the number of the section, the ground of all, and as it is now.
+    at: the number of the section, the ground of all sections, and its present terrain.
     """
     number, ground, terrain = at
     best: Place | None = None
@@ -263,7 +263,7 @@ def _dig(
 
 
 def _apart(spots: Sequence[Spot], count: int) -> list[Spot]:
-    """The first of `spots` that are apart from each other."""
+    """The first `count` of `spots` that are some distance apart from each other."""
     kept: list[Spot] = []
     for spot in spots:
         if all(math.dist(spot.base.position, other.base.position) >= _APART for other in kept):

@@ -1,4 +1,4 @@
-"""The site map: what a cubic metre costs from every place, at its best heading, or why no machine can stand there."""
+"""The site map: the cost of a cubic metre from every place, at its best heading, or why no machine can stand there."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from backhoe_planner.standing.reach_map import DumpTable, ReachMap, dump_table
 LINE_STEP, GRID_STEP = 0.1, 0.4  # m between places on a trench's line, and on a grid; chosen
 _HEADINGS = 13  # at a place; chosen, 13 degrees apart for a swing of 180
 _SPARE = 0.03  # rad from the ends of the swing
-_HEAP = 0.5  # m that a heap is high at least, as the estimates of jobs have it
+_HEAP = 0.5  # m, least height of a heap, as in the estimates of jobs
 _TRUCK = 0.3  # m between the machine and a truck; chosen
-_LEVEL = 0.15  # m by which the ground under the machine may be higher or lower than it stands; chosen, jacks level that
-SAME_SHARE = 0.02  # of what is dug: places that dig so much less count as equal
-_SAME_COST = 0.02  # of it: then the heading counts from which more dumps are reached; the map is no finer than that
-_ENOUGH_DUMPS = 3  # that are reached from a heading: more is no reason to turn the machine; chosen
-REASONS = ("line", "reach", "dump", "edge", "ground", "heap", "obstacle")  # the later, the nearer to a place
+_LEVEL = 0.15  # m by which the ground may be higher or lower than the machine stands; chosen, jacks level that
+SAME_SHARE = 0.02  # of the soil: places that dig so much less count as equal
+_SAME_COST = 0.02  # of the cost: then the heading that reaches more dumps is taken; the map is no finer than that
+_ENOUGH_DUMPS = 3  # reached from a heading: more is no reason to turn the machine; chosen
+REASONS = ("line", "reach", "dump", "edge", "ground", "heap", "obstacle")  # the later, the closer to a usable place
 _WORDS = {
     "line": "not in line with the trench",
     "reach": "out of reach",
@@ -40,15 +40,15 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """A place that was looked at.
+    """A place that was evaluated.
 
     Attributes
     ----------
-    base: of the machine, at its best heading; where it cannot stand, any.
-    cost: about, of the objective per bank m^3 [s/m^3 or J/m^3]; nan where the machine cannot stand.
+    base: of the machine, at its best heading; at any heading if it cannot stand there.
+    cost: approximate objective per bank m^3 [s/m^3 or J/m^3]; nan if the machine cannot stand there.
     share: of the soil that the teeth reach from there.
     dumps: numbers of the places to dump that are used from there.
-    reason: why the machine cannot stand there; empty where it can.
+    reason: why the machine cannot stand there; empty if it can.
     why: the same in words.
     """
 
@@ -66,8 +66,8 @@ class DumpPlace:
 
     Attributes
     ----------
-    place: (2,) [m].
-    table: emptying the bucket there.
+    place: (2,) position [m].
+    table: for emptying the bucket there.
     keep_off: (k, 2) points [m] that the machine keeps `distance` [m] away from.
     """
 
@@ -78,13 +78,13 @@ class DumpPlace:
 
 
 class SpotFinder:
-    """Says what a place is worth.
+    """Evaluates places.
 
     Parameters
     ----------
-    job: whose machine is to be placed.
-    site: the same without obstacles.
-    area: what is dug.
+    job: its machine is to be placed.
+    site: the job's worksite without obstacles.
+    area: to be dug.
     reach: of the machine.
     """
 
@@ -99,7 +99,7 @@ class SpotFinder:
         self.dumps = _dump_places(job, site, float(area.soil.sum()), area.ground)
 
     def for_area(self, area: DigArea) -> SpotFinder:
-        """The same for another part of what is dug."""
+        """The same finder for another part of the dig."""
         found = copy.copy(self)
         found.area = area
         foot = _heap_foot(self._job, float(area.soil.sum()))
@@ -113,9 +113,9 @@ class SpotFinder:
 
         Parameters
         ----------
-        toward: (2,) the direction in which is dug; by default to the middle of what is dug.
+        toward: (2,) the direction of digging; by default towards the middle of the dig.
         dumps: numbers of the places to dump that may be used; by default all.
-        keep_off: (k, 2) points besides on which no machine may stand [m].
+        keep_off: (k, 2) further points on which no machine may stand [m].
         """
         area, reach = self.area, self.reach
         ahead = area.middle - axis if toward is None else toward
@@ -135,7 +135,7 @@ class SpotFinder:
         best: Spot | None = None
         worst = Spot(none, math.nan, 0.0, (), "dump", _WORDS["dump"])
         lower, upper = float(reach.swings[0]) + _SPARE, float(reach.swings[1]) - _SPARE
-        if lower >= upper:  # of a machine that does not swing
+        if lower >= upper:  # a machine that does not swing
             lower, upper = -_SPARE, _SPARE
         for swing in _swings_between(lower, upper):
             heading = _wrapped(target - self._zero - self._sense * float(swing))
@@ -170,7 +170,7 @@ class SpotFinder:
         return self._sense * ((angle - heading - self._zero + np.pi) % (2.0 * np.pi) - np.pi)
 
     def _dump_cost(self, axis: Vector, r: Vector, angle: Vector, number: int) -> tuple[Vector, float]:
-        """(C,) cost per m^3 of soil that goes to a dump, and the dump's bearing [rad]."""
+        """(C,) cost per m^3 of soil that is taken to a dump, and the dump's bearing [rad]."""
         dump = self.dumps[number]
         x, y = dump.place - axis
         bearing = math.atan2(y, x)
@@ -204,7 +204,7 @@ class SpotFinder:
         return "", "", clear
 
     def _is_level(self, base: Base) -> bool:
-        """Whether the ground under the machine is known, and as high as the machine stands."""
+        """Whether the ground under the machine is known, and level with the machine."""
         if not self.footprint.outlines:
             return True
         points = np.vstack(self.footprint.placed(base))
@@ -215,12 +215,12 @@ class SpotFinder:
 
 
 def _later(one: Spot, other: Spot) -> Spot:
-    """Of two places where the machine cannot stand, the one that comes nearer to one where it can."""
+    """Of two places where the machine cannot stand, the one that is closer to being usable."""
     return other if REASONS.index(other.reason) > REASONS.index(one.reason) else one
 
 
 def _is_better(spot: Spot, best: Spot) -> bool:
-    """Whether a heading is better than another at the same place: by its reach, else by cost, else by its dumps."""
+    """Whether a heading is better than another at the same place: by reach, then by cost, then by number of dumps."""
     if abs(spot.share - best.share) > SAME_SHARE:
         return spot.share > best.share
     if abs(spot.cost - best.cost) > _SAME_COST * best.cost:
@@ -229,7 +229,7 @@ def _is_better(spot: Spot, best: Spot) -> bool:
 
 
 def _swings_between(lower: float, upper: float) -> Vector:
-    """Swing angles at which may be dug [rad], the straightest first."""
+    """Swing angles at which digging is possible [rad], the straightest first."""
     if upper <= 2.0 * _SPARE:
         return np.zeros(1)
     found = np.linspace(lower, upper, _HEADINGS)
@@ -243,9 +243,9 @@ def _wrapped(angle: float) -> float:
 def _dump_places(job: Job, site: Worksite, bank: float, ground: float) -> tuple[DumpPlace, ...]:
     heap, truck = job.dump.heap, job.dump.truck
     if heap is not None:
-        # the place that is reached soonest takes all that has room: each may become the whole heap
+        # the place that is reached soonest takes all soil that it has room for: each may become the whole heap
         foot = _heap_foot(job, bank)
-        # the bucket must be emptied over the heaps at the end, of which each has its part
+        # the bucket must be emptied over the heaps as they are at the end, each with its part of the soil
         each = math.tan(job.soil.repose) * _heap_foot(job, bank / len(heap.places))
         table = dump_table(site, ground + max(_HEAP, each))
         return tuple(DumpPlace(np.array(at), table, np.array([at]), foot) for at in heap.places)
@@ -269,15 +269,15 @@ def _heap_foot(job: Job, bank: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SiteMap:
-    """Costs by place on a grid that lies along what is dug.
+    """Costs by place on a grid that is aligned with the dig.
 
     Attributes
     ----------
-    spots: (rows, columns) places; rows run across what is dug, columns along it.
+    spots: (rows, columns) places; rows are numbered across the dig, columns along it.
     x, y: (rows, columns) of the swing axis [m].
-    cell: between columns [m].
-    along: (2,) unit vector along the columns.
-    outline: (k, 2) corners of a convex area around what is dug [m].
+    cell: distance between columns, and between rows [m].
+    along: (2,) unit vector from column to column.
+    outline: (k, 2) corners of a convex outline of the dig [m].
     """
 
     spots: tuple[tuple[Spot, ...], ...]
@@ -289,21 +289,21 @@ class SiteMap:
 
     @property
     def cost(self) -> Matrix:
-        """(rows, columns) about, per bank m^3 [s/m^3 or J/m^3]; nan where the machine cannot stand."""
+        """(rows, columns) approximate cost per bank m^3 [s/m^3 or J/m^3]; nan where the machine cannot stand."""
         return np.array([[spot.cost for spot in row] for row in self.spots])
 
     @property
     def share(self) -> Matrix:
-        """(rows, columns) of the soil that is reached."""
+        """(rows, columns) part of the soil that is reached."""
         return np.array([[spot.share for spot in row] for row in self.spots])
 
 
 def site_map(finder: SpotFinder, told: Callable[[int, int], object]) -> SiteMap:
-    """Look at all places around what is dug.
+    """Evaluate all places around the dig.
 
     Parameters
     ----------
-    told: called with how many are done, and of how many.
+    told: called with the number of rows that are done, and of all rows.
     """
     area = finder.area
     far = float(finder.reach.r[finder.reach.floor < area.ground - 1e-6].max(initial=1.0))

@@ -1,4 +1,4 @@
-"""Where to stand, as files: the answer as JSON, and for each place its job, its plan and the ground it begins on."""
+"""Where to stand, as files: the answer as JSON, and for each place its job, its plan and its initial ground."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from backhoe_planner.job import Job
 from backhoe_planner.standing.result import Place, RankedPlace, StandPlan
 
 _FORMAT = "backhoe-planner/stand"
-_DIGITS = 4  # of what is written of the map: a tenth of a millimetre
+_DIGITS = 4  # of the numbers written for the map: a tenth of a millimetre
 
 
 def stand_to_dict(plan: StandPlan) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def save_stand(plan: StandPlan, path: Path) -> None:
 
 
 def files_of(path: Path, places: int) -> list[Path]:
-    """All files that are written for an answer: itself, and of each place its job, its plan and its ground."""
+    """All files that are written for an answer: the answer, and for each place its job, its plan and its ground."""
     found = [path]
     for number in range(1, places + 1):
         stem = path.with_name(f"{path.stem}_{number}")
@@ -75,7 +75,7 @@ def files_of(path: Path, places: int) -> list[Path]:
 
 
 def portable(job: Job) -> dict[str, Any]:
-    """A job as plain data that names its files by their whole paths."""
+    """A job as plain data that names its files by absolute paths."""
     content = job.to_dict()
     if not job.machine.startswith("example:"):
         content["machine"] = str((job.folder / job.machine).resolve())
