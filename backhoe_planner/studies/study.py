@@ -35,15 +35,15 @@ def study(
 
     Parameters
     ----------
-    study: a study or its file; with a scene the machine, as it was loaded, a URDF file or ``example:NAME``; or a job.
+    study: a study or its file; with a scene, the machine: loaded, a URDF file or ``example:NAME``; or a job.
     scene: the template, or its file.
-    parameters: with a machine or a job, what differs: by key path (``obstacles.pipe.position``) a list, ``{"from": a,
-        "to": b, "count": n}``, ``{"uniform": [a, b]}`` and so on, as in a study file.
+    parameters: with a machine or a job, the values that differ: by key path (``obstacles.pipe.position``) a list,
+        ``{"from": a, "to": b, "count": n}``, ``{"uniform": [a, b]}`` and so on, as in a study file.
     combine, count, seed, metrics: with `parameters`, as in a study file.
-    folder: of its results, where they are kept and a study that was interrupted goes on; by default nothing is kept.
+    folder: for the results, so that an interrupted study can be resumed; by default nothing is kept.
     scheduler: address of a Dask cluster that plans the rows; by default processes of this computer do.
     jobs: how many processes; -1 for one on each core.
-    watch: called with a `StudyStep` at the beginning and after every row, and while many rows are laid out.
+    watch: called with a `StudyStep` at the beginning, after every row, and while many rows are drawn.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def study(
     ------
     StudyError: the study cannot be run as it is written, the folder is of another one, the cluster cannot be reached.
     InputError: an argument is not allowed, or a package is missing.
-    KeyboardInterrupt: it was interrupted; with a `folder`, the rows that are done lie there.
+    KeyboardInterrupt: it was interrupted; with a `folder`, the rows that are done are kept there.
 
     Examples
     --------

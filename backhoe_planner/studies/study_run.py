@@ -1,4 +1,4 @@
-"""A study run: all rows are drawn, those that are not done are planned, and the tables are written."""
+"""Running a study: all rows are drawn, those that are not done are planned, and the tables are written."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from backhoe_planner.studies.work.cluster import plan_on_cluster
 from backhoe_planner.studies.work.local_rows import plan_locally
 from backhoe_planner.studies.work.process_pool import process_count
 
-_TOLD_EVERY = 10_000  # rows that are laid out: about half a second; chosen
+_TOLD_EVERY = 10_000  # rows drawn between two reports: about half a second; chosen
 
 
 @dataclass(frozen=True)
 class StudyStep:
-    """What is told while a study runs.
+    """A progress report of a running study.
 
     Attributes
     ----------
-    done: rows that are done, with those of earlier runs.
-    rows: how many there are.
-    row: the values of the one that was done last; None at the beginning.
-    verdict: of it.
-    laid_out: rows that are laid out so far, before any is planned; None from then on.
-    left_out: rows of earlier runs that the study has not any more, since its `count` is smaller now.
+    done: number of rows that are done, including those of earlier runs.
+    rows: number of all rows.
+    row: the values of the row that was finished last; None at the beginning.
+    verdict: of that row.
+    laid_out: number of rows drawn so far, before any is planned; None after that.
+    left_out: rows of earlier runs that the study no longer has, because its `count` is smaller now.
     """
 
     done: int
@@ -55,17 +55,17 @@ class StudyStep:
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """What came of a study.
+    """The result of a study.
 
     Attributes
     ----------
     study: as it was given.
-    template: what all rows share.
+    template: the part that all rows share.
     rows: all of them.
-    outcomes: what came of those that are done, by the number of the row.
-    folder: where its tables lie.
+    outcomes: results of the rows that are done, by row number.
+    folder: that contains its tables.
     earlier: how many rows were done by earlier runs.
-    left_out: how many rows of earlier runs are not in the tables, since `count` is smaller now; the journal keeps them.
+    left_out: how many rows of earlier runs are not in the tables, as `count` is smaller now; the journal keeps them.
     interrupted: whether it was ended by Ctrl-C.
     """
 
@@ -80,7 +80,7 @@ class StudyResult:
 
     @cached_property
     def table(self) -> Any:
-        """One row a plan, those that are done: a `pyarrow.Table`."""
+        """A `pyarrow.Table` with one row for each plan that is done."""
         return build_table(self.template, self.rows, self.outcomes, all_rows=False)
 
     def write(self) -> None:
@@ -98,16 +98,16 @@ def run_study(
     anew: bool = False,
     watch: Callable[[StudyStep], object] | None = None,
 ) -> StudyResult:
-    """Run a study, or go on with it.
+    """Run a study, or resume it.
 
     Parameters
     ----------
-    folder: of its results: ``journal.jsonl``, ``table.parquet``, ``timings.parquet``, ``plans/``. Rows that its
-        journal has are not planned again.
-    scheduler: of a Dask cluster that plans the rows; by default processes of this computer do.
+    folder: for its results: ``journal.jsonl``, ``table.parquet``, ``timings.parquet``, ``plans/``. Rows that are in
+        its journal are not planned again.
+    scheduler: address of a Dask cluster that plans the rows; by default processes of this computer do.
     jobs: how many processes; -1 for one on each core.
-    anew: whether results of a study that are in the folder are thrown away.
-    watch: called with a `StudyStep` at the beginning and after every row, and while many rows are laid out.
+    anew: whether to delete the results of a study that are in the folder.
+    watch: called with a `StudyStep` at the beginning, after every row, and while many rows are drawn.
 
     Returns
     -------
@@ -115,9 +115,9 @@ def run_study(
 
     Raises
     ------
-    StudyError: the study cannot be run, see `build_template`; the folder is of another study, or another run's;
+    StudyError: the study cannot be run, see `build_template`; the folder is of another study, or used by another run;
         the cluster cannot be reached.
-    OutputError: results cannot be written; what is in the journal stays.
+    OutputError: results cannot be written; the journal keeps its content.
     InputError: an argument is not allowed, or a package is missing.
     """
     check_kind(study, Study, key="study")
@@ -173,12 +173,12 @@ def run_study(
 
 
 def summarise_study(result: StudyResult) -> Summary:
-    """What the rows that are done say."""
+    """The summary of the rows that are done."""
     return summarise(result.rows, result.outcomes, result.template.best)
 
 
 def _lay_out(study: Study, shared: str, told: Callable[[StudyStep], object]) -> tuple[list[StudyRow], dict[int, str]]:
-    """All rows, and the identity of each by its number; `told` how far that is."""
+    """All rows, and the identity of each by its number; calls `told` with the progress."""
     rows: list[StudyRow] = []
     identity: dict[int, str] = {}
     for row in draw_rows(study):
@@ -190,21 +190,21 @@ def _lay_out(study: Study, shared: str, told: Callable[[StudyStep], object]) -> 
 
 
 def _done(identity: Mapping[int, str], journal: Journal) -> Iterator[tuple[int, Outcome]]:
-    """The rows of which a journal holds what came of them."""
+    """The numbers and outcomes of the rows that are in a journal."""
     for number, key in identity.items():
-        with contextlib.suppress(KeyError, TypeError, ValueError):  # not there, or of no row
+        with contextlib.suppress(KeyError, TypeError, ValueError):  # not in the journal, or not a row's record
             yield number, Outcome.from_dict(journal.done[key])
 
 
 def _header(study: Study, shared: Mapping[str, Any]) -> dict[str, Any]:
-    """All that determines the rows but their number; two studies of which it is equal can share a folder."""
-    free = ("name", "count", "scene", "job", "metrics", "keep_plans")  # the last four are in what is shared
+    """All that determines the rows except their number; two studies with the same header can share a folder."""
+    free = ("name", "count", "scene", "job", "metrics", "keep_plans")  # the last four are in `shared`
     content = {key: value for key, value in study.to_dict().items() if key not in free}
     return {"study": content, **shared}
 
 
 def _write_plan(outcome: Outcome, machine: str, template: Template, results: ResultsFolder) -> None:
-    """Write the file of a plan of a `machine`, with paths as they are from there."""
+    """Write the file of a plan of a `machine`, with paths relative to the folder of plans."""
     file = results.plan_file(outcome.row)
     content = json.loads(outcome.plan or "")
     folder = results.path / PLANS

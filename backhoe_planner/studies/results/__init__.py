@@ -1,1 +1,1 @@
-"""The folder of results: the journal, the tables, and what they say."""
+"""The folder of results: the journal, the tables, and their summary."""

@@ -1,7 +1,7 @@
-"""A journal: one line for every case of many that is done, written at once.
+"""A journal: one line for every case that is done, written at once.
 
-A line begins with a checksum of the rest of it. A last line that is torn, since the program was killed or the
-disk is full, has a wrong one: it is dropped, and its case is worked out again.
+A line begins with a checksum of the rest of it. If the last line is torn, because the program was killed or the
+disk is full, its checksum is wrong: the line is dropped, and its case is computed again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from backhoe_planner.errors import OutputError, StudyError
 
 VERSION = 1
 _CHECKSUM = 16  # hexadecimal digits: one torn line in 1e19 would be taken for a whole one
-_SYNC_EVERY = 1.0  # s, between writes to the disk itself, for a computer that loses its power; chosen
+_SYNC_EVERY = 1.0  # s, between writes to the disk itself, in case the computer loses power; chosen
 
 
 class Journal:
@@ -27,7 +27,7 @@ class Journal:
 
     Attributes
     ----------
-    done: what it holds of the cases that are done, plain data by the identity of the case.
+    done: the records of the cases that are done, plain data by the identity of the case.
     """
 
     def __init__(self, file: Path, header: Mapping[str, Any], *, kind: str, free: str = "") -> None:
@@ -36,12 +36,12 @@ class Journal:
         Parameters
         ----------
         header: all that the cases share and that determines them, plain data.
-        kind: of what it is the journal: ``study``, or another word.
+        kind: what the journal is for: ``study``, or another word.
         free: keys that may differ from run to run, in words.
 
         Raises
         ------
-        StudyError: the journal is of another one; says what differs.
+        StudyError: the journal is for another study; says what differs.
         OutputError: it cannot be read or written.
         """
         self._file, self._kind, self._free = file, kind, free
@@ -49,7 +49,7 @@ class Journal:
         try:
             end = self._read(header)
             self._stream: IO[bytes] = file.open("ab", buffering=0)
-            os.truncate(file, end)  # whatever is torn
+            os.truncate(file, end)  # drop a torn line
         except OSError as error:
             raise OutputError(f"cannot be written: {error.strerror}", file=file) from error
         self._end, self._synced = end, 0.0
@@ -65,11 +65,11 @@ class Journal:
         self._stream.close()
 
     def add(self, identity: str, content: Mapping[str, Any]) -> None:
-        """Note that a case is done, and what came of it.
+        """Record a case that is done, with its result.
 
         Raises
         ------
-        OutputError: that cannot be written; the lines before stay as they are.
+        OutputError: it cannot be written; the lines before remain as they are.
         """
         self._write({"id": identity, **content})
         self.done[identity] = content
@@ -82,7 +82,7 @@ class Journal:
         line = _line(json.dumps(content, allow_nan=False, separators=(",", ":")).encode())
         try:
             left = line
-            while left:  # a raw stream may write a part
+            while left:  # a raw stream may write only a part
                 left = left[self._stream.write(left) :]
             if clock.monotonic() - self._synced > _SYNC_EVERY:
                 os.fsync(self._stream.fileno())
@@ -97,7 +97,7 @@ class Journal:
         self._end += len(line)
 
     def _read(self, header: Mapping[str, Any]) -> int:
-        """Read what is there; up to where it is whole [bytes]."""
+        """Read the existing file; return up to where it is intact [bytes]."""
         if not self._file.exists():
             return 0
         content = self._file.read_bytes()
@@ -122,7 +122,7 @@ class Journal:
                 self.done[found["id"]] = found
             elif line is lines[-1]:
                 break  # torn
-            end += len(line)  # one that is damaged within stays, and its case is worked out again
+            end += len(line)  # a damaged line in the middle is kept, and its case is computed again
         return end
 
 
@@ -131,7 +131,7 @@ def _line(payload: bytes) -> bytes:
 
 
 def _content(line: bytes) -> Any:
-    """What a line holds; None where it is torn or damaged."""
+    """The content of a line; None if it is torn or damaged."""
     payload = line[_CHECKSUM + 1 : -1]
     if _line(payload) != line:
         return None

@@ -1,4 +1,4 @@
-"""What came of one row of a study."""
+"""The result of one row of a study."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ VERDICTS: tuple[Verdict, ...] = ("verified", "failed", "invalid", "crashed", "er
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one row.
+    """The result of one row.
 
     Attributes
     ----------
     row: its number.
-    verdict: ``verified`` or ``failed`` as the plan says; ``invalid`` where its values make no scene or job for the
-        machine, ``crashed`` where the process that planned it died twice, ``error`` where planning raised an
+    verdict: ``verified`` or ``failed`` for a plan; ``invalid`` if its values make no valid scene or job for the
+        machine, ``crashed`` if the process that planned it died twice, ``error`` if planning raised an
         exception, which is a fault of the planner.
-    reason: of a failed plan; else that is the verdict, and nothing where it is verified.
+    reason: of a failed plan; empty if verified; otherwise the same as the verdict.
     message: the same in a sentence.
-    metrics: what is kept of the plan, by name.
-    timing: what depends on the computer: `processor` and `wall` time [s], `host`, `process`.
-    plan: the plan's file, where it is kept.
+    metrics: the figures of the plan that are kept, by name.
+    timing: the values that depend on the computer: `processor` and `wall` time [s], `host`, `process`.
+    plan: the content of the plan's file, if it is kept.
     """
 
     row: int
@@ -36,7 +36,7 @@ class Outcome:
     plan: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """All but the plan, as plain data."""
+        """Everything except the plan, as plain data."""
         return {
             "row": self.row, "verdict": self.verdict, "reason": self.reason, "message": self.message,
             "metrics": dict(self.metrics), "timing": dict(self.timing),
@@ -44,7 +44,7 @@ class Outcome:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Outcome:
-        """The outcome of which `to_dict` made this; KeyError, TypeError or ValueError where none did."""
+        """The outcome that `to_dict` made this from; KeyError, TypeError or ValueError if it is not such a record."""
         found = cls(
             int(content["row"]), content["verdict"], str(content["reason"]), str(content["message"]),
             dict(content["metrics"]), dict(content["timing"]),
@@ -54,11 +54,11 @@ class Outcome:
         return found
 
     def without_plan(self) -> Outcome:
-        """The same, with nothing that is large."""
+        """The same without the plan, which is large."""
         return self if self.plan is None else replace(self, plan=None)
 
 
 def crashed(row: int) -> Outcome:
-    """A row of which the process died, twice."""
+    """The outcome of a row whose process died twice."""
     message = "the process that planned it ended without a word, twice: out of memory, or a fault in a library"
     return Outcome(row, "crashed", "crashed", message)

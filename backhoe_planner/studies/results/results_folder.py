@@ -1,4 +1,4 @@
-"""The folder of a study's results, which one run at a time writes to."""
+"""The folder of a study's results; one run at a time writes to it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class ResultsFolder:
     """
 
     def __init__(self, path: Path, *, anew: bool = False) -> None:
-        """Make the folder where there is none, and keep every other run out of it.
+        """Make the folder if there is none, and lock it against other runs.
 
         Parameters
         ----------
-        anew: whether results of a study that are in it are thrown away.
+        anew: whether to delete the results of a study that are in it.
 
         Raises
         ------
-        OutputError: it is a file, cannot be written, or holds a table but no journal.
+        OutputError: it is a file, cannot be written, or contains a table but no journal.
         StudyError: another run writes to it.
         """
         self.path = path
@@ -63,7 +63,7 @@ class ResultsFolder:
             for name in (JOURNAL, TABLE, TIMINGS, PAGE):
                 (path / name).unlink(missing_ok=True)
             shutil.rmtree(path / PLANS, ignore_errors=True)
-        shutil.rmtree(self.scratch, ignore_errors=True)  # of a run that was killed
+        shutil.rmtree(self.scratch, ignore_errors=True)  # left by a run that was killed
 
     def __enter__(self) -> ResultsFolder:
         return self
@@ -74,14 +74,14 @@ class ResultsFolder:
 
     @property
     def journal(self) -> Path:
-        """Its journal."""
+        """The journal's file."""
         return self.path / JOURNAL
 
     @property
     def scratch(self) -> Path:
-        """What a run needs while it goes on."""
+        """The folder for temporary files of a run."""
         return self.path / _SCRATCH
 
     def plan_file(self, row: int) -> Path:
-        """The plan of a row."""
+        """The file of a row's plan."""
         return self.path / PLANS / f"{row:06d}.json"

@@ -1,4 +1,4 @@
-"""What a study says: how often rows are verified, by which parameter, where it is best, and what is traded for what."""
+"""The summary of a study: how often rows are verified, by parameter, where the best are, and the trade-offs."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from backhoe_planner.studies.rows.metrics import Metric
 from backhoe_planner.studies.schema.study_file import Best
 
 _MOST_VALUES = 12  # of a parameter that are shown one by one; chosen, more are shown in bins
-_BINS = 8  # of a parameter that is drawn; chosen
+_BINS = 8  # of a parameter with more values; chosen
 ALIKE = 0.02  # part of a figure; chosen, plans of one site with two seeds mostly differ by less
-_BEST_PART = 0.1  # of the verified rows that make the best region; chosen
-_FEWEST_BEST = 5  # rows of it, so that it says something of a short study; chosen
+_BEST_PART = 0.1  # of the verified rows that form the best region; chosen
+_FEWEST_BEST = 5  # rows of the best region, so that it is meaningful for a short study; chosen
 
 
 @dataclass(frozen=True)
 class Share:
-    """The rows in which a parameter has one value, or lies in one bin.
+    """The rows in which a parameter has one value, or is in one bin.
 
     Attributes
     ----------
     label: the value, or the ends of the bin.
     rows, verified: how many rows there are, and how many of them are verified.
-    best: the median of the metric by which rows are compared, of those verified; nan where none is.
+    best: the median over the verified rows of the metric by which rows are compared; nan if none is verified.
     """
 
     label: str
@@ -42,13 +42,13 @@ class Share:
 
 @dataclass(frozen=True)
 class Region:
-    """Where a parameter lies in the best rows, beside all rows.
+    """The values of a parameter in the best rows, compared with all rows.
 
     Attributes
     ----------
     name: of the parameter.
-    best: of the best rows: ends of the range, or the values that occur.
-    every: the same of all rows.
+    best: in the best rows: ends of the range, or the values that occur.
+    every: the same for all rows.
     """
 
     name: str
@@ -58,18 +58,18 @@ class Region:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a study says.
+    """The summary of a study.
 
     Attributes
     ----------
-    counts: of rows by verdict, and reason where there is one, most frequent first.
+    counts: of rows by verdict, and by reason if there is one, most frequent first.
     messages: of the first row with each verdict that gives no reason (`invalid`, `error`), with its number.
-    best: the best verified row; None where none is verified or has the metric.
+    best: the best verified row; None if none is verified or has the metric.
     best_value: of its metric.
-    alike: how many others come within `ALIKE` of that, by which searches with other seeds may differ.
+    alike: how many others are within `ALIKE` of that value, by which searches with other seeds may differ.
     shares: of every parameter that differs.
-    regions: where each of these lies in the best rows.
-    in_region: how many rows these are.
+    regions: the values of each of these parameters in the best rows.
+    in_region: how many best rows there are.
     """
 
     counts: Mapping[str, int]
@@ -83,7 +83,7 @@ class Summary:
 
     @property
     def doubt(self) -> str:
-        """How many rows are about as good as the best, in words; empty where none is."""
+        """How many rows are about as good as the best, in words; empty if none is."""
         if not self.alike:
             return ""
         others = "1 other is" if self.alike == 1 else f"{self.alike} others are"
@@ -92,13 +92,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class Map:
-    """Two parameters beside each other: of every pair of their values the rows, as `Share` has them.
+    """A table of two parameters: for every pair of their values the rows, as a `Share`.
 
     Attributes
     ----------
     across, down: names of the parameters.
     columns, lines: labels of their values.
-    cells: of every line, one of each column; None where no row has both.
+    cells: for every line one for each column; None if no row has both values.
     """
 
     across: str
@@ -132,10 +132,10 @@ def summarise(rows: Sequence[StudyRow], outcomes: Mapping[int, Outcome], best: B
 def trade_offs(
     metrics: Sequence[Metric], rows: Sequence[StudyRow], outcomes: Mapping[int, Outcome], best: Best
 ) -> list[tuple[str, str, list[tuple[float, float, int, bool]]]]:
-    """Pairs of metrics of the verified rows: names, and of every row x, y, its number and whether none beats it.
+    """Pairs of metrics of the verified rows: names, and for every row x, y, its number and whether no row beats it.
 
-    The first of each pair is that by which rows are compared; a row is beaten where another one is as good in
-    it and has less of the second (more, where that is a margin), or the other way about.
+    The first metric of each pair is the one by which rows are compared. A row is beaten if another one is as good
+    in one of the two metrics and better in the other; less of the second is better, for a margin more is.
     """
     found = []
     for metric in metrics:
@@ -159,7 +159,7 @@ def trade_offs(
 
 
 def map_of_two(summary: Summary, rows: Sequence[StudyRow], outcomes: Mapping[int, Outcome], best: Best) -> Map | None:
-    """The two parameters on which most depends, beside each other; None where fewer differ."""
+    """The table of the two parameters with the largest effect; None if fewer than two differ."""
     ranked = sorted(summary.shares, key=lambda name: (-_weight(summary.shares[name]), name))
     if len(ranked) < 2:
         return None
@@ -176,7 +176,7 @@ def map_of_two(summary: Summary, rows: Sequence[StudyRow], outcomes: Mapping[int
 
 
 def _weight(shares: Sequence[Share]) -> float:
-    """How much depends on a parameter: the spread of the verified part, and of the median of what is best."""
+    """The effect of a parameter: the spread of the verified part, and of the median of the metric."""
     parts = [share.verified / share.rows for share in shares if share.rows]
     medians = [share.best for share in shares if not math.isnan(share.best)]
     spread = (max(medians) - min(medians)) / max(map(abs, medians)) if medians and any(medians) else 0.0
@@ -184,7 +184,7 @@ def _weight(shares: Sequence[Share]) -> float:
 
 
 def wants_more(name: str) -> bool:
-    """Whether of a metric more is better: of margins, distances and what is produced."""
+    """Whether more of a metric is better: for margins, distances and production."""
     last = name.rpartition(".")[2]
     return last in ("margin", "production", "bank", "loose", "kept_percent") or (
         "clearance" in name and last == "value"
@@ -192,7 +192,7 @@ def wants_more(name: str) -> bool:
 
 
 def _front(points: Sequence[tuple[float, float, int]], sign_x: float, sign_y: float) -> set[int]:
-    """The numbers of the points that no other one beats."""
+    """The numbers of the points that no other point beats."""
     front, least = set(), math.inf
     for _, y, number in sorted(points, key=lambda one: (sign_x * one[0], sign_y * one[1], one[2])):
         if sign_y * y < least:
@@ -245,7 +245,7 @@ def _share(
 
 
 def _groups(name: str, rows: Sequence[StudyRow]) -> dict[str, list[StudyRow]]:
-    """The rows by the value of a parameter, or by the bin in which it lies where there are many."""
+    """The rows by the value of a parameter, or by its bin if there are many values."""
     values = [row.values[name] for row in rows]
     if all(map(_is_number, values)) and len(set(values)) > _MOST_VALUES:
         edges = np.linspace(min(values), max(values), _BINS + 1)

@@ -1,4 +1,4 @@
-"""The tables of a study in Parquet: one row a plan, and beside it what depends on the computer."""
+"""The tables of a study in Parquet: one row for each plan, and a second table of what depends on the computer."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from backhoe_planner.studies.rows.template import Template
 
 
 def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int, Outcome], *, all_rows: bool) -> Any:
-    """The table of those rows that are done, in their order: a `pyarrow.Table`.
+    """The table of the rows that are done, in their order: a `pyarrow.Table`.
 
     Columns are `row`, the parameters, `method`, `effort` and `seed` of the plan, `verdict`, `reason`, `message`, the
     metrics and `versions`. Nothing in it depends on the time or the computer.
 
     Parameters
     ----------
-    rows: of the study, all of them, which say the types of the parameters.
-    found: what came of them, by the number of the row.
-    all_rows: whether rows that are not done are in it too, with nothing but their parameters.
+    rows: all rows of the study; they determine the types of the parameters.
+    found: their results, by row number.
+    all_rows: whether rows that are not done are included, with nothing but their parameters.
     """
     import pyarrow as pa
 
@@ -52,7 +52,7 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
 
 
 def build_timings(found: Mapping[int, Outcome]) -> Any:
-    """The table of what depends on the computer: a `pyarrow.Table`."""
+    """The table of the values that depend on the computer: a `pyarrow.Table`."""
     import pyarrow as pa
 
     done = sorted(found)
@@ -75,12 +75,12 @@ def write_table(table: Any, file: Path) -> None:
     try:
         with whole_file(file, "wb") as stream:
             pq.write_table(table, stream)
-    except OSError as error:  # of pyarrow, where it has a class of its own
+    except OSError as error:  # pyarrow may raise a subclass of its own
         raise OutputError(f"cannot be written: {error.strerror or error}", file=file) from error
 
 
 def _type_of(values: Sequence[Any]) -> Any:
-    """The type of a parameter's column; text in JSON where its values have no one type."""
+    """The type of a parameter's column; JSON text if its values have no common type."""
     import pyarrow as pa
 
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}

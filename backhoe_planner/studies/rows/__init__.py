@@ -1,1 +1,1 @@
-"""The rows of a study: what differs, where it stands, and what is kept of each plan."""
+"""The rows of a study: the values that differ, their places in the template, and the figures that are kept."""

@@ -1,4 +1,4 @@
-"""The rows of a study: which values every plan gets, drawn before anything is planned."""
+"""The rows of a study: the values of every plan, drawn before anything is planned."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class StudyRow:
     values: Mapping[str, Any]
 
     def identity(self, template: str) -> str:
-        """A digest of all that determines its plan.
+        """A digest of everything that determines its plan.
 
         Parameters
         ----------
@@ -39,7 +39,7 @@ class StudyRow:
 
 
 def draw_rows(study: Study) -> Iterator[StudyRow]:
-    """All rows, in order. A row depends on the study's seed and its own number, not on how many there are."""
+    """All rows, in order. A row depends on the study's seed and its own number, not on the number of rows."""
     return (StudyRow(number, values) for number, values in enumerate(_combinations(study)))
 
 

@@ -1,7 +1,7 @@
 """Key paths: the place in a scene or a job that a text such as ``obstacles.pipe.position`` names.
 
-What may stand at a place is read from the schema's own records, so that a key that the template leaves
-out can be a parameter too, and one that does not exist is told with the nearest name.
+The keys that are allowed at a place are read from the schema's own records. So a key that the template leaves
+out can be a parameter too, and a key that does not exist is reported with the nearest name.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ def spell(address: Address) -> str:
 
 
 def find_address(path: str, content: MutableMapping[str, Any], root: Any) -> Address:
-    """The place in `content` that a key path names; what is missing on the way to it is made there.
+    """The place in `content` that a key path names; missing keys above that place are created.
 
     Parameters
     ----------
     path: keys with dots between them; an entry of a list by its number from 0, or by its `name`.
-    content: of the scene or job, plain data. Entries that have defaults are written out where the path needs them.
-    root: the record of which `content` is, or an annotation.
+    content: of the scene or job, plain data. Default entries are written out if the path needs them.
+    root: the type of record that `content` describes, or an annotation.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def put(content: Any, address: Address, value: Any) -> None:
 
 
 def members(annotation: Any) -> Iterator[Any]:
-    """Every member of an annotation that is a union, with what is `Annotated` laid open."""
+    """Every member of an annotation that is a union, with each `Annotated` unwrapped."""
     if isinstance(annotation, typing.TypeAliasType if hasattr(typing, "TypeAliasType") else ()):
         yield from members(annotation.__value__)
         return
@@ -110,7 +110,7 @@ def is_record(kind: Any) -> bool:
 
 
 def _fields(kinds: Sequence[Any], node: Mapping[str, Any]) -> dict[str, list[FieldInfo]]:
-    """The keys of the records among `kinds` that fit what stands there, by their name in a file."""
+    """The keys of the records among `kinds` that fit `node`, by their name in a file."""
     found: dict[str, list[FieldInfo]] = {}
     records = [kind for kind in kinds if is_record(kind)]
     fitting = [record for record in records if _fits(record, node)]
@@ -121,7 +121,7 @@ def _fields(kinds: Sequence[Any], node: Mapping[str, Any]) -> dict[str, list[Fie
 
 
 def _fits(record: type[BaseModel], node: Mapping[str, Any]) -> bool:
-    """Whether all keys that stand there are of a record, with the words by which it is chosen."""
+    """Whether all keys of `node` belong to a record, and the keys that select a record have its values."""
     fields = {field.alias or name: field for name, field in record.model_fields.items()}
     chosen = (
         typing.get_origin(field.annotation) is not Literal or node.get(key) in typing.get_args(field.annotation)
@@ -132,7 +132,7 @@ def _fits(record: type[BaseModel], node: Mapping[str, Any]) -> bool:
 
 
 def _entries(kinds: Sequence[Any], container: type) -> list[Any]:
-    """What the entries of the lists, or of the mappings, among `kinds` are."""
+    """The annotations of the entries of the lists, or of the mappings, among `kinds`."""
     found = []
     for kind in kinds:
         origin = typing.get_origin(kind)
@@ -144,7 +144,7 @@ def _entries(kinds: Sequence[Any], container: type) -> list[Any]:
 
 
 def _opened(node: Any, kinds: Sequence[Any], field: FieldInfo | None, rest: str) -> Any:
-    """What stands at a key into which the path goes on: itself, its default, or nothing with keys yet."""
+    """The value at a key below which the path continues: the value itself, its default, or an empty mapping."""
     if isinstance(node, (MutableMapping, MutableSequence)):
         return node
     if _first(rest, ())[0].isdigit() and _entries(kinds, Sequence) and field is not None and node is None:
@@ -155,7 +155,7 @@ def _opened(node: Any, kinds: Sequence[Any], field: FieldInfo | None, rest: str)
 
 
 def _first(rest: str, names: Any) -> tuple[str, str]:
-    """The first key of a path and the rest of it; a key may hold dots where it is one of `names`."""
+    """The first key of a path and the rest of it; a key may contain dots if it is one of `names`."""
     whole = [name for name in names if isinstance(name, str) and (rest == name or rest.startswith(f"{name}."))]
     first = max(whole, key=len, default="") or rest.partition(".")[0]
     return first, rest[len(first) + 1 :]

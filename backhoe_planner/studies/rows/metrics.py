@@ -1,4 +1,4 @@
-"""The figures of a plan that a study keeps, by key path: which there are, of what type, and their values."""
+"""The figures of a plan that a study keeps, by key path: their names, types and values."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Type = Literal["float", "int", "string", "bool"]
 Kind = Literal["scene", "job"]
 
 _OF_PLANS: dict[str, Any] = {"metrics": Metrics, "certificate": CertificateRecord, "bound": Bound, "findings": Findings}
-_SHORT = ("metrics", "certificate", "bound")  # of which the first key may be left out
-_OF_VERIFIED = ("metrics", "bound", "figures")  # what is of a motion that counts; the rest says how one fails
-_TIMED = ("planning_time",)  # depends on the machine on which it is planned
+_SHORT = ("metrics", "certificate", "bound")  # roots that may be left out of a key path
+_OF_VERIFIED = ("metrics", "bound", "figures")  # only valid for a verified motion; the others describe failures too
+_TIMED = ("planning_time",)  # depends on the computer
 DEFAULTS: dict[Kind, tuple[str, ...]] = {
     "scene": (
         "duration", "energy.work", "cost.value", "tip_length", "certificate.min_clearance.margin",
@@ -46,7 +46,7 @@ class Metric:
     type: Type
 
     def value(self, sources: Mapping[str, Any], *, verified: bool) -> float | int | str | bool | None:
-        """Its value in a plan; None where there is none, and where it is of a motion that is not verified.
+        """Its value in a plan; None if there is none, or if it requires a verified motion and this one is not.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class Metric:
 
 
 def sources_of(plan: Plan | JobPlan, metrics: Iterable[Metric]) -> dict[str, Any]:
-    """Where the figures of a plan stand, as far as any of `metrics` is there: a bound takes a while to find."""
+    """The records of a plan that contain any of `metrics`; others are left out, since a bound takes time to compute."""
     if isinstance(plan, JobPlan):
         return {"figures": job_figures(plan)}
     found: dict[str, Any] = {}
@@ -82,7 +82,7 @@ def find_metric(name: str, kind: Kind) -> Metric:
 
     Raises
     ------
-    ValueError: there is none, it is no single value, or it is a time of the computer; says what there is.
+    ValueError: there is none, it is not a single value, or it is a time of the computer; says what is allowed.
     """
     keys = name.split(".")
     if keys[-1] in _TIMED:
@@ -130,7 +130,7 @@ def _keys(kind: Any) -> list[str]:
 
 
 def _below(kind: Any, key: str) -> Any:
-    """The annotation of `key` below a member of an annotation; None where there is no such key."""
+    """The annotation of `key` below a member of an annotation; None if there is no such key."""
     if typing.get_origin(kind) is tuple:
         entries = [one for one in typing.get_args(kind) if one is not Ellipsis]
         return entries[0] if key.isdecimal() else None

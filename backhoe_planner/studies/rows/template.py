@@ -1,4 +1,4 @@
-"""The template of a study: a scene or a job as plain data, and where in it every parameter stands."""
+"""The template of a study: a scene or a job as plain data, and the place of every parameter in it."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ _OWN: dict[str, Any] = {"method": "auto", "effort": "quick", "seed": 0}
 
 @dataclass(frozen=True)
 class Template:
-    """What all rows share.
+    """The part that all rows share.
 
     Attributes
     ----------
     kind: whether a scene or a job is planned.
     content: of the scene or the job, plain data.
-    machine: with a scene, as `load_robot` takes it; empty where it is a parameter or with a job.
-    addresses: where in the content each parameter stands; of settings of the plan, nothing.
-    metrics: what is kept of each plan.
-    best: by which of them rows are compared.
+    machine: with a scene, as `load_robot` takes it; empty if it is a parameter, or with a job.
+    addresses: the place of each parameter in the content; empty for settings of the plan.
+    metrics: the figures of each plan that are kept.
+    best: the metric by which rows are compared.
     keep_plans: which plans are kept: ``none``, ``failed``, ``all``.
-    folder: where files named in the content are looked for, absolute.
-    site_folder: the same of the site of a job.
-    machine_folder: where a machine that is a parameter is looked for, absolute.
-    package_path: the folders of ROS packages in which meshes are looked for.
+    folder: in which files named in the content are searched, absolute.
+    site_folder: the same for the site of a job.
+    machine_folder: in which a machine that is a parameter is searched, absolute.
+    package_path: the folders of ROS packages in which meshes are searched.
     """
 
     kind: Kind
@@ -70,12 +70,12 @@ class Template:
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files from which the rows are planned.
+    """The inputs from which the rows are planned.
 
     Attributes
     ----------
     robots: every machine.
-    files: those of machines that do not come with the package, of the content and of parameters; absolute.
+    files: of machines that are not shipped with the package, of the content and of parameters; absolute.
     """
 
     robots: tuple[Robot, ...]
@@ -83,11 +83,11 @@ class Inputs:
 
 
 def build_template(study: Study) -> tuple[Template, Inputs]:
-    """The template of a study and the files that it takes, checked.
+    """The template of a study and the files that it needs, checked.
 
     Raises
     ------
-    StudyError: the scene or the job is wrong, or a machine; a key path, a metric, a method or an effort does not exist;
+    StudyError: the scene, the job or a machine is wrong; a key path, a metric, a method or an effort does not exist;
         two parameters set the same place.
     """
     kind: Kind = "scene" if study.job is None else "job"
@@ -109,14 +109,14 @@ def build_template(study: Study) -> tuple[Template, Inputs]:
 
 
 def machine_source(name: Any, folder: str | Path) -> str:
-    """A machine that a study or a job names, as `load_robot` takes it; InputError where it is no text."""
+    """A machine that a study or a job names, as `load_robot` takes it; InputError if it is not text."""
     if not isinstance(name, str):
         raise InputError("is not a machine", key="machine", found=name, allowed="a URDF file, or example:NAME")
     return _source(name, folder)
 
 
 def absolute(path: str | Path) -> str:
-    """A path from ``/`` on without ``..``; links are followed by nobody, since names around them may count."""
+    """An absolute path without ``..``; links are not resolved, since the names of files beside them may matter."""
     return os.path.normpath(Path(path).absolute())
 
 
@@ -129,7 +129,7 @@ def _source(name: str, folder: str | Path) -> str:
 
 
 def digest_of(template: Template, inputs: Inputs) -> dict[str, Any]:
-    """What determines all plans of a study beside its rows: plain data, of which no part depends on where it lies."""
+    """All that determines the plans of a study besides its rows: plain data, independent of where files are stored."""
     files = {}
     for file in inputs.files:
         try:
@@ -163,13 +163,13 @@ def _load(study: Study, kind: Kind) -> Scene | Job:
 
 
 def _shipped_or(folder: Path, name: str) -> Path:
-    """A file beside the study, or as it is named, which may be one that comes with the package."""
+    """The path of a file in the study's folder, or the name itself, which may be that of a shipped file."""
     beside = folder / name
     return beside if beside.exists() or not name.startswith("scenes/") else Path(name)
 
 
 def _addresses(study: Study, content: dict[str, Any], kind: Kind) -> Iterator[tuple[str, Address]]:
-    """Of every parameter; content that has defaults is written out where a parameter needs it."""
+    """The address of every parameter; default content is written out if a parameter needs it."""
     found: dict[str, Address] = {}
     for name in study.parameters:
         if name in SETTINGS and not (kind == "job" and name == "machine"):
@@ -213,7 +213,7 @@ def _address(name: str, content: dict[str, Any], kind: Kind) -> Address:
 
 
 def _check_settings(study: Study) -> None:
-    """That methods, efforts and seeds which are listed are such."""
+    """Check that the listed methods, efforts and seeds are valid."""
     for name, allowed in (("method", tuple(METHODS)), ("effort", tuple(EFFORTS))):
         values = study.values.get(name)
         if values is None:
@@ -244,7 +244,7 @@ def _check_settings(study: Study) -> None:
 
 
 def _metrics(study: Study, kind: Kind) -> tuple[tuple[Metric, ...], Best]:
-    """What is kept, with the one by which rows are compared, and how they are."""
+    """The metrics to keep, including the one by which rows are compared, and how it compares them."""
     best, key = study.best or _default_best(study, kind), ("best",)
     names = dict.fromkeys(DEFAULTS[kind] if study.metrics is None else study.metrics)
     found = {}
@@ -265,7 +265,7 @@ def _metrics(study: Study, kind: Kind) -> tuple[tuple[Metric, ...], Best]:
 
 
 def _default_best(study: Study, kind: Kind) -> Best:
-    """By the objective; by the duration where that differs from row to row."""
+    """The default comparison: by the objective, or by the duration if the objective differs from row to row."""
     if kind == "job":
         return Best(greatest="production")
     return Best(least="duration" if "objective" in study.parameters else "cost.value")

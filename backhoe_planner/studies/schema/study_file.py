@@ -1,4 +1,4 @@
-"""The study file: a scene or a job as template, what differs from row to row, and what is kept of each plan."""
+"""The study file: a scene or job as template, the parameters that differ by row, and the figures to keep."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Spec = Annotated[Any, AfterValidator(_readable)]
 
 
 class Best(Record):
-    """By which figure rows are compared: exactly one of least, greatest."""
+    """The metric by which rows are compared: exactly one of least, greatest."""
 
     least: str | None = None
-    """The metric that is to be small."""
+    """The metric whose least value is best."""
     greatest: str | None = None
-    """The metric that is to be great."""
+    """The metric whose greatest value is best."""
 
     _one = exactly_one("least", "greatest")
 
@@ -45,7 +45,7 @@ class Best(Record):
 
     @property
     def sign(self) -> float:
-        """1 where less is better, -1 where more is."""
+        """1 if less is better, -1 if more is better."""
         return 1.0 if self.least is not None else -1.0
 
 
@@ -61,25 +61,25 @@ class Study(FileRecord):
     version: Literal[1]
     name: Title = ""
     machine: str | None = None
-    """A URDF file, relative to the study file, or example:NAME; with a scene. A job names its own."""
+    """With a scene: a URDF file, relative to the study file, or example:NAME. A job names its own machine."""
     scene: str | dict[str, Any] | None = None
     """The scene that is the template: a file, relative to the study file, or its keys."""
     job: str | dict[str, Any] | None = None
     """The job that is the template, instead of a scene."""
     parameters: dict[str, Spec] = Field(default_factory=dict)
-    """What differs, by key path; `machine`, `method`, `effort` and `seed` are those of the plan."""
+    """The values that differ, by key path; `machine`, `method`, `effort` and `seed` are those of the plan."""
     combine: Literal["grid", "zip", "random"] = "grid"
-    """Every combination, the first of each with the first of the others, or `count` of them at random."""
+    """grid: every combination; zip: all first values, then all second values, ...; random: `count` random rows."""
     count: Annotated[StrictInt, Field(ge=1, le=MOST_VALUES)] | None = None
-    """With `random`, how many rows; with a grid that holds a distribution, how many draws at each of its points."""
+    """With `random`: the number of rows. With a grid that has a distribution: the number of draws at each point."""
     seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = 0
-    """Of what is drawn at random."""
+    """Seed of the random draws."""
     metrics: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Which figures of each plan are kept; by default the usual ones."""
+    """The figures of each plan to keep; by default the usual ones."""
     best: Annotated[Best | None, BeforeValidator(_compared, json_schema_input_type=str | Best | None)] = None
-    """By which figure the best row is found: a metric that is to be least, or {greatest: METRIC}."""
+    """The metric that decides which row is best: its name if less is better, or {greatest: METRIC}."""
     keep_plans: Literal["none", "failed", "all"] = "none"
-    """Which plans are written as files too."""
+    """The plans that are also written as files."""
 
     _lines: Mapping[KeyPath, int] = PrivateAttr(default_factory=dict)
 
@@ -115,12 +115,12 @@ class Study(FileRecord):
 
     @cached_property
     def values(self) -> dict[str, Values]:
-        """What each parameter takes."""
+        """The values of each parameter."""
         return {name: read_values(spec) for name, spec in self.parameters.items()}
 
     @property
     def rows(self) -> int:
-        """How many plans it has."""
+        """The number of plans."""
         lengths = [len(one.listed) for one in self.values.values() if one.draw is None]
         if self.combine == "random":
             return self.count or 0
@@ -129,7 +129,7 @@ class Study(FileRecord):
         return math.prod(lengths) * (self.count or 1)
 
     def place(self, *keys: str | int) -> str:
-        """A key as messages name it, with its line where the file is known."""
+        """A key as messages name it, with its line if the file is known."""
         line = self._lines.get(keys)
         name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
         return name if line is None else f"{name} (line {line})"
@@ -165,8 +165,8 @@ def study_from_dict(
     Parameters
     ----------
     content: keys and values as in a study file.
-    folder: where files that the study names are looked for.
-    file, lines: for messages: the file it came from, and the line of every key.
+    folder: in which files named by the study are searched.
+    file, lines: for messages: the file that the study came from, and the line of every key.
 
     Raises
     ------
@@ -178,5 +178,5 @@ def study_from_dict(
 
 
 def study_schema() -> dict[str, Any]:
-    """The study file's JSON Schema; of its scene or job, which a parameter may make whole, it says nothing."""
+    """The study file's JSON Schema; it does not check the scene or job, which may only be complete with parameters."""
     return Study.file_schema("study")

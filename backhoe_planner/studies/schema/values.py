@@ -1,4 +1,4 @@
-"""What a parameter takes: values one by one, a range, or a distribution to draw from."""
+"""The values of a parameter: listed one by one, a range, or a distribution to draw from."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _KINDS = ("from", "uniform", "normal", "log_uniform", "choice")
 
 @dataclass(frozen=True)
 class Values:
-    """What a parameter takes.
+    """The values of a parameter.
 
     Attributes
     ----------
-    listed: values one by one; empty where it is drawn.
-    draw: one value from a generator; None where they are listed.
-    words: of a distribution, for messages and pages: ``uniform [0.1, 0.3]``.
+    listed: values one by one; empty if they are drawn.
+    draw: draws one value with a generator; None if they are listed.
+    words: describe a distribution in messages and pages: ``uniform [0.1, 0.3]``.
     """
 
     listed: tuple[Any, ...] = ()
@@ -32,16 +32,16 @@ class Values:
     words: str = ""
 
     def one(self, rng: np.random.Generator) -> Any:
-        """A value at random: of the distribution, or any of those listed."""
+        """A random value: from the distribution, or any of those listed."""
         return self.draw(rng) if self.draw is not None else self.listed[int(rng.integers(len(self.listed)))]
 
 
 def plain(found: Any) -> Any:
-    """The same as plain data: lists instead of numpy's arrays, numbers of Python.
+    """The same as plain data: with lists instead of numpy arrays, and Python numbers.
 
     Raises
     ------
-    ValueError: it holds a number that is not finite, or what no file could hold.
+    ValueError: it contains a number that is not finite, or something that no file could contain.
     """
     if hasattr(found, "tolist"):
         found = found.tolist()
@@ -57,7 +57,7 @@ def plain(found: Any) -> Any:
 
 
 def read_values(found: Any) -> Values:
-    """What a parameter takes, from how the study file says it.
+    """The values of a parameter, from the way that the study file gives them.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_values(found: Any) -> Values:
 
 
 def _range(found: Mapping[str, Any]) -> tuple[float, ...]:
-    """Of {from, to, count} or {from, to, step}, both ends in it where the step leads there."""
+    """The values of {from, to, count} or {from, to, step}, including both ends if the step leads there."""
     _only(found, {"from", "to", "count", "step"})
     missing = [key for key in ("from", "to") if key not in found]
     if missing:

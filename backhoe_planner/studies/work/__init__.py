@@ -1,1 +1,1 @@
-"""Rows planned by processes of this machine, or by a cluster."""
+"""Planning rows by processes of this computer, or by a cluster."""

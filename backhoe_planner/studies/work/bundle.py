@@ -1,6 +1,6 @@
 """A study as its workers get it: the template, and the bytes of every file, so that nothing is read twice.
 
-A file that changes while the study runs changes nothing, and a worker on another computer needs no files.
+A file that changes while the study runs has no effect, and a worker on another computer needs no files.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class Bundle:
 
     Attributes
     ----------
-    template: what all rows share.
-    files: their content, by their absolute path without its first character.
-    versions: of what plans, which must be those of the worker.
-    digest: of all of it.
+    template: the part that all rows share.
+    files: content of every file, by its absolute path without the first character.
+    versions: of the planning packages; those of the worker must be the same.
+    digest: of the template and the files.
     """
 
     template: Template
@@ -37,7 +37,7 @@ class Bundle:
     digest: str
 
     def unpack(self, root: Path) -> None:
-        """Write the template and all files into a folder, each below it as it lies below ``/``.
+        """Write the template and all files into a folder, each at its absolute path relative to that folder.
 
         Raises
         ------
@@ -50,7 +50,7 @@ class Bundle:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(content)
             for folder in (self.template.folder, self.template.site_folder, self.template.machine_folder):
-                (root / folder[1:]).mkdir(parents=True, exist_ok=True)  # so that `..` in a name leads on
+                (root / folder[1:]).mkdir(parents=True, exist_ok=True)  # so that `..` in a name can be resolved
             (root / _TEMPLATE).write_bytes(pickle.dumps(self.template))
         except OSError as error:
             raise OutputError(f"cannot be written: {error.strerror}", file=root) from error
@@ -84,11 +84,11 @@ def unpacked_template(root: Path) -> Template:
 
 
 def check_meshes_travel(robots: tuple[Robot, ...]) -> None:
-    """Check that no machine names a mesh by where it lies on this computer.
+    """Check that no machine names a mesh by its absolute path on this computer.
 
     Raises
     ------
-    StudyError: one does.
+    StudyError: a machine does.
     """
     for robot in robots:
         shapes = [shape for link in robot.urdf.robot.links for shape in (*link.collisions, *link.visuals)]

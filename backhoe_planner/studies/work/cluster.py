@@ -1,7 +1,7 @@
-"""Rows planned by the workers of a Dask cluster.
+"""Planning rows by the workers of a Dask cluster.
 
-The files of a study go to the workers as bytes, by way of the scheduler: a worker that comes later, or in the place
-of one that was lost, gets them too. Dask plans the rows of a lost worker on another one.
+The files of a study go to the workers as bytes, through the scheduler: a worker that joins later, or replaces one
+that was lost, gets them too. Dask plans the rows of a lost worker on another one.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from backhoe_planner.studies.rows.drawing import StudyRow
 from backhoe_planner.studies.work.bundle import Bundle
 from backhoe_planner.studies.work.row_planning import RowPlanner
 
-_CONNECTED_WITHIN = 5.0  # s; chosen: a scheduler that is there answers within some milliseconds
-_AHEAD = 4  # rows for each thread of the cluster that wait or are planned: enough that none is idle; chosen
-_LEAST_AHEAD = 32  # rows, where workers are still to come; chosen
+_CONNECTED_WITHIN = 5.0  # s; chosen: a running scheduler answers within some milliseconds
+_AHEAD = 4  # rows waiting or being planned for each thread of the cluster: enough that none is idle; chosen
+_LEAST_AHEAD = 32  # rows, if workers are still to join; chosen
 
-_ONE_AT_A_TIME = threading.Lock()  # of the threads of a worker: machines and scenes are not shared between threads
+_ONE_AT_A_TIME = threading.Lock()  # for the threads of a worker: machines and scenes are not shared between threads
 
 
 def plan_on_cluster(bundle: Bundle, rows: Sequence[StudyRow], address: str) -> Generator[Outcome, None, None]:
-    """The outcomes of all rows, as they come; where it is closed, what is not done is given up.
+    """The outcomes of all rows, as they are finished; if the generator is closed, the other rows are cancelled.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def plan_on_cluster(bundle: Bundle, rows: Sequence[StudyRow], address: str) -> G
 
     Raises
     ------
-    StudyError: the scheduler cannot be reached, or is lost; a worker has not what it takes.
+    StudyError: the scheduler cannot be reached, or is lost; a worker lacks what it needs.
     """
     import distributed
 
@@ -50,13 +50,13 @@ def plan_on_cluster(bundle: Bundle, rows: Sequence[StudyRow], address: str) -> G
         try:
             yield from _plan_all(client, bundle, rows, distributed)
         finally:
-            with contextlib.suppress(Exception):  # of a scheduler that is gone
+            with contextlib.suppress(Exception):  # the scheduler may be gone
                 client.close(timeout=2)
 
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Dask logs nothing meanwhile: what is wrong is said once, by this program."""
+    """Silence Dask's logging: this program reports each error once."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "distributed.core")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -74,7 +74,7 @@ def _connect(address: str) -> Any:
 
     try:
         get_address_host(address)
-    except ValueError as error:  # before a client has it, which would try for long and end with a traceback
+    except ValueError as error:  # checked first: a client would try for a long time and end with a traceback
         raise StudyError(
             f"is no address of a scheduler: {error}", key="--scheduler", found=address or "nothing",
             allowed="such as tcp://127.0.0.1:8786",
@@ -94,7 +94,7 @@ def _plan_all(
 ) -> Generator[Outcome, None, None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sending large graph", category=UserWarning)
-        # as a task, not scattered: Dask makes it again where all workers that had it are lost
+        # as a task, not scattered: Dask computes it again if all workers that had it are lost
         shared = client.submit(_hand_on, bundle, key=f"backhoe-planner-study-{bundle.digest[:16]}")
     left, again = deque(rows), set[int]()
     at_work: dict[Any, StudyRow] = {}
@@ -118,7 +118,7 @@ def _plan_all(
                 if row.number in again:
                     outcome = crashed(row.number)
                 else:
-                    again.add(row.number)  # it may have waited beside the one that killed the workers
+                    again.add(row.number)  # it may only have been waiting when another row killed the workers
                     left.append(row)
                     hand_out()
                     continue
@@ -126,7 +126,7 @@ def _plan_all(
                 raise
             except (OSError, TimeoutError, asyncio.CancelledError, distributed.client.FutureCancelledError) as error:
                 raise _lost(error) from None
-            except Exception as error:  # noqa: BLE001  whatever a computer of the cluster lacks
+            except Exception as error:  # noqa: BLE001  whatever a worker lacks
                 raise StudyError(
                     f"a worker of the cluster cannot plan: {type(error).__name__}: {error}", key="--scheduler",
                     hint="backhoe_planner must be installed there in the same version",

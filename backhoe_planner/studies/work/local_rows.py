@@ -1,4 +1,4 @@
-"""Rows planned by processes of this computer."""
+"""Planning rows by processes of this computer."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from backhoe_planner.studies.work.row_planning import RowPlanner
 def plan_locally(
     bundle: Bundle, rows: Sequence[StudyRow], folder: Path, *, processes: int
 ) -> Generator[Outcome, None, None]:
-    """The outcomes of all rows, as they come; where it is closed, the processes end.
+    """The outcomes of all rows, as they are finished; if the generator is closed, the processes end.
 
     Parameters
     ----------
-    folder: for the files of the bundle and of the rows at work; to be removed afterwards.
+    folder: for the files of the bundle and of the rows being planned; to be removed afterwards.
     processes: how many.
 
     Raises

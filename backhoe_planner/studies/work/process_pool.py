@@ -1,8 +1,8 @@
-"""One call for many items, in several processes of this computer, as the results come.
+"""One call for many items, in several processes of this computer, with the results as they are finished.
 
-The processes are joblib's (loky), each with one thread. Where one dies, all that were at work are lost with it: which
-items these were is known from files that they write at the start of an item and remove at its end. Each of these is
-tried again by a process of its own; where that dies too, that is its result.
+The processes are joblib's (loky), each with one thread. If one dies, all that were working are lost with it. Their
+items are known from files that the processes write at the start of an item and remove at its end. Each of these items
+is tried again by a process of its own; if that dies too, this is the item's result.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import Any, TypeVar
 from backhoe_planner.blas import ONE_THREAD
 from backhoe_planner.errors import InputError, OutputError, StudyError
 
-_AHEAD = 3  # items for each process that wait or are worked at: enough that none is idle; chosen
-_MOST_IN_VAIN = 3  # pools in a row of which no process begins anything; chosen
-_LOOKS_EVERY = 1.0  # s, at whether the main process is still there; chosen
+_AHEAD = 3  # items waiting or in work for each process: enough that none is idle; chosen
+_MOST_IN_VAIN = 3  # pools in a row in which no process begins an item; chosen
+_LOOKS_EVERY = 1.0  # s between checks that the main process still exists; chosen
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -31,15 +31,15 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Died:
-    """Instead of a result: the process died at this item, twice."""
+    """Instead of a result: the process died twice at this item."""
 
 
 def process_count(jobs: int) -> int:
-    """How many processes `jobs` asks for: -1 is one for each core.
+    """How many processes `jobs` stands for: -1 is one for each core.
 
     Raises
     ------
-    InputError: it is neither that nor 1 or more.
+    InputError: it is neither -1 nor 1 or more.
     """
     if jobs == -1:
         from joblib import cpu_count
@@ -53,18 +53,18 @@ def process_count(jobs: int) -> int:
 def call_in_processes(
     call: Callable[[T], R], items: Sequence[T], folder: Path, *, processes: int
 ) -> Generator[tuple[int, R | Died], None, None]:
-    """The results, each with the index of its item, as they come; where it is closed, the processes end.
+    """The results as they are finished, each with its item's index; if the generator is closed, the processes end.
 
     Parameters
     ----------
     call: a function that the processes can import.
-    folder: for the files that say which items are at work.
+    folder: for the files that mark the items in work.
     processes: how many.
 
     Raises
     ------
     OutputError: files cannot be written there.
-    StudyError: no process comes as far as an item.
+    StudyError: no process gets as far as beginning an item.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -92,7 +92,7 @@ def call_in_processes(
 def _until_one_dies(
     call: Callable[[T], R], items: Sequence[T], folder: Path, left: deque[int], lost: list[int], processes: int
 ) -> Generator[tuple[int, R], None, None]:
-    """Call for items from the left of `left`; where a process dies, what was handed out and not done goes to `lost`."""
+    """Call for items from the left of `left`; if a process dies, items handed out but not done go to `lost`."""
     from joblib.externals.loky import ProcessPoolExecutor
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
@@ -126,7 +126,7 @@ def _until_one_dies(
 
 
 def _begin_process(parent: int) -> None:
-    """What a process does first: Ctrl-C is the main process's, and without that it ends."""
+    """Initialise a process: it leaves Ctrl-C to the main process, and ends if that no longer exists."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 

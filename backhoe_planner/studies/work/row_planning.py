@@ -1,4 +1,4 @@
-"""One row of a study, planned: the template is filled, and whatever comes of it is an outcome."""
+"""Planning one row of a study: the template is filled, and whatever happens becomes an outcome."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from backhoe_planner.studies.rows.metrics import sources_of
 from backhoe_planner.studies.rows.template import machine_source
 from backhoe_planner.studies.work.bundle import unpacked_template
 
-_BUDGET = 1e7  # s: a plan is ended by its counted work alone, so that it is the same on every computer
-_MACHINES = 8  # that are kept loaded; chosen, a study compares a handful
+_BUDGET = 1e7  # s: a plan is only ended by its counted work, so that it is the same on every computer
+_MACHINES = 8  # kept loaded; chosen, a study compares a handful
 
 
 class RowPlanner:
@@ -36,7 +36,7 @@ class RowPlanner:
         self._load = lru_cache(maxsize=_MACHINES)(self._load_machine)
 
     def plan(self, row: StudyRow) -> Outcome:
-        """What comes of a row; raises nothing that planning it may raise."""
+        """The outcome of a row; exceptions of the planning become outcomes too."""
         begun, begun_wall = clock.process_time(), clock.monotonic()
         outcome = self._outcome(row)
         timing = {
@@ -63,7 +63,7 @@ class RowPlanner:
                 plan=self._written(found),
             )
         except OutputError:
-            raise  # a full disk says nothing of the row
+            raise  # a full disk is not a property of the row
         except InputError as error:
             return Outcome(row.number, "invalid", "invalid", self._without_folders(str(error)))
         except Exception as error:  # noqa: BLE001  a fault is a finding, not the end of the study
@@ -84,7 +84,7 @@ class RowPlanner:
             return plan_job(job, effort=settings["effort"], seed=_whole(settings["seed"]))
 
     def _machine(self, name: Any) -> str:
-        """Where the machine lies among the files of the bundle."""
+        """The machine's path among the files of the bundle."""
         source = machine_source(name, self._template.machine_folder)
         return source if source.startswith("example:") else str(self._at(source))
 
@@ -94,7 +94,7 @@ class RowPlanner:
 
     @contextlib.contextmanager
     def _packages(self) -> Iterator[None]:
-        """While a machine is loaded, folders of ROS packages are those of the bundle."""
+        """Use the bundle's folders of ROS packages while a machine is loaded."""
         before = os.environ.get("ROS_PACKAGE_PATH")
         if not self._template.package_path:
             yield
@@ -112,14 +112,14 @@ class RowPlanner:
         return self._root / path.removeprefix("/")
 
     def _without_folders(self, message: str) -> str:
-        """A message in which files are named as the study names them, whatever the computer."""
+        """A message that names files as the study does, whatever the computer."""
         template = self._template
         for folder in (template.folder, template.site_folder, template.machine_folder):
             message = message.replace(f"{self._at(folder)}{os.sep}", "")
         return message.replace(str(self._root), "")
 
     def _written(self, found: Plan | JobPlan) -> str | None:
-        """The plan's file, where it is to be kept."""
+        """The content of the plan's file, if it is to be kept."""
         keep = self._template.keep_plans
         if keep == "none" or (keep == "failed" and found.verified):
             return None
@@ -131,5 +131,5 @@ class RowPlanner:
 
 
 def _whole(seed: Any) -> Any:
-    """A seed that a range or a distribution gave as a float."""
+    """A seed as an integer, if a range or a distribution gave it as a float."""
     return int(seed) if isinstance(seed, float) and seed.is_integer() else seed
