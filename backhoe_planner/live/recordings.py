@@ -67,7 +67,7 @@ def is_recording(plan: Plan) -> bool:
 
 
 def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
-    """Changes of the site during a recording that a scene file cannot hold, in words; none for other plans."""
+    """Changes of the site during a recording that a scene file cannot contain, in words; none for other plans."""
     return plan.findings.recording.notes if is_recording(plan) and plan.findings.recording is not None else ()
 
 

@@ -1,4 +1,4 @@
-"""The force fed back to the hand: it shows what the machine refuses, and never feeds in energy.
+"""The force fed back to the hand: it shows what the machine refuses, and never adds energy.
 
     F_wished = -B (r . t)^+ t  -  B rho(margin) ((r . n)^+ + (x_w . n)^+) n,    r = x_free - x
 

@@ -71,8 +71,8 @@ class Servo:
 
     Parameters
     ----------
-    robot, scene: the machine, and its site. The only part of the scene's task that is used is what the legs of a
-        sequence carry; nothing is carried before `carry` is called.
+    robot, scene: the machine, and its site. Of the scene's task only the loads of a sequence's legs are used; nothing
+        is carried before `carry` is called.
     dt: length of a step [s], a microsecond to a second.
     q: (n,) initial joint positions [rad or m]; by default the scene's start.
     watchdog: the machine stops when no command has come for this long [s]; infinite for never.
@@ -468,7 +468,7 @@ class Servo:
         self, command: Command, margin: float, wish: Vector, refused: Vector,
         *, held_back: bool, evading: bool = False, at_limit: bool = False, singular: bool = False,
     ) -> Status:  # fmt: skip
-        """What the servo does after a step. The wish is the tip's (3,), of which `refused` (3,) is not followed."""
+        """What the servo does after a step. `wish` (3,) is the tip's, and `refused` (3,) the part not followed."""
         held_back, asks = self._held_back.next(holds=held_back), self._commands.asks
         if evading:
             return Status.EVADING

@@ -15,7 +15,7 @@ HOLDS_WITHIN = 0.05  # m of margin within which an obstacle counts as holding th
 class Status(str, Enum):
     """What the servo is doing. If several apply, it is the last of them in this list.
 
-    `SLIDING` and `STOPPED` require a command to move that something is in the way of: the machine follows it as far as
+    `SLIDING` and `STOPPED` mean that something is in the way of a command to move: the machine follows it as far as
     possible, or stands still. They do not apply to a machine that is not commanded to move, or that only begins to
     move. Without a valid command (`TIMED_OUT` or `INVALID`) the status is `STOPPED` once the machine stands still. It
     is also `STOPPED` in every step that failed.
