@@ -392,7 +392,7 @@ class PlanFollower:
     @staticmethod
     def _held_by(state: ServoState) -> str:
         if state.nearest is None or state.margin > HOLDS_WITHIN:
-            return "it is off the plan"
+            return "the machine is off the plan"
         return f"{state.nearest.link} is held back by {state.nearest.name}"
 
 

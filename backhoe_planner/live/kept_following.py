@@ -54,5 +54,5 @@ class KeptFollowing:
         stopping = _BRAKED * float(np.max(np.abs(v) / self._limits.acceleration))
         if bool(np.any((rates < 0.0) & (margins + stopping * rates < 0.0))):
             self._until = time + _HELD
-            self._lost = self._keep.broken(q) or "it does not slide on, to keep what is asked for"
+            self._lost = self._keep.broken(q) or "the machine stopped, because sliding on would violate `keep`"
         return time < self._until

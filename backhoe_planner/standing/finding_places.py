@@ -128,8 +128,8 @@ def _why_nowhere(found: SiteMap) -> str:
     best = max(refused, key=lambda spot: (spot.share, REASONS.index(spot.reason)))
     x, y = best.base.position
     if best.share <= 0.0:
-        return f"nothing of it can be dug from anywhere: {best.why}"
-    return f"the machine can stand nowhere; most could be dug from x {x:.2f}, y {y:.2f} m, but for this: {best.why}"
+        return f"no part of the dig can be dug from any place: {best.why}"
+    return f"the machine cannot stand anywhere; x {x:.2f}, y {y:.2f} m, which reaches most, is ruled out: {best.why}"
 
 
 def _where_most(found: SiteMap) -> str:

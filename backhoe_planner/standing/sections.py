@@ -105,11 +105,11 @@ def layout(job: Job, finder: SpotFinder) -> tuple[Section, ...] | str:
     area = finder.area
     reach = finder.reach.depth_range(float(area.z.min()) + job.dig.tolerance)
     if reach is None:
-        return f"the teeth reach nowhere {area.depth:.2f} m deep"
+        return f"the teeth cannot reach a depth of {area.depth:.2f} m at any distance"
     slope = area.depth / math.tan(LEAVE) + _OVERLAP
     longest = reach[1] - max(reach[0], EDGE) - 2.0 * _SPARE
     if longest <= slope + _OVERLAP:
-        return f"the teeth reach {area.depth:.2f} m deep over {max(longest, 0.0):.2f} m only: too little for its slopes"
+        return f"the teeth reach {area.depth:.2f} m deep over only {max(longest, 0.0):.2f} m, too short for its slopes"
     fewest = max(math.ceil((trench.length - slope) / (longest - slope) - 1e-9), 1)
     why = ""
     for count in range(fewest, min(fewest + 2, _MOST_PLACES) + 1):

@@ -79,7 +79,9 @@ def _asked(study: Any, scene: Any, parameters: Any, **others: Any) -> Study:
     if scene is None and not isinstance(study, (Robot, Job)):
         if parameters is not None:
             raise InputError(
-                "are those of the study already", key="parameters", allowed="parameters with a machine and a scene"
+                "cannot be given for a study, which has its own",
+                key="parameters",
+                allowed="parameters with a machine and a scene",
             )
         return study if isinstance(study, Study) else load_study(check_path(study, key="study"))
     content: dict[str, Any] = {"version": 1, "parameters": dict(_mapping(parameters))}
@@ -91,7 +93,7 @@ def _asked(study: Any, scene: Any, parameters: Any, **others: Any) -> Study:
                 raise InputError(str(error), key=key) from None
     if isinstance(study, Job):
         if scene is not None:
-            raise InputError("stands beside a job", key="scene", allowed="a job, or a machine and a scene")
+            raise InputError("cannot be given beside a job", key="scene", allowed="a job, or a machine and a scene")
         return _made(content | {"job": study.to_dict()}, study.folder, site=study.site_scene.folder)
     template = scene if isinstance(scene, Scene) else None
     if scene is None:

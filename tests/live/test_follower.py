@@ -371,7 +371,7 @@ def test_what_stands_on_the_end_is_said_and_the_plan_finished_once_it_is_gone(ba
     servo.add(ball)
     steps = followed(follower, 2500)
     assert steps[-1].status is FollowerStatus.BLOCKED
-    assert steps[-1].reason == "ball stands on the end of the plan"
+    assert steps[-1].reason == "ball blocks the end of the plan"
     assert not steps[-1].done
     assert not np.any([step.state.v for step in steps[-400:]])  # it stands still,
     assert 0.0 <= least_margin(backhoe, steps, ball) < 0.02  # as near as it may

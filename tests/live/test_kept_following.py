@@ -60,7 +60,7 @@ def test_a_follower_waits_rather_than_tips_the_bucket(backhoe: bp.Robot, above: 
                 break
     assert told.done
     assert most < 0.01 + 1e-3
-    assert any("to keep what is asked for" in reason for reason in reasons)
+    assert any("would violate `keep`" in reason for reason in reasons)
 
 
 def test_a_way_back_loses_no_more_than_is_lost_already(backhoe: bp.Robot) -> None:

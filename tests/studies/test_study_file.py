@@ -121,7 +121,7 @@ def test_a_larger_count_adds_rows_and_changes_none() -> None:
     ("keys", "said"),
     [
         ({"combine": "random"}, "count is missing"),
-        ({"count": 3}, "count stands beside a grid of lists"),
+        ({"count": 3}, "count cannot be given beside a grid of lists"),
         ({"combine": "zip", "parameters": {"clearance": [0.1, 0.2], "seed": [1, 2, 3]}}, "clearance: 2, seed: 3"),
         ({"scene": None}, "exactly one of scene, job"),
         ({"machine": None}, "machine is missing"),

@@ -60,5 +60,5 @@ class Outcome:
 
 def crashed(row: int) -> Outcome:
     """The outcome of a row whose process died twice."""
-    message = "the process that planned it ended without a word, twice: out of memory, or a fault in a library"
+    message = "the planning process died twice without an error message: out of memory, or a fault in a library"
     return Outcome(row, "crashed", "crashed", message)

@@ -90,7 +90,7 @@ class Study(FileRecord):
         if self.scene is not None and self.machine is None and "machine" not in self.parameters:
             raise ValueError("machine is missing: a URDF file, or example:NAME")
         if self.job is not None and self.machine is not None:
-            raise ValueError("machine stands beside a job; a job names its own, the key machine in it")
+            raise ValueError("machine cannot be given beside a job: set the key machine in the job")
         values = self.values
         drawn = [name for name, one in values.items() if one.draw is not None]
         if self.combine == "random":
@@ -100,15 +100,17 @@ class Study(FileRecord):
             lengths = {name: len(one.listed) for name, one in values.items() if len(one.listed) > 1}
             if len(set(lengths.values())) > 1:
                 raise ValueError(
-                    "combine: zip takes lists of one length; found "
+                    "combine: zip needs lists of equal length; found "
                     + ", ".join(f"{n}: {k}" for n, k in lengths.items())
                 )
             if self.count is not None and (lengths or not drawn):
-                raise ValueError("count stands beside a list with combine: zip, which has as many rows as the list")
+                raise ValueError("count cannot be given with combine: zip and a list: the list sets the number of rows")
             if drawn and not lengths and self.count is None:
                 raise ValueError("count is missing: nothing with combine: zip says how many rows there are")
         elif self.count is not None and not drawn:
-            raise ValueError("count stands beside a grid of lists: it is for combine: random, or with a distribution")
+            raise ValueError(
+                "count cannot be given beside a grid of lists: it is for combine: random, or with a distribution"
+            )
         if self.rows > MOST_VALUES:
             raise ValueError(f"the study has {self.rows} rows; allowed: at most {MOST_VALUES}")
         return self

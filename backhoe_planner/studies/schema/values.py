@@ -98,7 +98,9 @@ def _range(found: Mapping[str, Any]) -> tuple[float, ...]:
     if missing:
         raise ValueError(f"the range has no {missing[0]}; allowed: {{from, to, count}} or {{from, to, step}}")
     if ("count" in found) == ("step" in found):
-        raise ValueError("the range has one of count and step; allowed: {from, to, count} or {from, to, step}")
+        raise ValueError(
+            "the range needs exactly one of count and step; allowed: {from, to, count} or {from, to, step}"
+        )
     begin, end = _number(found["from"], "from"), _number(found["to"], "to")
     if "count" in found:
         count = found["count"]

@@ -78,7 +78,9 @@ def call_in_processes(
         suspects = [index for index in lost if (folder / str(index)).exists()]
         in_vain = in_vain + 1 if not suspects and len(left) + len(lost) == before else 0
         if in_vain == _MOST_IN_VAIN:
-            raise StudyError("the processes that plan end before they begin", hint="is there memory for them?")
+            raise StudyError(
+                "the planning processes end before they start any work", hint="check that there is enough memory"
+            )
         for index in suspects:
             alone, again = deque([index]), list[int]()
             yield from _until_one_dies(call, items, folder, alone, again, 1)
