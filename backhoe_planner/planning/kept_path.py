@@ -1,7 +1,7 @@
-"""A path as it is planned where something is to be kept along it.
+"""A path with the conditions that `keep` adds along it.
 
-What is to be kept is asked of every waypoint that leaves it free, so that all that follows
-the path keeps it there as well. The certificate judges by the path as it was given.
+Each condition is written into every waypoint that leaves it open, so that everything that
+follows the path keeps the condition. The certificate judges by the path as it was given.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from backhoe_planner.planning.world.outcome import Outcome, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint
 
-_SPARE = 1e-3  # rad kept beyond the band on either side; chosen, ten times what rounded corners were seen to take
-_WHOLE_POSE = 6  # joints from which on an arm can take any orientation at a place
+_SPARE = 1e-3  # rad kept inside the band at either end; chosen, ten times what rounded corners were seen to use
+_WHOLE_POSE = 6  # joints: an arm with so many or more can take any orientation at a position
 
 
 def narrow_path(problem: Problem) -> Problem:
-    """The problem with a path on which waypoints ask for what is to be kept; itself where nothing is."""
+    """The problem with the kept conditions written into the path's waypoints; the problem itself if there are none."""
     path, keep = problem.path, problem.keep
     if path is None or keep is None:
         return problem
@@ -31,7 +31,7 @@ def narrow_path(problem: Problem) -> Problem:
 
 
 def waypoint_breaks_keep(world: World, path: TipPath) -> Outcome | None:
-    """The first waypoint at which what is to be kept cannot be kept; None where there is none."""
+    """The outcome for the first waypoint at which a kept condition cannot hold; None if there is none."""
     keep = world.problem.keep
     for index, waypoint in enumerate(path.waypoints if keep is not None else ()):
         assert keep is not None
@@ -65,6 +65,6 @@ def _narrow(keep: Keep, waypoint: Waypoint, joints: int) -> Waypoint:
 
 
 def _one_turn(low: float, high: float) -> tuple[float, float]:
-    """The same range of pitches, with its middle within half a turn."""
+    """The same pitch range, with its middle within half a turn of 0."""
     turns = 2.0 * np.pi * round(0.5 * (low + high) / (2.0 * np.pi))
     return low - turns, high - turns

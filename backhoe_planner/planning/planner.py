@@ -1,10 +1,10 @@
-"""One motion, for a task of its own or for one leg of a sequence.
+"""Plans one motion, for a whole task or for one leg of a sequence.
 
-    goal:  the least-cost motion that a search finds, else the completed law
-    path:  the cheapest way through the layered graph over the redundancy, made cheaper in
-           between, with detours where no layer is free
+    goal:  the least-cost motion that a search finds, otherwise the motion of the completed law
+    path:  the cheapest route through the layered graph over the redundancy, then made cheaper
+           between the nodes, with detours where no layer is free
 
-What can fail in normal use is a reason with its numbers.
+A failure in normal use is returned as a reason with its numbers.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from backhoe_planner.proof import Certificate, certify_motion
 if TYPE_CHECKING:
     from backhoe_planner.planning.path_planning import AlongPath
 
-_SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan
-_TOO_MUCH = 10.0  # times a limit: chosen, slower joints are not tried for what is so far beyond it
-_APART = (5e-4, 3e-3)  # m more than the clearance, tried in turn; chosen: a curve swings out by some tenths of a mm
-_LONG_SEARCH = 4  # times the usual starting points, for a start that is given by the tip; chosen: all else hangs on it
+_SLOWER = 3  # at most so many plans, each with slower joints; chosen, because each is a whole plan
+_TOO_MUCH = 10.0  # times a limit: chosen; slower joints are not tried for a load so far beyond its limit
+_APART = (5e-4, 3e-3)  # m added to the clearance, tried in turn; chosen: a curve swings out by some tenths of a mm
+_LONG_SEARCH = 4  # times the usual starting points, for a start given by the tip; chosen: all else depends on it
 
 
 def plan_motion(
@@ -46,16 +46,16 @@ def plan_motion(
     brake: Brake | None = None,
     watch: Watcher | None = None,
 ) -> tuple[Outcome, Certificate]:
-    """A motion for a ready problem that the machine can drive, and what is proven of it.
+    """A motion that the machine can drive for a built problem, and its certificate.
 
-    Where obstacles move, a motion cannot just be slowed down: it is planned anew with slower joints.
+    Where obstacles move, slowing a motion down is not enough: it is planned anew with slower joints.
 
     Parameters
     ----------
-    problem: of a task of its own, or of one leg of a sequence.
+    problem: of a whole task, or of one leg of a sequence.
     method, seed, watch: as of `plan`.
-    effort: how much counted work the searches may take.
-    brake: ends what takes too long; by default nothing does.
+    effort: how much counted work the searches may do.
+    brake: ends a search that takes too long; by default there is no time limit.
     """
     brake = brake or Brake()
     if problem.wait is not None:
@@ -76,7 +76,7 @@ def plan_motion(
             slowed,
             limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
         )
-    if certificate.verified and outcome.reason:  # it stands where it is to go, within what the goal allows
+    if certificate.verified and outcome.reason:  # the machine already stands at the goal, within its tolerance
         outcome = replace(outcome, reason="", message="")
     return outcome, certificate
 
@@ -84,10 +84,10 @@ def plan_motion(
 def _find_proven(
     problem: Problem, slowed: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
 ) -> tuple[Outcome, Certificate]:
-    """A motion for `slowed`, and what is proven of it for `problem`.
+    """A motion for `slowed`, and its certificate for `problem`.
 
-    The motion along a path is a smooth curve near the configurations that were found for it. Where it comes too near
-    to something, which the certificate says, the path is planned anew with more room between the two.
+    The motion along a path is a smooth curve near the configurations that were found for it. If the certificate says
+    that a link comes too near to something, the path is planned anew with more clearance between the two.
     """
 
     def planned(apart: Mapping[tuple[str, str], float]) -> tuple[Outcome, Certificate]:
@@ -105,10 +105,11 @@ def _find_proven(
 
 
 def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
-    """The motion, slower where the machine could not drive it, and what is proven of it.
+    """The motion, slowed down where the machine could not drive it, and its certificate.
 
-    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was. One that takes
-    longer than the search allowed, as the tip is to be slow, is no longer said to be allowed that.
+    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was. If the slower
+    motion takes longer than the search allowed, because of the tip's speed, `allowed_time` is dropped from the
+    findings.
     """
     drive = drive_of(problem)
     slower = retime(outcome.trajectory, problem.limits, drive=drive)
@@ -124,7 +125,7 @@ def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
 
 
 def _find_motion(world: World, method: Method) -> Outcome:
-    """A motion from the scene's start; at rest there where time runs out before any is found."""
+    """A motion from the scene's start; rest at the start if time runs out before a motion is found."""
     try:
         return _plan_task(world, method)
     except OutOfTime as ended:
@@ -159,14 +160,14 @@ def _plan_task(world: World, method: Method) -> Outcome:
 
 
 def _along(path: TipPath) -> AlongPath:
-    """The task of following a path; what that takes is not loaded for a goal."""
+    """The task of following a path; its module is not loaded for a goal."""
     from backhoe_planner.planning.path_planning import AlongPath
 
     return AlongPath(path)
 
 
 def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcome:
-    """Along a path, from the best configuration on its beginning."""
+    """A motion along a path from the best configuration at its beginning."""
     from backhoe_planner.planning.path_planning import plan_along_path
 
     if method == "reactive":
@@ -178,7 +179,7 @@ def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcom
 
 
 def _start(world: World) -> Vector | Outcome:
-    """(n,) where the joints stand at first [rad or m]; or why the tip cannot start where the scene says."""
+    """(n,) the start configuration [rad or m]; or why the tip cannot start where the scene says."""
     problem = world.problem
     if problem.start_q is not None:
         return problem.start_q
@@ -194,7 +195,7 @@ def _start(world: World) -> Vector | Outcome:
 
 
 def _begin(world: World) -> Vector:
-    """(n,) where the motion would begin [rad or m]; clear where one search finds such a place."""
+    """(n,) where the motion would begin [rad or m]; clear of obstacles if one search finds such a configuration."""
     problem = world.problem
     if problem.start_q is not None:
         return problem.start_q

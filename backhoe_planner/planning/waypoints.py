@@ -1,8 +1,8 @@
-"""The waypoints of a path, each looked at for itself before the path is planned.
+"""The waypoints of a path, each checked by itself before the path is planned.
 
-One that is impossible is named at once. One that is only just so is moved, within the tolerance of the path: a
-corner beyond the arm's reach to where the arm gets, a pose whose tip's link is too near to something away from it.
-The certificate judges by the path as it was given.
+An impossible waypoint is reported at once. One that is only just impossible is moved within the tolerance of the
+path: a corner beyond the arm's reach to where the arm reaches, a pose whose tip link is too near to an obstacle away
+from it. The certificate judges by the path as it was given.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from backhoe_planner.planning.world.outcome import Outcome, blocked_path, out_of
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
 
-_MOST_WAYPOINTS = 32  # that are tried from `_GUESSES` before a path is planned; chosen: the others hang on them
-_CARRIED = 2  # configurations of a waypoint before, and of one behind, from which another is tried; chosen
+_MOST_WAYPOINTS = 32  # tried from `_GUESSES` before a path is planned; chosen: the others start from their results
+_CARRIED = 2  # configurations of the waypoint before, and of the one after, from which another is tried; chosen
 _GUESSES = 24  # starting points for each of them: as many as `Postures.at` takes
-_MORE_GUESSES = 192  # for one at which everything that was found collides; chosen: eight times as many
-_MOVED = 0.9  # of the tolerance that a waypoint is moved at most; chosen: the rest is for chords and curve
-_INSIDE = 0.02  # of the tolerance that it is moved further than it must be; chosen: a stretched arm turns fast
-_MOVES = 8  # after which it is not moved further; chosen: one or two are usual
+_MORE_GUESSES = 192  # for a waypoint at which all configurations found collide; chosen: eight times as many
+_MOVED = 0.9  # part of the tolerance by which a waypoint is moved at most; chosen: the rest is for chords and curve
+_INSIDE = 0.02  # part of the tolerance by which it is moved further than needed; chosen: a stretched arm turns fast
+_MOVES = 8  # moves after which it is given up; chosen: one or two are usual
 
 
 def path_within_reach(world: World, path: TipPath) -> tuple[World, TipPath] | Outcome:
-    """A path as it is planned, with the world for it; or the first waypoint that is impossible.
+    """The path to be planned, with its world; or the first waypoint that is impossible.
 
-    A waypoint that is impossible by less than the path's tolerance is moved, and what is left of the tolerance is that
-    of the world. Where full poses are asked for and the path may not be left, a waypoint at which everything that is
-    found collides is impossible like one that is out of reach.
+    A waypoint that is impossible by less than the path's tolerance is moved, and the world gets the rest of the
+    tolerance. If the path gives full poses and may not be left, a waypoint at which all configurations found collide
+    is as impossible as one out of reach.
     """
     waypoints = _Waypoints(world, path)
     failure = waypoints.first_impossible()
@@ -43,7 +43,7 @@ def path_within_reach(world: World, path: TipPath) -> tuple[World, TipPath] | Ou
 
 
 class _Waypoints:
-    """The waypoints of a path, each looked at for itself."""
+    """The waypoints of a path, each checked by itself."""
 
     def __init__(self, world: World, path: TipPath) -> None:
         task = world.problem.scene.task.path
@@ -53,17 +53,17 @@ class _Waypoints:
         self._kinematics = BatchKinematics(robot)
         rng = np.random.default_rng(world.seed)
         self._guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_MORE_GUESSES - 1))])
-        # what moves may be gone when the tip comes there
+        # a moving obstacle may be gone when the tip arrives
         stays = task is None or task.detour or world.problem.is_dynamic or path.target(0.0).rotation is None
-        self._found: dict[int, Matrix] = {}  # of a waypoint, configurations
-        self._positions: dict[int, Vector] = {}  # where waypoints are moved to
-        # a tip that stands while it turns stays where it is
+        self._found: dict[int, Matrix] = {}  # configurations, by waypoint
+        self._positions: dict[int, Vector] = {}  # the positions of moved waypoints
+        # waypoints at which the tip stands while it turns are not moved
         self._stays_put = set(path.standing_waypoints.tolist())
         self._most = 0.0 if task is None else _MOVED * task.tolerance
         self._screen = None if stays else ClearanceScreen(world.proximity, spare=-NEARER)
 
     def first_impossible(self) -> Outcome | None:
-        """The first waypoint that is impossible, and would be if it were moved; None where there is none."""
+        """The first waypoint that is impossible even if it is moved; None if there is none."""
         count = len(self._path.stations)
         few = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
         found = self._first_of(few)
@@ -72,7 +72,7 @@ class _Waypoints:
         return (self._first_of(self._not_carried(others)) or found or (0, None))[1]
 
     def moved(self) -> tuple[World, TipPath]:
-        """As `path_within_reach`, after all waypoints were looked at."""
+        """The result of `path_within_reach`, after all waypoints were checked."""
         if not self._positions:
             return self._world, self._path
         waypoints = list(self._path.waypoints)
@@ -86,13 +86,13 @@ class _Waypoints:
         return self._world.within(task.tolerance - off), TipPath(waypoints, numbers=numbers)
 
     def _not_carried(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Those of some waypoints that the tip is not put on from what was found for a waypoint beside."""
+        """The waypoints of `indices` that are not reached from the configurations found for a neighbouring waypoint."""
         known = np.array(sorted(self._found), dtype=int)
         targets = {index: self._path.target(float(self._path.stations[index])) for index in indices.tolist()}
         for number in range(2 * _CARRIED):
             if not len(indices) or not len(known):
                 break
-            # in turn from the waypoint before and from the one behind
+            # in turn from the waypoint before and from the one after
             behind = np.minimum(np.searchsorted(known, indices), len(known) - 1)
             beside = known[behind if number % 2 else np.maximum(behind - 1, 0)]
             guesses = np.array([self._found[other][number // 2 % len(self._found[other])] for other in beside.tolist()])
@@ -104,7 +104,7 @@ class _Waypoints:
         return indices
 
     def _first_of(self, indices: NDArray[np.intp]) -> tuple[int, Outcome] | None:
-        """The first impossible of some waypoints, and what to say of it."""
+        """The first impossible waypoint of `indices`, and why it is impossible; None if there is none."""
         if not len(indices):
             return None
         targets = [self._path.target(float(self._path.stations[index])) for index in indices]
@@ -122,7 +122,7 @@ class _Waypoints:
         return None
 
     def _failure(self, index: int, target: TipTarget) -> Outcome | None:
-        """Why a waypoint is impossible, after a longer search; None where it is not, or not if it is moved."""
+        """Why a waypoint is impossible, after a longer search; None if it is possible, moved if need be."""
         world, path = self._world, self._path
         what = "beginning of the path" if index == 0 else f"waypoint {path.number(index)} of the path"
         best = solve_inverse_kinematics(world.problem.robot, target)
@@ -145,11 +145,11 @@ class _Waypoints:
         return None
 
     def _within_reach(self, target: TipTarget, q: Vector) -> tuple[TipTarget, Vector] | None:
-        """`target` moved to where the tip can be, and (n,) joints there; None where it is too far.
+        """`target` moved to where the tip can be, and (n,) joints there; None if that is too far.
 
         Parameters
         ----------
-        q: (n,) joints with the tip as near to the target as it gets [rad or m].
+        q: (n,) joints with the tip as near to the target as possible [rad or m].
         """
         robot = self._world.problem.robot
         for _ in range(_MOVES):
@@ -166,11 +166,12 @@ class _Waypoints:
         return None
 
     def _aside(self, target: TipTarget, within: TipTarget, ends: Matrix) -> TipTarget | None:
-        """`within` moved on away from what touches the tip's link, so that it is clear; None where that is too far.
+        """`within` moved further, away from what the machine is too near to, until it is clear; None if that is too
+        far.
 
         Parameters
         ----------
-        target: the waypoint as it is given; it is moved so far at most as the tolerance allows.
+        target: the waypoint as given, from which it is moved no further than the tolerance allows.
         ends: (K, n) joints with the tip there, all of which collide.
         """
         assert self._screen is not None
@@ -195,7 +196,7 @@ class _Waypoints:
         return None
 
     def _collides(self, index: int, ends: Matrix, what: str) -> Outcome:
-        """That all configurations `ends` (K, n) that were found for a waypoint collide."""
+        """The outcome if all configurations `ends` (K, n) that were found for a waypoint collide."""
         world, path = self._world, self._path
         contacts = [contact for contact in map(world.proximity.tightest, ends) if contact is not None]
         mildest = max(contacts, key=lambda contact: contact.margin)
@@ -205,7 +206,7 @@ class _Waypoints:
         return blocked_path(rest_at_start(world, ends[0]), found, path, why)
 
     def _solve(self, targets: Sequence[TipTarget], guesses: Matrix) -> tuple[Array, Flags]:
-        """(T, G, n), (T, G) where the search ends from each guess for each target, and whether it arrived."""
+        """(T, G, n), (T, G) where inverse kinematics ends from each guess for each target, and whether it converged."""
         rows = np.repeat(np.arange(len(targets)), len(guesses))
         batch = TargetBatch.of(targets).take(rows)
         q, reached = solve_batch(self._kinematics, batch, np.tile(guesses, (len(targets), 1)))

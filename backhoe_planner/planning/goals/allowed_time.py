@@ -1,8 +1,8 @@
-"""How long a motion to a goal may take that is to cost little, where its time is not the cost.
+"""How long a motion to a goal may take, if its cost is not the time.
 
-Mostly slower costs less, and with no limit some motions would cost nothing and take for ever. How
-fast a motion the search finds is partly luck, so it is a multiple of the proven bound that decides, which for this
-depends on the problem alone: neither on a motion that is known nor on the effort.
+A slower motion mostly costs less; without a limit some would cost nothing and take forever. How fast a motion the
+search finds is partly chance, so the limit is a multiple of the proven lower bound. The bound used here depends
+on the problem alone: neither on a known motion nor on the effort.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.proof import least_duration_of_all
 
-_TIMES_BOUND = 3.0  # times the bound, that a motion may take; of 83 random sites it decides on 79, twice it on 70
-_ROOM = 1.2  # times the fastest motion known, that a motion may take at least; chosen
-_LONGER = 1.5  # times as long, where that is too little room; chosen, two seeds mostly agree on so large a step
+_TIMES_BOUND = 3.0  # times the bound, that a motion may take; it decides on 79 of 83 random sites, a factor of 2 on 70
+_ROOM = 1.2  # times the fastest known motion, that a motion may take at least; chosen
+_LONGER = 1.5  # factor on the limit while that is too little; chosen: two seeds mostly agree on so large a step
 
 
 def bound_for_allowed_time(problem: Problem, start: Vector) -> float:
-    """What no motion from rest at `start` (n,) takes less than [s], the same whatever is known of the motions."""
+    """A lower bound on the duration of any motion from rest at `start` (n,) [s], independent of known motions."""
     return least_duration_of_all(problem, start, boxes=EFFORTS["normal"].boxes)
 
 
@@ -29,8 +29,8 @@ def allowed_time(bound: float, fastest: float) -> float:
 
     Parameters
     ----------
-    bound: no motion takes less [s], proven; 0 where nothing is, and then the fastest motion decides alone.
-    fastest: the duration of the fastest motion known [s].
+    bound: a proven lower bound on the duration [s]; if it is 0, the fastest motion alone decides.
+    fastest: the duration of the fastest known motion [s].
     """
     if bound <= 0.0:
         return _LONGER * fastest
@@ -41,15 +41,15 @@ def allowed_time(bound: float, fastest: float) -> float:
 
 
 def bound_behind(longest: float) -> float:
-    """The bound that lets a motion take `longest` [s], where it alone decides."""
+    """The bound for which a motion may take `longest` [s], if the bound alone decides."""
     return longest / _TIMES_BOUND
 
 
 def has_room(bound: float, fastest: float) -> bool:
-    """Whether the bound alone decides, with a motion as fast as this known; see `allowed_time`."""
+    """Whether the bound alone decides if a motion as fast as `fastest` is known; see `allowed_time`."""
     return fastest <= fastest_with_room(bound)
 
 
 def fastest_with_room(bound: float) -> float:
-    """What the fastest motion known takes at most, so that the bound alone decides [s]."""
+    """The longest duration of the fastest known motion for which the bound alone decides [s]."""
     return _TIMES_BOUND * bound / _ROOM

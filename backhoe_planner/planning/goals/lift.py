@@ -1,4 +1,4 @@
-"""What is lifted on the way to a goal, and how much of that is worth another search."""
+"""The potential energy gained on the way to a goal, and how much of it is worth another search."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Problem
 
-_WORTH = 5e-5  # m that all that moves is lifted by what is worth another search; chosen
+_WORTH = 5e-5  # m: lifting all moving masses so far takes the energy that is worth another search; chosen
 
 
 class Lift:
@@ -18,7 +18,7 @@ class Lift:
 
     Attributes
     ----------
-    worth: of so much energy it is worth to search once more [J].
+    worth: so much energy is worth another search [J].
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -28,6 +28,6 @@ class Lift:
         self.worth = float(np.sum(masses)) * GRAVITY * _WORTH
 
     def least(self, start: Vector, ends: Iterable[Vector]) -> float:
-        """By how much `start` (n,) is below the lowest of `ends`, (n,) each [J]; 0 where it is not."""
+        """By how much `start` (n,) is below the lowest of `ends`, (n,) each [J]; 0 if it is not below."""
         lowest = min(map(self._dynamics.potential_energy, ends))
         return max(lowest - self._dynamics.potential_energy(start), 0.0)

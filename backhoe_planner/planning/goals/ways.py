@@ -1,4 +1,4 @@
-"""Ways to postures on the goals, from which descents begin: sampled ones, and different ones through a roadmap."""
+"""Routes to postures on the goals, from which descents begin: sampled ones, and different ones through a roadmap."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world.world import World
 
-_SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
-_MAP_SPARE = 0.002  # m kept beyond every clearance in a roadmap; chosen, narrow passages are what it is for
-_LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
-_MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
-_PLACES = 12  # along a motion, by which a roadmap knows where it passes; chosen
-_SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different ways
+_SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled route, in turn
+_MAP_SPARE = 0.002  # m kept beyond every clearance in a roadmap; chosen small, because a roadmap is for narrow passages
+_LOOKS_FOR_ONE = 3  # sampled checks for one of `Effort.motions`, which count proofs; a check takes a tenth of a proof
+_MOTIONS = 2_000  # checked for one sampled route if another is known; chosen, a sixth of what the first may use
+_PLACES = 12  # along a motion, by which a roadmap knows its route; chosen
+_SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different routes
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class FoundMotion:
     cost: by the problem's objective.
     goal: where it ends.
     way: how it was found, in words.
-    curve: that runs over the motion's time at an even pace; None where there is none.
-    free: whether it is known that nothing comes near it, so that it leads round nothing.
+    curve: the curve that is run over the motion's time at an even pace; None if there is none.
+    free: whether it is known that nothing is near it, so that it does not go around anything.
     """
 
     motion: Trajectory
@@ -51,18 +51,18 @@ class FoundMotion:
 
 
 class Ways:
-    """Ways from one start.
+    """Routes from one start.
 
     Parameters
     ----------
-    start: (n,) where the machine stands [rad or m].
-    time: the obstacles stand where they are at this time [s].
-    hurried: whether motions are looked at less densely.
+    start: (n,) where the machine is [rad or m].
+    time: at which the positions of the obstacles are taken [s].
+    hurried: whether motions are checked less densely.
 
     Attributes
     ----------
-    looked_at: how many motions sampling looked at in vain, of ways that were not found.
-    reached: (n,) each: where sampled ways ended.
+    looked_at: how many motions were checked in searches that found no route.
+    reached: (n,) each: the ends of sampled routes.
     """
 
     def __init__(self, world: World, start: Vector, ends: GoalEnds, *, time: float, hurried: bool) -> None:
@@ -71,24 +71,24 @@ class Ways:
         work = world.work
         more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
         self._sampling = Work(replace(work.effort, **more), work.brake)
-        self._needed = 0  # motions that sampling looked at until it found the first way
-        self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
+        self._needed = 0  # motions that sampling checked until it found the first route
+        self._line: Vector | None = None  # (n,) the last posture to which the straight line was clear
         self.looked_at = 0
         self.reached: list[Vector] = []
 
     @property
     def may_sample(self) -> bool:
-        """Whether any motions are left to look at."""
+        """Whether any motions are left to be checked."""
         return self._sampling.motions > 0
 
     def sample(self, which: Sequence[int], turn: int, *, again: int = 0, longest: float = np.inf) -> FoundMotion | None:
-        """The motion along a sampled and shortened way to one of the postures `which`.
+        """The motion along a sampled and shortened route to one of the postures `which`; None if none is found.
 
         Parameters
         ----------
-        turn: how many ways were sampled before.
-        again: where another way is known: times the motions that are then looked at; 0 for as many as for the first.
-        longest: configurations are left out through which every motion takes longer [s].
+        turn: how many routes were sampled before.
+        again: factor on the motions that are checked if another route is known; 0 for as many as for the first.
+        longest: configurations are left out if every motion through them takes longer [s].
         """
         work, goals = self._world.work, list(self._ends.at(which))
         check = self._check(goals, _SPARES[turn % len(_SPARES)])
@@ -118,16 +118,17 @@ class Ways:
         self, which: Sequence[int], turn: int, *, nodes: int, longest: float, price: Price, known: Sequence[Matrix],
         dearest: float = np.inf,
     ) -> Iterator[FoundMotion]:  # fmt: skip
-        """Motions along different ways through a roadmap to any of the postures `which`, shortened.
+        """Motions along different routes through a roadmap to any of the postures `which`, shortened.
 
         Parameters
         ----------
         turn: how many roadmaps were made before.
         nodes: of the roadmap.
-        longest: configurations are left out through which every motion takes longer [s].
-        price: of straight motions, by which the cheapest ways come first.
-        known: (K, n) each: places along motions, through which ways may lead, and near all of which none does.
-        dearest: the price up to which there are ways.
+        longest: configurations are left out if every motion through them takes longer [s].
+        price: of straight motions, by which the cheapest routes come first.
+        known: (K, n) each: configurations along known motions; a route may pass through them, but not near all of one
+        motion.
+        dearest: the highest price of a route.
         """
         goals = self._ends.at(which)
         check = self._check(list(goals), _MAP_SPARE)

@@ -9,10 +9,10 @@ from backhoe_planner.motion import TipPath
 from backhoe_planner.proof import AT_CLEARANCE
 from backhoe_planner.site import Obstruction
 
-STRAIGHT_STEP = 0.03  # rad or m of a joint from sample to sample on the straight way between two nodes; chosen
-BENT = 3.0  # times that a step on the way that the tip's path bends may be as long; chosen
-NEARER = 0.5 * AT_CLEARANCE  # m that a sample may be too near; half, as the curve through samples comes nearer still
-JUMP = 0.02  # rad or m that it may be longer still, where the straight way is short; chosen
+STRAIGHT_STEP = 0.03  # rad or m of a joint from sample to sample on the straight line between two nodes; chosen
+BENT = 3.0  # times: a step of the joint-space curve, which the tip's path bends, may be so much longer; chosen
+NEARER = 0.5 * AT_CLEARANCE  # m by which a sample may be too near; half, as a curve through samples comes nearer still
+JUMP = 0.02  # rad or m by which such a step may be longer still, for short straight steps; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Stretch:
     ----------
     stations: (K,) arc lengths [m], not decreasing.
     q: (K, n) joint positions there [rad or m].
-    obstruction: what ended the stretch before the end of the path; None where nothing did.
+    obstruction: what ended the stretch before the end of the path; None if nothing did.
     """
 
     stations: Vector
@@ -38,7 +38,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class LawWay:
-    """How the local law follows a whole path among obstacles that stand still."""
+    """How the local law follows a whole path among static obstacles."""
 
     path: TipPath
     stretch: Stretch

@@ -1,1 +1,1 @@
-"""What is reported of a plan beside its proof."""
+"""What is reported about a plan besides its proof."""

@@ -1,4 +1,4 @@
-"""On how much of a path a motion keeps the scene's speed, and which limit slows the rest."""
+"""How much of a path a motion follows at the scene's speed, and which limit slows the rest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.machine import BatchKinematics, Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
 from backhoe_planner.planning.report.comparison import part_on_path
 
-KEPT = 0.9  # part of the scene's speed from which on it counts as kept; chosen
+KEPT = 0.9  # part of the scene's speed from which it counts as kept; chosen
 
 
 class Slower(Record):
@@ -25,7 +25,7 @@ class Slower(Record):
     least: Figure
     """The speed at its slowest place [m/s]."""
     limit: str
-    """The limit of the machine, by its name in `LimitUsage`, that comes nearest to being reached there."""
+    """The limit of the machine that is used most there, by its name in `LimitUsage`."""
 
 
 class AskedSpeed(Record):
@@ -34,16 +34,16 @@ class AskedSpeed(Record):
     asked: Figure
     """The scene's speed [m/s]."""
     kept_percent: Figure
-    """Part of the path's length on which the tip has 90 % of it or more [%]."""
+    """Part of the path's length on which the tip has at least 90 % of it [%]."""
     slower: tuple[Slower, ...]
     """The other parts, in the order of the path."""
 
 
 def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> AskedSpeed | None:
-    """How well a motion along the scene's path keeps its speed; None where the scene gives none.
+    """How well a motion along the scene's path keeps its speed; None if the scene gives no speed.
 
     Parts where the tip is off the path by more than the tolerance, on a detour, do not
-    count: the speed does not hold there.
+    count: the speed does not apply there.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> 
         if not is_slow:
             continue
         part = list(rows)
-        # the limit that is used most on these segments makes the tip slow
+        # the limit that is used most on these segments is what slows the tip
         during = (usage.moments.time >= motion.time[part[0]]) & (usage.moments.time <= motion.time[part[-1] + 1])
         most = np.max(usage.ratio[during], axis=0)
         slower.append(
@@ -87,13 +87,13 @@ def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> 
 
 
 def _places(path: TipPath, tips: NDArray[np.float64], tolerance: float) -> tuple[Vector, NDArray[np.bool_]]:
-    """(T,) arc lengths of the tips (T, 3), never decreasing [m], and (T,) whether each is on the path."""
+    """(T,) arc lengths of the tips (T, 3), never decreasing [m], and (T,) whether each tip is on the path."""
     places, near = np.zeros(len(tips)), np.zeros(len(tips), dtype=bool)
     here = 0.0
     for row, tip in enumerate(tips):
         ahead = 2.0 * float(np.linalg.norm(tip - tips[row - 1])) + 2.0 * tolerance if row else tolerance
         place, off = path.nearest(tip, low=here, high=min(here + ahead, path.length))
-        if off > 2.0 * tolerance:  # off the path: it may come back anywhere ahead
+        if off > 2.0 * tolerance:  # off the path: the tip may come back anywhere ahead
             place, off = path.nearest(tip, low=here)
         near[row] = off <= tolerance
         here = place if near[row] else here

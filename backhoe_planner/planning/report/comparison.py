@@ -1,14 +1,14 @@
-"""How much a plan saves: its objective beside that of the local law, on the same path.
+"""How much a plan saves: its cost compared with that of the local law on the same path.
 
-The law follows the same path from the same joints. Its way is run as the plan's is, as fast as the scene's
+The law follows the same path from the same joints. Its motion is timed like the plan's, as fast as the scene's
 speed, the limits and the drive allow, with its corners rounded like the plan's. So the two
-motions differ in the use of the redundancy and in nothing else. Where the law gets stuck at
-a joint limit, the plain pseudo-inverse is taken, v = J^+ xdot, which goes on through limits:
-its cost is given beside the limit that it breaks. Such a motion cannot be timed within the
-limits: its tip is where the plan's tip is at every moment.
+motions differ only in the use of the redundancy. If the law gets stuck at a joint limit,
+the plain pseudo-inverse is used instead, v = J^+ xdot, which ignores limits: its cost is
+given together with the limit that it breaks. Such a motion cannot be timed within the
+limits, so its tip is where the plan's tip is at every moment.
 
-A plan may go far to begin in a cheap posture. So both costs are given: of the path alone,
-and of all of the motion. The law begins where the plan does, so its approach is the same.
+A plan may move far to begin in a cheap posture. So two costs are given: of the path alone,
+and of the whole motion. The law begins where the plan does, so its approach is the same.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from backhoe_planner.planning.paths.stretch import LawWay, Stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
-_EXACT = 1e-9  # m and rad: chosen, the tip is on the path for all that follows
+_EXACT = 1e-9  # m and rad: chosen; with less error the tip counts as on the path
 _CORRECTIONS = 12  # of Newton's iteration; chosen: it doubles the digits with each
-_FURTHEST = 1.0  # rad or m: chosen, where a joint moves further in a step the arm is stretched out
-_NEARER = 1e-6  # m by which the tip must be off the path's beginning to count as gone from it
-_AS_MUCH = 0.5  # % that is rounded to none
-_BREAKS = 1e-6  # rad or m beyond a limit: far above what rounding makes
+_FURTHEST = 1.0  # rad or m: chosen; if a joint moves further in a step, the arm is stretched out
+_NEARER = 1e-6  # m by which the tip must be off the path's beginning to count as having left it
+_AS_MUCH = 0.5  # %: a smaller saving is rounded to none
+_BREAKS = 1e-6  # rad or m beyond a limit: far above rounding errors
 
 
 def _obstruction(found: Any) -> Any:
-    """Older files say in words what the law breaks."""
+    """An obstruction from the words with which older files say what the law breaks."""
     if not isinstance(found, str):
         return found
     if found.startswith("limit of joint "):
@@ -55,23 +55,23 @@ def _saving(value: float, law: float | None) -> float | None:
 
 
 class LawComparison(Record):
-    """The objective of a plan along its path beside what the local law needs."""
+    """The cost of a plan along its path compared with that of the local law."""
 
     name: str
     """Of the objective."""
     value: Figure
-    """Of the plan's motion, from where it begins to follow the path."""
+    """Cost of the plan's motion, from where it begins to follow the path."""
     whole: Figure
-    """Of the plan's motion from its start, the approach to the path included."""
+    """Cost of the plan's motion from its start, the approach to the path included."""
     law: float | None = None
-    """Of the law's motion; None where it does not get along."""
+    """Cost of the law's motion; None if the law cannot follow the path."""
     law_breaks: Annotated[Obstruction | None, BeforeValidator(_obstruction)] = None
-    """What the law comes too near to, or the joint whose limit it breaks; None where it keeps everything."""
+    """What the law comes too near to, or the joint whose limit it breaks; None if it keeps everything."""
 
     @model_validator(mode="before")
     @classmethod
     def _compute_anew(cls, content: Any) -> Any:
-        """Ignore the values that a file has for the computed properties."""
+        """Ignore the values that a file gives for computed properties."""
         if not isinstance(content, Mapping):
             return content
         return {key: value for key, value in content.items() if key not in cls.model_computed_fields}
@@ -79,26 +79,26 @@ class LawComparison(Record):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def saving_percent(self) -> float | None:
-        """Of what the law needs; None where there is nothing to compare with."""
+        """By how much `value` is below `law`, in percent of `law`; None if there is nothing to compare with."""
         return _saving(self.value, self.law)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def law_whole(self) -> float | None:
-        """Of the plan's approach and the law's motion after it."""
+        """Cost of the plan's approach and the law's motion after it."""
         return None if self.law is None else self.whole - self.value + self.law
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def saving_percent_whole(self) -> float | None:
-        """Of what the law needs with the same approach; None where there is nothing to compare with."""
+        """By how much `whole` is below `law_whole`, in percent of it; None if there is nothing to compare with."""
         return _saving(self.whole, self.law_whole)
 
 
 def describe_saving(percent: float, *, law: str = "") -> str:
-    """How a plan is beside the law, by what it saves [%] of what the law needs: ``95 % less``, or ``as much``.
+    """A plan's cost compared with the law's, from its saving [%]: ``95 % less``, or ``as much``.
 
-    With words for the law's, such as ``the local law's``, it says ``95 % less than the local law's``.
+    With words for the law's cost, such as ``the local law's``, it is ``95 % less than the local law's``.
     """
     if abs(percent) < _AS_MUCH:
         return f"as much as {law}" if law else "as much"
@@ -108,13 +108,13 @@ def describe_saving(percent: float, *, law: str = "") -> str:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A plan's motion beside the law's.
+    """A plan's motion compared with the law's.
 
     Attributes
     ----------
     figures: the cost of both.
     begun: when the plan begins to follow the path [s].
-    law_motion: along the path by the law, with time from 0; None where it does not get along.
+    law_motion: the law's motion along the path, with time from 0; None if the law cannot follow it.
     """
 
     figures: LawComparison
@@ -125,11 +125,11 @@ class Comparison:
 def compare_with_law(
     problem: Problem, trajectory: Trajectory, certificate: Certificate, *, law: LawWay | None = None
 ) -> Comparison | None:
-    """A motion along the scene's path beside the law's; None where the motion does not follow a path.
+    """A motion along the scene's path compared with the law's; None if the motion does not follow a path.
 
     Parameters
     ----------
-    law: how the law follows a path, where that is known; used where it is this path, from the same joints.
+    law: how the law follows a path, if that is known; used if it is this path, from the same joints.
     """
     path = problem.path
     if path is None or len(trajectory) < 3 or not certificate.tracking.done:
@@ -139,7 +139,7 @@ def compare_with_law(
     if len(motion) < 3:
         return None
     moved, breaks = None, None
-    # with detours the path itself is blocked; where the tip stands, no place says what to compare
+    # with detours the path itself is blocked; where the tip stands, arc lengths do not say what to compare
     if not certificate.detours and not path.stands:
         moved, breaks = _along_by_law(problem, path, motion, begun, law, kinematics=kinematics)
     name = problem.objective.name
@@ -152,7 +152,7 @@ def compare_with_law(
 def _along_by_law(
     problem: Problem, path: TipPath, motion: Trajectory, begun: float, known: LawWay | None, *, kinematics: Kinematics
 ) -> tuple[Trajectory | None, Obstruction | None]:
-    """The law's motion beside `motion`, None where it does not get along the path; and what it breaks."""
+    """The law's motion to compare with `motion`, None if the law cannot follow the path; and what the law breaks."""
     proximity, is_time = Proximity(problem.robot, problem.obstacles), problem.objective.is_time
     if known is not None and known.path is path and np.array_equal(known.stretch.q[0], motion.q[0]):
         law = known.stretch
@@ -173,8 +173,8 @@ def part_on_path(
 ) -> tuple[Trajectory, float]:
     """The part of a motion that follows the path, with time from 0, and when it begins [s].
 
-    An approach comes within the tolerance before it ends: after one, the part begins where
-    the tip is nearest to the beginning of the path.
+    An approach comes within the tolerance before it ends. After an approach the part therefore
+    begins where the tip is nearest to the beginning of the path.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def part_on_path(
             off.append(float(np.linalg.norm(kinematics.at(q).tip_position - path(0.0))))
             if off[-1] > 2.0 * off[0] + _NEARER:
                 break
-        first += len(off) - 1 - int(np.argmin(off[::-1]))  # it may stand there for a step
+        first += len(off) - 1 - int(np.argmin(off[::-1]))  # the tip may stand there for a step
     time = trajectory.time[first:] - trajectory.time[first]
     return Trajectory.from_steps(time, trajectory.q[first:]), float(trajectory.time[first])
 
@@ -195,18 +195,18 @@ def part_on_path(
 def fastest_motion(
     problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
 ) -> Trajectory:
-    """A stretch as fast as the limits allow, at rest at both ends and at the corners that are not rounded.
+    """The motion along a stretch as fast as the limits allow, at rest at both ends and at corners that are not rounded.
 
     Parameters
     ----------
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     """
     rounded, stops = round_corners(problem, path, stretch, proximity=proximity, time=time)
     return join_motions(time_stretch(problem, path, rounded, stops=stops))
 
 
 def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
-    """Motions from rest to rest, one after the other; the machine stands for one step between them."""
+    """Motions from rest to rest, one after the other; the machine rests for one step between them."""
     times, places = [motions[0].time], [motions[0].q]
     for motion in motions[1:]:
         if len(motion) < 2:
@@ -219,7 +219,7 @@ def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
 
 
 def law_motion(path: TipPath, law: Stretch, motion: Trajectory, *, kinematics: Kinematics) -> Trajectory:
-    """The law's resolution of the whole path, with the tip at every moment where it is in `motion`."""
+    """The law's resolution of the whole path, timed so that the tip is at every moment where it is in `motion`."""
     stations = stations_of(path, motion, kinematics=kinematics)
     marks = np.searchsorted(law.stations, path.stations - 1e-9)
     q = np.empty_like(motion.q)
@@ -250,7 +250,7 @@ def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinemat
 
     Returns
     -------
-    The stretch; its `obstruction` is the first joint that breaks a limit. None where the
+    The stretch; its `obstruction` is the first joint that breaks a limit. None if the
     arm is stretched out before the end.
     """
     stations = sample_stations(path, 0.0)

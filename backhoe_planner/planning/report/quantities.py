@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def describe_quantity(value: float, unit: str) -> str:
-    """A `value` in four digits with its `unit`, with a prefix where that helps: 11.39 kJ, 14.00 kJ, 1357 (kN m)^2 s."""
+    """A `value` in four digits with its `unit` and a suitable prefix: 11.39 kJ, 14.00 kJ, 1357 (kN m)^2 s."""
     if unit == "N^2 m^2 s" and abs(value) >= 1e4:
         value, unit = 1e-6 * value, "(kN m)^2 s"
     elif unit.startswith("J"):
@@ -15,10 +15,10 @@ def describe_quantity(value: float, unit: str) -> str:
 
 
 def _in_digits(value: float) -> str:
-    """A value in four digits, zeros at the end as well; 0 alone is 0."""
+    """A value in four digits, with trailing zeros; only 0 is just 0."""
     return f"{value:#.4g}".removesuffix(".") if value else "0"
 
 
 def describe_excess(value: float, least: float) -> str:
-    """How much more than the `least` possible a `value` is, such as ``18 % more``; no more than rounding is 0 %."""
+    """How much a `value` is above the `least` possible one, such as ``18 % more``; never negative."""
     return f"{max(100.0 * (value / least - 1.0), 0.0):.0f} % more"

@@ -20,18 +20,18 @@ from backhoe_planner.planning.result.plan import Plan
 def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     """Write the motion in the format of the file's ending, whole or not at all.
 
-    ``.csv``: a header, then time [s], position and velocity of every joint; where the
-    machine has a hydraulic description, then length [m], speed [m/s] and flow [m^3/s] of
-    every cylinder; of a sequence at last the name of the leg.
+    ``.csv``: a header, then time [s], position and velocity of every joint; with a
+    hydraulic description of the machine also length [m], speed [m/s] and flow [m^3/s] of
+    every cylinder; for a sequence the name of the leg in the last column.
     ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,); with a hydraulic
     description also lengths, rod_speeds and flows (T, m), cylinders (m,);
-    of a sequence legs (L,), their names, leg_begins (L,), the first sample of each, and
-    leg_carries (L,), the name of what is carried or nothing.
+    for a sequence also legs (L,), their names, leg_begins (L,), the first sample of each, and
+    leg_carries (L,), the name of what each carries, or an empty string.
     ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message.
 
     Raises
     ------
-    OutputError: unknown ending, the file cannot be written, or is of the machine or the scene.
+    OutputError: unknown ending, or the file cannot be written, or is one of the machine's or the scene's.
     """
     write, mode = FORMATS[check_ending(path, tuple(FORMATS), what="a motion")]
     check_output(path, plan.input_files)
@@ -57,7 +57,7 @@ def _write_csv(plan: Plan, stream: IO[Any]) -> None:
 
 
 def _legs(plan: Plan) -> list[str]:
-    """Of every sample the leg that it belongs to; where two meet, the later one. None where there are no legs."""
+    """The leg of every sample; where two legs meet, the later one. Empty if there are no legs."""
     return [leg.name for leg in plan.legs for _ in range(leg.first, leg.last)] + [leg.name for leg in plan.legs[-1:]]
 
 

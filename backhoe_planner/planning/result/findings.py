@@ -1,4 +1,4 @@
-"""What a planner found out on the way to a motion, beside the motion itself."""
+"""What a planner found out besides the motion itself."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from backhoe_planner.site import Obstruction, Transgression
 
 
 class NearestPose(Record):
-    """The nearest to a target that the tip can get to."""
+    """The nearest pose to a target that the tip can reach."""
 
     q: tuple[float, ...]
     """(n,) joint positions there [rad or m]."""
     position: tuple[float, float, float]
-    """Of the tip [m], world."""
+    """Of the tip [m], in the world frame."""
     position_error: float
     """From the target [m]."""
     angle_error: float
@@ -20,16 +20,16 @@ class NearestPose(Record):
 
 
 class Reaction(Record):
-    """What was done about an obstacle that appears in the way."""
+    """The reaction to an obstacle that appears in the way."""
 
     obstacle: str
     """Its name."""
     appears_at: float
     """When [s]."""
     way: str = ""
-    """How the motion goes on: ``swerved``, ``stopped and planned anew``; empty where it does not."""
+    """How the motion goes on: ``swerved``, ``stopped and planned anew``; empty if it does not go on."""
     stopped_at: float | None = None
-    """When the machine stands [s]; None where it does not stop."""
+    """When the machine is at rest [s]; None if it does not stop."""
 
 
 class RecordingNotes(Record):
@@ -38,41 +38,41 @@ class RecordingNotes(Record):
     dt: float
     """Between its samples [s]."""
     notes: tuple[str, ...]
-    """What a scene file cannot say of the obstacles, in words."""
+    """What a scene file cannot express of the obstacles, in words."""
 
 
 class Findings(Record):
     """The numbers behind a plan's reason, and how its motion was found."""
 
     obstruction: Obstruction | None = None
-    """What is in the way, where something is."""
+    """What is in the way, if anything is."""
     detours: tuple[Obstruction, ...] = ()
-    """What each detour goes round, with the part of the path that it leaves out."""
+    """What each detour goes around, with the part of the path that it leaves out."""
     joints: tuple[str, ...] = ()
     """Names of the joints outside their limits, or at them in the nearest pose."""
     nearest: NearestPose | None = None
-    """Where the target is out of reach."""
+    """The nearest pose, if the target is out of reach."""
     way: str = ""
     """How the goal was reached: ``straight``, ``sampled`` and so on."""
     allowed_time: Figure | None = None
-    """How long a motion to a goal for another objective than the time might take, with all waits before it [s].
+    """How long a motion to a goal was allowed to take, if its objective is not the time, with all waits before it [s].
 
-    None also where it takes longer as the tip is to be slow, and where the machine swerved.
+    None also if the motion takes longer because of the limit of the tip's speed, and if the machine swerved.
     """
     attempts: int = 0
     """How many attempts the local law made."""
     closest_distance: float | None = None
-    """From the goal, of the attempt that came closest [m]."""
+    """From the goal in the attempt that came closest [m]."""
     iterations: int = 0
     """Of the law as printed."""
     waits: float = 0.0
-    """For what moves to pass [s]."""
+    """For moving obstacles to pass [s]."""
     reactions: tuple[Reaction, ...] = ()
     """To obstacles that appear."""
     recording: RecordingNotes | None = None
     """Of a motion that was driven by hand."""
     zones: tuple[Transgression, ...] = ()
-    """Visits to zones, of a motion that was driven by hand."""
+    """Visits to zones in a motion that was driven by hand."""
 
 
 NOTHING = Findings()

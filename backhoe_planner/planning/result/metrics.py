@@ -16,25 +16,25 @@ from backhoe_planner.planning.report.comparison import LawComparison, compare_wi
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction
 
-_APART = 0.05  # m: chosen, a detour is measured to begin and end at most this far from where it was planned
+_APART = 0.05  # m: chosen; a measured detour begins and ends at most this far from where it was planned
 
 
 class DetourTotal(Record):
     """All detours together."""
 
     count: int = 0
-    """How many."""
+    """Number of detours."""
     length: Figure
-    """Of the tip's way off the path [m]."""
+    """Of the tip's route off the path [m]."""
     max_deviation: Figure
     """Largest distance from the path [m]."""
 
 
 class ObjectiveCost(Record):
-    """What a motion costs by the objective for which it was planned."""
+    """The cost of a motion by the objective for which it was planned."""
 
     objective: str
-    """Its name, as in the scene file; ``time`` to a goal and ``work`` along a path where that does not say."""
+    """Its name, as in the scene file; without one there, ``time`` to a goal and ``work`` along a path."""
     value: Figure
     """Of the whole motion [unit]."""
     unit: str
@@ -48,21 +48,21 @@ class Metrics(Record):
     planning_time: Figure
     """[s]; 0 for a motion driven by hand."""
     tip_length: Figure = float("nan")
-    """Of the tip's way [m]."""
+    """Length of the tip's path [m]."""
     joint_length: Figure = float("nan")
-    """Of the way in joint space, the Euclidean norm of rad and m."""
+    """Length of the joint-space path, by the Euclidean norm of rad and m."""
     energy: dict[str, Figure]
-    """What the motion costs by every objective, in its own unit."""
+    """The cost of the motion by every objective, each in its own unit."""
     cost: ObjectiveCost | None = None
-    """What it costs by the one that was made small; None in older files."""
+    """The cost by the objective that was minimised; None in older files."""
     detour: DetourTotal
     """All detours together."""
     detours: tuple[Detour, ...] = ()
-    """Each of them, with what it goes round."""
+    """Each detour, with what it goes around."""
     objective: LawComparison | None = None
-    """The cost of the motion along a path beside that of the local law; None without a path."""
+    """The cost of the motion along a path compared with that of the local law; None without a path."""
     asked_speed: AskedSpeed | None = None
-    """How well the scene's speed is kept; None where it gives none."""
+    """How well the scene's speed is kept; None if the scene gives no speed."""
 
 
 def measure_motion(
@@ -83,7 +83,7 @@ def measure_motion(
     planning_time: of the planner [s].
     detours: what the planner left the path for, and where.
     compare: whether a motion along a path is compared with the local law's.
-    law: how the law follows the path, where that is known.
+    law: how the law follows the path, if that is known.
     """
     tips = BatchKinematics(problem.robot).tip_positions(trajectory.q)
     found = tuple(_with_obstruction(detour, detours) for detour in certificate.detours)
@@ -114,7 +114,7 @@ def measure_motion(
 
 
 def _with_obstruction(detour: Detour, planned: Sequence[Obstruction]) -> Detour:
-    """The detour with what it goes round: that of the planned detour whose part of the path overlaps it most."""
+    """The detour with what it goes around, taken from the planned detour that overlaps it most along the path."""
 
     def overlap(other: Obstruction) -> float:
         if other.path_from is None or other.path_to is None:

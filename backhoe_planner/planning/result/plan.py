@@ -1,4 +1,4 @@
-"""A plan: what was asked, the motion that was found, and what is proven of it."""
+"""A plan: the task, the motion that was found, and its certificate."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
-_COMPUTED = ("dynamics", "certificate", "metrics", "bound", "legs")  # of what a file holds, from its motion
+_COMPUTED = ("dynamics", "certificate", "metrics", "bound", "legs")  # keys of a file that follow from its motion
 _NOT_COMPUTED = {"metrics": {"planning_time", "objective"}, "legs": {"findings"}}
 
 
@@ -49,13 +49,13 @@ class PlannedLeg:
     Attributes
     ----------
     name: of the leg.
-    first, last: its samples in the whole motion; the last is the first of the next leg.
-    begins: when [s].
-    problem: of the leg, with where it begins; its clock begins with the leg.
-    trajectory: its part of the motion, on that clock; the legs beside it may go over into it without a stop.
+    first, last: its first and last sample in the whole motion; the last is the first of the next leg.
+    begins: when the leg begins [s].
+    problem: of the leg, with its start; its clock begins with the leg.
+    trajectory: its part of the motion, on that clock; it may join the neighbouring legs without a stop.
     certificate: what is proven of that part.
-    metrics: duration, lengths and energy of it.
-    findings: what the planner found out on the way.
+    metrics: duration, lengths and energy of that part.
+    findings: what the planner found out while it searched.
     """
 
     name: str
@@ -73,25 +73,25 @@ class PlannedLeg:
 class Plan:
     """The result of planning, verified or not.
 
-    The certificate alone decides. Where it holds, the plan is verified even if the planner
-    gave up or ran out of time: every clearance and limit is proven and the task is done,
+    The certificate alone decides. If it holds, the plan is verified even if the planner
+    gave up or ran out of time: every clearance and limit is proven and the task is done;
     only the search for a better motion ended early. Then `reason` is empty, and `message`
-    keeps what the planner said.
+    keeps the planner's message.
 
     Attributes
     ----------
-    problem: machine and scene, brought together.
-    method, seed: as they were given.
-    trajectory: the motion; where planning failed, the best that was found, which may
+    problem: machine and scene together.
+    method, seed: as given.
+    trajectory: the motion; if planning failed, the best one found, which may
         be the start alone.
-    certificate: what is proven of it.
+    certificate: what is proven of the motion.
     metrics: duration, lengths, energy, detours, and the comparison with the local law.
-    findings: what the planner found out on the way, such as what is in the way.
-    failure: why planning failed, by the planner; empty where it did not.
-    note: the same in a sentence, with its numbers; also that time ran out while the motion was made better.
-    effort: as it was given; None of a motion driven by hand, and of an older file.
-    legs: of a sequence, every leg that the motion has begun; else empty.
-    boxes: how many boxes of configurations the bound may look at; 0 where the planner made no bound.
+    findings: what the planner found out while it searched, such as what is in the way.
+    failure: why planning failed, according to the planner; empty if it did not fail.
+    note: the same in a sentence, with its numbers; also that time ran out while the motion was being improved.
+    effort: as given; None for a motion driven by hand and for an older file.
+    legs: every leg of a sequence that the motion has begun; empty without a sequence.
+    boxes: how many boxes of configurations the bound may examine; 0 if the planner made no bound.
     """
 
     problem: Problem
@@ -108,16 +108,16 @@ class Plan:
     boxes: int = 0
 
     def __repr__(self) -> str:
-        """In a line: verdict or reason, duration, and what is nearest to the machine."""
+        """One line: reason or verdict, duration, and what is nearest to the machine."""
         nearest = self.certificate.clearances[:1]
         near = [f"margin {one.margin:+.3f} m between {one.link} and {one.name}" for one in nearest]
         return f"<Plan {', '.join([self.reason or self.verdict, f'{self.trajectory.duration:.2f} s', *near])}>"
 
     @cached_property
     def bound(self) -> Bound | None:
-        """What no motion to the goal could fall short of; None along a path, and where the plan is not verified.
+        """Lower bounds for any motion to the goal; None along a path, and if the plan is not verified.
 
-        It is worked out when it is first asked for.
+        They are computed at the first access.
         """
         if not self.boxes:
             return None
@@ -125,12 +125,12 @@ class Plan:
 
     @property
     def robot(self) -> Robot:
-        """The machine, as it was planned for."""
+        """The machine of the plan."""
         return self.problem.robot
 
     @property
     def scene(self) -> Scene:
-        """The scene, as it was given."""
+        """The scene as given."""
         return self.problem.scene
 
     @property
@@ -140,12 +140,12 @@ class Plan:
 
     @property
     def verdict(self) -> Literal["verified", "failed"]:
-        """`verified` in a word."""
+        """`verified` as a word."""
         return "verified" if self.verified else "failed"
 
     @property
     def reason(self) -> Reason:
-        """Why it failed: what the planner says, or else what the certificate shows; empty where verified."""
+        """Why the plan failed: the planner's reason, otherwise what the certificate shows; empty if verified."""
         if self.verified:
             return ""
         if self.failure:
@@ -157,15 +157,16 @@ class Plan:
 
     @property
     def message(self) -> str:
-        """`reason` in a sentence, with its numbers; of a verified plan what the planner has to add, mostly nothing."""
+        """`reason` in a sentence, with its numbers; for a verified plan the planner's note, mostly empty."""
         return self.note or "; ".join(self.certificate.problems)
 
     @property
     def minimised(self) -> str:
-        """The name of the objective that was made small for the whole motion, of which `metrics.cost` is.
+        """The name of the objective that was minimised for the whole motion, whose value is `metrics.cost`.
 
-        That of a motion to a goal, or of all legs of a sequence that move. Empty along a path, where only the part
-        along it counts, where legs have different objectives, of a motion driven by hand and of an older file.
+        It is given for a motion to a goal, and for a sequence if all legs that move have the same objective. It is
+        empty
+        along a path, where only the part along it counts, for a motion driven by hand, and for an older file.
         """
         if self.method == "teleop" or self.metrics.cost is None:
             return ""
@@ -175,15 +176,15 @@ class Plan:
 
     @property
     def excess(self) -> str:
-        """How much longer it takes than the bound of the duration, in words.
+        """How much longer the motion takes than the lower bound of the duration, in words.
 
-        Empty where it is slow on purpose, as slower mostly costs less, and where there is no such bound.
+        Empty for another objective than the time, for which slower is mostly cheaper, and if there is no such bound.
         """
         return self.bound.excess if self.bound is not None and self.minimised == "time" else ""
 
     @property
     def settings(self) -> str:
-        """With what it was made, in words: ``method auto, seed 0, effort normal``."""
+        """The settings of the planner in words: ``method auto, seed 0, effort normal``."""
         if self.method == "teleop":
             return "driven by hand"
         effort = "" if self.effort is None else f", effort {self.effort}"
@@ -191,11 +192,11 @@ class Plan:
 
     @property
     def input_files(self) -> tuple[Path, ...]:
-        """From which machine and scene were read; no output may replace one."""
+        """The files from which machine and scene were read; no output may replace one of them."""
         return (*self.robot.files, *self.scene.files)
 
     def tip_path(self) -> NDArray[np.float64]:
-        """(T, 3) positions of the tip at the samples [m], world."""
+        """(T, 3) positions of the tip at the samples [m], in the world frame."""
         return BatchKinematics(self.robot).tip_positions(self.trajectory.q)
 
     def energy(self) -> MotionEnergy:
@@ -207,7 +208,7 @@ class Plan:
 
         Raises
         ------
-        OutputError: the folder does not exist or cannot be written; or the file is of the machine or the scene.
+        OutputError: the folder does not exist or cannot be written; or the file is one of the machine's or the scene's.
         """
         path = check_path(path, key="path")
         check_record(path, self.input_files)
@@ -218,12 +219,12 @@ class Plan:
 def planned_legs(
     problem: Problem, trajectory: Trajectory, certificate: Certificate, found: Sequence[Findings] = ()
 ) -> tuple[PlannedLeg, ...]:
-    """The legs of a plan, from its motion; none where the problem is no sequence.
+    """The legs of a plan, from its motion; none if the problem is not a sequence.
 
     Parameters
     ----------
     certificate: of the motion.
-    found: of every leg, what the planner found out.
+    found: the planner's findings for every leg.
     """
     if not problem.legs:
         return ()
@@ -241,22 +242,23 @@ def planned_legs(
 
 
 def plan_to_dict(plan: Plan) -> dict[str, Any]:
-    """The plan as plain data in the layout of the plan file, without what it has for every sample."""
+    """The plan as plain data in the layout of the plan file, without the values at every sample."""
     return dict(json.loads(_record(plan, None).model_dump_json(exclude={"trajectory", "dynamics"})))
 
 
 def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> Plan:
-    """Read a plan file. Certificate, figures and bound are computed anew, not believed.
+    """Read a plan file. Certificate, figures and bound are computed anew, not taken from the file.
 
-    What only planning can tell is taken from the file: findings, message, how long it took, the local law's cost.
+    Only what cannot be computed without planning is taken from the file: findings, message, planning time, and the
+    cost of the local law.
 
     Parameters
     ----------
-    urdf: path of the machine's URDF, where it no longer lies where the plan file says.
+    urdf: path of the machine's URDF, if it is no longer where the plan file says.
 
     Raises
     ------
-    PlanFileError: not a plan file, or damaged; names the key.
+    PlanFileError: not a plan file, or a damaged one; names the key.
     RobotError: the URDF is missing or has changed since the plan was made.
     SceneError: a file that the scene names is missing.
     """
@@ -295,7 +297,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     metrics = measure_motion(
         problem, trajectory, certificate, planning_time=said.planning_time, detours=record.findings.detours
     )
-    # an older file does not say what was made small
+    # an older file does not say what was minimised
     kept: dict[str, Any] = {"objective": said.objective} | ({"cost": None} if said.cost is None else {})
     return Plan(
         problem=problem,
@@ -314,15 +316,15 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
 
 
 def plan_differences(path: str | os.PathLike[str], plan: Plan) -> list[str]:
-    """In words, which figures of a plan file are not those of the plan that was read from it, with their keys.
+    """The figures of a plan file that differ from those of the plan read from it, in words, with their keys.
 
-    Whoever reads the file takes them for what was planned; `load_plan` computes them anew. What only planning can tell
-    is not compared.
+    Other readers of the file rely on these figures; `load_plan` computes them anew. Figures that cannot be computed
+    without planning are not compared.
 
     Parameters
     ----------
     path: the file.
-    plan: as `load_plan` read it.
+    plan: as read by `load_plan`.
 
     Raises
     ------
@@ -336,7 +338,7 @@ def plan_differences(path: str | os.PathLike[str], plan: Plan) -> list[str]:
 
 
 def _begins(record: PlanRecord, problem: Problem, file: Path) -> tuple[int, ...]:
-    """Where the legs of a sequence begin; PlanFileError where they are not those of the scene."""
+    """The first samples of the legs of a sequence; PlanFileError if the legs are not those of the scene."""
     found, known = [leg.name for leg in record.legs], [leg.name for leg in problem.legs]
     if found != known[: len(found)] or (known and not found):
         raise PlanFileError(
@@ -347,7 +349,7 @@ def _begins(record: PlanRecord, problem: Problem, file: Path) -> tuple[int, ...]
 
 
 def _record(plan: Plan, folder: Path | None) -> PlanRecord:
-    """The record of a plan, for a file in `folder`; with None paths stay as they are."""
+    """The record of a plan, for a file in `folder`; if that is None, paths stay as they are."""
     energy, motion, urdf = plan.energy(), plan.trajectory, plan.robot.urdf
     return PlanRecord(
         verdict=plan.verdict,

@@ -1,7 +1,7 @@
 """The plan file: JSON, read with every field checked.
 
-The records below are the schema, for reading and for writing. What a file says of its
-motion (certificate, dynamics, metrics, bound, versions) is for other programs: here it is computed anew.
+The records below are the schema, for reading and for writing. What a file says about its
+motion (certificate, dynamics, metrics, bound, versions) is for other programs: this one computes it anew.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulic
 
 FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
 VERSION: Literal[1] = 1
-_SHORTEST_STEP = 1e-12  # s: chosen; rates over far less overflow where they are squared
+_SHORTEST_STEP = 1e-12  # s: chosen; rates over a much shorter step overflow when they are squared
 
 
 class RobotRecord(Record):
@@ -56,7 +56,7 @@ class RobotRecord(Record):
     joints: tuple[str, ...]
     """Names of the joints, in the order of the columns."""
     tip: str
-    """The link that is moved."""
+    """The link that carries the tip."""
 
 
 class TrajectoryRecord(Record):
@@ -70,7 +70,7 @@ class TrajectoryRecord(Record):
     """(T, n) joint velocities [rad/s or m/s]."""
 
     def trajectory(self, n: int, *, file: Path, begins: tuple[int, ...] = ()) -> Trajectory:
-        """The motion of a machine with `n` joints; PlanFileError where the samples do not make one.
+        """The motion of a machine with `n` joints; PlanFileError if the samples are not a motion.
 
         begins: the first sample of each leg of a sequence.
         """
@@ -98,27 +98,27 @@ class DynamicsRecord(Record):
     power: list[Figure]
     """(T,) of the joints [W]."""
     work: list[Figure]
-    """(T,) put in by the joints so far [J]."""
+    """(T,) work of the joints so far [J]."""
     hydraulic_power: list[Figure] | None = None
-    """(T,) of the pump [W], where the machine has a hydraulic description."""
+    """(T,) of the pump [W], if the machine has a hydraulic description."""
     hydraulic: list[Figure] | None = None
     """(T,) energy of the oil so far [J]."""
 
 
 class ClearanceRecord(Record):
-    """The tightest spot to one obstacle."""
+    """The smallest margin to one obstacle."""
 
     value: Figure
     """Proven lower bound of the distance [m]."""
     margin: Figure
     """Value minus the clearance that must be kept [m]."""
     obstacle: str
-    """Its name; ``self: LINK`` where the machine must not touch itself."""
+    """Its name; ``self: LINK`` for another link of the machine."""
     link: str
     time: Figure
     """[s]"""
     tracking: Figure = 0.0
-    """What of the value the tracking error can take; the margin leaves it out [m]. Not in the file where 0."""
+    """The part of the value that the tracking error may use up; the margin excludes it [m]. Not in the file if 0."""
 
     @model_serializer(mode="wrap")
     def _without_zero(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -129,7 +129,7 @@ class ClearanceRecord(Record):
 
     @classmethod
     def of(cls, found: Obstruction) -> ClearanceRecord:
-        """The record of a tightest spot."""
+        """The record of an obstruction."""
         return cls(
             value=found.distance,
             margin=found.margin,
@@ -141,7 +141,7 @@ class ClearanceRecord(Record):
 
 
 class UseRecord(Record):
-    """How much of a limit is used, where most of it is used; see `LimitUse`."""
+    """How much of a limit is used at the moment of its largest use; see `LimitUse`."""
 
     ratio: Figure
     time: Figure
@@ -158,13 +158,13 @@ class UseRecord(Record):
 
 
 class KeepRecord(Record):
-    """What is left of a condition that is to be kept, where least is left; see `KeepUse`."""
+    """The margin of a kept condition at the moment of its smallest margin; see `KeepUse`."""
 
     name: str
     margin: Figure
-    """Proven over the whole motion; negative where it is not kept [unit]."""
+    """Proven over the whole motion; negative if the condition is not kept [unit]."""
     value: Figure
-    """There [unit]."""
+    """At that moment [unit]."""
     time: Figure
     """[s]"""
     unit: str
@@ -179,12 +179,12 @@ class CertificateRecord(Record):
     tip_error: dict[Literal["max", "mean", "max_angle"], Figure] | None = None
     """Of the tip's position, the largest and the mean [m], and of its angle [rad]."""
     path: dict[Literal["length", "followed"], Figure] | None = None
-    """Its length, and what of it is followed [m]; 0 for a goal."""
+    """Its length, and how much of it is followed [m]; 0 for a goal."""
     detours: tuple[Detour, ...] = ()
     keep: tuple[KeepRecord, ...] = ()
-    """What is left of every condition that is to be kept."""
+    """The smallest margin of every kept condition."""
     goal: int | None = None
-    """Number of the goal that is reached, as they stand in the scene, from 1; none along a path."""
+    """Number of the goal that is reached, in the order of the scene, from 1; none along a path."""
     problems: tuple[str, ...] = ()
 
     @classmethod
@@ -220,7 +220,7 @@ class LegRecord(Record):
     begins: Figure
     """When [s]."""
     certificate: CertificateRecord
-    """What was proven of its part; times count from where it begins."""
+    """What was proven of its part; times count from its beginning."""
     metrics: Metrics
     findings: Findings = Findings()
 
@@ -232,17 +232,17 @@ class PlanRecord(Record):
     version: Literal[1] = VERSION
     verdict: Literal["verified", "failed"]
     reason: Reason
-    """Why it failed; empty where verified."""
+    """Why the plan failed; empty if verified."""
     message: str
     robot: RobotRecord
     scene: dict[str, Any]
-    """The scene, whole."""
+    """The whole scene."""
     scene_folder: str = "."
-    """Where the files lie that the scene names, relative to the plan file."""
+    """The folder of the files that the scene names, relative to the plan file."""
     method: Method
     seed: StrictInt
     effort: EffortName | None = None
-    """How much was searched; None of a motion driven by hand, and in older files."""
+    """How much was searched; None for a motion driven by hand, and in older files."""
     versions: dict[str, str] = Field(default_factory=dict)
     """Of the program and its libraries."""
     trajectory: TrajectoryRecord
@@ -251,14 +251,14 @@ class PlanRecord(Record):
     metrics: Metrics
     findings: Findings = Findings()
     bound: Bound | None = None
-    """What no motion to the goal could fall short of."""
+    """Lower bounds for any motion to the goal."""
     legs: tuple[LegRecord, ...] = ()
-    """Of a sequence."""
+    """The legs of a sequence."""
 
     @model_validator(mode="before")
     @classmethod
     def _read_older(cls, content: Any) -> Any:
-        """Take from `details` of older files what is still used: what a recording leaves out."""
+        """Take from `details` of older files the part that is still used: what a recording leaves out."""
         if not isinstance(content, Mapping) or "details" not in content:
             return content
         details = content["details"]
@@ -279,7 +279,7 @@ def read_plan_file(file: Path) -> PlanRecord:
 
     Raises
     ------
-    PlanFileError: not a plan file, or damaged; names key, what was found and what is allowed.
+    PlanFileError: not a plan file, or a damaged one; names the key, what was found and what is allowed.
     """
     text = read_text(file, what="plan", error=PlanFileError)
     refuse_other_kind(text, "plan", file=file, error=PlanFileError)

@@ -1,7 +1,7 @@
-"""How much work a plan may take: counted, so that it does not depend on the machine or its load.
+"""How much work a plan may take: counted, so that it does not depend on the computer or its load.
 
-Every search ends by a count, and the same input, seed and effort give the same plan. The
-clock stands here alone: the `Brake` ends what runs away, and nothing else looks at it.
+Every search ends by a count, so the same input, seed and effort give the same plan. Only this
+module reads the clock: the `Brake` ends a search that takes far too long.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Literal
 
 EffortName = Literal["quick", "normal", "thorough"]
 
-# s: several times what plans take on one core, so that they end by their counts
+# s: several times what plans take on one core, so that plans end by their counts
 DEFAULT_BUDGETS: Mapping[EffortName, float] = MappingProxyType({"quick": 60.0, "normal": 60.0, "thorough": 600.0})
 
 
@@ -23,43 +23,43 @@ DEFAULT_BUDGETS: Mapping[EffortName, float] = MappingProxyType({"quick": 60.0, "
 class Effort:
     """Upper bounds of the work of one plan.
 
-    The counts of ``normal`` are about what one idle core does in 10 s to 20 s each; the
-    rates are of the random sites of `scripts/bench_planning.py` on a 2 GHz core.
+    Each count of ``normal`` is about what one idle core does in 10 s to 20 s; the
+    rates were measured on the random sites of `scripts/bench_planning.py` on a 2 GHz core.
 
     Attributes
     ----------
-    motions_per_search: motions between two configurations that one sampled search looks
-        at (1,000 to 4,000 a second); half of it for a free detour, an eighth for one near the path.
-    motions: the same of all searches of the plan: where the first fails, another has room.
-    starting_points: of the inverse kinematics for one target (1,000 a second); what
-        stands in collision is looked at with eight times as many before that is said.
+    motions_per_search: motions between two configurations that one sampled search checks
+        (1,000 to 4,000 a second); half as many for a free detour, an eighth for one near the path.
+    motions: the same for all searches of the plan, so that another search is possible if the first fails.
+    starting_points: of the inverse kinematics for one target (1,000 a second); before a target is
+        reported to be in collision, eight times as many are tried.
     law_steps: steps of the completed law in all attempts of the plan (200 to 3,000 a second).
-    sweeps: of the dynamic programming that makes a path cheaper, of the plan (30 to 80 a
+    sweeps: of the dynamic programming that makes a path cheaper, for the whole plan (30 to 80 a
         second); it converges in 20 to 220.
-    routes: through the layered graph of which the motions are tested, of one resolution
-        of a path (20 to 100 a second where a layer has some dozens of nodes).
-    node_pairs: of the graph, from node to node, that these routes may look at, of one
+    routes: routes through the layered graph whose motions are tested, for one resolution
+        of a path (20 to 100 a second if a layer has some dozens of nodes).
+    node_pairs: pairs of nodes of the graph that the search for these routes may examine, for one
         resolution (300 to 400 million a second): it bounds the routes through large layers.
-    detours: off the path that are looked for in vain, of one resolution.
-    nodes: that are drawn for a roadmap of ways (6,000 a second).
-    boxes: of configurations, from which the bound of all motions to a goal follows (30,000 a second). They are
-        looked at beside the search, which does not wait for them.
+    detours: unsuccessful searches for a detour off the path, for one resolution.
+    nodes: drawn for a roadmap (6,000 a second).
+    boxes: of configurations, from which the bound for all motions to a goal follows (30,000 a second). They are
+        examined apart from the search, which does not wait for them.
     descent_rounds: of all descents of the plan (20 to 50 a second); half of the descents take less than 7.
-    way_rounds: more of them, once ways through roadmaps are brought down.
+    way_rounds: additional rounds, for descents from routes through roadmaps.
     pieces: of the curve that a descent bends; 20 instead of 12 gain 1 % and take twice as long.
-    ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
-        are brought down.
-    dull_searches: how often in a row that may gain nothing before the search for better motions ends.
+    ways_at_once: how many straight lines to postures on a goal are tried, and how many sampled routes, of which the
+        cheapest start descents.
+    dull_searches: how many searches in a row may gain nothing before the search for better motions ends.
     begins_with: the effort of a search that comes first, so that more effort never costs more; empty for none.
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
-    alike: so many searches that cost alike end them, one that costs little more than is lifted, and one that was
-        short; 0 for none.
-    restarts_round: further ones where the best motion leads round something, each of which goes on with what is known.
-    restarts_long: further searches for the time, each begun anew with the normal effort, where the best motion takes
-        much longer than the joints need, until one finds a shorter one than that.
-    rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve goes
-        on from there, and mostly it costs no more at the end.
+    alike: so many searches of nearly the same cost end the restarts; so does one that costs little more than what is
+        lifted, and one that was short; 0 for none.
+    restarts_round: further searches if the best motion goes around an obstacle; each continues from what is known.
+    restarts_long: further searches for the time, each begun anew with the normal effort, if the best motion takes
+        much longer than the joints need, until one finds a shorter motion.
+    rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve
+        continues from there, and mostly costs no more at the end.
     """
 
     motions_per_search: int
@@ -86,7 +86,7 @@ class Effort:
 
     @property
     def is_hurried(self) -> bool:
-        """Whether a search ends where it has found a motion."""
+        """Whether a search ends as soon as it has found a motion."""
         return self.dull_searches == 0
 
 
@@ -116,14 +116,15 @@ _NORMAL = Effort(
 
 
 def _scaled(factor: float) -> Effort:
-    """The counts of the normal effort times `factor`, and nothing rough."""
+    """The counts of the normal effort times `factor`, with no rough descents."""
     counts = {name: count for name, count in asdict(_NORMAL).items() if not isinstance(count, bool | str)}
     return Effort(**{name: round(factor * count) for name, count in counts.items()}, begins_with="", rough=False)
 
 
 EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
     {
-        # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach
+        # inverse kinematics costs little and decides much: with a fifth of it, goals within reach would count as out of
+        # it
         "quick": replace(
             _scaled(0.2),
             motions_per_search=6_000,
@@ -160,9 +161,9 @@ class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not a
 
 
 class Brake:
-    """Ends a search that takes too long: a budget of computing time, which begins when the brake is made.
+    """Ends a search that takes too long: a budget of computing time that starts when the brake is created.
 
-    Only the thread in which the brake is made and checked counts: other programs do not
+    Only the thread that creates and checks the brake counts: other programs do not
     use up the budget.
 
     Attributes
@@ -172,21 +173,21 @@ class Brake:
 
     def __init__(self, budget: float = math.inf) -> None:
         self.budget = budget
-        self._soonest = clock.monotonic() + budget  # no thread computes for longer than time goes by
+        self._soonest = clock.monotonic() + budget  # a thread's computing time never exceeds the elapsed time
         self._deadline = clock.thread_time() + budget
 
     @property
     def message(self) -> str:
-        """What to say where the budget is used up."""
+        """The message for a budget that is used up."""
         return f"time ran out after {self.budget:g} s of computing; --budget gives more, a lower --effort needs less"
 
     def is_used_up(self) -> bool:
-        """Whether no time is left: for what can end early and keep what it has."""
-        # asking for the thread's own time takes up to 30 us, as often as it is asked here a fiftieth of a plan
+        """Whether no time is left: for searches that can end early and keep their result."""
+        # reading the thread's own time takes up to 30 us; at every call this would add up to a fiftieth of a plan
         return clock.monotonic() > self._soonest and clock.thread_time() > self._deadline
 
     def check(self) -> None:
-        """Go on only while there is time.
+        """Raise an error if no time is left.
 
         Raises
         ------
@@ -197,13 +198,13 @@ class Brake:
 
 
 class Work:
-    """What is left of the effort of one plan; its searches take from it.
+    """The remaining effort of one plan; its searches subtract what they use.
 
     Attributes
     ----------
-    effort: what there was at the beginning.
+    effort: at the beginning.
     brake: checked by every search.
-    motions, law_steps, sweeps, descent_rounds, way_rounds: counts that are left; see `Effort`.
+    motions, law_steps, sweeps, descent_rounds, way_rounds: remaining counts; see `Effort`.
     """
 
     def __init__(self, effort: Effort = EFFORTS["normal"], brake: Brake | None = None) -> None:

@@ -19,9 +19,9 @@ from backhoe_planner.machine import (
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
-POSTURE_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm that a motion that ends there keeps
-_ITERATIONS = 20  # of the inverse kinematics from one starting point; chosen, one in fifty arrives later
-_ITERATIONS_HURRIED = 14  # the same in a hurry; chosen among 12 to 20, some ends are then missed
+POSTURE_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm kept by a motion that ends there
+_ITERATIONS = 20  # of the inverse kinematics from one starting point; chosen, one in fifty needs more
+_ITERATIONS_HURRIED = 14  # the same in a hurry; chosen among 12 to 20: some ends are then missed
 _SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
 
 
@@ -33,7 +33,7 @@ class PostureResult:
     ----------
     clear: (n,) configurations that keep every clearance [rad or m], the nearest first.
     best: the inverse kinematics' result with the least error; it says whether the target can be reached.
-    contact: the mildest collision, where all configurations on the target collide.
+    contact: the mildest collision, if all configurations on the target collide.
     """
 
     clear: tuple[Vector, ...]
@@ -42,7 +42,7 @@ class PostureResult:
 
 
 class Postures:
-    """Finds configurations for one problem; draws from one seeded generator."""
+    """Finds configurations for one problem, with one seeded generator."""
 
     def __init__(
         self, problem: Problem, *, proximity: Proximity, kinematics: Kinematics, rng: np.random.Generator
@@ -67,17 +67,17 @@ class Postures:
 
         Parameters
         ----------
-        near: (n,) where the joints stand [rad or m]: the first starting point. The result is
+        near: (n,) the present joint positions [rad or m]: the first starting point. The result is
             sorted by the time that the slowest joint takes from there. By default the middle of the limits.
         count: starting points of the inverse kinematics.
-        time: the obstacles stand where they are at this time [s].
+        time: at which the positions of the obstacles are taken [s].
         hurried: whether the inverse kinematics takes fewer steps from each starting point.
-        travel: (n,) how far from `near` the joints of a starting point are at most [rad or m]; None for anywhere.
+        travel: (n,) how far the joints of a starting point may be from `near` [rad or m]; None for anywhere.
         """
         robot = self._problem.robot
         near = robot.middle if near is None else near
         anywhere = self._rng.uniform(*robot.finite_range, (count - 1, robot.n))
-        # every other one on the way there: postures near the present one are few, and soonest reached
+        # every other one is between `near` and there: postures near the present one are few, and reached soonest
         part = np.ones(count - 1)
         part[::2] = self._rng.random(len(part[::2]))
         guesses = np.vstack((near, near + part[:, None] * (anywhere - near)))
@@ -109,9 +109,9 @@ class Postures:
 
 
 def find_distinct(q: Matrix, within: float, known: Matrix | None = None) -> list[int]:
-    """The rows of `q` (N, n), but for those of which another one stands before them within `within` [rad or m].
+    """The indices of the rows of `q` (N, n) that are further than `within` [rad or m] from every row kept before them.
 
-    That other one is taken itself, or is one of `known` (K, n).
+    The configurations `known` (K, n) count as kept before all rows.
     """
     others = q if known is None else np.vstack((known, q))
     near = np.ones((len(q), len(others)), dtype=bool)

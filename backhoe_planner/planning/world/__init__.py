@@ -1,1 +1,1 @@
-"""The world that every planner is given, and the outcome that it hands back."""
+"""The world that every planner gets, and the outcome that it returns."""

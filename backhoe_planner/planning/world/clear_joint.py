@@ -11,18 +11,19 @@ from backhoe_planner.planning.search.postures import POSTURE_SPARE
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
 
-_STEP = 0.01  # rad or m between the values that are looked at: what is told is one of them, and can be written down
-_FARTHEST = 150  # such values to either side that are looked at; chosen
-_AT_A_TIME = 10  # values to either side of every joint that are looked at before those further away
+_STEP = 0.01  # rad or m between the values that are tried: the message gives one of them, short enough to write down
+_FARTHEST = 150  # values to either side that are tried; chosen
+_AT_A_TIME = 10  # values to either side of every joint that are tried before those further away
 
 
 @dataclass(frozen=True)
 class ClearJoint:
-    """A posture that differs in one joint from one that collides, and keeps every clearance.
+    """A posture that keeps every clearance and differs in one joint from one that collides.
 
     Attributes
     ----------
-    name, now, then: of the joint, where it stands, and where the posture is clear [rad or m].
+    name: of the joint.
+    now, then: its position in the posture that collides and in the clear one [rad or m].
     unit: rad or m.
     """
 
@@ -36,13 +37,13 @@ class ClearJoint:
 
 
 def find_clear_joint(world: World, q: Vector, *, time: float = 0.0) -> ClearJoint | None:
-    """The least move of one joint after which `q` (n,) [rad or m] keeps every clearance and the goal's region.
+    """The least move of one joint after which `q` (n,) [rad or m] keeps every clearance and the problem's `keep`.
 
-    The least is that of the fewest hundredths of a radian or metre. None where 1.5 rad or m of no joint are enough.
+    Moves are counted in hundredths of a radian or metre. None if 1.5 rad or m are not enough for any joint.
 
     Parameters
     ----------
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     """
     problem, robot = world.problem, world.problem.robot
     screen = ClearanceScreen(world.proximity, time=time, spare=POSTURE_SPARE)

@@ -1,4 +1,4 @@
-"""The result of a planner, and the words for what went wrong."""
+"""The result of a planner, and the messages for what went wrong."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
-_TURN, _GAP = 2.0 * np.pi, 0.25  # rad: a turn, and what pitches are apart between which others are out of reach; chosen
-_STARTS_ALONE = 60  # of the inverse kinematics of a position without its orientation; chosen, 40 ms
-_MILLIMETRES = 100.0  # m out of reach, as which a position is taken to be given in other units; chosen
-_SMALL = 1e-6  # m and rad: chosen far below what a message shows
+_TURN, _GAP = 2.0 * np.pi, 0.25  # rad: one turn, and the gap between found pitches that counts as out of reach; chosen
+_STARTS_ALONE = 60  # starting points of the inverse kinematics of a position without its orientation; chosen, 40 ms
+_MILLIMETRES = 100.0  # m out of reach, beyond which a position was probably given in other units; chosen
+_SMALL = 1e-6  # m and rad: chosen, far below what a message shows
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A motion, and why it does not do what was asked, where it does not.
+    """A motion, and why it does not do the task, if it does not.
 
     Attributes
     ----------
-    trajectory: where planning failed, the best that was found.
-    reason: empty where nothing is known to be wrong.
-    message: the same in words; beside an empty reason, that time ran out while the motion was made better.
-    findings: the numbers behind them, and how the motion was found.
-    law: how the local law follows the path, from where the motion may begin to; None where that was not looked for.
+    trajectory: the motion; if planning failed, the best one found.
+    reason: why the task is not done; empty if nothing is known to be wrong.
+    message: the same in words; with an empty reason, that time ran out while the motion was being improved.
+    findings: the numbers behind reason and message, and how the motion was found.
+    law: how the local law follows the path, from where the motion may begin too; None if that was not computed.
     """
 
     trajectory: Trajectory
@@ -47,7 +47,7 @@ class Outcome:
     law: LawWay | None = None
 
     def adding(self, **findings: Any) -> Outcome:
-        """The same with more findings, by their names."""
+        """The same outcome with more findings, by their names."""
         return replace(self, findings=self.findings.model_copy(update=findings))
 
 
@@ -63,7 +63,7 @@ def blocked_path(motion: Trajectory, found: Obstruction, path: TipPath, why: str
     ----------
     motion: along the path up to where it is blocked.
     found: what is in the way, with the part of the path that it blocks.
-    why: end of the sentence that says why it is not bypassed; may be empty.
+    why: the end of the message, which says why the obstacle is not bypassed; may be empty.
     """
     assert found.path_from is not None
     assert found.path_to is not None
@@ -74,23 +74,23 @@ def blocked_path(motion: Trajectory, found: Obstruction, path: TipPath, why: str
 
 
 def by_arc_length(found: Obstruction, path: TipPath) -> Obstruction:
-    """What blocks a part of a path, with that part as people measure it: turns of the bucket not counted."""
+    """An obstruction with its part of the path as true arc lengths [m]: turns of the bucket in place do not count."""
     ends = [None if s is None else path.arc(s) for s in (found.path_from, found.path_to)]
     return replace(found, path_from=ends[0], path_to=ends[1])
 
 
 def bad_start(world: World, start: Vector) -> Outcome | None:
-    """Why nothing can begin at `start` (n,), None where it can."""
+    """Why no motion can begin at `start` (n,); None if one can."""
     return bad_posture(world, start, "start")
 
 
 def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Outcome | None:
-    """Why no motion can begin or end at `q` (n,), None where one can.
+    """Why no motion can begin or end at `q` (n,); None if one can.
 
     Parameters
     ----------
-    what: ``start``, or the goal by its name.
-    time: the obstacles stand where they are at this time [s].
+    what: ``start``, or the name of the goal.
+    time: at which the positions of the obstacles are taken [s].
     """
     starts = what == "start"
     stays = at_rest(q) if starts else rest_at_start(world, q)
@@ -118,7 +118,7 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
 
 
 def _only_swung(world: World, contact: Obstruction) -> str:
-    """What to say of a link that the first joint alone moves, such as a swing post; nothing of the others."""
+    """A hint for a link that only the first joint moves, such as a swing post; empty for other links."""
     robot = world.problem.robot
     joints = {own.joint for own in robot.pieces if own.link == contact.link}
     if contact.kind != "obstacle" or joints != {1} or robot.n < 2:
@@ -131,17 +131,17 @@ def _only_swung(world: World, contact: Obstruction) -> str:
 
 
 def _moved(world: World, q: Vector, time: float) -> str:
-    """What to say of the least move of one joint that takes `q` (n,) out of a collision; nothing without one."""
+    """A hint with the least move of one joint that takes `q` (n,) out of a collision; empty if there is none."""
     found = find_clear_joint(world, q, time=time)
     return "" if found is None else f"; {found}"
 
 
 def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Reason, what: str) -> Outcome | None:
-    """Why there is no configuration for a target, None where there is one.
+    """Why there is no configuration for a target; None if there is one.
 
     Parameters
     ----------
-    found: the search for configurations on `target`.
+    found: the result of the search for configurations on `target`.
     reason: for a target that can be reached, but not without a collision.
     what: the target in words, such as ``goal``.
     """
@@ -151,13 +151,13 @@ def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Re
         return out_of_reach(world, found.best, target, what)
     contact = found.contact
     message = f"no configuration for the {what} is free" if contact is None else f"at the {what} {contact.describe()}"
-    if contact is not None and contact.margin >= 0.0:  # it counts as blocked all the same
+    if contact is not None and contact.margin >= 0.0:  # it counts as blocked nevertheless
         message += f", but the planner keeps {1e3 * POSTURE_SPARE:.0f} mm more at the end of a motion"
     return Outcome(rest_at_start(world, found.best.q), reason, message, Findings(obstruction=contact))
 
 
 def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what: str) -> Outcome:
-    """A target that the tip cannot be put on.
+    """The outcome for a target that the tip cannot reach.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
 
 
 def _position_alone(world: World, target: TipTarget) -> str:
-    """What to say where the position of a target can be reached, but not with its orientation; nothing otherwise."""
+    """A hint if the position of a target can be reached, but not with its orientation; empty otherwise."""
     found = world.postures.anywhere(TipTarget(target.position), count=_STARTS_ALONE)
     if not len(found):
         return ""
@@ -195,13 +195,13 @@ def _position_alone(world: World, target: TipTarget) -> str:
         return words + ", turned otherwise"
     spans = _spans([world.kinematics.at(q).pitch for q in found])
     asked = target.pitch[0]
-    if any(low <= wrap_angle(asked) <= high for low, high in spans):  # it lies in a gap that was not seen
+    if any(low <= wrap_angle(asked) <= high for low, high in spans):  # the reach has a gap that the samples do not show
         return words + ", with other pitches"
     return words + f", with a pitch of {' or '.join(_span(low, high) for low, high in spans)} rad"
 
 
 def _spans(angles: Sequence[float]) -> list[tuple[float, float]]:
-    """From where to where some angles lie close together, within half a turn either way."""
+    """The intervals (lowest, highest) in which angles are close together, within half a turn of 0."""
     found = np.sort(wrap_angle(np.array(angles)))
     ends = np.flatnonzero(np.diff(found, append=found[0] + _TURN) > _GAP)
     if not len(ends):
@@ -217,5 +217,5 @@ def _span(low: float, high: float) -> str:
 
 
 def rest_at_start(world: World, q: Vector) -> Trajectory:
-    """Rest at the scene's start; where the scene gives no joints for it, at `q` (n,)."""
+    """Rest at the scene's start; if the scene gives no joints for it, at `q` (n,)."""
     return at_rest(q if world.problem.start_q is None else world.problem.start_q)

@@ -1,4 +1,4 @@
-"""The world of a search: a problem, the obstacles that count, and the work that is left."""
+"""The world of a search: a problem, the obstacles that count, and the remaining work."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
 
 _SEEDS_APART = (
-    7_368_787  # a prime, so that searches begun anew draw nothing that ways of this one or of the next seed draw
+    7_368_787  # a prime, so that restarted searches share no draws with the routes of this seed or of the next one
 )
-_SHOWN = 5  # samples of a motion that is shown, of which one is; ten a second
+_SHOWN = 5  # every fifth sample of a motion is shown; ten a second
 
 
 class World:
-    """A problem among certain obstacles, and the work that may be done on it.
+    """A problem among certain obstacles, and the work that may still be done on it.
 
     Attributes
     ----------
     problem: what is to be planned.
     seed: of every random choice.
-    work: what is left of the effort of the plan; worlds made by `among` share it.
+    work: the remaining effort of the plan; worlds made by `among` share it.
     proximity: to the obstacles that count here.
     kinematics: of the machine.
     postures: finds configurations for the tip among these obstacles.
-    apart: by the names of a link and of what it came too near to, as `Obstruction` has them: how much more than its
-        clearance such a pair keeps along a path, wherever it can [m].
+    apart: how much more than its clearance a pair keeps along a path, wherever it can [m]; by the names of a link and
+        of what it came too near to, as in `Obstruction`.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class World:
         return other
 
     def for_time(self, effort: Effort) -> World:
-        """The same problem, to be solved in the least time with this effort; nobody watches."""
+        """The same problem for the least time, with this effort; no watcher is called."""
         other = copy.copy(self)
         other.problem = replace(self.problem, objective=OBJECTIVES["time"])
         other.work, other._watch = Work(effort, self.work.brake), None
@@ -71,9 +71,9 @@ class World:
         return other
 
     def anew(self, number: int, effort: Effort) -> World:
-        """The same problem with random choices of its own by `number`, and this effort; nobody watches.
+        """The same problem with its own random choices, given by `number`, and this effort; no watcher is called.
 
-        For 0 they are those of this world, from the beginning.
+        For 0 the random choices are those of this world, from the beginning.
         """
         other = copy.copy(self)
         other.seed = (self.seed + number * _SEEDS_APART) % 2**32
@@ -82,7 +82,7 @@ class World:
         return other
 
     def within(self, tolerance: float) -> World:
-        """The same problem with a path whose tip may be off it by `tolerance` [m]."""
+        """The same problem, with `tolerance` [m] as the tolerance of its path."""
         other = copy.copy(self)
         scene = self.problem.scene
         assert scene.task.path is not None
@@ -91,27 +91,27 @@ class World:
         return other
 
     def stepper(self, q: Vector) -> Stepper:
-        """A motion that begins at `q` (n,), at rest."""
+        """A stepper for a motion that begins at rest at `q` (n,)."""
         return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)
 
     def show(self, motion: Trajectory, *, attempt: int, best: float) -> None:
-        """Show whoever watches the planner the best motion to a goal so far, and what it costs."""
+        """Show the planner's watcher the best motion to a goal so far, and its cost."""
         if self._watch is None:
             return
         for time, q in zip(motion.time[::_SHOWN], motion.q[::_SHOWN], strict=True):
             self._watch(PlannerStep(float(time), q, attempt, best))
 
     def keeps(self, motion: Trajectory) -> bool:
-        """Whether a motion is proven to keep what the problem asks for; true where that is nothing."""
+        """Whether a motion is proven to satisfy the problem's `keep`; true if there is none."""
         keep = self.problem.keep
         return keep is None or keep.motion_holds(motion.q)
 
     def follow_law(self, path: TipPath, s: float, q: Vector, *, time: float) -> Stretch:
-        """As far as the local law goes along `path` from arc length `s` [m], with the joints at `q` (n,).
+        """The stretch of `path` that the local law can follow from arc length `s` [m], with the joints at `q` (n,).
 
         Parameters
         ----------
-        time: the obstacles stand where they are at this time [s].
+        time: at which the positions of the obstacles are taken [s].
         """
         return resolve_along(self.problem, path, s, q, proximity=self.proximity, kinematics=self.kinematics, time=time)
 
