@@ -1,6 +1,6 @@
-"""Which curves are one but for a bend: each can be moved straight into the other, and it is clear all along.
+"""Which curves are alike: each can be moved along straight lines into the other, staying clear.
 
-That is a sufficient condition for two ways to pass the obstacles on the same sides (uniform
+That is a sufficient condition for two curves to pass the obstacles on the same sides (uniform
 visibility deformation, Zhou et al. 2020): a descent from either mostly ends at the same motion.
 """
 
@@ -16,19 +16,19 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
-_PLACES = 12  # of two curves that are joined by straight motions; chosen
-_FINE = 64  # places between which the length of a curve is counted; chosen
-_SAME = 0.01  # part of the length by which two curves that are one may be apart; chosen
-_APART = 0.25  # part of the length that two curves alike may be apart anywhere; chosen, postures may differ by more
+_PLACES = 12  # of two curves, that are joined by straight motions; chosen
+_FINE = 64  # intervals from which the length of a curve is computed; chosen
+_SAME = 0.01  # part of the length by which two equal curves may be apart; chosen
+_APART = 0.25  # part of the length by which two similar curves may be apart; chosen: postures may differ by more
 
 
 class KnownCurves:
-    """Curves that have been brought down, and which others are like one of them.
+    """The results of descents, and which other curves are similar to one of them.
 
     Parameters
     ----------
     limits: of the joints.
-    make_check: makes the check of motions among the obstacles that the curves keep clear of; called once,
+    make_check: creates the check of motions among the obstacles that the curves keep clear of; called once,
         when two curves are first compared.
     """
 
@@ -41,15 +41,15 @@ class KnownCurves:
         return self._make_check()
 
     def anew(self) -> KnownCurves:
-        """The same with no curves yet; both share the check."""
+        """A new record without curves; both share the check."""
         return KnownCurves(self._limits, lambda: self._check)
 
     def add(self, curve: JointCurve, cost: float) -> None:
-        """A clear curve, and what it costs."""
+        """Add a clear curve, and its cost."""
         self._known.append((self._evenly(curve)[0], cost))
 
     def least_alike(self, curve: JointCurve) -> float:
-        """The least cost of those that are like `curve`; infinite where none is."""
+        """The least cost of the known curves that are similar to `curve`; infinite if there is none."""
         if not self._known:
             return np.inf
         q, length = self._evenly(curve)
@@ -64,11 +64,11 @@ class KnownCurves:
         return np.inf
 
     def _apart(self, a: Matrix, b: Matrix) -> float:
-        """How far two curves are apart at most [s of joint time]."""
+        """The largest distance between two curves [s of joint time]."""
         return float(np.max(np.linalg.norm((a - b) / self._limits.velocity, axis=1)))
 
     def _evenly(self, curve: JointCurve) -> tuple[Matrix, float]:
-        """(K, n) places after equal parts of the length, the start left out, and the length [s of joint time]."""
+        """(K, n) places after equal parts of the length, without the start, and the length [s of joint time]."""
         q = curve(np.linspace(0.0, 1.0, _FINE + 1))
         along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0) / self._limits.velocity, axis=1))))
         at: Vector = np.linspace(0.0, along[-1], _PLACES + 1)[1:]

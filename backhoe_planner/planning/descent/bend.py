@@ -1,9 +1,9 @@
-"""What is known of how the cost of a curve changes with its control points: a slope, and a curvature that is learnt.
+"""A model of how the cost of a curve changes with its control points: a slope, and a curvature that is learnt.
 
-The curvature begins as that of the squared second derivative of the curve, so that steps bend
-it smoothly (CHOMP, Zucker et al. 2013), and takes in what every step shows (BFGS, damped after
-Powell 1978). Where a step shows less than is known, all of it becomes less (self-scaling, Oren and Luenberger 1974):
-else a curvature that was learnt far away holds back whatever no step has gone along since.
+The curvature begins as that of the squared second derivative of the curve, so that steps bend the curve smoothly
+(CHOMP, Zucker et al. 2013), and is updated by every step (BFGS, damped after Powell 1978). If a step shows less
+curvature than the model, all of it is reduced (self-scaling, Oren and Luenberger 1974): otherwise a curvature that
+was learnt far away would hold back all directions in which no step has gone since.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from backhoe_planner.planning.descent.kinks import Kinks
 
 _PLACES_PER_PIECE = 3  # at which the second derivative is squared; it is linear on a piece
 _EVEN = 0.02  # curvature of a shift of all control points, as a part of that of the sharpest bend; chosen
-_BOLD = 6.0  # sizes of the box that the first step without conditions is long, about; chosen among 2 to 15
-_LEAST_CURVED = 0.2  # part of the curvature that a step must show to be taken as it is (Powell 1978)
-_LEAST_SCALED = 0.6  # times what all of the curvature becomes where a step shows less; chosen among 0.3 to 1, measured
+_BOLD = 6.0  # approximate length of the first step without constraints, in sizes of the box; chosen among 2 to 15
+_LEAST_CURVED = 0.2  # part of the modelled curvature that a step must show to be used undamped (Powell 1978)
+_LEAST_SCALED = 0.6  # least factor on the curvature if a step shows less; chosen among 0.3 to 1, measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,10 @@ class Bend:
 
     Attributes
     ----------
-    slope: (m,) of the steps of the control points, one after the other [1 per rad or m], and of T [1 per s].
-    curvature: (m, m) symmetric, positive definite: what is learnt.
-    known: (m, m) the same that is known beside, positive semidefinite; it changes with the curve.
-    kinks: of the cost, which are beside both.
+    slope: (m,) with respect to the control points, one after the other [1 per rad or m], and T [1 per s].
+    curvature: (m, m) symmetric, positive definite: the learnt part.
+    known: (m, m) the part that is known exactly, positive semidefinite; it changes with the curve.
+    kinks: of the cost, in addition to both.
     """
 
     slope: Vector
@@ -44,7 +44,7 @@ class Bend:
     def smooth(
         cls, slope: Vector, known: Matrix, kinks: Kinks, pieces: int, unit: Vector, box: float, duration: float
     ) -> Bend:
-        """The first of a descent.
+        """The model at the beginning of a descent.
 
         Parameters
         ----------
@@ -64,7 +64,7 @@ class Bend:
         return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))), known, kinks)
 
     def after(self, step: Vector, slope: Vector, known: Matrix, kinks: Kinks) -> Bend:
-        """What is known after a step (m,), where the slope is `slope` (m,), and curvature and kinks are as given."""
+        """The model after a step (m,), with the new slope (m,), known curvature and kinks."""
         along, turned = self.curvature @ step, slope - self.slope - known @ step - self.kinks.turned(step)
         expected, seen = float(step @ along), float(step @ turned)
         if not expected > 0.0:
@@ -79,5 +79,5 @@ class Bend:
         return Bend(slope, np.asarray(0.5 * (curvature + curvature.T)), known, kinks)
 
     def stiffer(self, factor: float) -> Bend:
-        """After a step that was in vain: shorter ones by a factor."""
+        """The model after a failed step, with `factor` times the curvature, for shorter steps."""
         return replace(self, curvature=factor * self.curvature)

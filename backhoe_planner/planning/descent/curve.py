@@ -1,8 +1,8 @@
 """A curve in joint space from rest to rest: a cubic B-spline over a parameter s from 0 to 1.
 
-The first two control points are the start and the last two the end, so that dq/ds is 0 at both.
-A joint stays between the least and the greatest of its control points. A curve that is run at an even
-pace has t = T s. Its pieces may be of different lengths: in u from 0 to 1 each is equally long.
+The start and the end are double control points, so that dq/ds is 0 at both. A joint stays between the
+least and the greatest of its control points. A curve that is run at an even pace has t = T s. Its pieces
+may have different lengths in s; in u, from 0 to 1, all are equally long.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from backhoe_planner.motion import Trajectory
 
 _DEGREE = 3
 _SAMPLES_PER_PIECE = 10  # of a motion to which a curve is fitted; chosen
-_PLACES_OF_JERK, _BESIDE = 400, 4  # at which accelerations are compared, and over how many it is spread; chosen
-_EVEN = 0.5  # of the mean density of knots, that there is anywhere beside what the jerk asks for; chosen
+_PLACES_OF_JERK, _BESIDE = 400, 4  # places at which accelerations are compared, and reach of the jerk's average; chosen
+_EVEN = 0.5  # part of the mean density of knots that is added everywhere to that for the jerk; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class JointCurve:
     Attributes
     ----------
     control: (L + 1, n) control points of a curve of L pieces: the start, L - 1 between, the end [rad or m].
-    knots: (L + 1,) the s between which the pieces are, from 0 to 1; empty where they are equally long, and u is s.
+    knots: (L + 1,) the s at which pieces begin and end, from 0 to 1; empty if they are equally long, and u is s.
     """
 
     control: Matrix
@@ -39,16 +39,16 @@ class JointCurve:
 
     @property
     def pieces(self) -> int:
-        """How many polynomials it is made of."""
+        """The number of its polynomials."""
         return len(self.control) - 1
 
     def __call__(self, s: Vector, derivative: int = 0) -> Matrix:
-        """(K, n) the joints at s (K,), or a derivative by s."""
+        """(K, n) the joints at s (K,), or a derivative with respect to s."""
         u = np.interp(s, self.knots, np.linspace(0.0, 1.0, len(self.knots))) if self.knots else s
         return self.at(u, derivative)
 
     def at(self, u: Vector, derivative: int = 0) -> Matrix:
-        """(K, n) the joints at u (K,), or a derivative by s."""
+        """(K, n) the joints at u (K,), or a derivative with respect to s."""
         return _read(self._coefficients, u, derivative, self.knots)
 
     def weights(self, places: int, derivative: int = 0) -> Matrix:
@@ -56,12 +56,12 @@ class JointCurve:
         return basis(self.pieces, places, derivative, self.knots)
 
     def shares(self, places: int) -> Vector:
-        """(places,) weights of a sum over equally spaced u that is an integral over s (trapezium rule)."""
+        """(places,) weights of a sum over equally spaced u that approximates an integral over s (trapezium rule)."""
         steps = np.diff(_place(np.linspace(0.0, 1.0, places), self.knots))
         return np.asarray(0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))
 
     def moved_to(self, control: Matrix) -> JointCurve:
-        """The curve of the same pieces with other control points (L + 1, n)."""
+        """The curve with the same pieces and other control points (L + 1, n)."""
         return JointCurve(control, self.knots)
 
     @cached_property
@@ -77,9 +77,10 @@ class JointCurve:
         return cls(np.tile(start, (pieces + 1, 1))).ending_at(end)
 
     def finer(self, pieces: int, unit: Vector) -> JointCurve:
-        """The same curve of `pieces` pieces, or as many as it has: more where the accelerations change more.
+        """The same curve of `pieces` pieces, or as many as it has if that is more; denser where accelerations change
+        more.
 
-        Each piece is divided into equal ones, so that the curve stays what it is.
+        Each piece is divided into equal ones, so that the curve does not change.
 
         Parameters
         ----------
@@ -105,7 +106,7 @@ class JointCurve:
         return JointCurve(_control_near(q, len(finer) - 1, finer), finer)
 
     def ending_at(self, end: Vector) -> JointCurve:
-        """The curve with its end moved to `end` (n,), and the rest along with it, ever less towards the start."""
+        """The curve with its end moved to `end` (n,), and the rest moved with it, less and less towards the start."""
         part = np.linspace(0.0, 1.0, len(self.control))[:, None]
         return self.moved_to(self.control + from_rest_to_rest(part) * (end - self.control[-1]))
 
@@ -113,7 +114,7 @@ class JointCurve:
     def fitted(
         cls, motion: Trajectory, pieces: int, limits: JointLimits, *, knots: tuple[float, ...] = ()
     ) -> JointCurve:
-        """The curve within joint limits that is nearest to a motion over its time, with its ends."""
+        """The curve within joint limits that is nearest to a motion over its time, with the same ends."""
         s = _place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1), knots)
         q = motion.at(motion.duration * s)
         control = _control_near(q, pieces, knots)
@@ -122,12 +123,12 @@ class JointCurve:
 
 
 def from_rest_to_rest(part: Array) -> Array:
-    """The part of the way that is made at a part of the time, 0 to 1."""
+    """The part of the distance that is covered at a part of the time, 0 to 1."""
     return np.asarray(part * part * (3.0 - 2.0 * part))
 
 
 def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:
-    """(pieces + 1, n) control points of the curve nearest to q (K, n) at equally spaced u, with its ends."""
+    """(pieces + 1, n) control points of the curve nearest to q (K, n) at equally spaced u, with the same ends."""
     weights = basis(pieces, len(q), 0, knots)
     control = np.zeros((pieces + 1, q.shape[1]))
     control[0], control[-1] = q[0], q[-1]
@@ -155,16 +156,16 @@ def _place(u: Vector, knots: tuple[float, ...]) -> Vector:
 
 
 def _piece_of(u: Vector, pieces: int) -> NDArray[np.intp]:
-    """(K,) the number of the piece in which each u (K,) lies."""
+    """(K,) the number of the piece that contains each u (K,)."""
     return np.clip((u * pieces).astype(np.intp), 0, pieces - 1)
 
 
 def _read(coefficients: Array, u: Vector, derivative: int, knots: tuple[float, ...]) -> Matrix:
-    """(K, m) a piecewise polynomial at u (K,), or its derivative by s.
+    """(K, m) a piecewise polynomial at u (K,), or its derivative with respect to s.
 
     Parameters
     ----------
-    coefficients: (L, 4, m) of each piece, by powers of x = L (s - the knot where it begins), the lowest first.
+    coefficients: (L, 4, m) of each piece, of the powers of x = L (s - the knot where it begins), the lowest first.
     """
     pieces = len(coefficients)
     piece = _piece_of(u, pieces)
@@ -178,10 +179,10 @@ def _read(coefficients: Array, u: Vector, derivative: int, knots: tuple[float, .
 
 @lru_cache(maxsize=64)
 def _polynomials(pieces: int, inner: tuple[float, ...]) -> Array:
-    """(L, 4, 4) every piece of a cubic B-spline: powers of x, times the four control points that bear on it.
+    """(L, 4, 4) every piece of a cubic B-spline: powers of x by the four control points that act on it.
 
-    The recursion of Cox and de Boor over the knots 0, 0, 0, 0, 1, 2, ..., L, L, L, L, or L times those of `inner` with
-    the ends as often, done for all pieces at once.
+    The recursion of Cox and de Boor over the knots 0, 0, 0, 0, 1, 2, ..., L, L, L, L, or over L times those of `inner`
+    with the ends repeated as often, for all pieces at once.
     """
     knots = np.clip(np.arange(-_DEGREE, pieces + _DEGREE + 1), 0, pieces).astype(float)
     if inner:

@@ -1,15 +1,17 @@
-"""Descent: a curve is bent, and its end moved on the goal, until its cost falls no more.
+"""Descent: a curve is bent, and its end moved on the goal, until its cost stops falling.
 
-Each round linearises clearances and goal about the curve, and takes the step that a quadratic
-program prefers (sequential convex programming, Schulman et al. 2014), within a box that grows
-where a step has lowered the cost and shrinks where not. The program holds the limits, linearised,
-with the duration T of the curve's own time t = T s, in which it runs at an even pace. For the time
-T is the cost, and what a curve costs is what its fastest run takes. For another cost T may be as
-long as the descent is told, the program holds how the cost in that time changes, see `own_time`
-and `bend`, and a step that costs more is shortened. What a curve misses of its clearances is dear. A step
-that misses them is judged, for the time, after another that may take that back; for another cost it is
-taken once more, with what is linearised where it went. Where nothing helps, the last clear curve goes on
-with smaller steps.
+Each round linearises clearances and goal about the curve, and takes the step that solves a quadratic program
+(sequential convex programming, Schulman et al. 2014), within a box (a trust region) that grows after a step that
+lowered the cost and shrinks otherwise. The program contains the limits, linearised, with the duration T of the
+curve's own time t = T s, in which the curve is run at an even pace.
+
+If the cost is the time, the program minimises T, and a curve costs the duration of its fastest motion. For another
+cost, T may be as long as the longest time given; the program models how the cost in that time changes, see `own_time`
+and `bend`; and a step that costs more is shortened.
+
+Missing a clearance has a high price. For the time, a step that misses one is judged only after a further step that
+may repair it; for another cost, it is taken once more with the clearances linearised also where it went. If nothing
+helps, the last clear curve is continued with smaller steps.
 """
 
 from __future__ import annotations
@@ -43,54 +45,54 @@ from backhoe_planner.planning.descent.softening import soft_flows
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-_GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
-_MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
-_CLEAR_FIRST = 10.0  # times both, where a curve is to get clear first; chosen, 50 leads further away
-# times the price of what is missed after a step deeper into an obstacle, and times the first price at most; chosen
+_GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen: limits between them are corrected
+_MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above the possible gain
+_CLEAR_FIRST = 10.0  # times both prices, if a curve has to get clear first; chosen: 50 leads further away
+# times the price of missing after a step deeper into an obstacle, and times the first price at most; chosen
 _MORE_MISSED, _MOST_MISSED = 4.0, 1e3
-MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
-_LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
-_SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
-_AROUND = 3.0  # times the last step: the box of the next one at most, for another cost than the time; chosen
-NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
+MISSED_WORTH = 6.0  # the same in the comparison of two curves; chosen among 3 to 20: the next step repairs a miss
+_LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint: most move of a control point in a step; chosen
+_SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps its curvature shrinks too; chosen
+_AROUND = 3.0  # times the last step: the largest box of the next one, for another cost than the time; chosen
+NO_COST = 1e-9  # in the objective's unit: a smaller cost counts as this
 _GROW, _SHRINK = 1.5, 0.4
-_SHORTENINGS = 2  # of a step that costs more, where the cost is not the time; chosen, a look takes half of a round
-_SHORTEST = 0.1  # part of a step that one shortening leaves at least; chosen
-# part of the mean cost of a joint and second, by which the cost's kinks are rounded off; chosen
+_SHORTENINGS = 2  # of a step that costs more, if the cost is not the time; chosen: each takes half of a round
+_SHORTEST = 0.1  # least part of a step that one shortening leaves; chosen
+# part of the mean cost per joint and second, by which the cost's kinks are rounded off; chosen
 _SOFT, _SOFTEST = 0.2, 1.5
-_LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has one
-# part of what a motion would cost if nothing were regained, below which its cost counts as nothing; chosen: below it
-# the programs become ill-conditioned
+_LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has a width too
+# part of the cost of a motion if no energy were regained, below which its cost counts as nothing; chosen: below it the
+# programs become ill-conditioned
 _NOTHING = 1e-4
-# places of each piece by which many curves are compared: for the cost, and for limits, as accelerations are linear on a
-# piece; chosen, the order of straight lines is the same as with twice as many
+# places of each piece for comparing many curves: for the cost, and for limits, as accelerations are linear on a
+# piece; chosen: the order of straight lines is the same as with twice as many
 _PLACES_OF_ESTIMATE, _PLACES_OF_LIMITS = 2, 1
-_NEXT_BOX = 0.1  # rad or m: of the first step at most, where a cost that jumps becomes less soft; chosen
-_LATE = 10.0  # part of the cost that a motion costs more that takes longer than it may, for all of that time; chosen
-# part of the longest time that a descent leaves over: samples of a motion are slowed by so much where they are beyond a
-# limit between the places at which steps keep it; chosen, mostly less is needed
+_NEXT_BOX = 0.1  # rad or m: largest box of the first step after a cost that jumps becomes less soft; chosen
+_LATE = 10.0  # extra cost, as a part of the cost, of a motion that takes twice as long as it may; chosen
+# part of the longest time that a descent leaves unused: samples of a motion are slowed down by this if they exceed a
+# limit between the places at which steps keep it; chosen: mostly less is needed
 _TIME_SPARE = 1e-3
-_HURRIES = 3  # tries to make a motion shorter that takes too long all the same; chosen
+_HURRIES = 3  # tries to shorten a motion that nevertheless takes too long; chosen
 _HURRY_ROUNDS = 6  # of each of them at most; chosen
-_SLOW = 2  # rounds in a row that gain too little, as which a descent for another cost than the time ends; chosen
+_SLOW = 2  # a descent for another cost than the time ends after so many rounds in a row that gain too little; chosen
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
 _ENOUGH_HURRIED = (
-    0.01  # the same of a descent in a hurry; chosen: its last round gained less, and is a fifth of its time
+    0.01  # the same for a descent in a hurry; chosen: the last round, which gains less, is a fifth of its time
 )
-# the same of what the program promises a clear curve in a hurry, which then is not bent any more; chosen, with 0.01
-# motions take longer, and no less work
+# the same for the gain that the program predicts for a clear curve in a hurry, which then ends; chosen: with 0.01
+# motions take longer, for no less work
 _ENOUGH_PROMISED = 0.005
-_ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for longer; chosen
-_ENOUGH_ROUGH = 0.01  # the same where a finer curve goes on; chosen, with 0.004 to 0.02 motions cost as much
-_UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
-_KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
-_MENDED = 0.1  # m: a step that misses by less is followed by another before it is judged; chosen
-_STUCK = 2  # steps in a row that fail, after which a curve that is not clear is left for the last that was; chosen
+_ENOUGH_BENT = 1e-3  # the same for another cost than the time, which keeps falling for longer; chosen
+_ENOUGH_ROUGH = 0.01  # the same if a finer curve follows; chosen: with 0.004 to 0.02 motions cost as much
+_UNEVEN = 1.1  # times the duration of its fastest motion, from which a curve is fitted to that motion; chosen
+_KEPT = 1e-4  # m by which the last round may miss the spare beyond the clearance
+_MENDED = 0.1  # m: a step that misses by less is judged only after another step; chosen
+_STUCK = 2  # failed steps in a row, after which a curve that is not clear is replaced by the last clear one; chosen
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
-_ITERATIONS_BENT = 600  # the same for another cost than the time; chosen, a step is not worth half a second
-_LEAST_PART = 0.25  # of a step that was in vain, to which the box shrinks at least; chosen, another may go elsewhere
+_ITERATIONS_BENT = 600  # the same for another cost than the time; chosen: a step is not worth half a second
+_LEAST_PART = 0.25  # least part of a failed step, to which the box shrinks; chosen: another step may go elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +103,12 @@ class Timed:
     ----------
     curve: over s.
     duration: T of the time t = T s in which limits are linearised [s]; that of the motion may be shorter.
-    motion: along the curve, the fastest for the time, else over t.
+    motion: along the curve: the fastest if the cost is the time, otherwise over t.
     cost: of the motion, by the problem's objective.
-    missed: by how much the clearances with their spare are missed, at most, where it was looked [m]; 0 or more.
-    margins: at all places where it was looked.
-    own_cost: what the curve costs in its own time, by which curves of other descents are compared with it; mostly less
-        than `cost`, where that is of a motion that is sampled; None where both are the same.
+    missed: the largest miss of a clearance with its spare at the checked places [m]; 0 or more.
+    margins: at all checked places.
+    own_cost: the cost of the curve in its own time, for comparison with curves of other descents; mostly less than
+        `cost`, if that is the cost of a sampled motion; None if both are the same.
     """
 
     curve: JointCurve
@@ -125,14 +127,14 @@ class Descent:
     ----------
     proximity: to the obstacles that count.
     kinematics: of the machine.
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     brake: checked in every round.
-    hurried: whether a descent ends at smaller gains, and looks at what is nearer alone.
+    hurried: whether a descent ends earlier, at larger gains, and considers only nearer obstacles.
 
     Attributes
     ----------
-    rate: (n,) of the joints at most [rad/s or m/s].
-    rounds: how many were made so far; a step that is mended counts as two.
+    rate: (n,) velocity limits of the joints [rad/s or m/s].
+    rounds: how many were made so far; a repaired step counts as two.
     """
 
     def __init__(
@@ -144,13 +146,13 @@ class Descent:
         self._drive = drive_of(problem)
         self._own_time = None if problem.objective.is_time else OwnTime(problem, self._drive)
         self.rate = rate = problem.limits.velocity
-        self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
+        self._unit = rate / float(np.max(rate))  # rad or m of each joint per unit of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
         self._nothing = 0.0  # a cost that counts as nothing, in its unit
-        self._width = _LEAST_WIDTH  # of kinks of the cost's rate that are rounded off, in its unit per second
+        self._width = _LEAST_WIDTH  # by which kinks of the cost's rate are rounded off, in its unit per second
         self._longest = np.inf  # s that the motion of this descent may take
-        self._curved: Matrix | None = None  # what a softer cost was learnt to curve, in its unit
-        self._times_missed = 1.0  # the price of what a curve of this descent misses
+        self._curved: Matrix | None = None  # the curvature learnt with a softer cost, in its unit
+        self._times_missed = 1.0  # factor on the price of what a curve of this descent misses
         self._rough = False  # whether this descent may end at larger gains
         self.rounds = 0
 
@@ -160,29 +162,29 @@ class Descent:
         longest: float = np.inf, unsampled: bool = False, rough: bool = False, clear_first: bool = False,
         fine: bool = False,
     ) -> Timed | None:  # fmt: skip
-        """Bend a curve until its cost falls no more.
+        """Bend a curve until its cost stops falling.
 
         Parameters
         ----------
-        curve: from where the machine stands to a goal; it need not be clear.
-        duration: about how long it takes [s]; a sample's period at least is counted.
-        goal: on which the end may move; one given by joints holds it.
-        most_rounds: after which the descent ends, but for some where its motion takes too long.
+        curve: from where the machine is to a goal; it need not be clear.
+        duration: estimated duration [s]; at least a sample's period counts.
+        goal: on which the end may move; a goal given by joints fixes the end.
+        most_rounds: after which the descent ends, except for a few more if its motion takes too long.
         spare: to be kept beyond every clearance [m].
-        density: places at which clearances are looked at, for each at which limits are.
+        density: places at which clearances are checked, for each place at which limits are.
         box: how far the first step may move a control point [rad or m of the fastest joint].
-        longest: that the motion may take [s], where its time is not the cost; it takes longer where no step helps.
-        unsampled: whether the motion need not keep all limits between the places where a step keeps them, nor its cost
-            be exact, where the time is not the cost; to make it so takes as long as two rounds.
-        rough: whether the descent ends at larger gains, as a finer curve goes on from where it ends; not for the time.
-        clear_first: whether what a curve misses costs much more than usual, so that it gets out of an obstacle that
+        longest: the longest time that the motion may take [s], if the time is not the cost; exceeded if no step helps.
+        unsampled: whether the motion may break limits between the places where a step keeps them, and its cost may be
+            inexact, if the time is not the cost; to correct both takes as long as two rounds.
+        rough: whether the descent ends at larger gains, because a finer curve continues from its end; not for the time.
+        clear_first: whether misses cost much more than usual, so that the curve gets out of an obstacle that
             is cheap to go through.
-        fine: whether the cost is looked at in more places, where it is not the time; the last descents are worth it.
-        is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
+        fine: whether the cost is evaluated at more places, if it is not the time; for the last descents.
+        is_hopeless: decides from a curve and the number of steps so far whether the descent is given up.
 
         Returns
         -------
-        The best curve, not proven to be clear; None where the first has no motion.
+        The best curve, not proven to be clear; None if the first has no motion.
 
         Raises
         ------
@@ -222,7 +224,7 @@ class Descent:
         self, curve: JointCurve, duration: float, flows: Sequence[float], *,
         most_rounds: int, box: float, is_hopeless: Callable[[Timed, int], bool], **how: Any,
     ) -> Timed | None:  # fmt: skip
-        """One descent for each of the soft `flows`, with what the last one costs by; see `_down`."""
+        """One descent for each of the soft `flows`, each from the result of the one before; see `_down`."""
         assert self._own_time is not None
         begun, found, self._curved, rough = self.rounds, None, None, self._rough
         for left, flow in zip(range(len(flows), 0, -1), flows, strict=True):
@@ -246,7 +248,7 @@ class Descent:
         goal: Goal, most_rounds: int, spare: float, density: int, box: float,
         is_hopeless: Callable[[Timed, int], bool], longest: float,
     ) -> Timed | None:  # fmt: skip
-        """One descent, see `run`; where the time is not the cost, without kinks rounded off, but not as sampled."""
+        """One descent, see `run`; for another cost than the time, the result's cost is without rounded kinks."""
         free = goal if goal.q is None else None
         looks, self._longest, self._width = self._looks(curve, spare, density), longest, _LEAST_WIDTH
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
@@ -261,7 +263,7 @@ class Descent:
             if self._curved is not None:
                 bend = replace(bend, curvature=self._curved / unit)
         begun, steps, failed, slow = self.rounds, 0, 0, 0
-        clear, box_then, bend_then = here, box, bend  # the last curve that was clear, with box and bend of that round
+        clear, box_then, bend_then = here, box, bend  # the last clear curve, with box and bend of that round
         while self.rounds - begun < most_rounds:
             if is_hopeless(here, steps):
                 if bend is None or here.missed <= looks.allowed or clear.missed > looks.allowed:
@@ -286,7 +288,7 @@ class Descent:
             if there is not None and bend is None and worst <= there.cost + price * there.missed:
                 there = self._mended(there, free, looks, box, below=worst)
             elif there is not None and bend is not None:
-                if looks.known != known:  # the curve before may go into what was noticed as well
+                if looks.known != known:  # the curve before may also go into a newly noticed obstacle
                     seen, noticed, known = self._seen_anew(here, looks), True, looks.known
                     here, clear = seen, seen if clear is here else clear
                     worst = here.cost + price * here.missed
@@ -314,10 +316,10 @@ class Descent:
             else:
                 bend = bend.after(self._moved(here, there, free), *self._slope(there, free, unit))
             box = min(_GROW * part * box, _LARGEST_BOX)
-            if bend is not None:  # what may change far beyond the steps that are taken makes the program large
+            if bend is not None:  # a box far beyond the steps that are taken makes the program large
                 box = min(box, max(_AROUND * self._length(here, there), _SMALLEST_BOX))
             if bend is not None and there.missed > max(here.missed, looks.allowed):
-                # what is gained by going into an obstacle is worth more than that costs so far
+                # so far, going into an obstacle gains more than it costs
                 self._times_missed = min(_MORE_MISSED * self._times_missed, _MOST_MISSED)
                 price = self._times_missed * MISSED_WORTH * unit
             here, failed = there, 0
@@ -335,12 +337,12 @@ class Descent:
         return self._priced(found)
 
     def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
-        """(C,) about what curves of the same pieces cost in their own times; not for the time.
+        """(C,) estimated costs of curves with the same pieces in their own times; not if the cost is the time.
 
         Parameters
         ----------
-        durations: (C,) of each [s]; longer where the limits ask for it.
-        longest: that a motion may take [s].
+        durations: (C,) of each [s]; longer if the limits require it.
+        longest: the longest time that a motion may take [s].
         """
         assert self._own_time is not None
         T = self._own_time.least_durations(curves, durations, places=_PLACES_OF_LIMITS)
@@ -352,7 +354,7 @@ class Descent:
         return max(_SOFT * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
 
     def _rounded_off(self, here: Timed) -> Timed:
-        """The same with the cost's kinks rounded off as suits it."""
+        """The same curve with the cost's kinks rounded off by a suitable width."""
         assert self._own_time is not None
         self._nothing = _NOTHING * self._own_time.gross(here.curve, here.duration)
         self._width = self._soft(here)
@@ -362,23 +364,23 @@ class Descent:
         return replace(here, cost=self._own_cost(here.curve, here.duration))
 
     def _own_cost(self, curve: JointCurve, duration: float) -> float:
-        """What a curve costs in its own time, more where that is longer than it may be."""
+        """The cost of a curve in its own time, more if that is longer than allowed."""
         assert self._own_time is not None
         late = max(duration / self._longest - 1.0, 0.0)
         return self._own_time.cost(curve, duration, width=self._width) * (1.0 + _LATE * late)
 
     def _as_sampled(self, found: Timed) -> Timed:
-        """The same with the motion within all limits, and what that costs."""
+        """The same curve with its motion within all limits, and the cost of that."""
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
-        own_cost = self._own_cost(found.curve, found.duration)  # what `found` has may be that of a softer cost
+        own_cost = self._own_cost(found.curve, found.duration)  # that of `found` may be of a softer cost
         return replace(found, motion=motion, cost=motion_cost(self._problem, motion), own_cost=own_cost)
 
     def _shortened(
         self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, slope: Vector, price: float
     ) -> tuple[Timed, float]:
-        """The curve `there`, or one nearer to `here` where that costs more; and the part of the step that is left.
+        """The curve `there`, or one nearer to `here` if `there` costs more; and the part of the step that is left.
 
-        The part is where the parabola through both costs with the slope `here` (m,) is least.
+        The part is where the parabola through both costs, with `slope` (m,) at `here`, is least.
         """
         worst, whole, part = here.cost + price * here.missed, there, 1.0
         for _ in range(_SHORTENINGS):
@@ -404,7 +406,7 @@ class Descent:
         return _ENOUGH_HURRIED if self._hurried else _ENOUGH
 
     def _mended(self, there: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float) -> Timed | None:
-        """The curve after one more step, which takes back what the one before has missed where that is little."""
+        """The curve after one more step, which repairs what the step before has missed, if that is little."""
         if there.missed >= _MENDED or there.cost >= below:
             return there
         self.rounds += 1
@@ -414,7 +416,7 @@ class Descent:
         self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend, price: float,
         *, below: float,
     ) -> Timed:  # fmt: skip
-        """The curve `there`, or a better one after a step that also keeps what is linearised at `there`."""
+        """The curve `there`, or a better one after a step that also keeps the clearances linearised at `there`."""
         self.rounds += 1
         again = self._step(here, goal, looks, box, bend, below=below, beyond=there)
         worth = there.cost + price * there.missed
@@ -425,9 +427,9 @@ class Descent:
         return replace(here, missed=max(-least, 0.0), margins=margins)
 
     def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:
-        """How the cost over `unit` changes with the control points that may move, and T.
+        """How the cost, divided by `unit`, changes with the control points that may move, and T.
 
-        The slope, the curvature that is known, and the kinks.
+        The slope, the known curvature, and the kinks.
         """
         assert self._own_time is not None
         moving = slice(1, here.curve.pieces + (goal is not None))
@@ -437,16 +439,16 @@ class Descent:
         return found.slope / unit, found.curvature / unit, found.kinks.over(unit)
 
     def _moved(self, here: Timed, there: Timed, goal: Goal | None) -> Vector:
-        """The step from one curve to another, as for `_slope`."""
+        """The step from one curve to another, in the variables of `_slope`."""
         moved = (there.curve.control - here.curve.control)[1 : here.curve.pieces + (goal is not None)]
         return np.append(moved.ravel(), there.duration - here.duration)
 
     def _length(self, here: Timed, there: Timed) -> float:
-        """How far the step from one curve to another moves a control point at most [rad or m of the fastest joint]."""
+        """The largest move of a control point from one curve to another [rad or m of the fastest joint]."""
         return float(np.max(np.abs(there.curve.control - here.curve.control) / self._unit))
 
     def _in_its_own_time(self, here: Timed, price: float, looks: Looks) -> Timed:
-        """The same curve over the time of its fastest motion, where that is much shorter than T and costs no more."""
+        """The same curve over the time of its fastest motion, if that is much shorter than T and costs no more."""
         if here.duration < _UNEVEN * here.motion.duration:
             return here
         curve = JointCurve.fitted(here.motion, here.curve.pieces, self._problem.limits)
@@ -459,9 +461,9 @@ class Descent:
         self, here: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend | None, *, below: float,
         beyond: Timed | None = None,
     ) -> Timed | None:  # fmt: skip
-        """The curve after the best small step, see `_timed`; None where there is none, and `here` where that is enough.
+        """The curve after the best small step, see `_timed`; None if there is none, and `here` if that is good enough.
 
-        The clearances are linearised at `here` and, where it is given, at the curve `beyond` as well.
+        The clearances are linearised at `here` and, if it is given, at the curve `beyond` as well.
         """
         curve = here.curve
         model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
@@ -478,7 +480,7 @@ class Descent:
         if x is None:
             return None
         control, duration = model.step(x)
-        # to an end that is held the motion may become much shorter all the same: its own time is another than T
+        # not with a fixed end: the motion may then become much shorter nevertheless, because its own time is not T
         may_end = bend is None and self._hurried and goal is not None and here.missed <= looks.allowed
         if may_end and duration > (1.0 - _ENOUGH_PROMISED) * here.cost:
             return here
@@ -487,20 +489,20 @@ class Descent:
     def _on_goal(
         self, here: JointCurve, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float
     ) -> Timed | None:
-        """The curve with its end moved onto the goal, see `_timed`; None where that cannot be."""
+        """The curve with its end moved onto the goal, see `_timed`; None if that is impossible."""
         if goal is not None:
             end = self._onto(goal, control[-1])
             if end is None:
                 return None
             limits = self._problem.limits
-            # a jump at the end would cost much
+            # a jump at the end alone would cost much
             control = np.clip(here.moved_to(control).ending_at(end).control, limits.lower, limits.upper)
         return self._timed(here.moved_to(control), duration, looks, below=below)
 
     def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
-        """The curve with its fastest motion; None where it has none.
+        """The curve with its fastest motion; None if it has none.
 
-        Where that does not cost less than `below`, its clearances are not looked at.
+        If that does not cost less than `below`, its clearances are not checked.
         """
         motion: Trajectory | None
         if self._own_time is None:
@@ -528,7 +530,7 @@ class Descent:
         )  # fmt: skip
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
-        """(n,) joints near `q` (n,) on a goal; None where Newton's method does not find them."""
+        """(n,) joints near `q` (n,) on a goal; None if Newton's method does not find them."""
         kinematics, limits = self._kinematics, self._problem.limits
         for _ in range(_TO_GOAL_STEPS):
             at = kinematics.at(q)
@@ -542,7 +544,7 @@ class Descent:
 
 
 def step_onto(J: Matrix, error: Vector, q: Vector, limits: JointLimits) -> Vector:
-    """(n,) the least step that takes an error back, by the joints that can follow it: none beyond a limit it is at."""
+    """(n,) the least step that corrects an error, by the joints that can move: none beyond a limit that it is at."""
     free = np.ones(len(q), dtype=bool)
     while True:
         step = np.zeros(len(q))

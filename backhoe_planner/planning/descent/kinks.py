@@ -1,4 +1,4 @@
-"""Kinks of a cost: what counts only where it is positive, rounded off, and linear in small steps of a curve.
+"""Kinks of a cost: terms that count only if positive, rounded off, and linear in small steps of a curve.
 
 cost = sum_k share_k phi(y_k)        y = value + G x        phi(y) = 0 below 0
                                                             phi(y) = y^2 / (2 w) from 0 to the width w
@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 
-_LITTLE = 1e-3  # part of the cost that one kink may change it by unseen; chosen
-_CROSSED = 0.2  # of the width, by which a step is beyond a kink that it crosses; chosen, a fiftieth of it is then lost
+_LITTLE = 1e-3  # part of the cost by which a kink that is left out may change it; chosen
+_CROSSED = 0.2  # part of the width by which a step must pass a kink to cross it; chosen: then a fiftieth of it is lost
 
 
 @dataclass(frozen=True, eq=False)
 class Kinks:
-    """The parts of a cost that only count where they are positive, near one curve.
+    """The terms of a cost that count only if they are positive, near one curve.
 
     Attributes
     ----------
-    G: (K, m) how they change with a step x of what may move.
-    value: (K,) now, in the cost's unit per second.
-    share: (K,) [s] that each counts for; over the unit of a descent where the cost is.
+    G: (K, m) how they change with a step x of the variables.
+    value: (K,) present values, in the cost's unit per second.
+    share: (K,) the time for which each counts [s]; divided by the unit of a descent if the cost is.
     width: w, within which they are rounded off.
     """
 
@@ -37,11 +37,11 @@ class Kinks:
 
     @classmethod
     def none(cls, variables: int) -> Kinks:
-        """Of a cost that has none."""
+        """Those of a cost without kinks."""
         return cls(np.zeros((0, variables)), np.zeros(0), np.zeros(0), 1.0)
 
     def rising(self, step: Vector | None = None) -> Vector:
-        """(K,) by how much the cost of each rises with its value, after a step (m,); from 0 to 1."""
+        """(K,) the derivative of phi at each value, after a step (m,); from 0 to 1."""
         value = self.value if step is None else self.value + self.G @ step
         return np.clip(value / self.width, 0.0, 1.0)
 
@@ -50,13 +50,14 @@ class Kinks:
         return np.asarray((self.share * (self.rising(step) - self.rising())) @ self.G)
 
     def over(self, unit: float) -> Kinks:
-        """Of the cost over a unit."""
+        """Those of the cost divided by a unit."""
         return replace(self, share=self.share / unit)
 
     def near(self, reach: Vector) -> NearKinks:
-        """Those below the width that may come to count within `reach` (m,), and those above that may come below.
+        """Those below the width that may come to count within a step of `reach` (m,), and those above that may fall
+        below.
 
-        What changes the cost by next to nothing is left out.
+        Those that hardly change the cost are left out.
         """
         most = np.abs(self.G) @ reach
         low, least = self.value < self.width, _LITTLE / self.share
@@ -71,16 +72,16 @@ class Kinks:
 
 @dataclass(frozen=True, eq=False)
 class NearKinks:
-    """Kinks that one step may get to.
+    """Kinks that one step may reach.
 
-    A program has a variable for each of those that the step crosses. The others are on the side on which they are
-    now: they add a parabola or nothing. Which are crossed is seen from the step, and so learnt step by step.
+    A program has a variable for each kink that the step crosses. The others count as staying on their present side:
+    they add a parabola or nothing. Which ones are crossed follows from the step, so they are found iteratively.
 
     Attributes
     ----------
-    rises: from below the width.
-    falls: from above it; G and value are turned round, and value counts from the width, so that it is again the
-        positive part that costs.
+    rises: kinks now below the width.
+    falls: kinks now above it; the signs of G and value are reversed, and value counts from the width, so that again
+        the positive part costs.
     rise_crossed, fall_crossed: (K,) which of them have a variable.
     """
 
@@ -99,7 +100,7 @@ class NearKinks:
         return replace(self, rise_crossed=self.rise_crossed | True, fall_crossed=self.fall_crossed | True)
 
     def variables(self) -> Kinks:
-        """Those that have a variable: it is the positive part of value + G x, and costs its square."""
+        """Those that have a variable, which is the positive part of value + G x, and costs its square."""
         rises, falls = self.rises.some(self.rise_crossed), self.falls.some(self.fall_crossed)
         return Kinks(
             np.vstack((rises.G, falls.G)), np.append(rises.value, falls.value), np.append(rises.share, falls.share),
@@ -107,17 +108,17 @@ class NearKinks:
         )  # fmt: skip
 
     def slope_of_variables(self) -> Vector:
-        """(m,) what the slope of the cost has of those with a variable."""
+        """(m,) the part of the cost's slope that comes from those with a variable."""
         rises = self.rises.some(self.rise_crossed)
         return np.asarray((rises.share * rises.rising()) @ rises.G)
 
     def curvature(self) -> Matrix:
-        """(m, m) that of those which count now and are not crossed."""
+        """(m, m) the curvature of those that count now and are not crossed."""
         bent = self.rises.some(~self.rise_crossed & (self.rises.value > 0.0))
         return np.asarray((bent.G.T * (bent.share / bent.width)) @ bent.G)
 
     def after(self, step: Vector) -> NearKinks:
-        """The same with a variable for those that a step (m,) crosses too; itself where there is none."""
+        """The same with a variable also for those that a step (m,) crosses; itself if there are none."""
         beyond = _CROSSED * self.rises.width
         rises, falls = (kinks.value + kinks.G @ step for kinks in (self.rises, self.falls))
         rise = ~self.rise_crossed & np.where(self.rises.value > 0.0, rises < -beyond, rises > beyond)
@@ -128,6 +129,6 @@ class NearKinks:
 
 
 def rounded(parts: Array, width: float) -> Array:
-    """What counts of `parts`, with kinks rounded off."""
+    """The costs phi of `parts`, with kinks rounded off."""
     positive = np.maximum(parts, 0.0)
     return np.asarray(np.where(positive < width, positive * positive / (2.0 * width), positive - 0.5 * width))

@@ -1,8 +1,8 @@
-"""What holds of the curves near one curve, to first order: the rows and the cost of a quadratic program.
+"""A linear model of the curves near one curve: the rows and the cost of a quadratic program.
 
 Its variables x are the steps of the control points that may move, each (n,), then that of the
-duration T [s], then one slack: how far all clearances may be missed at once [m], which is dear.
-The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
+duration T [s], then one slack with a high price: by how much all clearances may be missed at
+once [m]. The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import Proximity
 
-PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations are linear on a piece
-_NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step and is left out; chosen
-# the same of the drive at one place, below which it is not even asked how that changes with a step; chosen, no step
-# of a sample of plans was another for it, and four places in five are left out
+PLACES_PER_PIECE = 3  # at which limits are linearised; chosen: accelerations are linear on a piece
+_NEAR_LIMIT = 0.8  # part of a limit: a row that stays below it within the box cannot bind and is left out; chosen
+# the same for the drive at one place, below which not even its derivatives are computed; chosen: no step in a sample
+# of plans was changed by it, and four places in five are left out
 _FAR_FROM_LIMIT = 0.3
-_MOST_TURNING = 3  # joints at one place that count as turning round in one step; chosen, each doubles the rows
-_LEAST_FLOW = 0.01  # part of the pump's that a joint takes then, below which it counts as going on; chosen
-_CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
-_KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
-_SOLUTIONS = 3  # of a program at most; measured, the third adds a fiftieth of the kinks of the second
-# of a step, that are compared; chosen
+_MOST_TURNING = 3  # joints at one place that may reverse their direction in one step; chosen: each doubles the rows
+_LEAST_FLOW = 0.01  # part of the pump's flow that such a joint takes, below which it counts as not reversing; chosen
+_CURVED = 1.5  # times the change of a margin in a step by its gradient; chosen, because distances are not linear
+_KEEP_STILL = 1e-3  # price of moving all control points by the whole box; chosen, small compared with the cost
+_SOLUTIONS = 3  # of a program at most; measured: the third adds a fiftieth of the kinks of the second
+# parts of a step that are compared; chosen
 _PARTS = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02])
 _CLEARANCE = "clearance"  # the name of the rows that may be missed by the slack
-_SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
+_SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for kept conditions [rad or m]; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Margin:
     Attributes
     ----------
     place: index of the place.
-    margin: (K,) of clearances [m] and of what the problem is to keep [rad or m], beyond the spare; gradient: (K, n).
+    margin: (K,) of clearances [m] and of kept conditions [rad or m], beyond the spare; gradient: (K, n).
     """
 
     place: int
@@ -59,17 +59,17 @@ def find_margins(
     proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float | Vector, time: float,
     places: Indices | None = None, seen: SeenDistances | None = None,
 ) -> tuple[float, list[Margin]]:  # fmt: skip
-    """The least margin over places q (K, n), infinite where nothing is near, and all margins below `reach` [m].
+    """The least margin over places q (K, n), infinite if nothing is near, and all margins below `reach` [m].
 
-    `reach` is one number, or (K,) of the places.
+    `reach` is one number, or (K,) for the places.
 
     Parameters
     ----------
-    keep: what is to be kept beside the clearances.
-    spare: to be kept beyond every clearance [m]; a tenth of it of what is to be kept [rad or m].
-    time: the obstacles stand where they are at this time [s].
+    keep: conditions to be kept besides the clearances.
+    spare: to be kept beyond every clearance [m]; a tenth of it for the conditions [rad or m].
+    time: at which the positions of the obstacles are taken [s].
     places: (K,) their indices; by default they are counted.
-    seen: what is known of the distances there already, from the same `time`, and what is found out now.
+    seen: known lower bounds of the distances there, for the same `time`; the new ones are added.
     """
     places = np.arange(len(q)) if places is None else places
     seen = seen or SeenDistances()
@@ -97,9 +97,9 @@ def find_margins(
 def _nearby(
     proximity: Proximity, q: Matrix, margins: Vector, bounds: Matrix, time: float, places: Indices, seen: SeenDistances
 ) -> Iterator[tuple[Vector, Matrix]]:  # fmt: skip
-    """(M,), (M, n) margins and gradients of what is within `margins` (K,) [m] at each of q (K, n).
+    """(M,), (M, n) margins and gradients of the pairs within `margins` (K,) [m] at each of q (K, n).
 
-    The distances are known to be at least `bounds` (K, P) [m]; what is found of them is kept in `seen`.
+    The distances are known to be at least `bounds` (K, P) [m]; the new ones are kept in `seen`.
     """
     together = proximity.near_in_each_unchecked(q, margins, bounds)
     if together is None:
@@ -123,7 +123,7 @@ def _nearby(
 
 
 class LinearModel:
-    """All conditions on a small step of one curve.
+    """All constraints on a small step of one curve.
 
     Parameters
     ----------
@@ -137,17 +137,17 @@ class LinearModel:
         n, last = curve.control.shape[1], curve.pieces + end_moves
         self._moving = np.arange(1, last)
         self._n = n
-        self._steps = n * len(self._moving)  # of the variables, those of control points
+        self._steps = n * len(self._moving)  # number of the variables of control points
         self._box = np.tile(box, len(self._moving))
         self._places = PLACES_PER_PIECE * curve.pieces + 1
         self._weights = [curve.weights(self._places, derivative) for derivative in range(3)]
         self._at = [weights @ curve.control for weights in self._weights]  # q, q', q''
         self._rows: list[Rows] = []
 
-    # --- what must hold --------------------------------------------------------------
+    # --- constraints -----------------------------------------------------------------
 
     def keep_joint_limits(self) -> None:
-        """Rows of the joints' velocities and accelerations."""
+        """Add rows for the joints' velocities and accelerations."""
         limits, T = self._problem.limits, self._T
         rates = self._lift(self._weights[1])
         self._both_ways("velocity", rates, self._at[1], np.tile(limits.velocity, self._places) * T, 1.0)
@@ -157,14 +157,14 @@ class LinearModel:
         self._both_ways("acceleration", bends, self._at[2][knots], most, 2.0)
 
     def _both_ways(self, name: str, lifted: Matrix, values: Matrix, most: Vector, power: float) -> None:
-        """|value| <= most, where `most` grows with the duration to a power."""
+        """Add |value| <= most, where `most` grows with the duration to a power."""
         for sign in (1.0, -1.0):
             now = sign * values.ravel()
             kept = now + np.abs(lifted) @ self._box > _NEAR_LIMIT * most
             self._add(name, sign * lifted[kept], most[kept] - now[kept], by_duration=-power * most[kept] / self._T)
 
     def keep_drive_limits(self, drive: Drive) -> None:
-        """Rows of torque, rod speed, flow and power."""
+        """Add rows for torque, rod speed, flow and power."""
         if not drive.limited:
             return
 
@@ -177,7 +177,7 @@ class LinearModel:
         if not len(near):
             return
         q, v, a = (each[near] for each in moments)
-        if drive.has_rigid_torques_alone:  # exactly, at a sixth of what differences take
+        if drive.has_rigid_torques_alone:  # exactly, in a sixth of the time of differences
             base, slopes = drive.rigid_effort_slopes(q, v, a)
         else:
             base, slopes = moment_slopes(use, q, v, a)
@@ -186,26 +186,26 @@ class LinearModel:
         kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
         self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
         if drive.hydraulics is not None:
-            flow = 2 * self._n  # beside efforts and rod speeds
+            flow = 2 * self._n  # its column comes after efforts and rod speeds
             self._keep_flow_where_joints_turn(drive, near, base[:, flow], slopes[:, flow])
 
     def _keep_flow_where_joints_turn(self, drive: Drive, near: Indices, flow: Vector, slopes: Matrix) -> None:
-        """Rows of the flow with joints that turn round: the oil that a joint takes has a kink where it stands.
+        """Add rows for the flow with joints that reverse: the oil that a joint takes has a kink at zero velocity.
 
         Parameters
         ----------
         near: (K,) places.
-        flow: (K,) over the pump's there.
-        slopes: (K, 3 n) its derivatives by q, v and a, as long as all joints go on the way they go.
+        flow: (K,) there, divided by the pump's.
+        slopes: (K, 3 n) its derivatives by q, v and a, as long as no joint reverses.
         """
         n, place = self._n, np.arange(len(near))[:, None]
         q, v = self._at[0][near], self._at[1][near] / self._T
-        back = np.where(v < 0.0, 1.0, -1.0)  # the other way
+        back = np.where(v < 0.0, 1.0, -1.0)  # the opposite direction
         each = np.eye(n) * back[:, :, None]
-        by_rate = drive.flow_use(np.broadcast_to(q[:, None, :], each.shape), each)  # (K, n) that way
-        kink = by_rate - back * slopes[:, n : 2 * n]  # (K, n) by how much the slope changes there
+        by_rate = drive.flow_use(np.broadcast_to(q[:, None, :], each.shape), each)  # (K, n) in that direction
+        kink = by_rate - back * slopes[:, n : 2 * n]  # (K, n) the change of the slope at zero velocity
         change = (np.abs(self._lift(self._weights[1][near])) @ self._box).reshape(-1, n) / self._T
-        more = kink * (change - np.abs(v))  # (K, n) that a joint takes at most where a step turns it round
+        more = kink * (change - np.abs(v))  # (K, n) most flow of a joint that a step reverses
         most = np.argsort(-more, axis=1)[:, :_MOST_TURNING]
         for some in itertools.product((False, True), repeat=most.shape[1]):
             turns = np.zeros_like(kink, dtype=bool)
@@ -219,11 +219,11 @@ class LinearModel:
             self._add("drive", G[kept], 1.0 - without[kept], by_duration=by_duration[kept])
 
     def keep_clear(self, margins: list[Margin], places: int, *, after: Vector | None = None) -> None:
-        """Rows of margins at some of `places` equally spaced u; all may be missed by the slack.
+        """Add rows for margins at some of `places` equally spaced u; all may be missed by the slack.
 
         Parameters
         ----------
-        after: a step (steps,) of the control points, after which the margins are these; None for those of the curve.
+        after: a step (steps,) of the control points after which these are the margins; None if they are the curve's.
         """
         weights = self._curve.weights(places)[:, self._moving]
         blocks, rest = [np.zeros((0, self._steps))], [np.zeros(0)]
@@ -235,11 +235,11 @@ class LinearModel:
         self._add(_CLEARANCE, np.vstack(blocks), np.concatenate(rest), slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
-        """Rows that keep the end of the curve, with the joints at `end`, on a goal."""
+        """Add rows that keep the end of the curve, with the joints at `end`, on a goal."""
         error, J, target = goal.error(end), goal.jacobian(end), goal.search_target
         asked = movable_rows(J)
         if target.rotation is not None:
-            # within its tolerance the orientation is free; what a step takes too far is taken back after it
+            # within its tolerance the orientation is free; an excess is corrected after the step
             asked[3:] &= target.rotation_tolerance == 0.0 or bool(np.any(error[3:]))
         elif target.pitch is not None and target.pitch[1] > target.pitch[0]:
             asked[3] = False
@@ -249,7 +249,7 @@ class LinearModel:
             self._add("pitch", np.vstack((turn, -turn)), np.array([half - off, half + off]))
         self._add("goal", self._of_end(J[asked]), error[asked], kind=Kind.EQUAL)
 
-    # --- what is to be small -----------------------------------------------------------
+    # --- cost --------------------------------------------------------------------------
 
     def program(
         self, slack_price: float, *, bend: Bend | None = None, kinks: NearKinks | None = None, longest: float = np.inf
@@ -259,9 +259,9 @@ class LinearModel:
         Parameters
         ----------
         slack_price: of a missed metre, as a part of the cost.
-        bend: how the cost changes with the control points that may move, and with T; None where it is the duration.
-        kinks: of the bend, near this curve; by default all that a step may get to, with a variable for each.
-        longest: T [s], with a bend; where it is longer, it does not grow.
+        bend: how the cost changes with the control points that may move, and with T; None if it is the duration.
+        kinks: of the bend, near this curve; by default all that a step may reach, with a variable for each.
+        longest: longest T [s], with a bend; if T is longer, it does not grow.
         """
         T = self._T
         f = np.zeros(self._steps + 2)
@@ -270,7 +270,7 @@ class LinearModel:
         H = np.diag(price)
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
-        # what is late is dear, but only as long as it is late
+        # the price of being late holds only while T is longer than the longest
         least = longest - T if bend is not None and longest < T else -0.5 * T
         low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [least, 0.0]))
         high = np.concatenate(
@@ -282,10 +282,10 @@ class LinearModel:
     def best_step(
         self, slack_price: float, *, bend: Bend | None, longest: float = np.inf, most_iterations: int
     ) -> Vector | None:
-        """The solution of the program, or None where there is none; parameters as for `program`.
+        """The solution of the program, or None if there is none; parameters as for `program`.
 
-        With a bend it is solved first without a variable for any kink, and again where the step crosses some. As each
-        solution may cross others, what is returned is the part of one of them that costs least by all kinks.
+        With a bend it is solved first without a variable for any kink, and again if the step crosses some. As each
+        solution may cross others, the result is the part of one solution that costs least with all kinks.
         """
         if bend is None:
             return solve_with_near_rows(self.program(slack_price, longest=longest), most_iterations=most_iterations)
@@ -305,7 +305,7 @@ class LinearModel:
         return best
 
     def _cheapest_part(self, x: Vector, bend: Bend, slack_price: float) -> tuple[float, float]:
-        """The part of a step that costs least by the bend, all its kinks, and what it misses; and how much that is."""
+        """The part of a step that costs least by the bend, all its kinks, and what it misses; and that cost."""
         step, kinks = x[:-1], bend.kinks
         value, change = kinks.value, kinks.G @ step
         straight = float(bend.slope @ step - (kinks.share * kinks.rising()) @ change)
@@ -320,11 +320,11 @@ class LinearModel:
         return float(_PARTS[found]), float(cost[found])
 
     def _near_kinks(self, bend: Bend) -> NearKinks:
-        """The kinks of the cost that a step within the box may get to."""
+        """The kinks of the cost that a step within the box may reach."""
         return bend.kinks.near(np.append(self._box, 0.0))
 
     def _bent(self, plain: QuadraticProgram, bend: Bend, kinks: NearKinks) -> QuadraticProgram:
-        """The program for another cost than the duration; a variable more for each kink that is crossed."""
+        """The program for another cost than the duration, with one more variable for each kink that is crossed."""
         crossed, count = kinks.variables(), len(plain.f)
         f, low, high = (
             np.concatenate((part, np.full(len(crossed.value), at)))
@@ -350,14 +350,14 @@ class LinearModel:
         control[self._moving] += x[: self._steps].reshape(-1, self._n)
         return control, self._T + float(x[self._steps])
 
-    # --- how it depends on the variables --------------------------------------------------
+    # --- dependence on the variables ------------------------------------------------------
 
     def _lift(self, weights: Matrix) -> Matrix:
         """(K n, steps) how the joints at K places change with the control points, by `weights` (K, L + 1)."""
         return np.asarray(np.kron(weights[:, self._moving], np.eye(self._n)), dtype=float)
 
     def _of_end(self, J: Matrix) -> Matrix:
-        """(m, steps) of rows J (m, n) that act on the end of the curve."""
+        """(m, steps) rows J (m, n) applied to the end of the curve."""
         return np.hstack((np.zeros((len(J), self._steps - self._n)), J))
 
     def _add(
@@ -373,7 +373,7 @@ class LinearModel:
         return q, first / self._T, second / self._T**2
 
     def _of_moments(self, place: Indices, slopes: Matrix) -> tuple[Matrix, Vector]:
-        """(R, steps), (R,) by steps and duration: values at `place` (R,), derivatives `slopes` (R, 3 n) by q, v, a."""
+        """(R, steps), (R,) derivatives by steps and duration, of values at `place` (R,) with `slopes` (R, 3 n)."""
         T, n = self._T, self._n
         of_q, of_v, of_a = slopes[:, :n], slopes[:, n : 2 * n] / T, slopes[:, 2 * n :] / T**2
         G = sum(

@@ -1,7 +1,7 @@
-"""Where along a curve its clearances are looked at: at equal steps, and between them where a link got in.
+"""The places of a curve at which clearances are checked: equal steps, and places between where a link collides.
 
-Between two equal steps the tip may move by half a metre, more than many obstacles are thick. A screen
-that only says yes or no is asked there.
+Between two equal steps the tip may move by half a metre, more than the thickness of many obstacles. There a
+screen is queried, which only answers yes or no.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from backhoe_planner.planning.descent.linear_model import Margin, find_margins
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-KEPT_PART = 0.5  # of the spare, that is kept between equal steps, and with which a curve counts as clear; chosen
-_FINER = 16  # times more places than equal steps; chosen, a step of the tip by 0.6 m is then looked at every 4 cm
-_APART = 0.04  # m that the point that moves most moves between two questions to the screen; chosen
-_NEAR = 0.08  # m: margins above are not linearised, however far a step moves a link; chosen, 0.25 takes twice as long
-_NEAR_HURRIED = 0.05  # m: the same of a descent in a hurry; chosen, a twentieth of a quick plan, and no worse
-_FAR = 0.4  # m: the same at places where a step has gone into an obstacle; chosen, a link moves as far in a step
-_MUCH = 0.01  # m that is missed there; chosen
+KEPT_PART = 0.5  # part of the spare that is kept between equal steps, and with which a curve counts as clear; chosen
+_FINER = 16  # times more places than equal steps; chosen: a step of the tip by 0.6 m is then checked every 4 cm
+_APART = 0.04  # m between two queries of the screen, for the point that moves most; chosen
+_NEAR = 0.08  # m: larger margins are not linearised, however far a step moves a link; chosen: 0.25 takes twice as long
+_NEAR_HURRIED = 0.05  # m: the same for a descent in a hurry; chosen: saves a twentieth of a quick plan, and is no worse
+_FAR = 0.4  # m: the same at places where a step has gone into an obstacle; chosen: a link moves as far in a step
+_MUCH = 0.01  # m that must be missed at such a place; chosen
 
 
 class Looks:
-    """The places at which one descent looks. What it has once noticed is looked at from then on.
+    """The places that one descent checks. A place that was once noticed is checked from then on.
 
     Parameters
     ----------
     screen: of the same obstacles, with `KEPT_PART` of the spare.
-    keep: what is to be kept beside the clearances.
+    keep: what has to be kept besides the clearances.
     steps: over the curve, equally many in every piece.
     spare: to be kept beyond every clearance at the places [m].
-    time: the obstacles stand where they are at this time [s].
-    hurried: whether to linearise what is nearer alone.
+    time: at which the positions of the obstacles are taken [s].
+    hurried: whether to linearise only smaller margins.
 
     Attributes
     ----------
-    places: how many equally spaced places are told apart; `Margin.place` counts these.
-    allowed: a curve that misses the spare by no more counts as clear [m].
+    places: the number of equally spaced places that are distinguished; `Margin.place` counts these.
+    allowed: a curve that misses the spare by no more than this counts as clear [m].
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class Looks:
 
     @property
     def known(self) -> tuple[int, int]:
-        """How many places are looked at, and at how many of all it is looked further; neither becomes less."""
+        """How many places are checked, and at how many the larger reach is used; neither number decreases."""
         return len(self._looked_at), int(np.count_nonzero(self._reach > self._near))
 
     def find_margins(self, curve: JointCurve) -> tuple[float, list[Margin]]:
-        """The least margin of a curve, infinite where nothing is near, and all that are small."""
+        """The least margin of a curve, infinite if nothing is near, and all small margins."""
         least, margins = self._margins_at(curve, self._looked_at)
         noticed = self._notice(curve, margins)
         if len(noticed):
@@ -74,7 +74,7 @@ class Looks:
         return least, margins
 
     def widen(self, margins: list[Margin]) -> None:
-        """Look further from now on where a curve with these margins goes into an obstacle."""
+        """Use a larger reach from now on where a curve with these margins goes into an obstacle."""
         for found in margins:
             if found.margin.min() < -_MUCH:
                 self._reach[found.place] = _FAR
@@ -86,7 +86,7 @@ class Looks:
         )  # fmt: skip
 
     def _notice(self, curve: JointCurve, margins: list[Margin]) -> Indices:
-        """Places that are not clear, the first between each two at which it is looked, whose margins are `margins`."""
+        """The first places that are not clear between each two checked ones, which have these `margins`."""
         travel, at = self._proximity.travel, self._looked_at
         if not len(travel):
             return np.zeros(0, dtype=np.intp)
@@ -98,7 +98,7 @@ class Looks:
         self._proximity.cover_unchecked(q)
         way = np.abs(np.diff(q, axis=0)) @ travel.max(axis=0)
         between: list[range] = []
-        for interval in np.flatnonzero(least[:-1] + least[1:] < way).tolist():  # else nothing gets in between
+        for interval in np.flatnonzero(least[:-1] + least[1:] < way).tolist():  # otherwise no link collides between
             a, b = int(at[interval]), int(at[interval + 1])
             step = math.ceil((b - a) / (min(int(way[interval] / _APART), b - a - 1) + 1))
             between.append(range(a + step, b, step))
@@ -106,7 +106,7 @@ class Looks:
         if not asked:
             return np.zeros(0, dtype=np.intp)
         found_at = curve.at(self._u[asked])
-        if self._screen.has_clusters:  # many are told together nearly as soon as one
+        if self._screen.has_clusters:  # many are checked together nearly as fast as one
             kept = dict(zip(asked, self._screen.keeps(found_at).tolist(), strict=True))
             noticed = [next((k for k in places if not kept[k]), -1) for places in between]
         elif self._screen.keeps_all_unchecked(found_at):

@@ -1,4 +1,4 @@
-"""How values of moments change with the joints, their velocities and their accelerations."""
+"""Derivatives of values of moments by the joints, their velocities and their accelerations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix
 
-_NUDGES = (1e-5, 1e-5, 1e-4)  # of q, v and a; chosen between rounding and bend
+_NUDGES = (1e-5, 1e-5, 1e-4)  # of q, v and a; chosen between rounding error and curvature error
 
 
 def moment_slopes(

@@ -1,8 +1,8 @@
-"""What a curve costs that is run over time t = T s, how that changes with curve and T, and how short T may be.
+"""The cost of a curve over time t = T s, how it changes with the curve and T, and how short T may be.
 
     q = q(s)        v = q' / T        a = q'' / T^2        cost = integral of rate(q, v, a) T ds
 
-The integral is a sum over equally many s of every piece (trapezium rule), and the derivatives are those of the sum.
+The integral is a sum over equally many places of every piece (trapezium rule); the derivatives are those of the sum.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.descent.softening import soft_power
 
-# of the sum, for each piece; chosen. With 3 what lies between them may cost three times as much as is seen; with 4 a
-# tenth more where a descent is fine, at worst a half, and 1 to 4 % with 6
+# of the sum, for each piece; chosen. With 3, the true cost may be three times the sum; with 4, a tenth more than the
+# sum in a fine descent, at worst a half, and with 6, 1 to 4 %
 PLACES, FINE_PLACES = 4, 6
 _PLACES_OF_JUMPS, _FINE_PLACES_OF_JUMPS = 6, 10  # the same for a cost that jumps; chosen
-_STRETCHES = 8  # in which the least T is found; chosen, mostly two are needed
+_STRETCHES = 8  # iterations to find the least T; chosen: mostly two are needed
 _WITHIN = 1e-3  # part of a limit that may be exceeded at the places; the samples of a motion are checked later
 
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the cost changes with the control points p, one after the other, and T.
+    """How the cost changes with the control points, one after the other, and T.
 
     Attributes
     ----------
     slope: (m,) of the whole cost [cost per rad or m, and per s].
-    curvature: (m, m) what is known of it beside the kinks; positive semidefinite.
+    curvature: (m, m) its known part besides the kinks; positive semidefinite.
     kinks: of the cost.
     """
 
@@ -48,15 +48,15 @@ class Slope:
 class OwnTime:
     """Curves of a problem in their own time.
 
-    What counts only where it is positive, such as the power of a joint, makes kinks where it
-    changes its sign. They are rounded off: r^2 / (2 w) from 0 to the width w, and r - w / 2 above.
+    A term that counts only if positive, such as the power of a joint, has a kink where it
+    changes sign. Kinks are rounded off: r^2 / (2 w) from 0 to the width w, and r - w / 2 above.
 
     Attributes
     ----------
     drive: of the problem's machine.
-    places: of the sum, for each piece. A descent lowers what is seen there, and raises what lies between.
-    soft_flow: below which cylinders count for a part of their pressure, where the cost jumps as they begin to move
-        [m^3/s]; 0 for the cost as it is.
+    places: of the sum, for each piece. A descent lowers the cost at these places, and raises it between them.
+    soft_flow: below which cylinders count for a part of their pressure, if the cost jumps when they begin to move
+        [m^3/s]; 0 for the exact cost.
     """
 
     problem: Problem
@@ -65,23 +65,23 @@ class OwnTime:
     soft_flow: float = 0.0
 
     def looked_at(self, *, fine: bool) -> OwnTime:
-        """The same with as many places as suit the cost, more for a `fine` curve; nothing of it is soft."""
+        """The same with a suitable number of places for the cost, more for a `fine` curve; without softening."""
         jumps = self.problem.objective.jumps
         usual, more = (_PLACES_OF_JUMPS, _FINE_PLACES_OF_JUMPS) if jumps else (PLACES, FINE_PLACES)
         return replace(self, places=more if fine else usual, soft_flow=0.0)
 
     def cost(self, curve: JointCurve, duration: float, *, width: float) -> float:
-        """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
+        """The cost of the motion, in the objective's unit, with kinks rounded off by `width` [unit per second]."""
         return float(self.costs([curve], np.array([duration]), width=width)[0])
 
     def costs(
         self, curves: Sequence[JointCurve], durations: Vector, *, width: float, places: int | None = None
     ) -> Vector:
-        """(C,) the same of several curves of the same pieces with `durations` (C,), at once.
+        """(C,) the same for several curves with the same pieces and `durations` (C,), at once.
 
         Parameters
         ----------
-        places: of the sum, for each piece, if not as usual.
+        places: of the sum, for each piece; by default the usual ones.
         """
         moments = _moments_of_all(curves, durations, self.places if places is None else places)
         parts, kinked = self.parts(*(each.reshape(-1, each.shape[2]) for each in moments))
@@ -89,7 +89,7 @@ class OwnTime:
         return np.asarray(rate @ curves[0].shares(rate.shape[1]) * durations)
 
     def gross(self, curve: JointCurve, duration: float) -> float:
-        """What the motion would cost where what counts only as far as it is positive counted by its size."""
+        """The cost of the motion if terms that count only if positive counted by their absolute values."""
         parts, _ = self.parts(*self._moments(curve, duration))
         return float(curve.shares(len(parts)) @ np.sum(np.abs(parts), axis=1)) * duration
 
@@ -113,7 +113,7 @@ class OwnTime:
         )
         slope = kinks.share * kinks.rising() @ kinks.G
         slope[-1] += kinks.share @ rounded(value, width) / duration
-        # (torque v)'' = torque' v' + v' torque' + v torque'', the last of which is left out
+        # (torque v)'' = torque' v' + v' torque' + v torque''; the last term is left out
         crossed = of_v.T @ ((kinks.share * kinks.rising())[:, None] * of_torque)
         return Slope(slope, _convex(crossed + crossed.T), kinks)
 
@@ -133,7 +133,7 @@ class OwnTime:
         return torque + of_soil, slopes + soil_slopes
 
     def parts(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, bool]:
-        """(K, U) what moments at q, v, a (K, n) cost a second; and whether only what is positive counts of each."""
+        """(K, U) the cost per second of moments at q, v, a (K, n); and whether only positive parts count."""
         if self.problem.objective.is_positive_power:
             return self._torques(q, v, a) * v, True
         if self.soft_flow > 0.0:
@@ -142,27 +142,27 @@ class OwnTime:
         return cost_rate(self.problem, q, v, a)[:, None], False
 
     def mean_flow(self, curve: JointCurve, duration: float) -> float:
-        """Of one cylinder, over the whole motion [m^3/s]; 0 where there is none."""
+        """The mean flow of a cylinder over the whole motion [m^3/s]; 0 if there is none."""
         q, v, _ = self._moments(curve, duration)
         hydraulics = self.drive.hydraulics
         return 0.0 if hydraulics is None else float(curve.shares(len(q)) @ np.mean(hydraulics.flows(q, v), axis=1))
 
     def least_duration(self, curve: JointCurve, duration: float) -> float:
-        """The least T, not below `duration` [s], that keeps all limits but for loads at rest.
+        """The least T, not below `duration` [s], that keeps all limits except those broken by static loads.
 
-        They are looked at where the steps of a descent keep them: elsewhere a step that is on a limit all along is
-        beyond it by some thousandths, and counts as late.
+        Limits are checked at the places where the steps of a descent keep them: elsewhere a step that is at a limit
+        everywhere exceeds it by some thousandths, and would count as late.
         """
         return float(self.least_durations([curve], np.array([duration]))[0])
 
     def least_durations(
         self, curves: Sequence[JointCurve], durations: Vector, *, places: int = PLACES_PER_PIECE
     ) -> Vector:
-        """(C,) the same of several curves of the same pieces, each not below one of `durations` (C,) [s].
+        """(C,) the same for several curves with the same pieces, each not below its own of `durations` (C,) [s].
 
         Parameters
         ----------
-        places: of each piece, at which limits are looked at.
+        places: of each piece, at which limits are checked.
         """
         limits, T, left = self.problem.limits, np.array(durations, dtype=float), np.arange(len(curves))
         held = None
@@ -181,7 +181,7 @@ class OwnTime:
                 use = self.drive.use(*flat)
                 effort = np.max(use.effort.reshape(q.shape), axis=(1, 2), where=held, initial=0.0)
                 power, flow = (np.max(each.reshape(q.shape[:2]), axis=1) for each in (use.power, use.flow))
-                # with the weight's part, it falls by 1 / T^2 and 1 / T^3
+                # with the weight included, these fall by 1 / T^2 and 1 / T^3
                 hard = np.sqrt(np.maximum(effort, power))
                 speed = np.max(use.rod_speed.reshape(q.shape), axis=(1, 2))
                 over = np.maximum.reduce((over, speed, flow, hard))
@@ -208,7 +208,7 @@ class _Change:
         self._weights = [curve.weights(len(self._v), k)[:, moving] / duration**k for k in range(3)]
 
     def of(self, slopes: Matrix, each: int = 1) -> Matrix:
-        """(K each, m) of values with derivatives `slopes` (K each, 3 n) by q, v, a; `each` of them at each moment."""
+        """(K each, m) for values with derivatives `slopes` (K each, 3 n) by q, v, a; `each` values at each moment."""
         place, n = np.repeat(np.arange(len(self._v)), each), self._v.shape[1]
         steps = sum(
             (self._weights[k][place][:, :, None] * slopes[:, None, k * n : (k + 1) * n] for k in range(3)),
@@ -218,19 +218,19 @@ class _Change:
         return np.column_stack((steps.reshape(len(place), -1), -of_T / self._T))
 
     def of_velocities(self) -> Matrix:
-        """(K n, m) of all velocities."""
+        """(K n, m) for all velocities."""
         steps = np.kron(self._weights[1], np.eye(self._v.shape[1]))
         return np.column_stack((steps, -self._v.ravel() / self._T))
 
 
 def _convex(H: Matrix) -> Matrix:
-    """(m, m) a symmetric matrix H without what bends down."""
+    """(m, m) a symmetric matrix H without its negative curvature."""
     bends, along = np.linalg.eigh(H)
     return np.asarray((along * np.maximum(bends, 0.0)) @ along.T)
 
 
 def _moments_of_all(curves: Sequence[JointCurve], durations: Vector, each: int) -> tuple[Array, Array, Array]:
-    """(C, K, n) q, v, a of curves of the same pieces with `durations` (C,), at `each` places of each piece."""
+    """(C, K, n) q, v, a of curves with the same pieces and `durations` (C,), at `each` places of each piece."""
     places, control = each * curves[0].pieces + 1, np.array([curve.control for curve in curves])
     T = durations[:, None, None]
     q, v, a = (curves[0].weights(places, k) @ control / T**k for k in range(3))

@@ -1,7 +1,7 @@
-"""What is known of the distances along a curve from when its places were last looked at.
+"""Lower bounds of the distances along a curve, from the last measurement at each place.
 
-A pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints moved by dq. From round to
-round of a descent a place moves little, so that most pairs need not be measured there again.
+A pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints moved by dq. A place moves
+little from round to round of a descent, so most pairs need not be measured there again.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 
-# distances that are kept, 40 MB; chosen, more than those of a thousand pairs at all places of a curve
+# distances that are kept, 40 MB; chosen: more than a thousand pairs have at all places of a curve
 _MOST = 5_000_000
 
 
 class SeenDistances:
-    """Lower bounds of P distances at places of a curve that changes, while the obstacles stand."""
+    """Lower bounds of P distances at places of a changing curve among static obstacles."""
 
     def __init__(self) -> None:
         self._at: dict[int, tuple[Vector, Vector]] = {}
 
     def bounds(self, places: Indices, q: Matrix, travel: Matrix) -> Matrix:
-        """(K, P) lower bounds of the distances at `places` (K,), now at q (K, n); minus infinity where none is known.
+        """(K, P) lower bounds of the distances at `places` (K,), now at q (K, n); minus infinity if none is known.
 
         Parameters
         ----------
-        travel: (P, n) the most that each joint changes each distance, see `Proximity` [m/rad or 1].
+        travel: (P, n) the largest change of each distance per joint motion, see `Proximity` [m/rad or 1].
         """
         found = np.full((len(q), len(travel)), -np.inf)
         known = [self._at.get(place) for place in places.tolist()]
@@ -37,6 +37,6 @@ class SeenDistances:
         return found
 
     def keep(self, place: int, q: Vector, lower: Vector) -> None:
-        """At a place q (n,) the distances are at least `lower` (P,) [m]."""
+        """Keep that at a place, with joints q (n,), the distances are at least `lower` (P,) [m]."""
         if place in self._at or len(lower) * (len(self._at) + 1) <= _MOST:
             self._at[place] = q, lower

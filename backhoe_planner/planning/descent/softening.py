@@ -1,9 +1,9 @@
-"""Softening: a cost that jumps is lowered as a smooth one first, then as one that is ever nearer to it.
+"""Softening: a cost that jumps is replaced by a smooth one first, then by ones ever nearer to it.
 
-The pump's pressure is that of the heaviest cylinder that moves, however little it does, so that no small change of a
-motion that moves all of them lowers what it costs. Where a cylinder counts for less the slower it moves against its
-load, the slope shows that it would better stand still, or move at another time. What one softness ends with, a less
-soft one begins with (graduated non-convexity, Blake and Zisserman 1987).
+The pump's pressure is that of the most heavily loaded cylinder that moves, however slowly, so no small change of a
+motion that moves all of them lowers its cost. If a cylinder counts for less the slower it moves against its load, the
+slope shows that it should rather stand still, or move at another time. The result for one softness is the start for
+the next, less soft one (graduated non-convexity, Blake and Zisserman 1987).
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Hydraulics
 
-# the flows below which a cylinder counts in part, as parts of its mean flow over the motion; chosen: from 10 on
-# motions cost 13 % more, to 0.01 only 2 %
+# the flows below which a cylinder counts in part, as parts of its mean flow over the motion; chosen: begun at 10,
+# motions cost 13 % more; ended at 0.01, only 2 %
 _PARTS = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003)
-_FINE_FROM = 3  # the first of them for a curve that was brought down before
-_HURRIED = (0.3, 0.1, 0.03, 0.01)  # the same where few rounds are made
-_POWER = 8  # of the norm that stands for the highest pressure; chosen
-_ROUND_OFF = 0.1  # of the flow below which a cylinder counts in part: amounts of oil are rounded off within it; chosen
+_FINE_FROM = 3  # index of the first of them for a curve that is the result of a descent
+_HURRIED = (0.3, 0.1, 0.03, 0.01)  # the same if few rounds are made
+_POWER = 8  # of the norm that approximates the highest pressure; chosen
+_ROUND_OFF = 0.1  # part of the flow below which a cylinder counts in part: amounts of oil are rounded off in it; chosen
 _LEAST_PRESSURE = 1.0  # Pa, well below any that counts
 
 
 def soft_flows(mean_flow: float, *, first: bool, fine: bool, hurried: bool) -> tuple[float, ...]:
-    """The flows below which cylinders count in part, in turn [m^3/s]; 0 alone where none is soft.
+    """The flows below which cylinders count in part, in turn [m^3/s]; only 0 if none is soft.
 
     Parameters
     ----------
     mean_flow: of a cylinder over the motion [m^3/s]; 0 for a cost that does not jump.
     first: whether the softest is enough.
-    fine: whether the curve was brought down before.
+    fine: whether the curve is the result of a descent.
     hurried: whether few rounds are made.
     """
     if mean_flow <= 0.0:
@@ -41,12 +41,13 @@ def soft_flows(mean_flow: float, *, first: bool, fine: bool, hurried: bool) -> t
 
 
 def soft_power(hydraulics: Hydraulics, q: Matrix, v: Matrix, torque: Matrix, *, flow: float) -> Vector:
-    """(K,) about `Hydraulics.load_sensing_power` [W], smooth in q, v, torque (K, n), the nearer the less `flow` is.
+    """(K,) a smooth approximation of `Hydraulics.load_sensing_power` [W] in q, v, torque (K, n), closer for less
+    `flow`.
 
     Parameters
     ----------
-    flow: a cylinder against its load counts in full from so much oil on [m^3/s], and below for a part that grows
-        smoothly from 0; the highest pressure and the amounts of oil are rounded off where they have kinks.
+    flow: from this flow a cylinder that moves against its load counts in full [m^3/s], and below in a part that grows
+        smoothly from 0; the highest pressure and the amounts of oil are rounded off at their kinks.
     """
     oil, against = hydraulics.flows(q, v), np.sign(torque * v)[:, hydraulics.joint_of]
     part = np.clip(against * oil / flow, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Curves from which descents may begin, and which of them promise to cost least."""
+"""Curves from which descents may begin, and estimates of which of them will cost least."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from backhoe_planner.planning.descent.curve import JointCurve, from_rest_to_rest
 from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.site import ClearanceScreen
 
-_PLACES = 25  # of a curve, that are asked whether they are clear; chosen, about every 2 to 10 cm of the tip
-_PART = 0.5  # of the way, in which an early or a late joint makes all of its own; chosen
+_PLACES = 25  # of a curve, that are checked for collisions; chosen, about every 2 to 10 cm of the tip
+_PART = 0.5  # part of the curve in which an early or a late joint makes its whole move; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
-_SAME = 0.05  # the same between a start and one that is known to have been tried; chosen
-_DEAR = 3.0  # times the least price, above which no descent is tried; measured, above it hardly any becomes the best
-_BESIDE = 6  # starts with joints early or late, that come beside the cheapest of each line; chosen
+_SAME = 0.05  # the same between a start and one that was tried before; chosen
+_DEAR = 3.0  # times the least price, above which no descent is tried; measured: above it hardly any becomes the best
+_BESIDE = 6  # starts with joints early or late, in addition to the cheapest of each line; chosen
 _TOGETHER = 100  # starts that are priced at once, to bound the memory
 
 
@@ -35,7 +35,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class PricedStart:
-    """A start, and about what a descent from it costs: more, the more of it is blocked, at most twice as much."""
+    """A start, and the estimated cost of a descent from it, which grows with the blocked part, to at most twice."""
 
     start: Start
     price: float
@@ -48,7 +48,7 @@ class StartPrices:
     ----------
     descent: of another cost than the time.
     screen: of the obstacles.
-    longest: that a motion may take [s].
+    longest: the longest time that a motion may take [s].
     """
 
     def __init__(self, descent: Descent, screen: ClearanceScreen, *, longest: float) -> None:
@@ -56,8 +56,8 @@ class StartPrices:
         self._u = np.linspace(0.0, 1.0, _PLACES)
 
     def in_order(self, starts: Sequence[Start]) -> Iterator[PricedStart]:
-        """Starts of as many pieces each, the cheapest first; what is blocked of one is looked at when it matters."""
-        # what is not looked at yet costs this or more
+        """Starts with equally many pieces, the cheapest first; the blocked part is checked only if needed."""
+        # a start that is not checked yet costs at least this
         left = [(cost, False, index) for index, cost in enumerate(self._where_clear(starts))]
         heapq.heapify(left)
         while left:
@@ -70,11 +70,11 @@ class StartPrices:
     def cheapest(
         self, priced: Iterable[PricedStart], count: int, *, known: Sequence[JointCurve] = ()
     ) -> list[PricedStart]:
-        """At most `count` of what comes the cheapest first, none of it dear; of those near each other one.
+        """At most `count` of starts in order of price, none of them dear; of those near each other only the cheapest.
 
         Parameters
         ----------
-        known: curves of as many pieces, near which there is none.
+        known: curves with equally many pieces; starts near them are left out.
         """
         chosen: list[PricedStart] = []
         least: float | None = None
@@ -94,17 +94,20 @@ class StartPrices:
         return chosen
 
     def paced(self, lines: Sequence[PricedStart]) -> list[PricedStart]:
-        """Each of `lines`, straight ones, with joints early or late, so that it costs less; the cheapest first.
+        """The straight `lines` with some joints early or late, so that they cost less; the cheapest first.
 
-        What a motion costs is often decided by which joint moves first: an arm that is unfolded after it was lowered
-        needs little of the work of one that is held out on the way, and from an even pace no small step leads there.
-        The joints are looked at one after the other, twice. What was met on the way there comes as well, but for what
-        is dear or near another.
+        The cost of a motion often depends on which joint moves first: an arm that is unfolded after it was lowered
+        needs
+        little of the work of one that is held out meanwhile, and no small step leads there from an even pace. The
+        joints
+        are tried one after the other, twice. The other starts that were tried are included, except those that are dear
+        or
+        near another.
         """
         if not lines:
             return []
         best = list(lines)
-        met: list[PricedStart] = []  # their prices do not count yet what is blocked
+        met: list[PricedStart] = []  # their prices do not include the blocked part yet
         n = lines[0].start.curve.control.shape[1]
         for joint in (*range(n), *range(n)):
             tried = [
@@ -123,7 +126,7 @@ class StartPrices:
         return sorted([*changed, *self._beside(best, met)], key=lambda one: one.price)
 
     def _beside(self, best: Sequence[PricedStart], met: Sequence[PricedStart]) -> list[PricedStart]:
-        """Of the starts that were `met` those that are neither dear nor near one of the `best`, or each other."""
+        """Those starts of `met` that are neither dear nor near one of the `best`, or each other."""
         found: list[PricedStart] = []
         dear = _DEAR * min(one.price for one in best)
         for one in sorted(met, key=lambda one: one.price):
@@ -140,7 +143,7 @@ class StartPrices:
         return found
 
     def _where_clear(self, starts: Sequence[Start]) -> list[float]:
-        """About what descents from starts cost, of which nothing is blocked."""
+        """Estimated costs of descents from starts, as if nothing were blocked."""
         found: list[float] = []
         for first in range(0, len(starts), _TOGETHER):
             some = starts[first : first + _TOGETHER]
@@ -149,7 +152,7 @@ class StartPrices:
         return found
 
     def _dearer(self, start: Start) -> float:
-        """How many times as much a start costs as where nothing is blocked: 1 to 2."""
+        """The factor on the cost of a start for its blocked part: 1 to 2."""
         return 2.0 - float(np.mean(self._screen.keeps(start.curve(self._u))))
 
     def _apart(self, one: Matrix, other: Matrix) -> float:
@@ -157,7 +160,7 @@ class StartPrices:
 
 
 def _with_other_paces(line: Start, now: Start, joint: int) -> Iterator[Start]:
-    """The start `now` with one joint early, at the pace of the straight `line`, or late, but for what it is already."""
+    """The start `now` with one joint early, at the pace of the straight `line`, or late; without `now` itself."""
     control, way = line.curve.control, line.curve.control[-1] - line.curve.control[0]
     u = np.linspace(0.0, 1.0, len(control))
     for part in (np.minimum(u / _PART, 1.0), u, np.maximum((u - 1.0) / _PART + 1.0, 0.0)):

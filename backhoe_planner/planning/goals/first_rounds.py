@@ -1,4 +1,4 @@
-"""A few rounds of descents from several starts, for another cost than the time, and which of them promise most."""
+"""The first rounds of descents from several starts, for another cost than the time, which show the best starts."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Timed
 from backhoe_planner.planning.descent.starts import Start
 
-_FIRST_ROUNDS = 3  # of each start; measured, most of what the cost falls is gained in them
-_MUCH_CHEAPER = 0.7  # times the least cost of those that get clear, below which one that does not is worth more; chosen
-_ROUNDS_OUT = 14  # in which such a one may get out of the obstacle; chosen, it mostly turns to one side after 6 to 10
-# places at which it is then looked, for each at which limits are: it goes through the obstacle between few; chosen
+_FIRST_ROUNDS = 3  # of each start; measured: most of the fall of the cost happens in them
+_MUCH_CHEAPER = 0.7  # times the least cost of a clear start: a blocked start below it gets more rounds; chosen
+_ROUNDS_OUT = 14  # for a blocked start to leave its obstacle; chosen: it mostly turns to one side after 6 to 10
+# places where clearances are checked for each where limits are: with fewer it slips through the obstacle; chosen
 _DENSELY = 3
-_NEARLY = 0.02  # m that it may miss then; chosen
+_NEARLY = 0.02  # m that a blocked start may miss after these rounds; chosen
 
 
 class FewRounds(Protocol):
     """Some rounds of a descent from a start."""
 
     def __call__(self, start: Start, rounds: int, *, density: int = 1, clear_first: bool = False) -> Timed | None:
-        """The curve after at most so many rounds; with `clear_first` no more than it takes to get clear."""
+        """The curve after at most so many rounds; with `clear_first` it ends as soon as the curve is clear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class FirstRounds:
 
     Attributes
     ----------
-    clear: those that got clear, or nearly, as far as they came, with what they then cost; the cheapest first.
-    blocked: what the cheapest costs that stayed in an obstacle at first; infinite where none did.
+    clear: the starts that got clear, or nearly, as far as they were bent, with their costs; the cheapest first.
+    blocked: the least cost of a start that was still in an obstacle after its first rounds; infinite if none was.
     """
 
     clear: list[tuple[float, Start]]
@@ -41,15 +41,16 @@ class FirstRounds:
 
 
 def after_first_rounds(starts: Iterable[Start], bend: FewRounds, *, far_off: float, pushed: int) -> FirstRounds:
-    """A few rounds of each start, and more of those that are cheap as they go through an obstacle.
+    """A few rounds of each start, and more of those that are cheap because they go through an obstacle.
 
-    A curve through an obstacle stays there where that costs less than what it misses counts for. Where it is much
-    cheaper than all others, getting clear counts more until it is: mostly it is then still cheaper than they are.
+    A curve through an obstacle stays there if leaving costs more than the penalty of the missed clearance. If it is
+    much
+    cheaper than all others, the penalty is raised until it is clear: mostly it is then still cheaper than the others.
 
     Parameters
     ----------
-    far_off: a start that misses more counts as one that does not get clear [m].
-    pushed: how many of these at most are to get clear.
+    far_off: a start that misses more than this counts as blocked [m].
+    pushed: how many blocked starts at most get more rounds.
     """
     clear: list[tuple[float, Start]] = []
     blocked: list[tuple[float, Start]] = []

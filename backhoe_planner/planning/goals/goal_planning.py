@@ -1,4 +1,4 @@
-"""Planning to a goal: a search for the least-cost motion, then the completed law."""
+"""Planning to a goal: a search for the least-cost motion, then the completed law if the search finds none."""
 
 from __future__ import annotations
 
@@ -21,29 +21,30 @@ from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture
 from backhoe_planner.planning.world.world import World
 
-_STANDS_ON = 1e-6  # rad or m that a machine is off a goal on which it stands: what inverse kinematics leaves
-_MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
+_STANDS_ON = 1e-6  # rad or m by which a machine that stands on a goal may be off it: the residual of inverse kinematics
+_MOST_POSTURES = 8  # to which the law drives the joints, one attempt each; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class ToGoal:
-    """The task of ending at one of several goals, at rest there.
+    """The task of ending at rest on one of several goals.
 
     Attributes
     ----------
-    goals: any of which will do.
-    search_alone: whether the law is left out where the search finds no motion.
+    goals: any of them will do.
+    search_alone: whether the law is not tried if the search finds no motion.
 
-    In all methods `stepper` is the motion so far; it stays as it is.
+    In all methods `stepper` is the motion so far; it is not changed.
     """
 
     goals: tuple[Goal, ...]
     search_alone: bool = False
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """The least-cost motion from rest that the search finds; where it finds none, by the law.
+        """The least-cost motion from rest that the search finds; if it finds none, a motion by the law.
 
-        Where the machine already stands on a goal it stays: nothing costs less, however near it is to something.
+        If the machine already stands on a goal it stays: nothing costs less, however near the machine is to an
+        obstacle.
         """
         if self._is_there(world, stepper):
             return Outcome(stepper.trajectory())
@@ -76,25 +77,25 @@ class ToGoal:
         return replace(outcome, message=f"{outcome.message}; {sampled}")
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
-        """By the law straight to a goal, from a motion that need not be at rest; None where it does not arrive."""
+        """The law's motion straight to a goal, from a motion that need not be at rest; None if it does not arrive."""
         attempt = self._straight(world, stepper, self.goals)
         motion = attempt.stepper.trajectory()
         return Outcome(motion, findings=Findings(way=attempt.way)) if attempt.arrived and world.keeps(motion) else None
 
     def by_law(self, world: World, stepper: Stepper) -> Outcome:
-        """From rest by the completed law alone."""
+        """A motion from rest by the completed law alone."""
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         return found if isinstance(found, Outcome) else self._attempts(world, stepper, found)
 
     def by_paper(self, world: World, stepper: Stepper) -> Outcome:
-        """By the paper's iteration as it is printed, to the first goal; its steps are timed afterwards."""
+        """A motion to the first goal by the paper's iteration as printed; its steps are timed afterwards."""
         target = self.goals[0].target
         steps = run_iteration(world.problem, stepper.q, target, proximity=world.proximity, kinematics=world.kinematics)
         motion = time_iterates(world.problem, steps, proximity=world.proximity)
         return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
 
     def _is_there(self, world: World, stepper: Stepper) -> bool:
-        """Whether the joints already stand on a goal, where they may stand."""
+        """Whether the machine is already on a goal, in a posture in which it may stand."""
         here = world.kinematics.at(stepper.q)
         if all(np.max(np.abs(goal.error(here)), initial=0.0) > _STANDS_ON for goal in self.goals):
             return False
@@ -112,7 +113,7 @@ class ToGoal:
         return Outcome(stepper.trajectory(), "outside_limits", message)
 
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
-        """The law straight to the first of `goals` at which that arrives, else the attempt that came nearest."""
+        """The law straight to the first of `goals` at which it arrives, otherwise the attempt that came nearest."""
         attempts = []
         for goal in goals:
             attempts.append(next(approach_goal(stepper, goal, (), work=world.work)))
@@ -121,9 +122,9 @@ class ToGoal:
         return min(attempts, key=lambda attempt: attempt.distance)
 
     def _attempts(self, world: World, stepper: Stepper, found: GoalPostures) -> Outcome:
-        """All ways of the law, to one goal after the other until one arrives and keeps what is asked for.
+        """All attempts of the law, at one goal after the other, until one arrives and satisfies `keep`.
 
-        Where none of those that arrive keeps it, the first of them.
+        If none of those that arrive satisfies it, the first of them.
         """
         attempts: list[Attempt] = []
         arrived: Attempt | None = None
@@ -142,7 +143,7 @@ class ToGoal:
 
 
 def _sped_up(world: World, stepper: Stepper, attempt: Attempt, attempts: int) -> Outcome:
-    """An attempt that arrived, as fast as the limits allow."""
+    """The motion of an attempt that arrived, as fast as the limits allow."""
     own = attempt.stepper.trajectory()
     faster = speed_up(stepper, attempt.stepper).trajectory()
     motion = own if world.keeps(own) and not world.keeps(faster) else faster
@@ -150,7 +151,7 @@ def _sped_up(world: World, stepper: Stepper, attempt: Attempt, attempts: int) ->
 
 
 def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:
-    """The attempt that came nearest, and what held it back or that time ran out; none of `attempts` arrived."""
+    """The failure if none of `attempts` arrived: the nearest attempt, and what held it back, or that time ran out."""
     nearest = min(attempts, key=lambda attempt: attempt.distance)
     findings = Findings(
         attempts=len(attempts),

@@ -1,4 +1,4 @@
-"""Postures at which a motion to a goal may end."""
+"""Postures in which a motion to a goal may end."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.world.world import World
 
-_LONG_SEARCH = 8  # times the usual starting points, before a goal is said to be in collision; chosen
-# of several goals, what is said to be wrong is what is least wrong
+_LONG_SEARCH = 8  # times the usual starting points, before a goal is reported to be in collision; chosen
+# if several goals fail, the mildest reason is reported; the mildest first
 _MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
 
 
 @dataclass(frozen=True, eq=False)
 class GoalPostures:
-    """Clear postures on the goals of a problem, at least one; the quickest to get to first.
+    """Clear postures on the goals of a problem, at least one; the quickest to reach first.
 
     Attributes
     ----------
     clear: (n,) each [rad or m].
-    goals: of each, the goal that it is on.
+    goals: the goal of each posture.
     """
 
     clear: tuple[Vector, ...]
     goals: tuple[Goal, ...]
 
     def by_goal(self) -> list[tuple[Goal, tuple[Vector, ...]]]:
-        """Every goal that has a posture, with its postures; the goal that is quickest to get to first."""
+        """Every goal that has a posture, with its postures; the quickest goal to reach first."""
         return [
             (goal, tuple(q for q, own in zip(self.clear, self.goals, strict=True) if own is goal))
             for goal in dict.fromkeys(self.goals)
@@ -47,11 +47,11 @@ def find_goal_postures(
 
     Parameters
     ----------
-    near: (n,) where the joints stand [rad or m].
-    time: the obstacles stand where they are at this time [s].
-    more: times the usual starting points of the inverse kinematics. Called again, others are drawn.
-    travel: (n,) how far they are from `near` at most [rad or m]; None for anywhere. Where all that are found within
-        it collide, no further ones are looked for.
+    near: (n,) the present joint positions [rad or m].
+    time: at which the positions of the obstacles are taken [s].
+    more: times the usual starting points of the inverse kinematics. Every call draws other ones.
+    travel: (n,) how far starting points may be from `near` [rad or m]; None for anywhere. With it, no longer search
+        is made if all postures found collide.
     """
     found: list[tuple[Vector, Goal]] = []
     failures: list[Outcome] = []
@@ -84,7 +84,7 @@ def _postures_on(
     kept = tuple(q for q in within if keep.holds(q)) if isinstance(within, tuple) else ()
     if kept:
         return kept
-    # which of the two is at fault: the goal itself, or what is to be kept there
+    # find out whether the goal itself fails, or `keep` at the goal
     free = _on_target(world, target, goal, near, time, more, travel)
     if isinstance(free, Outcome):
         return free
@@ -95,7 +95,7 @@ def _postures_on(
         return within
     nearest = max(free, key=lambda q: float(np.min(keep.margins(q))))
     message = f"at the {goal.name} {keep.broken(nearest)}"
-    if narrowed is not None:  # the goal leaves room for it, as far as its own angles go
+    if narrowed is not None:  # the goal's own angles leave room for the kept condition
         message = f"no posture was found on the {goal.name} that keeps it: at best {keep.broken(nearest)}"
     return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", message)
 

@@ -1,4 +1,4 @@
-"""Descents from the starts of one search for the least-cost motion to a goal, and the best motion they have led to.
+"""Descents from the starts of one search for the least-cost motion to a goal, and the best motion found by them.
 
 Every motion that counts is proven clear.
 """
@@ -27,37 +27,37 @@ from backhoe_planner.proof import motion_is_clear
 from backhoe_planner.site import ClearanceScreen
 
 _FINE_PIECES = 20  # of the best curve at the end
-# the same for another cost than the time, in turn, with pieces of different lengths; and pieces times joints at most,
-# as the programs take ever longer; chosen
+# the same for another cost than the time, in turn, with pieces of different lengths; and the most pieces times joints,
+# because the programs take ever longer; chosen
 _FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 200
-_SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
-_MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
-_PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
+_SPARE = 0.003  # m that a descent keeps beyond every clearance at the places that it checks
+_MORE_SPARE = 0.002  # m that it keeps in addition after its motion could not be proven
+_PROOFS = 3  # tries to prove one motion, each with more spare and twice as many places; chosen
 _ROUNDS = 24  # of a descent at most; chosen, half of them end after 7
-_MORE_ROUNDS = 80  # the same for another cost than the time, which falls for longer; chosen
-_ROUNDS_IN_ONE = 3  # rounds of another cost that count as one for the time: no curve is timed in them; measured
-_SOFTENED = 2  # times more rounds for a cost that jumps, which is lowered as ever less soft ones; measured
-_FEW_ROUNDS = 4  # of one that goes on
+_MORE_ROUNDS = 80  # the same for another cost than the time, which keeps falling for longer; chosen
+_ROUNDS_IN_ONE = 3  # rounds for another cost that count as one for the time, as no curve is timed in them; measured
+_SOFTENED = 2  # times more rounds for a cost that jumps, which is softened ever less in turn; measured
+_FEW_ROUNDS = 4  # of a descent that is continued
 FINE_ROUNDS = 6  # of the best curve at the end
-_MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each of these must gain for the next; chosen
-_FINER = 8  # times more of these for another cost than the time; chosen
+_MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each refinement must gain for the next to follow; chosen
+_FINER = 8  # times more fine rounds for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
-_SMALL_BOX = 0.1  # the same of a descent that goes on
+_SMALL_BOX = 0.1  # the same for a descent that is continued
 _TRIED = 4  # rounds after which a descent is judged
-_LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
-# the same for another cost than the time, and which part of the other's cost may be gained then; chosen, a round
-# counts some percent too little, as kinks are rounded off
+_LOOKS = (0, 4, 8)  # rounds after which it is checked whether a descent goes where another one has ended; chosen
+# the same for another cost than the time, and the factor on the other's cost in the comparison; chosen: in a round the
+# cost counts some percent too little, because kinks are rounded off
 _LATER_LOOKS, _NO_LESS = (8, 16), 0.97
-_SOON = 4  # rounds after which it is looked at first where an earlier search goes on; chosen
-_FAR_OFF = 0.06  # m by which a clearance is then missed: hopeless where another motion is known; chosen
-_FURTHER_OFF = 0.1  # m: the same where none is; chosen
-_NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then goes on
+_SOON = 4  # rounds before the first such check if an earlier search is continued; chosen
+_FAR_OFF = 0.06  # m by which a clearance is missed then: hopeless if another motion is known; chosen
+_FURTHER_OFF = 0.1  # m: the same if none is known; chosen
+_NEARLY = 0.02  # m that a curve may miss at the end of a descent, which is then continued
 _DEARER = 1.3  # times the best cost: hopeless then
 _TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
-_WAYS_FOR_ONE = 2  # of `Effort.ways_at_once`, for each of which one descent goes on until it ends; measured
-_WORTH_ROUNDS = 2.0  # times the least cost after some rounds, up to which more are made; chosen
-_SLOWER = 1.5  # times what a way takes, that a descent from it may take where none is allowed a time yet; chosen
-LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
+_WAYS_FOR_ONE = 2  # one descent runs to its end for so many of `Effort.ways_at_once`; measured
+_WORTH_ROUNDS = 2.0  # times the least cost after the first rounds, up to which a start gets all rounds; chosen
+_SLOWER = 1.5  # times the duration of a start, that a descent from it may take while no longest time is known; chosen
+LEAST_GAIN = 0.02  # part of the least time to a posture: a smaller gain is not worth a try
 
 
 class MotionDescents:
@@ -65,20 +65,21 @@ class MotionDescents:
 
     Parameters
     ----------
-    start: (n,) where the machine stands [rad or m].
+    start: (n,) where the machine is [rad or m].
     ends: the postures on the goals.
-    time: the obstacles stand where they are at this time [s].
-    before: those of an earlier search from the same start among the same obstacles, which go on here: what they have
-        found is known, and only what is better counts.
+    time: at which the positions of the obstacles are taken [s].
+    before: the descents of an earlier search from the same start among the same obstacles, which is continued here: its
+        results are known, and only better ones count.
 
     Attributes
     ----------
     best: the best motion so far.
-    ended: where descents ended, among them motions that are not proven.
-    longest: that a motion may take [s], where the time is not the cost; infinite as long as that is not known, and
-        may be set.
-    blocked, early: the cost after its first rounds of the cheapest start that stays in an obstacle, and of the
-        cheapest that does not; infinite where there is none.
+    ended: the motions at which descents ended, some of them not proven.
+    longest: the longest time that a motion may take [s], if the time is not the cost; infinite while it is not known;
+    may
+        be set.
+    blocked, early: the cost after the first rounds of the cheapest start that stays in an obstacle, and of the
+        cheapest one that gets clear; infinite if there is none.
     """
 
     def __init__(
@@ -95,17 +96,17 @@ class MotionDescents:
             world.problem.limits,
             lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
         )
-        self._tried = self._known.anew()  # from which descents began
+        self._tried = self._known.anew()  # routes from which descents began
         self._begun: list[JointCurve] = []
         objective = world.problem.objective
         self._more = _SOFTENED if objective.jumps else 1
         self._rounds_in_one = 1 if objective.is_time else _ROUNDS_IN_ONE * self._more
         self._bests = 0  # how many motions were the best so far
-        self._reserved = 0  # rounds that are kept for what comes later
+        self._reserved = 0  # rounds that are kept for later descents
         self.longest = longest
         self.blocked = self.early = np.inf
         self.best: FoundMotion | None = None
-        self._unrefined: FoundMotion | None = None  # the best before it was refined; None as long as it is not
+        self._unrefined: FoundMotion | None = None  # the best before it was refined; None until then
         self.ended: list[FoundMotion] = []
         if before is not None:
             self._known, self._begun, self.longest = before._known, list(before._begun), before.longest
@@ -115,12 +116,12 @@ class MotionDescents:
         self._later_looks = _LATER_LOOKS if before is None else (_SOON, *_LATER_LOOKS)
 
     def reserve(self, rounds: int) -> None:
-        """Keep so many rounds for what comes later."""
+        """Keep so many rounds for later descents."""
         self._reserved = rounds
 
     @property
     def rounds_left(self) -> int:
-        """How many rounds may be made now, but for those that are kept."""
+        """How many rounds may be made now, without the reserved ones."""
         return self._world.work.descent_rounds - self._reserved
 
     @property
@@ -130,32 +131,33 @@ class MotionDescents:
 
     @property
     def has_gained(self) -> bool:
-        """Whether the best is better than what was known before."""
+        """Whether the best is better than that of the earlier search."""
         return self.best is not self._known_best
 
     def prices(self, screen: ClearanceScreen) -> StartPrices:
-        """What starts cost among the obstacles of `screen`."""
+        """The prices of starts among the obstacles of `screen`."""
         return StartPrices(self._descent, screen, longest=self.longest)
 
     @property
     def begun(self) -> tuple[JointCurve, ...]:
-        """The curves from which descents began that had a few rounds at first."""
+        """The starting curves of the descents in `descend_cheapest`."""
         return tuple(self._begun)
 
     def goes_straight(self, found: FoundMotion) -> bool:
-        """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round.
+        """Whether this motion came from a straight line, if the cost is not the time: it goes around nothing.
 
-        False where one is blocked that is cheaper as early, or none got clear: a way round may be cheaper too.
+        False if a blocked start was cheaper after its first rounds, or none got clear: a route around may be cheaper
+        too.
         """
         return found.curve is not None and found.way == STRAIGHT and self.early <= self.blocked
 
     def fitted(self, found: FoundMotion) -> Start:
-        """The curve nearest to a motion."""
+        """The start whose curve is nearest to a motion."""
         curve = JointCurve.fitted(found.motion, self._world.work.effort.pieces, self._problem.limits)
         return Start(curve, found.motion.duration, found.goal, found.way)
 
     def descend_cheapest(self, chosen: Sequence[PricedStart]) -> None:
-        """A few rounds of descents from these starts, then all rounds of the best."""
+        """A few rounds of descents from these starts, then all rounds of the best of them."""
         work = self._world.work
         self._begun += [one.start.curve for one in chosen]
         if len(chosen) == 1:
@@ -180,7 +182,7 @@ class MotionDescents:
                 break
 
     def descend(self, start: Start) -> bool:
-        """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
+        """Run a descent from a start, and keep its motion if it is proven and better; whether it got clear."""
         curve, duration, goal = start.curve, start.duration, start.goal
         is_time = self._problem.objective.is_time
         rounds = _ROUNDS if is_time else _MORE_ROUNDS * self._more
@@ -210,7 +212,7 @@ class MotionDescents:
         return False
 
     def descend_if_new(self, way: FoundMotion) -> bool:
-        """As `descend` from a way, unless one began from another like it; whether it did not."""
+        """Run `descend` from a route, unless a descent has begun from a similar one; whether it was run."""
         start = self.fitted(way)
         if self._tried.least_alike(start.curve) < np.inf:
             return False
@@ -219,7 +221,7 @@ class MotionDescents:
         return True
 
     def refine(self) -> None:
-        """The best motion again on a curve of more pieces; for another cost on several in turn, if in no hurry."""
+        """Refine the best motion on a curve of more pieces; for another cost on several in turn, unless hurried."""
         self._reserved, self._unrefined = 0, self.best
         is_time, limits = self._problem.objective.is_time, self._problem.limits
         if not is_time and self._hurried:
@@ -246,7 +248,7 @@ class MotionDescents:
                 return
 
     def offer(self, found: FoundMotion) -> bool:
-        """Keep a motion where it is better than the best; whether it is proven clear, or too dear to be looked at."""
+        """Keep a motion if it is better than the best; whether it is proven clear, or too dear to be checked."""
         if not self._is_dear(found):
             if not (self._world.keeps(found.motion) and self._is_proven(found.motion)):
                 return False
@@ -266,7 +268,7 @@ class MotionDescents:
         )  # fmt: skip
 
     def _least_to(self, curve: JointCurve, goal: Goal) -> float:
-        """A duration [s] that is not worth a round to become less; 0 where the search goes on, or the end may move."""
+        """A duration [s] below which no round is worth it; 0 unless hurried, for the time, and with a fixed end."""
         if not self._hurried or not self._problem.objective.is_time or not holds_end(self._problem, goal):
             return 0.0
         return (1.0 + LEAST_GAIN) * self._ends.least_to(curve.control[-1])
@@ -305,12 +307,12 @@ class MotionDescents:
         return here.missed > _NEARLY or here.cost > _MUCH_DEARER * self.best.cost
 
     def _goes_where_another_ended(self, here: Timed, part: float = 1.0) -> bool:
-        """Whether another descent has ended at a curve like this one, and `part` of its cost is no more."""
+        """Whether another descent has ended at a similar curve, and `part` of its cost is not above this one's."""
         least = part * self._known.least_alike(here.curve) if here.missed <= _SPARE else np.inf
         return least <= _comparable(here)
 
     def _is_dear(self, found: FoundMotion) -> bool:
-        """Whether a motion is no better than the best; one that takes longer than it may is worse than any other."""
+        """Whether a motion is no better than the best; one beyond the longest time is worse than any within it."""
         one, best = ((each.motion.duration > self.longest, each.cost) for each in (found, self.best or found))
         return self.best is not None and one >= best
 
@@ -325,7 +327,7 @@ def _comparable(found: Timed) -> float:
 
 
 def holds_end(problem: Problem, goal: Goal) -> bool:
-    """Whether a goal leaves the machine no way to move on it."""
+    """Whether a goal leaves the end of a motion no freedom."""
     if goal.q is not None:
         return True
     pitch, turned = goal.target.pitch, goal.target.rotation is not None

@@ -1,7 +1,7 @@
-"""The search for the least-cost motion to a goal: many first ways, each brought down by a descent.
+"""The search for the least-cost motion to a goal: many starts, each optimised by a descent.
 
-First ways are straight lines of the joints to the nearest postures on a goal, clear or not, then a sampled way,
-then different ways through roadmaps, made of configurations through which a motion can be shorter than the best,
+The starts are straight lines in joint space to the nearest postures on a goal, clear or not, then a sampled route,
+then different routes through roadmaps, made of configurations through which a motion can be shorter than the best,
 or much shorter. Every motion that counts is proven clear.
 """
 
@@ -36,34 +36,34 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import least_duration
 from backhoe_planner.site import ClearanceScreen
 
-_PLACES = 25  # of a motion, by which it is looked at as a whole; chosen, about every 2 to 10 cm of the tip
-_WORTH = 1.4  # times the best cost, up to which a way is worth a descent; chosen
-_WORTH_MORE = 2.0  # times the part that the best is above the bound: the part that a way may then cost more; chosen
-_DEAREST = 1.6  # times the best cost: the price up to which there are ways through a roadmap; chosen
-# parts of what the logarithm of the best duration is above that of the bound, which a way's longest time is below
-# it, in turn; chosen
+_PLACES = 25  # of a known motion, given to a roadmap; chosen, about every 2 to 10 cm of the tip
+_WORTH = 1.4  # times the best cost, up to which a route is worth a descent; chosen
+_WORTH_MORE = 2.0  # times the relative excess of the best over the bound: by so much a route may cost more; chosen
+_DEAREST = 1.6  # times the best cost: the highest price of a route through a roadmap; chosen
+# a route's longest time is below the best duration by these parts of the distance to the bound (in logarithms), in
+# turn; chosen
 _SHORTER = (0.25, 0.5, 0.0, 0.5)
-_MANY_NODES = 3_600  # of a roadmap after one that gained nothing, at least; chosen
-_FEWEST_WAYS = 2  # that are sampled before none is found
-# times the bound, from which on there is more patience, and by which factor; chosen
+_MANY_NODES = 3_600  # at least so many in a roadmap after one that gained nothing; chosen
+_FEWEST_WAYS = 2  # tries to sample a first route before the search gives up
+# times the bound, from which there is more patience, and its factor; chosen
 _PATIENCE = ((2.0, 4), (1.4, 3), (1.1, 2))
-# the same for another cost than the time, in place of the bound with the cheapest start that stays in an obstacle
+# the same for another cost than the time, with the cheapest blocked start in place of the bound
 _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
-_NEAR = 1.1  # times the least time to any posture, up to which a motion is near the best there is; chosen
-_MORE_POSTURES = 4  # times the usual starting points, where more of them are looked for; chosen
-_MORE_FOR_COST = 12  # the same for another cost than the time, of which the end decides most; measured
-_VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
+_NEAR = 1.1  # times the least time to any posture, up to which a motion counts as near the best possible; chosen
+_MORE_POSTURES = 4  # times the usual starting points, if more postures are looked for; chosen
+_MORE_FOR_COST = 12  # the same for another cost than the time, which depends mostly on the end; measured
+_VAIN = 2  # a search that found no route at all counts as so many that gained nothing; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
-# the cheapest straight lines for each of `Effort.ways_at_once`, of which some joints are made early or late as well,
-# and how many of both have a few rounds, for another cost than the time; chosen
+# for another cost than the time and for each of `Effort.ways_at_once`: how many of the cheapest straight lines are
+# also tried with some joints early or late, and how many of all these get a few rounds; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _GAIN = 0.005  # part of the cost that counts as a gain
-# times the least time to any posture, from which on another search may find a much shorter motion; chosen: of random
-# sites of backhoe, Panda and telescope one in fifty takes longer
+# times the least time to any posture, from which another search may find a much shorter motion; chosen: on random
+# sites of backhoe, Panda and telescope one motion in fifty takes longer
 _MUCH_LONGER = 1.5
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
-_END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
-# for a motion whose time says how long one may take that costs little; where it finds none soon, a longer search does
+_END_GAIN = 0.15  # part of the least time to a posture that may be gained if the end can move on the goal; chosen
+# for a motion whose duration decides how long a cheap one may take; if it finds none soon, a longer search follows
 _FIRST_SEARCH = replace(EFFORTS["quick"], motions_per_search=1_000, motions=2_000)
 
 
@@ -72,13 +72,13 @@ class MotionSearch:
 
     Parameters
     ----------
-    start: (n,) where the machine stands [rad or m].
+    start: (n,) where the machine is [rad or m].
     found: postures on the goals.
-    time: the obstacles stand where they are at this time [s].
-    enough: a motion as fast as this ends the search, where the time is the cost [s].
-    longest: that a motion may take, where the time is not the cost [s]; found out where it is infinite.
-    before: an earlier search from the same start among the same obstacles, which has ended and goes on here with
-        other random choices, where the time is not the cost: a motion may take as long, and only better ones count.
+    time: at which the positions of the obstacles are taken [s].
+    enough: a motion as fast as this ends the search, if the time is the cost [s].
+    longest: the longest time that a motion may take, if the time is not the cost [s]; if infinite, the search finds it.
+    before: an earlier search from the same start among the same obstacles, which has ended and is continued here with
+        other random choices, if the time is not the cost: the same longest time holds, and only better motions count.
     """
 
     def __init__(
@@ -97,8 +97,8 @@ class MotionSearch:
         self._descents: MotionDescents = MotionDescents(
             world, start, self._ends, time=time, longest=longest, before=known
         )
-        self._bound = 0.0  # no motion is shorter [s]; worked out where the best is not near the least time
-        self._looked_within = np.inf  # s, in which further postures can be reached that were looked for last
+        self._bound = 0.0  # lower bound of the duration [s]; computed if the best is not near the least time
+        self._looked_within = np.inf  # s: the last search for further postures was for those within this time
 
     @property
     def best(self) -> FoundMotion | None:
@@ -107,20 +107,20 @@ class MotionSearch:
 
     @property
     def ended(self) -> list[FoundMotion]:
-        """Where descents ended, among them motions that are not proven."""
+        """The motions at which descents ended, some of them not proven."""
         return self._descents.ended
 
     @property
     def looked_at(self) -> int:
-        """How many motions sampling looked at in vain, of ways that were not found."""
+        """How many motions were checked in samplings that found no route."""
         return self._ways.looked_at
 
     def run(self) -> str:
-        """Search until the effort is used up or nothing is gained; `best` is then what was found.
+        """Search until the effort is used up or nothing is gained; the result is `best`.
 
         Returns
         -------
-        Empty; or that time ran out, in words.
+        Empty, or that time ran out, in words.
         """
         try:
             if not self._problem.objective.is_time:
@@ -139,17 +139,17 @@ class MotionSearch:
 
     @property
     def rounds(self) -> int:
-        """How many rounds its descents have made, but for those for a fast motion."""
+        """How many rounds its descents have made, without those for a fast motion."""
         return self._descents.rounds
 
     @property
     def allowed_time(self) -> float | None:
-        """How long a motion may take [s]; None where its time is the cost, or no motion is known."""
+        """How long a motion may take [s]; None if the time is the cost, or no motion is known."""
         return self._descents.longest if np.isfinite(self._descents.longest) else None
 
     @property
     def leads_round(self) -> bool:
-        """Whether the best leads round something, or may cost more than one that does; see `goes_straight`."""
+        """Whether the best motion goes around an obstacle, or may cost more than one that does; see `goes_straight`."""
         return self.best is not None and not self._costs_nothing and not self._descents.goes_straight(self.best)
 
     @property
@@ -159,7 +159,7 @@ class MotionSearch:
 
     @property
     def takes_long(self) -> bool:
-        """Whether the best takes much longer than the joints need to some posture, where the time is the cost."""
+        """Whether the best takes much longer than the joints need to some posture, if the time is the cost."""
         return (
             self.is_for_time and self.best is not None and self.best.motion.duration > _MUCH_LONGER * self._least_time()
         )
@@ -170,16 +170,16 @@ class MotionSearch:
         return self.best is not None and not self._problem.objective.is_time and self.best.cost <= NO_COST
 
     def _bound_above(self, known: Trajectory) -> float:
-        """What no motion is shorter than [s], from fewer boxes than the plan's bound; `known` is one."""
+        """A lower bound on the duration of any motion [s], from fewer boxes than the plan's; `known` is one motion."""
         boxes = self._world.work.effort.boxes // _FEWER_BOXES
         return least_duration(self._problem, self._start, known=known.duration, end=known.q[-1], boxes=boxes).duration
 
-    # --- first ways -------------------------------------------------------------------
+    # --- starts -----------------------------------------------------------------------
 
     def _go_fast(self) -> None:
-        """Where searches for a fast motion ended, and lines to many postures, brought down.
+        """Descents from the results of searches for a fast motion, and from lines to many postures.
 
-        Nothing of that where no motion is known that is proven.
+        None of these if no proven motion is known.
         """
         ended = [] if self._goes_on else self._find_fast()
         if self.allowed_time is None:
@@ -202,9 +202,9 @@ class MotionSearch:
         )
 
     def _find_fast(self) -> list[FoundMotion]:
-        """Where searches for a fast motion and their descents ended; and find out how long a motion may take.
+        """The results of searches for a fast motion and of their descents; sets how long a motion may take.
 
-        Where that is known, one short search is enough. It stays infinite where none has a motion that is proven.
+        If that is known already, one short search is enough. It stays infinite if no search finds a proven motion.
         """
         ended: list[FoundMotion] = []
         efforts: tuple[Effort, ...] = (self._world.work.effort,)
@@ -233,7 +233,7 @@ class MotionSearch:
         return ended
 
     def _search_fastest(self, effort: Effort, *, enough: float) -> MotionSearch | None:
-        """A search for a motion as fast as `enough` [s] that has ended; None where it has no posture on a goal."""
+        """A finished search for a motion as fast as `enough` [s]; None if it finds no posture on a goal."""
         world = self._world.for_time(effort)
         found = find_goal_postures(world, self._problem.goals, near=self._start, time=self._time)
         if isinstance(found, Outcome):
@@ -243,7 +243,7 @@ class MotionSearch:
         return search
 
     def _look_for_postures(self, within: float | None) -> list[int]:
-        """Look for more postures, in so much time [s] or anywhere; which they are, the soonest first."""
+        """Look for more postures, within a time [s] or anywhere; the indices of the new ones, the soonest first."""
         self._looked_within = np.inf if within is None else within
         more = _MORE_POSTURES if self._problem.objective.is_time else _MORE_FOR_COST
         found = find_goal_postures(
@@ -253,7 +253,7 @@ class MotionSearch:
         return [] if isinstance(found, Outcome) else self._ends.take(found.clear, found.goals)
 
     def _go_straight(self, order: Sequence[int]) -> None:
-        """Descents from straight lines to the first postures of `order`, until one of them does not get clear."""
+        """Descents from straight lines to the first postures of `order`, until one descent does not get clear."""
         work = self._world.work
         self._descents.reserve(work.descent_rounds // 2)
         for index in order[: work.effort.ways_at_once]:
@@ -265,13 +265,13 @@ class MotionSearch:
                 return
 
     def _go_round(self) -> None:
-        """Descents from a sampled way, then from ways through roadmaps, until several times nothing was gained.
+        """Descents from a sampled route, then from routes through roadmaps, until several in a row gain nothing.
 
-        For another cost than the time every other time sampled ways: what one costs says little of what a descent
-        makes of it, and they differ more from each other than the cheapest through roadmaps.
+        For another cost than the time, every other turn uses sampled routes: the cost of a route says little about the
+        result of a descent, and sampled routes differ more from each other than the cheapest through roadmaps.
         """
         work, is_time = self._world.work, self._problem.objective.is_time
-        turn, dull = (0 if is_time else 1), 0  # the search for the fastest had the first ways
+        turn, dull = (0 if is_time else 1), 0  # the search for the fastest had the first routes
         self._descents.reserve(FINE_ROUNDS if work.effort.descent_rounds > 2 * FINE_ROUNDS else 0)
         while self.best is None and self._ways.may_sample and turn < max(work.effort.ways_at_once, _FEWEST_WAYS):
             self._follow(self._sampled(turn))
@@ -290,7 +290,7 @@ class MotionSearch:
             dull = 0 if gained else dull + (1 if found or mapped else _VAIN)
 
     def _follow(self, ways: Iterable[FoundMotion]) -> bool:
-        """Descents from ways that are worth one; whether there are any."""
+        """Descents from the routes that are worth one; whether there are any routes."""
         if self.allowed_time is not None:
             ways = list(ways)
             for way in ways:
@@ -308,12 +308,12 @@ class MotionSearch:
                 self._descents.offer(way)
             if not self._descents.descend_if_new(way):
                 continue
-            if self._hurried:  # where the descent got clear, the way itself need not be proven
+            if self._hurried:  # if the descent got clear, the route itself need not be proven
                 self._descents.offer(way)
         return found
 
     def _patience(self) -> int:
-        """How often in a row a search may gain nothing."""
+        """How many times in a row the search may gain nothing."""
         usual = self._world.work.effort.dull_searches
         if self._hurried:
             return 0
@@ -328,7 +328,7 @@ class MotionSearch:
         return usual * next((factor for part, factor in _PATIENCE if self.best.cost > part * self._bound), 1)
 
     def _is_near(self) -> bool:
-        """Whether the best is near what no motion to any known posture is shorter than."""
+        """Whether the best is near the lower bound for motions to any known posture."""
         assert self.best is not None
         if self.best.motion.duration < _NEAR * self._least_time():
             return True
@@ -337,19 +337,19 @@ class MotionSearch:
         return False
 
     def _least_time(self) -> float:
-        """What no motion to any of the postures that are known is shorter than [s]."""
+        """A lower bound on the duration of any motion to a known posture [s]."""
         own = np.inf if self.best is None else self._ends.least_to(self.best.motion.q[-1])
         return min(own, *self._ends.least)
 
     def _dearest_worth(self) -> float:
-        """What a way costs at most from which a descent is worth its time: little more where little can be gained."""
+        """The highest cost of a route that is worth a descent: little above the best if little can be gained."""
         assert self.best is not None
         least = self._bound or self._least_time()
         above = self.best.cost / least - 1.0 if least else np.inf
         return self.best.cost * min(_WORTH, 1.0 + _WORTH_MORE * above)
 
     def _sampled(self, turn: int) -> Iterator[FoundMotion]:
-        """Motions along sampled ways to postures that can still be better."""
+        """Motions along sampled routes to postures that can still give a better motion."""
         ways = self._world.work.effort.ways_at_once
         for number in (turn,) if self.best is None else range(ways * turn, ways * (turn + 1)):
             which = [index for index in self._ends.order if self._is_open(index)]
@@ -360,7 +360,7 @@ class MotionSearch:
                 yield way
 
     def _mapped(self, turn: int, dull: int) -> Iterator[FoundMotion]:
-        """Motions along different ways through a roadmap, which pass elsewhere than those that are known."""
+        """Motions along different routes through a roadmap, away from the known motions."""
         assert self.best is not None
         longest, best, nodes = self._descents.longest, self.best, self._world.work.effort.nodes
         if not np.isfinite(longest):
@@ -372,7 +372,7 @@ class MotionSearch:
             return
         known = [one.motion.at(np.linspace(0.0, one.motion.duration, _PLACES)) for one in (*self.ended, best)]
         price, own = price_of(self._problem, best.motion, longest), best.cost
-        if self.allowed_time is not None:  # prices are compared with prices: a descent makes several times less of one
+        if self.allowed_time is not None:  # compare prices with prices: a descent makes a route several times cheaper
             own = max(own, float(np.sum(price(known[-1][:-1], known[-1][1:]))))
         found = self._ways.through_roadmap(
             which, turn, nodes=nodes, longest=longest, price=price, known=known, dearest=_DEAREST * own
@@ -380,7 +380,7 @@ class MotionSearch:
         yield from itertools.islice(found, 2 * self._world.work.effort.ways_at_once)
 
     def _longest_worth(self, dull: int) -> float:
-        """How long a way may at most seem to take [s], after some turns in vain: mostly much less than the best."""
+        """The longest estimated time of a route [s], after some vain turns: mostly much less than the best duration."""
         assert self.best is not None
         best = self.best.motion.duration
         if self._is_near() or not self._bound:
@@ -388,7 +388,7 @@ class MotionSearch:
         return float(best * (self._bound / best) ** _SHORTER[dull % len(_SHORTER)])
 
     def _elsewhere(self, ends: Sequence[int]) -> list[int]:
-        """Those of the postures `ends` that are far from where sampled ways and descents have ended."""
+        """Those of the postures `ends` that are far from the ends of sampled routes and descents."""
         ended = np.array([*self._ways.reached, *(one.motion.q[-1] for one in self.ended)])
         rate = self._problem.limits.velocity
         return [
@@ -398,11 +398,11 @@ class MotionSearch:
         ]
 
     def _is_enough(self) -> bool:
-        """Whether a motion is known that is as fast as is asked for."""
+        """Whether a motion as fast as `enough` is known."""
         return self.best is not None and self.best.motion.duration <= self._enough
 
     def _is_optimal(self) -> bool:
-        """Whether no motion can be better by more than `LEAST_GAIN`, or one is as fast as is asked for."""
+        """Whether no motion can be better by more than `LEAST_GAIN`, or one is as fast as `enough`."""
         if self._is_enough() or self._costs_nothing:
             return True
         if self.best is None or not self._problem.objective.is_time or self._hurried:

@@ -1,7 +1,7 @@
-"""A search for a motion to a goal, and further ones where another is likely to find a better motion.
+"""A search for a motion to a goal, and further searches if these are likely to find a better motion.
 
-What a search comes upon depends on the postures and ways that it draws: of two motions round different sides of an
-obstacle it may know the longer one alone.
+The result of a search depends on the postures and routes that it draws: of two motions around different sides of an
+obstacle it may find only the longer one.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 
-# rounds of the descents of a search for another cost than the time, above which another may find a much cheaper motion;
-# chosen: two sites in five have more, and a plan takes no longer in the median
+# rounds of the descents of a search for another cost than the time, above which another search may find a much cheaper
+# motion; chosen: two sites in five have more, and the median planning time is the same
 _HARD = 50
-_FEWER = 3  # times fewer further searches for a cost that jumps, each of which takes several times as long; chosen
-# parts of the cost: above what is lifted, within which another search is not worth its time, and within which two
-# searches have found as much; chosen
+_FEWER = 3  # times fewer further searches for a cost that jumps, as each takes several times as long; chosen
+# parts of the cost: the excess over what is lifted, below which another search is not worth its time, and the
+# difference below which the results of two searches count as equal; chosen
 _LIFTED, _ALIKE = 0.05, 0.03
 
 
@@ -35,10 +35,10 @@ class Searched:
 
     Attributes
     ----------
-    best: the best motion; None where none was found.
+    best: the best motion; None if none was found.
     allowed_time: how long a motion may take [s], see `MotionSearch.allowed_time`.
-    looked_at: how many motions sampling looked at in vain, of ways that were not found by the first.
-    ended: that time ran out, in words; else empty.
+    looked_at: how many motions the first search checked in samplings that found no route.
+    ended: that time ran out, in words; otherwise empty.
     """
 
     best: FoundMotion | None
@@ -48,13 +48,13 @@ class Searched:
 
 
 def search_motion(world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float) -> Searched:
-    """The best motion of all searches of the effort, and of those of the effort that it begins with.
+    """The best motion of all searches of the effort, and of those of the effort in `begins_with`.
 
     Parameters
     ----------
-    start: (n,) where the machine stands [rad or m].
+    start: (n,) where the machine is [rad or m].
     found: postures on the `goals`; further searches find others.
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     """
     begins_with = world.work.effort.begins_with
     usual = _begin(world.anew(0, EFFORTS[begins_with]), start, goals, time=time) if begins_with else None
@@ -69,7 +69,7 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
 
 
 def _begin(world: World, start: Vector, goals: Sequence[Goal], *, time: float) -> Searched | None:
-    """What the searches find of which no postures are known yet; None where there is none."""
+    """The result of searches that first look for postures themselves; None if there is no posture."""
     found = find_goal_postures(world, goals, near=start, time=time)
     return None if isinstance(found, Outcome) else _search(world, start, found, goals, time=time)
 
@@ -81,7 +81,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     best, allowed, looked_at = search.best, search.allowed_time, search.looked_at
     longest = math.inf if allowed is None else allowed
     searches = () if ended or best is None else _further(search, world)
-    # of the first search with those that go on after it, and of each that was begun anew
+    # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
@@ -104,11 +104,11 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
 
 
 def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
-    """The further searches after one that has found a motion: whether each goes on, or is begun anew."""
+    """The further searches after one that has found a motion: true for one that continues it, false for a new one."""
     effort = world.work.effort
     if first.is_for_time:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
-    # what is found soon is mostly found again
+    # a result that was found quickly is mostly found again
     anew = effort.restarts if not effort.alike or first.rounds > _HARD else 0
     goes_on = effort.restarts_round if first.leads_round else 0
     if world.problem.objective.jumps:
@@ -117,10 +117,11 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
 
 
 def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: GoalPostures) -> bool:
-    """Whether another search that is begun anew may come upon a motion that costs clearly less.
+    """Whether another search that is begun anew may find a motion that costs clearly less.
 
-    Not where one costs little more than is lifted to the lowest posture, or several of the `costs` of searches from
-    the same start come near the least: within a few per cent, or within what is worth another search.
+    It is unlikely if one costs little more than the lift to the lowest posture, or if several of the `costs` of
+    searches
+    from the same start are near the least: within a few per cent, or within what is worth another search.
     """
     alike, least = world.work.effort.alike, min(costs)
     if not alike:

@@ -1,4 +1,4 @@
-"""Straight lines of the joints to the postures on a goal: what is tried first."""
+"""Straight lines in joint space to the postures on a goal, which are tried first."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from backhoe_planner.planning.search.goal_ends import GoalEnds
 from backhoe_planner.site import ClearanceScreen
 
 STRAIGHT = "straight for the joints"
-_PLACES = 25  # of a line, by which it is looked at as a whole; chosen, about every 2 to 10 cm of the tip
-_SOONEST = 4  # postures of which one is then chosen
-_MOST_BLOCKED = 0.3  # part of the line that may then not be clear; chosen
-_APART = 0.03  # part of the longest time: joint time between two postures to which lines are drawn at all; chosen
+_PLACES = 25  # of a line, that are checked; chosen, about every 2 to 10 cm of the tip
+_SOONEST = 4  # postures, of which the one with the clearest line is chosen
+_MOST_BLOCKED = 0.3  # part of that line that may be blocked; chosen
+_APART = 0.03  # part of the longest time: least joint time between two postures that both get a line; chosen
 
 
 class StraightLines:
@@ -22,8 +22,8 @@ class StraightLines:
 
     Parameters
     ----------
-    start: (n,) where the machine stands [rad or m].
-    ends: the postures; what is found later counts too.
+    start: (n,) where the machine is [rad or m].
+    ends: the postures; those found later count too.
     screen: of the obstacles.
     pieces: of each curve.
     """
@@ -32,17 +32,17 @@ class StraightLines:
         self._start, self._ends, self._screen, self._pieces = start, ends, screen, pieces
 
     def to(self, index: int) -> Start:
-        """The line to one of the postures, in the least time to it."""
+        """The line to one of the postures, over the least time to it."""
         ends = self._ends
         line = JointCurve.straight(self._start, ends.postures[index], self._pieces)
         return Start(line, ends.least[index], ends.goals[index], STRAIGHT)
 
     def within(self, longest: float) -> list[Start]:
-        """Lines to postures that can be reached in `longest` [s], the soonest of those near each other."""
+        """Lines to postures that can be reached in `longest` [s]; of postures near each other only the soonest."""
         return [self.to(index) for index in self._ends.within(longest, _APART * longest)]
 
     def least_blocked(self) -> list[int]:
-        """The one of the soonest postures to which the line is most nearly clear, if that is enough."""
+        """Of the soonest postures the one with the least blocked line, if that line is clear enough; otherwise none."""
         part = np.linspace(0.0, 1.0, _PLACES)[:, None]
         blocked: list[float] = []
         for index in self._ends.order[:_SOONEST]:

@@ -1,7 +1,7 @@
-"""Corners of a bucket path: rounded within its tolerance where that is clear, else stopped at.
+"""Corners of a tip path: rounded within its tolerance where that is clear; otherwise the tip stops there.
 
-The tip cuts a corner along a parabola that begins and ends the same way off it, and is
-nowhere further from the corner than a part of the tolerance.
+The tip cuts a corner along a parabola that begins and ends at the same distance from it along
+the path, and is off the path by no more than a part of the tolerance.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
 SHARP = np.radians(5.0)  # chosen: at a sharper corner the joints' velocities would jump noticeably
-_SHARPEST = np.radians(120.0)  # chosen: a sharper corner is nearly a way back, and stopped at
-_PART = 0.4  # of the tolerance that a rounded corner may be off the path; chosen: the rest is for chords and curve
-_CHORD = 0.3  # of the tolerance that the joints' chords may be off the path; chosen: some stays for the smooth curve
-_DENSEST = 0.05  # of the usual period between samples; chosen: chords are then 400 times nearer
-_REFINED = 8  # times that samples may be put between two; chosen: 256 of them
-_FINEST = 1e-4  # m between samples that get none between; chosen
-_INTERVALS = 1000  # of a stretch, at whose ends limits are looked at; chosen: more make a motion hardly faster
+_SHARPEST = np.radians(120.0)  # chosen: a sharper corner nearly reverses the direction, and the tip stops at it
+_PART = 0.4  # part of the tolerance for a rounded corner; chosen: the rest is for chords and curve
+_CHORD = 0.3  # part of the tolerance for the joints' chords; chosen: some is left for the smooth curve
+_DENSEST = 0.05  # part of the usual period between samples, at least; chosen: chords are then 400 times nearer
+_REFINED = 8  # times that samples may be inserted between two; chosen: this makes 256 intervals
+_FINEST = 1e-4  # m: no sample is inserted between samples nearer than this; chosen
+_INTERVALS = 1000  # of a stretch, at whose ends limits are checked; chosen: more hardly make a motion faster
 _FEWEST_INTERVALS = 40  # of one motion between two stops; chosen: with fewer it is noticeably slower
 _LEAST_LENGTH = 1e-6  # m of a step between samples
-_STILL = 1e-12  # rad or m: joints that move less stand
-_ON_PATH = 1e-6  # m: nearer to the path a sample is on it, not on a rounded corner
-_LEG = 0.45  # of a leg that a corner may take: two corners share a leg, and some of it stays
+_STILL = 1e-12  # rad or m: joints that move less count as at rest
+_ON_PATH = 1e-6  # m: a sample nearer to the path than this is on it, not on a rounded corner
+_LEG = 0.45  # part of a leg that a corner may use: two corners share a leg, and some of it is left
 _SPACING = 0.01  # m between the samples of a rounded corner at most: as on the path itself
 _FEWEST = 9  # samples of a rounded corner; chosen: four to each side of its middle
-_PARTS = np.arange(1, 8) / 8  # of a straight way, at which it is looked how far it is off a corner's legs; chosen
-_NEAR = 0.1  # rad or m: chosen, joints further from those on the path are another posture
+_PARTS = np.arange(1, 8) / 8  # of a straight segment, at which its distance from a corner's legs is measured; chosen
+_NEAR = 0.1  # rad or m; chosen: joints further from those on the path are another posture
 
 
 def round_corners(
@@ -53,7 +53,7 @@ def round_corners(
 
     Parameters
     ----------
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     """
     stations, q = stretch.stations, stretch.q
     task = problem.scene.task.path
@@ -88,13 +88,13 @@ def time_stretch(
 ) -> list[Trajectory]:
     """The motions, each from rest to rest, that follow a stretch of the scene's path at its speed or less.
 
-    All of them share one number of intervals on which limits are looked at, by their lengths.
+    They share a fixed number of intervals for checking limits, in proportion to their lengths.
 
     Parameters
     ----------
-    period: between the samples of the motions [s]; less where the tolerance of the path asks for it.
+    period: between the samples of the motions [s]; less where the tolerance of the path requires it.
     stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
-    brake: where no time is left, what follows is timed on the fewest intervals; by default none.
+    brake: once no time is left, the rest is timed on the fewest intervals; by default none.
     """
     brake = brake or Brake()
     task, drive, stations, q = problem.scene.task.path, drive_of(problem), stretch.stations, stretch.q
@@ -121,10 +121,10 @@ def time_stretch(
 
         motion, denser = timed(period), 1.0
         off = _off_chords(kinematics, motion.q)
-        if off > _CHORD * task.tolerance:  # how far chords are off falls by the square of the period
+        if off > _CHORD * task.tolerance:  # the deviation of chords is proportional to the square of the period
             denser = max(float(np.sqrt(0.8 * _CHORD * task.tolerance / off)), _DENSEST)
             motion = timed(denser * period)
-        # samples further apart than a round corner is long cut it once more
+        # samples further apart than the length of a rounded corner would cut it once more
         while denser > _DENSEST and _off_corners(kinematics, path, own, motion.q) > (_PART + _CHORD) * task.tolerance:
             denser = max(0.5 * denser, _DENSEST)
             motion = timed(denser * period)
@@ -133,7 +133,7 @@ def time_stretch(
 
 
 def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, allowed: float) -> Stretch:
-    """A stretch with more samples where a smooth curve through them is off the path by more than `allowed` [m]."""
+    """A stretch with more samples wherever a smooth curve through them is off the path by more than `allowed` [m]."""
     from scipy.interpolate import CubicSpline
 
     stations, q = stretch.stations, stretch.q
@@ -144,7 +144,7 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
         curve = np.asarray(CubicSpline(along, q, axis=0)(0.5 * (along[1:] + along[:-1])))
         tips, ends = kinematics.at(curve).tip_position, kinematics.at(q).tip_position
         on = _on_path(ends, path, stations)
-        chords = np.diff(ends, axis=0)  # on one leg between two samples on the path
+        chords = np.diff(ends, axis=0)  # between two samples on the path the chord is on one leg
         squares = np.maximum(np.sum(chords * chords, axis=1), 1e-18)
         part = np.sum((tips - ends[:-1]) * chords, axis=1) / squares
         off = np.linalg.norm(tips - ends[:-1] - part[:, None] * chords, axis=1)
@@ -156,7 +156,7 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
 
 
 def with_halfways(problem: Problem, path: TipPath, stretch: Stretch) -> Stretch:
-    """A stretch with a sample more between each two that are on the path, where the joints move between them."""
+    """A stretch with one more sample between any two on the path between which the joints move."""
     kinematics, stations, q = BatchKinematics(problem.robot), stretch.stations, stretch.q
     on = _on_path(kinematics.at(q).tip_position, path, stations)
     moving = np.max(np.abs(np.diff(q, axis=0)), axis=1, initial=0.0) > _STILL
@@ -168,7 +168,7 @@ def with_halfways(problem: Problem, path: TipPath, stretch: Stretch) -> Stretch:
 
 
 def _on_path(tips: Matrix, path: TipPath, stations: Vector) -> Flags:
-    """(T,) whether each of the tip's positions (T, 3) is on the path, at its station (T,) [m]."""
+    """(T,) whether each of the tip's positions (T, 3) is on the path at its station (T,) [m]."""
     return np.asarray(np.linalg.norm(tips - targets_along(path, stations).position, axis=1) < _ON_PATH)
 
 
@@ -178,7 +178,7 @@ def _with_samples(
 ) -> tuple[Vector, Matrix]:  # fmt: skip
     """Stations (T,) [m] and joints (T, n) with one more sample on the path halfway after each of `rows` (K,).
 
-    Where none is found within `near` [rad or m] of its guess (K, n), there is none more.
+    If no solution is found within `near` [rad or m] of the guess (K, n), no sample is added there.
     """
     halfway = 0.5 * (stations[rows] + stations[rows + 1])
     between, reached = solve_batch(kinematics, targets_along(path, halfway), guesses, iterations=12)
@@ -199,7 +199,7 @@ def _off_chords(kinematics: BatchKinematics, q: Matrix) -> float:
 
 
 def _off_corners(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, q: Matrix) -> float:
-    """How far straight ways from tip to tip at q (T, n) are off both legs of a corner that they pass [m]."""
+    """How far straight segments between tip positions at q (T, n) are off both legs of a corner that they pass [m]."""
     within = (path.stations[1:-1] > stretch.stations[0]) & (path.stations[1:-1] < stretch.stations[-1])
     rows = 1 + np.flatnonzero(within)
     if not len(rows) or len(q) < 2:
@@ -217,18 +217,18 @@ def _off_corners(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, q
 
 
 def _off_leg(points: Matrix, begin: Vector, end: Vector) -> Vector:
-    """(K,) distances of points (K, 3) from the straight way from `begin` to `end` (3,) [m]."""
+    """(K,) distances of points (K, 3) from the straight segment from `begin` to `end` (3,) [m]."""
     leg = end - begin
     part = np.clip((points - begin) @ leg / max(float(leg @ leg), 1e-18), 0.0, 1.0)
     return np.asarray(np.linalg.norm(points - begin - part[:, None] * leg, axis=1))
 
 
 def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:
-    """How far before and after a corner it is cut [m]; None where it is too sharp, or the tip stands and turns.
+    """How far before and after a corner to cut [m]; None if the corner is too sharp, or the tip turns on the spot.
 
     Parameters
     ----------
-    off: distance from the path that is allowed [m].
+    off: allowed distance from the path [m].
     low, high: arc lengths between which the path is followed [m].
     """
     index = int(np.argmin(np.abs(path.stations - corner)))
@@ -238,18 +238,18 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
         return None
     turns = bool(np.any(path.turning[index - 1 : index + 1]))
     bend = float(np.arccos(np.clip(legs[0] @ legs[1] / (sizes[0] * sizes[1]), -1.0, 1.0)))
-    if bend > _SHARPEST or (turns and bend < SHARP):  # no parabola rounds what turns
+    if bend > _SHARPEST or (turns and bend < SHARP):  # no parabola rounds a turn of the tip
         return None
     # the parabola's middle is half of cut * sin(bend / 2) off the corner
     longest = min(_LEG * float(np.min(sizes)), 0.9 * (corner - low), 0.9 * (high - corner))
-    # beside legs that are shorter than what a corner is told by, one may not bend at all
+    # next to very short legs, which do not define a direction well, a corner may not bend at all
     return longest if longest * np.sin(0.5 * bend) <= 2.0 * off else 2.0 * off / float(np.sin(0.5 * bend))
 
 
 def _round(
     kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
 ) -> Matrix | None:
-    """(M, n) joints with the tip on the parabola; None where none lie near those on the path."""
+    """(M, n) joints with the tip on the parabola; None if none are near those on the path."""
     begin, middle, end = path(corner - cut), path(corner), path(corner + cut)
     part = (at - at[0])[:, None] / (at[-1] - at[0])
     positions = (1.0 - part) ** 2 * begin + 2.0 * part * (1.0 - part) * middle + part**2 * end

@@ -1,15 +1,15 @@
-"""Resolved stretches made cheaper: the redundancy searched ever more finely around a route.
+"""Makes resolved stretches cheaper by searching the redundancy ever more finely around a route.
 
 The route through the layered graph is the optimum of a coarse grid. Here every knot k of
 a stretch gets a few neighbours in its null space, q_k + i delta d_k with i = -3 ... 3,
-and the cheapest way through these layers is found by Bellman's recursion; then again
-around what was found, with a smaller delta. This is iterative dynamic programming
+and Bellman's recursion finds the cheapest route through these layers; this is repeated
+around the result with a smaller delta. The method is iterative dynamic programming
 (R. Luus, Optimal control by dynamic programming using systematic reduction in grid
 size, Int. J. Control 51, 1990). It needs no gradients, which an objective like the
 integral of max(tau v, 0) does not have where it matters: at the kinks, where a joint rests.
 
-Between knots the joints follow a smooth curve that is put on the path sample by sample.
-Only a stretch that is cheaper over all samples, clear, and within the limits is taken.
+Between knots the joints follow a smooth curve that is projected onto the path sample by sample.
+A new stretch is accepted only if it is cheaper over all samples, clear, and within the limits.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ Mask = NDArray[np.bool_]
 
 _WIDTH = 3  # neighbours on either side of a knot; chosen: with turns the work grows by its cube
 # levels, one after the other: rad or m between neighbours, and m of path between knots; chosen, each about
-# half of the one before. First for the curve through the knots, then for a curve that is added to the way
+# half of the one before. First for the curve through the knots, then for a curve that is added to the stretch
 _LEVELS = (
     ((0.12, 0.2), (0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (1.6e-3, 0.025)),
     ((0.03, 0.2), (0.012, 0.1), (5e-3, 0.05), (2e-3, 0.025), (6e-4, 0.025)),
 )
-_KNOT_TURN = 3.0  # rad or m of a joint that count as 1 m of path between knots; chosen
-_ROUNDS = 15  # at one distance of the neighbours; chosen: the end of what does not converge
-_TRIES = 3  # to find a clear way in one sweep; chosen
-_STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for; chosen: further off is another posture
-_ROUNDING = 1e-9  # m; far above that of the sums of two ways to the same bound
-_AHEAD = 0.2  # m beyond the floor up to which distances are measured; chosen: lower bounds hold for several sweeps
+_KNOT_TURN = 3.0  # rad or m of a joint that count like 1 m of path between knots; chosen
+_ROUNDS = 15  # at one distance of the neighbours; chosen: ends iterations that do not converge
+_TRIES = 3  # to find a clear stretch in one sweep; chosen
+_STRAY = 0.3  # rad or m between a neighbour and its guess, at most; chosen: further off is another posture
+_ROUNDING = 1e-9  # m; far above the rounding of two sums for the same bound
+_AHEAD = 0.2  # m beyond the floor up to which distances are measured; chosen: bounds then hold for several sweeps
 
 
 def cheapen_stretch(
@@ -64,9 +64,9 @@ def cheapen_stretch(
     ----------
     stretch: a clear stretch of `path`.
     cost: of motions along the path.
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     free_start, free_end: whether the joints may change at the first and at the last sample too.
-    work: from which every sweep over the knots is taken; without any left, or without time,
+    work: every sweep over the knots is subtracted from it; if no sweep or no time is left,
         the best so far is kept.
     """
     work = work or Work()
@@ -91,7 +91,7 @@ def cheapen_stretch(
 
 
 class _Descent:
-    """One stretch, and the best that it was made into.
+    """One stretch, and its best version so far.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class _Descent:
 
         Parameters
         ----------
-        added: whether the curve through the knots is added to the way; see `_LEVELS`.
+        added: whether the curve through the knots is added to the stretch; see `_LEVELS`.
         """
         self._added = added
         self._knots = _knots(self._stations, self.q, self._corners, spacing)
@@ -144,12 +144,12 @@ class _Descent:
         self._tip = self._cost.tip_velocities(self.q[self._knots])
 
     def directions(self) -> list[Vector | None]:
-        """Directions in joint space, (n,) each, to search one by one; [None] where the null space is a line."""
+        """Directions in joint space, (n,) each, to search one by one; [None] if the null space is one-dimensional."""
         free = null_bases(self._kinematics, self._strict, self.q[self._knots]).shape[2]
         return [] if free == 0 else [None] if free == 1 else list(np.eye(self.q.shape[1]))
 
     def step(self, delta: float, direction: Vector | None) -> float:
-        """Search once among neighbours of the knots, `delta` [rad or m] apart; how much the cost fell [rad]."""
+        """Search once among neighbours of the knots, `delta` [rad or m] apart; returns how much the cost fell [rad]."""
         here = self.q[self._knots]
         neighbours, usable = self._neighbours(here, delta, direction)
         nodes = self._nodes(neighbours)
@@ -159,7 +159,7 @@ class _Descent:
         if self._cost.counts_rate_changes and len(here) > 2:
             rates = self._cost.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
             turns = self._cost.rate_changes(rates[:, :-1, :, :, None], rates[:, 1:, None])
-            for end in (0, -1):  # from rest, and to rest
+            for end in (0, -1):  # the motion begins and ends at rest
                 steps[end] += self._cost.rate_changes(np.zeros_like(rates[:, end]), rates[:, end])
         for _ in range(_TRIES):
             chosen = _cheapest(steps, usable) if turns is None else _cheapest_with_turns(steps, turns, usable)
@@ -183,7 +183,7 @@ class _Descent:
     # --- neighbours -----------------------------------------------------------------
 
     def _neighbours(self, here: Matrix, delta: float, direction: Vector | None) -> tuple[NDArray[np.float64], Mask]:
-        """(M, C, n) neighbours of each knot in its null space, itself in the middle; (M, C) which are usable."""
+        """(M, C, n) neighbours of each knot in its null space, the knot in the middle; (M, C) which are usable."""
         N = null_bases(self._kinematics, self._strict, here)
         if direction is None:
             d = N[:, :, 0]
@@ -207,10 +207,10 @@ class _Descent:
         return found, usable
 
     def _keep_clear(self, here: Matrix, found: NDArray[np.float64], usable: Mask) -> None:
-        """Take out the neighbours that are too near to something."""
+        """Remove the neighbours that are too near to something."""
         asked = self._proximity.clearance + self._floor[self._knots][:, None]
         moved, lower, travel = np.abs(found - here[:, None, :]), self._lower[self._knots], self._proximity.travel.T
-        # knots at which some neighbour may be too near: no joint goes further than the furthest of them has it go
+        # knots at which a neighbour may be too near, by the largest move of each joint among all neighbours
         near = np.flatnonzero((lower - moved.max(axis=1) @ travel < asked + _ROUNDING).any(axis=1))
         unsure = np.zeros_like(usable)
         unsure[near] = (lower[near][:, None, :] - moved[near] @ travel < asked[near][:, None, :]).any(axis=2)
@@ -227,7 +227,7 @@ class _Descent:
     # --- samples --------------------------------------------------------------------
 
     def _between_knots(self, at_knots: Matrix) -> Matrix | None:
-        """(K, n) samples of a smooth curve through the knots, put on the path; None where that fails."""
+        """(K, n) samples of a smooth curve through the knots, projected onto the path; None if that fails."""
         at = self._measure[self._knots]
         through = at_knots - self.q[self._knots] if self._added else at_knots
         guess = monotone_curve(at, through, self._measure, legs=self._legs)
@@ -240,7 +240,7 @@ class _Descent:
         return moved
 
     def _bad_knots(self, moved: Matrix) -> tuple[Mask, Matrix]:
-        """(M,) the knots beside which a way is not clear; (K, P) lower bounds of the distances along `moved`."""
+        """(M,) the knots next to samples that are not clear; (K, P) lower bounds of the distances along `moved`."""
         bad = np.zeros(len(self._knots), dtype=bool)
         clearance, travel = self._proximity.clearance, self._proximity.travel
         asked = clearance + self._floor[:, None]
@@ -255,20 +255,20 @@ class _Descent:
                 tight[k] = True
         tight |= self._bounds.broken(moved)
         after = np.searchsorted(self._knots, np.flatnonzero(tight))
-        for shift in (-2, -1, 0, 1):  # the curve between two knots hangs on four
+        for shift in (-2, -1, 0, 1):  # the curve between two knots depends on four
             bad[np.clip(after + shift, 0, len(bad) - 1)] = True
         return bad, lower
 
     def _distances(self, q: Vector, floor: Vector) -> Vector:
-        """(P,) lower bounds of the distances at q (n,), exact where they are below `floor` (P,) [m]."""
+        """(P,) lower bounds of the distances at q (n,), exact if they are below `floor` (P,) [m]."""
         lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
         return lower if self._there is None else np.where(self._there, lower, np.inf)
 
 
 def _knots(stations: Vector, q: Matrix, corners: Mask, spacing: float) -> NDArray[np.intp]:
-    """(M,) rows that are knots: both ends, every corner, and between as many as are needed."""
+    """(M,) rows that are knots: both ends, every corner, and as many as needed between them."""
     found = [0]
-    at, sharp, joints = stations.tolist(), corners.tolist(), q.tolist()  # of a few joints, lists are the quicker
+    at, sharp, joints = stations.tolist(), corners.tolist(), q.tolist()  # for a few joints, lists are quicker
     for row in range(1, len(at) - 1):
         last = found[-1]
         if not sharp[row] and at[row] - at[last] <= spacing - 1e-9:
@@ -295,13 +295,13 @@ def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
 
 
 def _cheapest_with_turns(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
-    """As `_cheapest`, with costs `turns` (M - 2, C, C, C) of three knots in a row: Bellman's recursion over pairs."""
+    """Like `_cheapest`, with costs `turns` (M - 2, C, C, C) of three knots in a row: Bellman's recursion over pairs."""
     closed = np.where(usable, 0.0, np.inf)
     value = closed[0][:, None] + steps[0] + closed[1][None, :]
     sources = []
     for row, turn in enumerate(turns):
         total = value[:, :, None] + turn
-        source = total.argmin(axis=0)  # a method of an array costs a fifth of numpy's function
+        source = total.argmin(axis=0)  # the array's method takes a fifth of the time of numpy's function
         value = total.min(axis=0) + steps[row + 1] + closed[row + 2]
         sources.append(source)
     a, b = np.unravel_index(int(np.argmin(value)), value.shape)

@@ -1,4 +1,4 @@
-"""Where on a path the layers of the graph stand."""
+"""The arc lengths of a path at which the layers of the graph are."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import TURN_LEVER, TipPath
 from backhoe_planner.planning.paths.corners import SHARP
 
-_MANY_LAYERS = 160  # chosen to bound the work: a path that needs more has them further apart,
-_WIDEST_LAYER = 0.25  # m, up to this: five times the usual
-_SAME = 1e-9  # m of path: nearer layers are at one place
+_MANY_LAYERS = 160  # chosen to bound the work: on a path that needs more they are further apart,
+_WIDEST_LAYER = 0.25  # m, but at most this: five times the usual
+_SAME = 1e-9  # m of path: layers nearer than this are at one place
 
 
 def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
-    """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
+    """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither moves nor turns far between them."""
     fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
     turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
     measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + TURN_LEVER * np.array(turns))))
@@ -24,7 +24,7 @@ def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
     found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
     found[0], found[-1] = since, path.length
-    # a layer of its own, instead of one near it
+    # a sharp turn gets a layer of its own, in place of one near it
     marks = _sharp_turns(path)
     marks = marks[(marks > since) & (marks < path.length)]
     if len(marks):
@@ -35,7 +35,7 @@ def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
 
 
 def waypoint_stations(path: TipPath, since: float, spacing: float) -> Vector:
-    """(L,) arc lengths [m] from `since` to the end at waypoints, of near ones only some."""
+    """(L,) arc lengths of waypoints [m] from `since` to the end; waypoints near each other are thinned out."""
     marks = np.unique(path.stations[path.stations > since + _SAME])
     kept, must = [since], set(_sharp_turns(path).tolist())
     spacing = max(spacing, (path.length - since) / _MANY_LAYERS)
@@ -46,6 +46,6 @@ def waypoint_stations(path: TipPath, since: float, spacing: float) -> Vector:
 
 
 def _sharp_turns(path: TipPath) -> Vector:
-    """(M,) arc lengths at which a turn begins or ends and the joints change their direction [m]."""
+    """(M,) arc lengths at which a turn begins or ends and the joints change their direction sharply [m]."""
     marks = path.stations[path.turned_waypoints]
     return np.asarray(marks[np.isin(marks, path.corners(SHARP))])

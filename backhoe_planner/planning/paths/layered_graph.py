@@ -1,21 +1,21 @@
-"""The cheapest way through layers of nodes: one node of every layer, in order.
+"""The cheapest route through layers of nodes: one node of every layer, in order.
 
-For a bucket path the layers are its samples, the nodes of a layer the joint
-configurations that put the tip there, and an edge is the motion between two of them.
-The search is Bellman's recursion, so its result is the global optimum over the nodes;
-nothing that exists on the grid is missed. Three kinds of edges lead to a node:
+For a tip path the layers are its samples, the nodes of a layer are the configurations
+that put the tip there, and an edge is the motion between two of them. The search is
+Bellman's recursion, so its result is the global optimum over the nodes: no route that
+exists on the grid is missed. Three kinds of edges lead to a node:
 
     step     from a node of the layer before
     turn     from a node of the same layer: the joints move while the tip stands
     detour   from a node of any earlier layer, or of the same one: the tip leaves the path
 
-What a detour leaves out of the path counts before any cost: the best route is the
-cheapest of those that leave out least.
+The length that detours leave out of the path counts before any cost: the best route is
+the cheapest of those that leave out least.
 
-It is expensive to know whether an edge can be driven. Therefore only the edges of the best
-route are tested (lazy evaluation; Dellin and Srinivasa 2016, "A Unifying Formalism for
+It is expensive to find out whether an edge can be driven. Therefore only the edges of the
+best route are tested (lazy evaluation; Dellin and Srinivasa 2016, "A Unifying Formalism for
 Shortest Path Problems with Expensive Edge Evaluations via Lazy Best-First Search"): the
-caller forbids an edge that cannot be driven, and asks again.
+caller forbids an edge that cannot be driven, and searches again.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ StepCost = Callable[[Matrix, Matrix, float], Matrix]
 Node = tuple[int, int]  # layer, index within it
 
 _LEFT_OUT = 1e9  # price of 1 m of path that is left out: above every cost of a route in rad
-_LEAVING = 0.02  # m of path that leaving it counts as; chosen small: one detour is better than two that are as long
-_TURNS = 64  # in a row within one layer; chosen: the end of what goes on and on by rounding
+_LEAVING = 0.02  # m of path added for each detour; chosen small: one detour is better than two of the same total length
+_TURNS = 64  # in a row within one layer; chosen: ends iterations that rounding would continue forever
 
 
 class EdgeKind(IntEnum):
@@ -58,11 +58,11 @@ class Edge:
 
 @dataclass(frozen=True)
 class Route:
-    """A way through the layers.
+    """A route through the layers.
 
     Attributes
     ----------
-    edges: from the first node to the last; empty where there is one layer only.
+    edges: from the first node to the last; empty if there is only one layer.
     nodes: one more than edges.
     cost: sum over steps, turns and detours, with the cost of beginning at the first node.
     left_out: length of the path that detours leave out [m].
@@ -79,7 +79,7 @@ class _Edges:
 
     Parameters
     ----------
-    costs: (A, B) of all motions; those that are infinite are left out.
+    costs: (A, B) of all motions; infinite ones are left out.
     """
 
     def __init__(self, costs: Matrix) -> None:
@@ -93,7 +93,7 @@ class _Edges:
         return len(self._first)
 
     def forbid(self, a: int, b: int) -> None:
-        """Take one motion out."""
+        """Remove one motion."""
         place = int(np.searchsorted(self._ends, b))
         if place < len(self._ends) and self._ends[place] == b:
             begin = int(self._begins[place])
@@ -101,7 +101,7 @@ class _Edges:
             self._costs[own][self._first[own] == a] = np.inf
 
     def reach(self, value: Vector) -> tuple[NDArray[np.intp], Vector, NDArray[np.intp]]:
-        """From nodes with the totals `value` (A,): the nodes (M,) that are reached, their least totals, and whence."""
+        """From nodes with totals `value` (A,): the (M,) nodes that are reached, their least totals and sources."""
         if not len(self):
             return self._ends, np.zeros(0), self._ends
         total = value[self._first] + self._costs
@@ -117,20 +117,20 @@ class LayeredGraph:
     Parameters
     ----------
     stations: (L,) arc length of each layer [m], not decreasing; no step leads from one
-        layer to the next where they are at the same.
+        layer to the next if both have the same arc length.
     layers: (N_l, n) configurations of each; a layer may be empty.
-    cost: function of (A, n), (B, n) and the arc length between them [m]; gives the (A, B)
+    cost: function of (A, n), (B, n) and the arc length between them [m]; returns the (A, B)
         costs of the motions, infinite where there is none.
-    turning: arc length that a turn counts as [m].
+    turning: arc length as which a turn counts [m].
     detours: whether the path may be left.
     turns: whether the joints may move while the tip stands.
     longest: (L, n) how far a joint may move from the layer before to each layer [rad or m]; by default freely.
-    reduce: brings changes of the joints (..., n) to the shorter way round; by default they are as they are.
+    reduce: maps changes of the joints (..., n) to the shorter direction of rotation; by default unchanged.
     brake: checked by every search; by default none.
 
     Attributes
     ----------
-    looked_at: how many pairs of nodes all searches have looked at, turns and detours among them.
+    looked_at: how many pairs of nodes all searches have examined, turns and detours included.
     """
 
     def __init__(
@@ -161,14 +161,14 @@ class LayeredGraph:
         self._refused: set[tuple[int, int]] = set()
         self._only: tuple[Edge, ...] | None = None
         self.looked_at = 0
-        # per layer, what the last search found, as far as nothing has been forbidden since
+        # per layer, the results of the last search that are still valid
         self._begin: Vector | None = None
         self._found_values: list[Vector] = []
         self._found_sources: list[NDArray[np.intp]] = []
         self._leaving: list[float] = []
 
     def forbid(self, edge: Edge) -> None:
-        """Take an edge out, because it cannot be driven."""
+        """Remove an edge, because it cannot be driven."""
         (layer_a, a), (layer_b, b) = edge.start, edge.end
         self._forget_from(layer_b)
         if edge.kind is EdgeKind.STEP:
@@ -179,22 +179,22 @@ class LayeredGraph:
             self._forbidden.setdefault((layer_a, layer_b), set()).add((a, b))
 
     def forbid_detours(self, start: int, end: int) -> None:
-        """No detour from layer `start` to layer `end`."""
+        """Forbid all detours from layer `start` to layer `end`."""
         self._forget_from(end)
         self._refused.add((start, end))
 
     def only_detours(self, edges: Iterable[Edge]) -> None:
-        """Allow no other detours than these from now on."""
+        """Allow only these detours from now on."""
         self._forget_from(0)
         self._only = tuple(sorted(edges, key=lambda edge: (edge.start, edge.end)))
 
     def split(self, layer: int, stations: Vector, layers: Sequence[Matrix], *, longest: Matrix | None = None) -> None:
-        """Put further layers between `layer` and the next, on a graph without detours; what was forbidden stays so.
+        """Insert layers between `layer` and the next, in a graph without detours; forbidden edges stay forbidden.
 
         Parameters
         ----------
         stations: (M,) arc lengths between those of the two [m]; layers: (N_m, n) configurations of each.
-        longest: (M + 1, n) as of the graph, for the new layers and the one behind them.
+        longest: (M + 1, n) as for the graph, for the new layers and the one behind them.
         """
         self._forget_from(layer + 1)
         count = len(layers)
@@ -207,7 +207,7 @@ class LayeredGraph:
             self._longest = np.vstack((self._longest[: layer + 1], longest, self._longest[layer + 2 :]))
 
     def cheapest_steps(self, layer: int, most: int) -> list[Edge]:
-        """Up to `most` steps to `layer` from what the last search could reach, one to each node; cheapest first."""
+        """Up to `most` steps to `layer` from nodes reached by the last search, one to each node; the cheapest first."""
         values, _ = self._values(self._begin)
         ends, least, best = self._step_edges(layer).reach(values[layer - 1])
         order = np.argsort(least, kind="stable")[:most]
@@ -215,17 +215,17 @@ class LayeredGraph:
         return [Edge(EdgeKind.STEP, (layer - 1, int(best[row])), (layer, int(ends[row]))) for row in order.tolist()]
 
     def best_route(self, begin: Vector | None = None, *, end: int | None = None) -> Route | None:
-        """The route from the first layer to the last that leaves out least, and of those the cheapest.
+        """The cheapest of the routes from the first layer to the last that leave out least.
 
         Parameters
         ----------
-        begin: (N_0,) what it costs to begin at each node of the first layer, infinite
-            where that is impossible; by default nothing.
+        begin: (N_0,) cost of beginning at each node of the first layer, infinite
+            where that is impossible; by default 0.
         end: the layer to go to; by default the last.
 
         Returns
         -------
-        None where there is no route.
+        The route; None if there is none.
         """
         values, sources = self._values(begin)
         last = len(self.layers) - 1 if end is None else end
@@ -245,7 +245,7 @@ class LayeredGraph:
         return Route(tuple(edges), nodes, total - _LEFT_OUT * (left_out + _LEAVING * len(detours)), left_out)
 
     def furthest(self, begin: Vector | None = None) -> int:
-        """The last layer that can be reached; -1 where not even the first can."""
+        """The last layer that can be reached; -1 if not even the first can."""
         values, _ = self._values(begin)
         return max((layer for layer, value in enumerate(values) if np.isfinite(value).any()), default=-1)
 
@@ -255,16 +255,16 @@ class LayeredGraph:
         return [nodes[np.isfinite(value)] for nodes, value in zip(self.layers, values, strict=True)]
 
     def _forget_from(self, layer: int) -> None:
-        """What was found is as it was up to the layer before `layer` only."""
+        """Drop the results of the last search from `layer` on."""
         del self._found_values[layer:], self._found_sources[layer:], self._leaving[layer:]
 
     def _values(self, begin: Vector | None) -> tuple[list[Vector], list[NDArray[np.intp]]]:
-        """Per layer: (N,) the least total from the beginning, and (N, 3) kind, layer and node it comes from."""
+        """Per layer: (N,) least total from the beginning, and (N, 3) kind of edge, layer and node it comes from."""
         first = np.zeros(len(self.layers[0])) if begin is None else np.array(begin, dtype=float)
         if self._begin is None or not np.array_equal(first, self._begin):
             self._forget_from(0)
             self._begin = first
-        # `leaving`: of every layer, the least total that its nodes have, minus the path up to it
+        # `leaving`: for every layer, the least total of its nodes, minus the price of the path up to it
         values, sources, leaving = self._found_values, self._found_sources, self._leaving
         for layer in range(len(values), len(self.layers)):
             nodes = self.layers[layer]
@@ -290,7 +290,7 @@ class LayeredGraph:
         return values, sources
 
     def _turn(self, layer: int, value: Vector, source: NDArray[np.intp]) -> None:
-        """Let the joints move within a layer, as long as that makes a node cheaper."""
+        """Add turns within a layer, as long as they make a node cheaper."""
         if len(value) < 2 or not np.isfinite(value).any() or not self._may_turn:
             return
         edges = self._turn_edges(layer)
@@ -308,7 +308,7 @@ class LayeredGraph:
     def _detour(
         self, layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector], leaving: list[float]
     ) -> None:
-        """Let the nodes of a layer be reached by leaving the path at an earlier one, or at this one."""
+        """Add detours to the nodes of a layer that leave the path at an earlier layer, or at this one."""
         if self._only is not None:
             self._take_detours(self._only, layer, value, source, values)
             return
@@ -334,12 +334,12 @@ class LayeredGraph:
             value[better] = found[better]
             source[better, 0], source[better, 1], source[better, 2] = EdgeKind.DETOUR, start, best[better]
             if start != layer and np.isfinite(value).all():
-                return  # the layers that follow in the order leave out more
+                return  # the remaining layers in this order leave out more
 
     def _take_detours(
         self, edges: Iterable[Edge], layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector]
     ) -> None:
-        """Let the nodes of a layer be reached by those of `edges` that end there."""
+        """Add those detours of `edges` that end in a layer."""
         for edge in edges:
             (start, a), (end, b) = edge.start, edge.end
             if end != layer:
@@ -353,7 +353,7 @@ class LayeredGraph:
                 source[b] = EdgeKind.DETOUR, start, a
 
     def _step_edges(self, layer: int) -> _Edges:
-        """From the layer before to `layer`."""
+        """The steps from the layer before to `layer`."""
         if layer not in self._steps:
             span = float(self.stations[layer] - self.stations[layer - 1])
             before, nodes = self.layers[layer - 1], self.layers[layer]
@@ -364,7 +364,7 @@ class LayeredGraph:
         return self._steps[layer]
 
     def _turn_edges(self, layer: int) -> _Edges:
-        """Within `layer`."""
+        """The turns within `layer`."""
         if layer not in self._turns:
             costs = self._cost(self.layers[layer], self.layers[layer], self._turning)
             np.fill_diagonal(costs, np.inf)
@@ -373,8 +373,8 @@ class LayeredGraph:
 
 
 def step_ratios(a: Matrix, b: Matrix, longest: Vector, *, reduce: Callable[[Array], Array]) -> Matrix:
-    """(A, B) how far the joints move from each of a (A, n) to each of b (B, n), the most in parts of `longest` (n,)."""
+    """(A, B) the largest joint move from each of a (A, n) to each of b (B, n), as a part of `longest` (n,)."""
     found = np.zeros((len(a), len(b)))
-    for row, joints in enumerate(a):  # one by one: the differences of all are as large as all joints together
+    for row, joints in enumerate(a):  # one by one, because the array of all differences would be n times as large
         found[row] = np.max(np.abs(reduce(b - joints)) / longest, axis=1, initial=0.0)
     return found

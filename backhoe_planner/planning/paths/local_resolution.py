@@ -1,8 +1,8 @@
-"""A path of the tip resolved into joint positions by the completed law.
+"""A tip path resolved into joint positions by the completed law.
 
-Sample by sample along the path: the law wishes, `step_on_path` takes the nearest step
-that stays on the path, Newton's iteration removes what is left, and the step is kept
-only if it is proven clear. It goes as far as the law can go from where it began.
+Sample by sample along the path, the law gives a desired step, `step_on_path` takes the
+nearest step that stays on the path, Newton's iteration removes the remaining error, and the
+step is kept only if it is proven clear. This goes as far as the law can from its start.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
 
-_SPACING = 0.02  # m between samples at most; chosen: the law's step is linear, and small enough there
-_LEAST_SPACING = 1e-4  # m that a step counts as where a waypoint stands twice; chosen: small beside `_SPACING`
-_TIME_PER_METRE = 3.0  # s per m of path: chosen, the tip's speed at which the law's rates become steps
-_APPROACH = 0.4  # part of a margin that one step may use up; chosen below a half, so that steps grow smaller
-_SPARE = 0.001  # m kept on top of every clearance; chosen: for what the linear rows leave out
-_EXACT = 1e-8  # m and rad: chosen, the tip is on the path for all that follows
+_SPACING = 0.02  # m between samples at most; chosen: the law's step is linear, and this is small enough for it
+_LEAST_SPACING = 1e-4  # m as which a step counts if a waypoint is there twice; chosen: small compared with `_SPACING`
+_TIME_PER_METRE = 3.0  # s per m of path; chosen: the inverse of the tip's speed at which the law's rates become steps
+_APPROACH = 0.4  # part of a margin that one step may use up; chosen below a half, so that steps become smaller
+_SPARE = 0.001  # m kept on top of every clearance; chosen: for the error of the linearised rows
+_EXACT = 1e-8  # m and rad; chosen: with less error the tip counts as on the path
 _CORRECTIONS = 6  # of Newton's iteration; chosen: it doubles the digits with each
 _LARGEST_STEP = 0.25  # rad or m of a joint between samples; chosen
-_OPEN_RANGE = 0.02  # rad: chosen, a pitch range narrower than this is one angle
-_AT_LIMIT = 0.01  # rad or m: chosen, nearer than this a joint stands at its limit
-_TOUCHING = 0.02  # m: chosen, a pair with less margin is blamed before a joint at its limit
-_IN_THE_WAY = 0.1  # m: chosen, a pair with less margin is blamed where no joint is at its limit
+_OPEN_RANGE = 0.02  # rad; chosen: a pitch range narrower than this counts as one angle
+_AT_LIMIT = 0.01  # rad or m; chosen: a joint nearer than this is at its limit
+_TOUCHING = 0.02  # m; chosen: a pair with less margin is blamed before a joint at its limit
+_IN_THE_WAY = 0.1  # m; chosen: a pair with less margin is blamed if no joint is at its limit
 
 
 def sample_stations(path: TipPath, s: float) -> Vector:
@@ -47,15 +47,15 @@ def resolve_along(
     problem: Problem, path: TipPath, s: float, q: Vector, *, proximity: Proximity, kinematics: Kinematics,
     time: float = 0.0,
 ) -> Stretch:  # fmt: skip
-    """Resolve `path` from arc length `s` [m], where the joints are at `q` (n,), as far as the law goes.
+    """Resolve `path` from arc length `s` [m], with the joints at `q` (n,) there, as far as the law goes.
 
     Parameters
     ----------
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
 
     Returns
     -------
-    The stretch up to there; its `obstruction` says what ended it before the end of the path.
+    The stretch that the law resolves; its `obstruction` says what ended it before the end of the path.
     """
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
     stations = sample_stations(path, s)
@@ -63,7 +63,7 @@ def resolve_along(
     for station in stations[1:]:
         at = kinematics.at(found[-1])
         nearby = proximity.at(at.q, time=time, margin=problem.scene.influence)
-        # where a waypoint stands twice only the bucket turns, which takes some time too
+        # if a waypoint is there twice, only the tip turns, which takes some time too
         span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
         after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
@@ -81,7 +81,7 @@ def _next(
     span: float,
     kinematics: Kinematics,
 ) -> Vector | None:
-    """(n,) the configuration on `target` that the law goes to from `at` in `span` [s]; None where it is stuck."""
+    """(n,) the configuration on `target` to which the law moves from `at` in `span` [s]; None if it is stuck."""
     error, J = _rows(target, at)
     limits = problem.limits
     wish = span * law.wish_unchecked(at, J, error / span, nearby).v
@@ -118,12 +118,12 @@ def _rows(target: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
 
 
 def has_open_range(target: TipTarget) -> bool:
-    """Whether a target allows a range of pitch, neither one angle nor any."""
+    """Whether a target allows a limited range of pitch, more than one angle."""
     return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
 
 
 def _pitch_rows(target: TipTarget, at: Configuration) -> tuple[Rows, ...]:
-    """The rows that hold the pitch within its range; none where the target allows one angle, or any."""
+    """The rows that keep the pitch within its range; none if the target allows one angle, or any pitch."""
     if not has_open_range(target):
         return ()
     assert target.pitch is not None

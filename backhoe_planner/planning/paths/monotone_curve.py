@@ -1,4 +1,4 @@
-"""Smooth curves through points that overshoot nowhere (pchip), on many legs at once."""
+"""Smooth curves through points without overshoot (pchip), on many legs at once."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 
 
 def monotone_curve(x: Vector, y: Matrix, at: Vector, *, legs: Indices) -> Matrix:
-    """(K, n) a curve through y (M, n) at x (M,), read at `at` (K,), smooth on each leg; it overshoots nowhere.
+    """(K, n) a curve through y (M, n) at x (M,), evaluated at `at` (K,): smooth on each leg, without overshoot.
 
-    The slopes are those of Fritsch and Butland (SIAM J. Sci. Stat. Comput. 5, 1984), as scipy's pchip has them; that
-    takes as long for every leg as this does for all.
+    The slopes are those of Fritsch and Butland (SIAM J. Sci. Stat. Comput. 5, 1984), as in scipy's pchip, which
+    takes as long for each leg as this function for all of them.
 
     Parameters
     ----------
     x: increasing. at: not decreasing, from x[0] to x[-1].
-    legs: (L + 1,) at which of x legs begin and end; the first is 0, the last M - 1.
+    legs: (L + 1,) indices of x at which legs begin and end; the first is 0, the last M - 1.
     """
     h, rise = np.diff(x)[:, None], np.diff(y, axis=0)
     slope = rise / h
@@ -43,7 +43,7 @@ def monotone_curve(x: Vector, y: Matrix, at: Vector, *, legs: Indices) -> Matrix
 
 
 def _end_slopes(h: Matrix, h_beside: Matrix, slope: Matrix, slope_beside: Matrix) -> Matrix:
-    """(L, n) slopes at the ends of legs, from their last two steps: of a parabola, as far as it overshoots nowhere."""
+    """(L, n) slopes at the ends of legs, from their last two steps: those of a parabola, limited against overshoot."""
     found = ((2.0 * h + h_beside) * slope - h * slope_beside) / (h + h_beside)
     found = np.where(np.sign(found) == np.sign(slope), found, 0.0)
     turns = (np.sign(slope) != np.sign(slope_beside)) & (np.abs(found) > 3.0 * np.abs(slope))

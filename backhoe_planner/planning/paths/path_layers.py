@@ -1,11 +1,11 @@
-"""The configurations that put the tip on a bucket path, layer by layer.
+"""The configurations that put the tip on a path, layer by layer.
 
-What the path leaves free of the joints is its redundancy, r = n - m. With r = 1 the one
-free parameter is laid out on a grid: the pitch, where the machine has one and the path
-leaves it free, else the length along the curves of self-motion. With more the
-configurations nearest to a fixed set of quasi-random ones are taken, the same
-set at every sample of the path, so that neighbouring layers hold neighbouring nodes.
-With none there are the branches of the inverse kinematics.
+The degrees of freedom that the path leaves to the joints are its redundancy, r = n - m. With
+r = 1 the free parameter is on a grid: the pitch, if the machine has one and the path leaves
+it free, otherwise the length along the curves of self-motion. With larger r the nodes are the
+configurations nearest to a fixed set of quasi-random ones, the same set at every sample of
+the path, so that neighbouring layers have neighbouring nodes. With r = 0 the nodes are the
+branches of the inverse kinematics.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
 
 Mask = NDArray[np.bool_]
 
-_SAME = 0.01  # rad or m: chosen, solutions nearer than this are one
-_BRANCHES = 8  # guesses per value of the pitch where branches are looked for; chosen
-_SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen: between, nodes are carried on
-_SAMPLES = 256  # configurations per layer where the redundancy has several dimensions; chosen
+_SAME = 0.01  # rad or m; chosen: solutions nearer than this count as one
+_BRANCHES = 8  # guesses per value of the pitch in a search for branches; chosen
+_SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen: between them, nodes are carried on
+_SAMPLES = 256  # configurations per layer if the redundancy has several dimensions; chosen
 _RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
-_FOLLOWED = 0.2  # rad or m: chosen, a node with another this near in the next layer is followed there
-_FOLLOWED_STEPS = 1.2  # grid steps: the same on curves of self-motion; chosen: half of it lies between two nodes
-_FOLLOWED_PART = 0.5  # of the longest step, where steps are bounded: the same at most; chosen
-_CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times that
+_FOLLOWED = 0.2  # rad or m; chosen: a node with another this near in the next layer counts as continued there
+_FOLLOWED_STEPS = 1.2  # grid steps: the same on curves of self-motion; chosen: just above the distance of two nodes
+_FOLLOWED_PART = 0.5  # part of the longest step, if steps are bounded: an upper bound for the same; chosen
+_CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times `_FOLLOWED`
 _MOST = 500  # nodes of a layer to which no more are carried; chosen: twice `_SAMPLES`, since steps grow by its square
-_SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning; chosen: near, further and far
+_SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given start; chosen: near, further and far
 _AROUND = 16  # guesses for each of `_SPREADS`; chosen
-_ROOT_ROUNDS = 60  # each brings the root of g^(n + 1) = g + 1 nearer by more than half
-_PORTION = 1000  # configurations that are solved for between two looks at the brake; chosen
-_CURVE_GUESSES = 64  # from which branches or curves of self-motion are looked for; chosen
-_CURVE_ROUNDS = 2  # in which they are traced: the second from those that the first has not come by
-_CURVE_FIRST = 12  # of them in the first round, at each station; chosen: there are some eight curves
-_COARSER = 1.3  # times the distance of nodes where they are too many; chosen
-_LONGEST_CURVE = 100  # grid steps each way; chosen: more than a turn at 5 degrees
+_ROOT_ROUNDS = 60  # iterations: each more than halves the error of the root of g^(n + 1) = g + 1
+_PORTION = 1000  # configurations that are solved between two checks of the brake; chosen
+_CURVE_GUESSES = 64  # for the search for branches or curves of self-motion; chosen
+_CURVE_ROUNDS = 2  # of tracing: the second begins at the solutions that the first has not passed
+_CURVE_FIRST = 12  # solutions traced in the first round at each station; chosen: there are some eight curves
+_COARSER = 1.3  # times the distance of nodes if there are too many; chosen
+_LONGEST_CURVE = 100  # grid steps in each direction; chosen: more than a turn at 5 degrees
 
 
 class PathLayers:
@@ -51,7 +51,7 @@ class PathLayers:
 
     Parameters
     ----------
-    grid: step of the free parameter, where there is one [rad; m for a slide].
+    grid: step of the free parameter, if there is one [rad; m for a slide].
     longest: how far a joint may move from one waypoint to the next [rad or m]; by default freely.
     brake: checked between portions of the work; by default none.
     """
@@ -71,7 +71,7 @@ class PathLayers:
 
         Parameters
         ----------
-        begin: (n,) a solution for the first target; others are looked for around it, and carried on from there.
+        begin: (n,) a solution for the first target; others are searched around it, and carried on from there.
         """
         if not len(targets):
             return []
@@ -88,7 +88,7 @@ class PathLayers:
         self._brake.check()
         if begin is not None:
             found[0] = self._distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
-        # two curves may come as near to each other as the nodes on each
+        # two curves may be as near to each other as the nodes on each
         followed = (
             min(self._followed, _FOLLOWED_STEPS * self._grid) if redundancy == 1 and not on_grid else self._followed
         )
@@ -116,12 +116,12 @@ class PathLayers:
     ) -> None:  # fmt: skip
         """Carry every node on to the next layer, unless a node is near it there.
 
-        Thus a branch that is found anywhere is followed as far as it goes.
+        So a branch that is found anywhere is followed as far as it goes.
 
         Parameters
         ----------
-        rows: layers to carry to, in order; `back`: from each of them to the layer before.
-        followed: what is nearer than that to a node counts as it [rad or m].
+        rows: layers to carry to, in order; `back`: offset from each of them to the layer it is carried from.
+        followed: a configuration nearer than this to a node counts as the same [rad or m].
         """
         for row in rows:
             self._brake.check()
@@ -172,7 +172,7 @@ class PathLayers:
         return [found.get(row, np.zeros((0, self._robot.n))) for row in seeds.tolist()]
 
     def _value_beside(self, batch: TargetBatch, row: int, near: Matrix, *, pitch: bool) -> Vector:
-        """(N,) for each of the nodes `near` a station, the value of the free parameter that is nearest to its own."""
+        """(N,) for each node of `near`, the grid value of the free parameter at a station nearest to its own."""
         if not pitch:
             return np.zeros(len(near))
         values = self._values(batch, row, pitch=True)
@@ -183,7 +183,7 @@ class PathLayers:
         return np.asarray(values[np.argmin(off, axis=1)])
 
     def _values(self, batch: TargetBatch, row: int, *, pitch: bool) -> Vector:
-        """The grid of the pitch at one station [rad]; a single 0 where the pitch is not the free parameter."""
+        """The grid of the pitch at one station [rad]; a single 0 if the pitch is not the free parameter."""
         if not pitch:
             return np.zeros(1)
         count = int(np.ceil(2.0 * np.pi / self._grid))
@@ -211,16 +211,16 @@ class PathLayers:
     # --- one parameter, along the curves of self-motion ---------------------------------
 
     def _on_curves(self, stations: Vector, batch: TargetBatch) -> list[Matrix]:
-        """Nodes a grid step apart on every curve that is found; carried on from station to station."""
+        """Nodes a grid step apart on every curve that is found, carried on from station to station."""
         seeds = _seeds(stations)
         rows = np.repeat(seeds, _CURVE_GUESSES)
-        # other guesses at every seed: a curve that one misses another finds, and it is carried on
+        # other guesses at every seed: a curve missed at one is found at another, and carried on
         guesses = np.vstack([_spread(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
         q, reached = self._solve_all(batch.take(rows), guesses)
         q, rows = q[reached], rows[reached]
         found = [np.zeros((0, self._robot.n))] * len(stations)
         for number in range(_CURVE_ROUNDS):
-            # a guess that lies on a curve that was traced already is of no use
+            # a solution on a curve that was traced already is not needed
             use = np.zeros(len(q), dtype=bool)
             for row in seeds.tolist():
                 own = np.flatnonzero(rows == row)
@@ -240,8 +240,8 @@ class PathLayers:
         return found
 
     def _trace(self, batch: TargetBatch, rows: NDArray[np.intp], q: Matrix) -> tuple[Matrix, NDArray[np.intp]]:
-        """(N, n) nodes along the null space from each of `q` (B, n), one way then the other, and (N,) their rows."""
-        # both ways at once: numpy takes little longer for twice as many
+        """(N, n) nodes along the null space from each of `q` (B, n), first in one direction, and (N,) their rows."""
+        # both directions at once: numpy takes little longer for twice as many
         sense, rows, q = np.repeat((1.0, -1.0), len(q)), np.tile(rows, 2), np.tile(q, (2, 1))
         found, found_rows, found_sense = [q[:0]], [rows[:0]], [sense[:0]]
         begin, step = q.copy(), np.zeros_like(q)
@@ -252,7 +252,7 @@ class PathLayers:
             targets = batch.take(rows)
             null = np.linalg.svd(targets.jacobians(self._kinematics.at(q)))[2][:, -1, :]
             null /= np.max(np.abs(null), axis=1, keepdims=True)
-            # go on in the same direction; at first in the one in which the largest component grows
+            # continue in the same direction; the first step is that in which the largest component grows
             ahead = (
                 np.einsum("bn,bn->b", null, step)
                 if number
@@ -293,12 +293,12 @@ class PathLayers:
             reached.append(arrived)
         return np.vstack(ends), np.concatenate(reached)
 
-    # --- nodes that are the same --------------------------------------------------------
+    # --- equal nodes --------------------------------------------------------------------
 
     def _distinct(self, q: Matrix, *, within: float = _SAME) -> Matrix:
-        """`q` (N, n) without those that lie `within` [rad or m] of an earlier one, sorted by the first joints.
+        """`q` (N, n) without those `within` [rad or m] of an earlier one, sorted by the first joints.
 
-        Continuous joints come out within half a turn either way.
+        Continuous joints are returned within half a turn of 0.
         """
         q = self._robot.reduce_unchecked(q)
         if len(q) < 2:
@@ -313,7 +313,7 @@ class PathLayers:
         return np.asarray(q[np.lexsort(q.T[::-1])])
 
     def _few(self, q: Matrix) -> Matrix:
-        """`q` (N, n) without those within half a grid step of one that is kept, or more where they are too many."""
+        """`q` (N, n) without those within half a grid step of one that is kept; within more if there are too many."""
         within = 0.5 * self._grid
         found = self._apart(self._distinct(q), within)
         while len(found) > _MOST:
@@ -322,7 +322,7 @@ class PathLayers:
         return found
 
     def _apart(self, q: Matrix, within: float) -> Matrix:
-        """Those of `q` (N, n), one after the other, that lie further than `within` [rad or m] from all kept before."""
+        """Those of `q` (N, n) that are further than `within` [rad or m] from all kept before them, in order."""
         if len(q) < 2:
             return q
         pairs = self._tree(q).query_pairs(within, p=np.inf, output_type="ndarray")
@@ -341,7 +341,7 @@ class PathLayers:
         return np.asarray(self._tree(others).query(self._in_box(q), p=np.inf)[0] > far)
 
     def _tree(self, q: Matrix) -> cKDTree:
-        """The tree of `q` (N, n), in which continuous joints end where they begin; asked with `_in_box`."""
+        """The tree of `q` (N, n), periodic in continuous joints; queried with `_in_box`."""
         from scipy.spatial import cKDTree
 
         continuous = self._robot.continuous
@@ -359,7 +359,7 @@ class PathLayers:
 
 
 def freest(robot: Robot, targets: Sequence[TipTarget]) -> TipTarget:
-    """Of targets along a path the first that leaves the joints most: one with a free pitch, if there is one."""
+    """The first target along a path that leaves the joints most freedom: one with a free pitch, if there is one."""
     return next((target for target in targets if _pitch_is_free(robot, target)), targets[0])
 
 
@@ -369,7 +369,7 @@ def _pitch_is_free(robot: Robot, target: TipTarget) -> bool:
 
 
 def redundancy_of(robot: Robot, target: TipTarget) -> int:
-    """How many dimensions a target leaves to the joints: n minus the rank of the task.
+    """The number of dimensions that a target leaves to the joints: n minus the rank of the task.
 
     A range of pitch does not count as a task.
     """
@@ -385,7 +385,7 @@ def _spread(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
     """(count, n) quasi-random configurations in `box`, always the same for one `seed`.
 
     The additive sequence of M. Roberts (2018): steps of 1/g, 1/g^2, ..., modulo 1, with g the root of
-    g^(n + 1) = g + 1. scipy has Sobol's in scipy.stats, which takes as long to load as half a path to plan.
+    g^(n + 1) = g + 1. Sobol's sequence is in scipy.stats, which takes half as long to load as a path to plan.
     """
     n = len(box[0])
     root = 2.0
@@ -397,7 +397,7 @@ def _spread(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
 
 
 def _seeds(stations: Vector) -> NDArray[np.intp]:
-    """Indices of the stations at which all solutions are looked for: the first, the last, and some between."""
+    """Indices of the stations at which all solutions are searched: the first, the last, and some between."""
     cells = np.floor((stations - stations[0]) / _SEED_EVERY)
     return np.unique(np.append(np.flatnonzero(np.diff(cells, prepend=-1.0)), len(stations) - 1))
 

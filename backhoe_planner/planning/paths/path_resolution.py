@@ -1,8 +1,8 @@
-"""A bucket path resolved globally: which configuration at which point of it.
+"""A tip path resolved globally: a configuration for every point of it.
 
-The layered graph over the redundancy gives the route. Here its edges are made into motions
-and proven, and its detours are searched. The result is a list of pieces: stretches, on
-which the tip is exactly on the path, and detours between them.
+The layered graph over the redundancy gives the route. This module turns its edges into proven
+motions, and searches its detours. The result is a list of pieces: stretches, on which the tip
+is exactly on the path, and detours between them.
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 
 _LAYER = 0.05  # m of path between layers; chosen
 _GRID = np.radians(5.0)  # of the free parameter; chosen: refined afterwards
-_SAME = 1e-9  # m of path: nearer layers are at one place
+_SAME = 1e-9  # m of path: layers nearer than this are at one place
 _FINE = 0.01  # m of path between the samples of a stretch; chosen
-_EXTENSION = 0.005  # m to within which a detour is begun late and ended early; chosen: half of `_FINE`
-_NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
-_TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
-_AS_FAR_PART = 4  # one in so many of routes and node pairs is for how far a path can be followed at all; chosen
-# one in so many of them is for the cheapest routes, if they fail; chosen: the others, of short steps, do not
+_EXTENSION = 0.005  # m: resolution with which a detour begins late and ends early; chosen: half of `_FINE`
+_NEAR = 0.2  # rad or m; chosen: a joint that moves further in such a step has changed its posture
+_TRIES = 2  # failed searches for a detour between two layers, before no other is tried; chosen
+_AS_FAR_PART = 4  # one in so many routes and node pairs is used to find how far a path can be followed; chosen
+# one in so many is used for the cheapest routes; if these fail, the rest is for routes of short steps; chosen
 _CHEAP_PART = 4
-_PATIENCE = 3  # routes that fail in one gap between layers before more of its steps are tested at once; chosen
-_STRIKES = 9  # such routes after which it is split; chosen
-_AT_ONCE = 48  # steps; chosen, they cost as much as two searches
-_PARTS = 4  # into which a gap is split; chosen
+_PATIENCE = 3  # routes that fail in one gap between layers, before more of its steps are tested at once; chosen
+_STRIKES = 9  # such routes after which the gap is split; chosen
+_AT_ONCE = 48  # steps; chosen: they take as long as two searches
+_PARTS = 4  # parts into which a gap is split; chosen
 _NARROWEST = 0.0025  # m of path between layers; chosen
 _MOST_SPLITS = 12  # of one path; chosen
 _AT_END = 1e-9  # m: rounding of an arc length
-_FEW = 8  # nodes of a layer that are followed back to where the path is free again; chosen to be quick
-_BLAMED = 64  # configurations at one place at most that are asked what is in their way; chosen to be quick
-_AT_LIMIT = 1e-3  # rad or m: chosen, nearer than this a joint stands at its limit
-_IN_THE_WAY = 0.1  # m: chosen, what has less margin is blamed rather than a joint
+_FEW = 8  # nodes of a layer that are followed back to find where the path is free again; chosen to be quick
+_BLAMED = 64  # at most so many configurations at one place are checked for what is in their way; chosen to be quick
+_AT_LIMIT = 1e-3  # rad or m; chosen: a joint nearer than this is at its limit
+_IN_THE_WAY = 0.1  # m; chosen: an obstacle with less margin is blamed rather than a joint
 
 
 @dataclass(frozen=True, eq=False)
 class Bypass:
-    """The tip leaves the path and comes back.
+    """A detour: the tip leaves the path and comes back.
 
     Attributes
     ----------
     q: (K, n) joint positions, straight lines between them.
-    obstruction: what it goes round, with the part of the path that it leaves out.
+    obstruction: what it goes around, with the part of the path that it leaves out.
     """
 
     q: Matrix
@@ -70,12 +70,12 @@ class Resolution:
 
     Attributes
     ----------
-    pieces: in order; up to the blocked part where the path is blocked.
-    obstruction: what is in the way, and of which part of the path; None where the pieces
+    pieces: in order; if the path is blocked, those up to the blocked part.
+    obstruction: what is in the way, and on which part of the path; None if the pieces
         lead to its end.
-    step: where that alone is too long, the least step from waypoint to waypoint that was found.
+    step: if only steps between waypoints are too long, the shortest one that was found.
     routes: how many routes through the layers were tested.
-    gave_up: whether there are more that were not.
+    gave_up: whether the search ended before all routes were tested.
     """
 
     pieces: tuple[Stretch | Bypass, ...]
@@ -86,28 +86,28 @@ class Resolution:
 
 
 class _Share(NamedTuple):
-    """A part of the effort of a plan: routes that are tested, and pairs of nodes that they look at."""
+    """A part of the effort of a plan: routes to test, and pairs of nodes to examine for them."""
 
     routes: int
     node_pairs: int
 
 
 class PathResolver:
-    """Resolves one path among obstacles that stand still.
+    """Resolves one path among static obstacles.
 
     Parameters
     ----------
-    find_detour: function of two configurations (n,) and the arc lengths there [m]; gives
-        (K, n) corners of a way between them, or None.
-    since: arc length from which on the path is resolved [m].
-    begin: (n,) joints with the tip on the path there, from which it is to be followed.
-    time: the obstacles stand where they are at this time [s].
-    work: how many routes are tested, and how many detours are looked for.
+    find_detour: function of two configurations (n,) and their arc lengths [m]; returns
+        (K, n) corners of a route between them, or None.
+    since: arc length from which the path is resolved [m].
+    begin: (n,) joints with the tip on the path there, from which it has to be followed.
+    time: at which the positions of the obstacles are taken [s].
+    work: how many routes are tested, and how many detours are searched.
     cost: of a step, as for `LayeredGraph`.
-    grid: step of the free parameter, where there is one [rad; m for a slide].
+    grid: step of the free parameter, if there is one [rad; m for a slide].
     layer: arc length between layers [m].
     joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; then the layers
-        stand at waypoints. None where all may freely.
+        are at waypoints. None if all may move freely.
     apart: (P,) how much more than its clearance each pair of `proximity` keeps, wherever it can [m]; by default none.
     """
 
@@ -164,7 +164,7 @@ class PathResolver:
 
     @property
     def first_layer(self) -> Matrix:
-        """(N, n) clear configurations at the beginning of what is resolved."""
+        """(N, n) clear configurations at the beginning of the resolved part."""
         return self._layers[0]
 
     def resolve(
@@ -175,13 +175,13 @@ class PathResolver:
         off_path: bool = False,
         price: Callable[[Matrix], Vector] | None = None,
     ) -> Resolution:
-        """The cheapest resolution, of those that leave out least of the path.
+        """The cheapest of the resolutions that leave out least of the path.
 
         Parameters
         ----------
-        begin: (n,) joints from which the path is followed; None for any on its beginning.
+        begin: (n,) joints from which the path is followed; None for any at its beginning.
         detours: whether the path may be left.
-        off_path: whether the tip is off the path at `begin`; a detour leads there.
+        off_path: whether the tip is off the path at `begin`; a detour then leads to the path.
         price: costs (N,) of beginning at the nodes (N, n) of the first layer.
         """
         first = self._layers[0]
@@ -202,7 +202,7 @@ class PathResolver:
         return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
 
     def _graph(self, begin: Vector | None, cost: StepCost, *, detours: bool) -> LayeredGraph:
-        """The graph of the layers, as far as it is known which of its steps can be driven.
+        """The graph of the layers, without the edges that are known not to be drivable.
 
         Parameters
         ----------
@@ -229,11 +229,11 @@ class PathResolver:
         return graph
 
     def _squared_steps(self, a: Matrix, b: Matrix, span: float) -> Matrix:
-        """(A, B) the squares of the steps from each of a (A, n) to each of b (B, n), by which routes have short steps.
+        """(A, B) the squared steps from each of a (A, n) to each of b (B, n): a cost for which routes have short steps.
 
-        Where the configurations lie on several curves of self-motion, what is cheapest may be to cross from one to
-        another wherever they come near each other. No step there can be driven, and there are as many as pairs of
-        nodes. Short steps stay on a curve, and away from what is in the way between two nodes.
+        If the configurations are on several self-motion curves, the cheapest route may cross from one curve to another
+        wherever they come near each other. No such step can be driven, and there are as many as pairs of nodes. Short
+        steps stay on a curve, and away from obstacles between two nodes.
         """
         change = self._problem.robot.reduce_unchecked(b[None, :, :] - a[:, None, :])
         return np.asarray(np.sum(change * change, axis=2))
@@ -246,7 +246,7 @@ class PathResolver:
     def _search(
         self, graph: LayeredGraph, costs: Vector, share: _Share, *, detours: bool
     ) -> tuple[Stretch | Bypass, ...] | None:
-        """The pieces of the best route that can be driven; None where there is none, or the `share` is used up."""
+        """The pieces of the best drivable route; None if there is none, or the `share` is used up."""
         failures: dict[tuple[int, int], int] = {}
         strikes: dict[tuple[float, float], int] = {}
         last = self._routes + share.routes
@@ -264,7 +264,7 @@ class PathResolver:
             bad = self._make_motions(graph, route)
             if not bad and self._find_detours(graph, route, failures):
                 return self._pieces(graph, route)
-            # from the last on: what stands behind a gap that is split moves on
+            # from the last one backwards: a split shifts the layers behind it
             for layer in [] if detours else sorted({edge.end[0] for edge in bad if edge.kind is EdgeKind.STEP})[::-1]:
                 gap = float(graph.stations[layer - 1]), float(graph.stations[layer])
                 strikes[gap] = strikes.get(gap, 0) + 1
@@ -281,10 +281,10 @@ class PathResolver:
         return len(bad) < len(edges)
 
     def _split(self, graph: LayeredGraph, layer: int) -> bool:
-        """Put layers between `layer` and the next, so that steps are short; False where they are short already."""
+        """Insert layers between `layer` and the next, so that steps are short; False if they are short already."""
         if layer < 0 or layer + 1 >= len(graph.layers) or self._splits >= _MOST_SPLITS:
             return False
-        if not len(graph.layers[layer + 1]):  # nothing there is clear, whatever lies before it
+        if not len(graph.layers[layer + 1]):  # no node there is clear, so shorter steps do not help
             return False
         low, high = (float(s) for s in graph.stations[layer : layer + 2])
         if self._steps is None:
@@ -320,11 +320,11 @@ class PathResolver:
     # --- edges ---------------------------------------------------------------------
 
     def _make_motions(self, graph: LayeredGraph, route: Route) -> list[Edge]:
-        """Make the motions of a route along the path; those that are not clear, which are forbidden."""
+        """Make the motions of a route along the path; returns the edges that are not clear, which are forbidden."""
         return self._test(graph, [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR])
 
     def _test(self, graph: LayeredGraph, edges: list[Edge]) -> list[Edge]:
-        """Make the motions of some edges; those that are not clear, which are forbidden."""
+        """Make the motions of some edges; returns the edges that are not clear, which are forbidden."""
         self._work.brake.check()
         fresh = [edge for edge in edges if edge not in self._motions]
         for edge, motion in zip(fresh, self._interpolate(graph, fresh), strict=True):
@@ -336,7 +336,7 @@ class PathResolver:
         return bad
 
     def _interpolate(self, graph: LayeredGraph, edges: list[Edge]) -> list[Stretch | None]:
-        """The motions between nodes with the tip on the path; None where there is none."""
+        """The motions between nodes with the tip on the path; None for an edge without one."""
         if not edges:
             return []
         stations, guesses = [], []
@@ -361,7 +361,7 @@ class PathResolver:
         return found
 
     def _ends(self, graph: LayeredGraph, edge: Edge) -> tuple[Vector, Vector]:
-        """(n,), (n,) where an edge begins and ends; a continuous joint goes the shorter way round."""
+        """(n,), (n,) where an edge begins and ends; a continuous joint turns in the shorter direction."""
         a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
         return a, self._problem.robot.reduce_unchecked(b, near=a)
 
@@ -378,7 +378,7 @@ class PathResolver:
         return np.concatenate(found)
 
     def _is_short(self, motion: Stretch, layer: int) -> bool:
-        """Whether no joint moves too far from waypoint to waypoint; the least that does is kept by `layer`."""
+        """Whether no joint moves too far from waypoint to waypoint; the shortest step too long is kept by `layer`."""
         if self._steps is None:
             return True
         step = longest_step(self._path, motion.stations, motion.q, self._steps)
@@ -389,9 +389,9 @@ class PathResolver:
         return False
 
     def _least_step(self, graph: LayeredGraph, costs: Vector, layer: int) -> WaypointStep | None:
-        """The least step from waypoint to waypoint that leads on from `layer`, the last that can be reached.
+        """The shortest step between waypoints that leads on from `layer`, the last that can be reached.
 
-        None where none is too long.
+        None if no step is too long.
         """
         if self._steps is None or layer < 0 or layer + 1 == len(graph.layers):
             return None
@@ -413,7 +413,7 @@ class PathResolver:
         return WaypointStep(joint, ends[0], ends[1], float(moved[joint]), float(longest[joint]))
 
     def _clear(self, nodes: Matrix) -> Matrix:
-        """Of the nodes (N, n) of a layer those that are clear; where any keeps further off, those that do."""
+        """The nodes (N, n) of a layer that are clear; if some of these also keep the extra distance, only those."""
         clear = nodes[self._screen.keeps(nodes)]
         if self._apart is None:
             return clear
@@ -431,7 +431,7 @@ class PathResolver:
     # --- detours -------------------------------------------------------------------
 
     def _find_detours(self, graph: LayeredGraph, route: Route, failures: dict[tuple[int, int], int]) -> bool:
-        """Find the detours of a route; forbid the first that is not found. True where all are."""
+        """Find the detours of a route; forbid the first that is not found. True if all are found."""
         for edge in route.edges:
             if edge.kind is not EdgeKind.DETOUR or edge in self._ways:
                 continue
@@ -447,7 +447,7 @@ class PathResolver:
         return True
 
     def _leave(self, graph: LayeredGraph, edge: Edge) -> tuple[Stretch, Bypass, Stretch] | None:
-        """A detour, with the parts of the path that are followed before and after it; None where none is found."""
+        """A detour, with the parts of the path that are followed before and after it; None if none is found."""
         a, b = self._ends(graph, edge)
         low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
         if low == high or (self._off_path and edge.start[0] == 0):
@@ -456,7 +456,7 @@ class PathResolver:
         else:
             before, beyond = self._extend(low, high, a)
             obstruction = self._obstruction(*beyond)
-            # never so far that both ends cross
+            # only so far that the two ends do not cross
             back, _ = self._extend(high, before.reached, b)
             after = Stretch(back.stations[::-1], back.q[::-1])
         left, back_at = before.reached, float(after.stations[0])
@@ -466,11 +466,11 @@ class PathResolver:
         return before, Bypass(way, replace(obstruction, path_from=left, path_to=back_at)), after
 
     def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, tuple[Vector, float]]:
-        """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear.
+        """Follow the path on from `low` towards `high` [m], by the nearest configurations, as far as it is clear.
 
         Returns
         -------
-        The stretch, and where something is in the way beyond its end: (n,) joints and arc length [m].
+        The stretch, and the configuration (n,) and arc length [m] just beyond its end at which something is in the way.
         """
         count = max(int(np.ceil(abs(high - low) / _EXTENSION)), 1)
         stations, found = [low], [q]
@@ -489,7 +489,7 @@ class PathResolver:
         return Stretch(np.array(stations), np.array(found)), beyond or (found[-1], stations[-1])
 
     def _obstruction(self, q: Vector, station: float) -> Obstruction:
-        """What is in the way at `q`, or else of the other configurations at that arc length."""
+        """What is in the way at `q`, otherwise what is in the way of the other configurations at that arc length."""
         tightest = self._proximity.tightest(q, time=self._time)
         gap = np.minimum(q - self._problem.limits.lower, self._problem.limits.upper - q)
         if tightest is not None and tightest.margin < 0.0:
@@ -508,7 +508,7 @@ class PathResolver:
         return Obstruction.joint_limit(self._problem.robot.joint_names[joint])
 
     def _free_again(self, left: float) -> float:
-        """The first arc length after `left` at which the tip can be on the path again [m], else the path's end."""
+        """The first arc length after `left` at which the tip can be on the path again [m], otherwise the path's end."""
         for layer, nodes in enumerate(self._layers):
             station = float(self._stations[layer])
             if station <= left + 1e-9 or not len(nodes):
@@ -518,10 +518,10 @@ class PathResolver:
             return min(self._extend(station, before, q)[0].reached for q in few)
         return self._path.length
 
-    # --- what comes out ----------------------------------------------------------------
+    # --- the result --------------------------------------------------------------------
 
     def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Bypass, ...]:
-        """The edges of a route, joined where they follow the path without a detour between."""
+        """The motions of a route, joined into stretches where there is no detour between them."""
         layer, index = route.nodes[0]
         pieces: list[Stretch | Bypass] = [Stretch(graph.stations[[layer]], graph.layers[layer][[index]])]
         for edge in route.edges:

@@ -1,4 +1,4 @@
-"""Resolved stretches made smooth: the grid's steps taken out, within the null space.
+"""Smooths resolved stretches: removes the grid's steps, within the null space.
 
 A route through the layered graph jumps from grid value to grid value. Here every sample
 is moved within its null space, q_k + N_k z_k, so that the cost
@@ -6,9 +6,9 @@ is moved within its null space, q_k + N_k z_k, so that the cost
     sum_k w_k |q_{k+1} - q_k|^2,  w_k = 1 / (arc length from k to k + 1)
 
 falls: Gauss-Newton on z, a banded system, with the tip put back on the path after each
-step. A sample that would come too near to something, or tear away from its neighbour, is
-held back by a growing price on its own z. Only a stretch that is cheaper, clear, whole, and
-within the limits is taken.
+step. A sample that would come too near to something, or move too far from its neighbour, is
+held back by a growing price on its own z. A new stretch is accepted only if it is cheaper,
+clear, continuous, and within the limits.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Mask = NDArray[np.bool_]
 ENOUGH = 1e-3  # relative fall of the cost below which it is not lowered further; chosen
 ROOM = 0.005  # m of margin that is not used up; chosen
 _ROUNDS = 20  # steps of Gauss-Newton at most; chosen
-_LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round; chosen: the null space turns little within it
+_LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round; chosen: the null space changes little within it
 _LEAST_STEP = 1e-6  # m of arc length: far below any spacing, so that no weight is infinite
 
 
@@ -53,7 +53,7 @@ def smooth_stretch(
     Parameters
     ----------
     stretch: a clear stretch of `path`.
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     free_start, free_end: whether the joints may change at the first and at the last sample too.
     brake: ends the search early; the best so far is kept. By default none.
     """
@@ -102,9 +102,9 @@ def smooth_stretch(
 
 
 def margins_to_keep(margins: Vector) -> Vector:
-    """(K,) what samples keep of their `margins` (K,) where they are moved [m]: of small ones all but rounding.
+    """(K,) the margins that samples keep when they are moved [m]: of small `margins` (K,) all but rounding.
 
-    However often they are moved, the certificate takes them for clear.
+    So the certificate accepts them as clear, however often they are moved.
     """
     return np.asarray(np.minimum(margins, np.clip(margins, 0.0, ROOM) - NEARER))
 
@@ -119,7 +119,7 @@ def strict_targets(targets: TargetBatch) -> TargetBatch:
 
 
 def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:
-    """(K,) least margin of each sample [m], or a lower bound of it that is above `floor` (K,)."""
+    """(K,) least margin of each sample [m], or a lower bound of it above `floor` (K,)."""
     found = np.full(len(q), np.inf)
     wanted = np.full(len(q), ROOM) if floor is None else floor
     for row, joints in enumerate(q):

@@ -10,7 +10,7 @@ from backhoe_planner.proof import AT_CLEARANCE
 from backhoe_planner.site import Obstruction
 
 STRAIGHT_STEP = 0.03  # rad or m of a joint from sample to sample on the straight line between two nodes; chosen
-BENT = 3.0  # times: a step of the joint-space curve, which the tip's path bends, may be so much longer; chosen
+BENT = 3.0  # times that a step of the actual joint motion may exceed that of the straight line; chosen
 NEARER = 0.5 * AT_CLEARANCE  # m by which a sample may be too near; half, as a curve through samples comes nearer still
 JUMP = 0.02  # rad or m by which such a step may be longer still, for short straight steps; chosen
 

@@ -1,4 +1,4 @@
-"""The corners of a way made round as far as that is proven clear."""
+"""Rounds the corners of a route as far as that is proven clear."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ALONE = 0.95  # part of a leg that its only corner may take: nearly all, so tha
 
 
 def blend(check: MotionCheck, way: JointPath) -> SmoothWay:
-    """Round every corner of `way` as far as that is proven clear; a corner that cannot be rounded is stopped at.
+    """Round every corner of `way` as far as that is proven clear; the motion stops at corners that cannot be rounded.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def blend(check: MotionCheck, way: JointPath) -> SmoothWay:
 
 
 def _cut(check: MotionCheck, q: Matrix, steps: Vector, corner: int) -> float:
-    """How far before and after a corner it is cut [s]: the longest possible, or halved until clear; 0 if never."""
+    """How far before and after a corner to cut [s]: the longest possible, or halved until clear; 0 if never clear."""
     into = (q[corner] - q[corner - 1]) / steps[corner - 1]
     out = (q[corner + 1] - q[corner]) / steps[corner]
     d = min(

@@ -8,15 +8,15 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import KEPT_TO
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
-_BESIDE_BAND = 2.0 * KEPT_TO  # rad: an end may miss the band by `KEPT_TO`, and OMPL waits for ever for one outside
+_BESIDE_BAND = 2.0 * KEPT_TO  # rad: an end may miss the band by `KEPT_TO`, and OMPL waits forever for an end outside
 
 
 class Chart:
-    """The coordinates in which OMPL samples: joint times, positions over velocity limits.
+    """The coordinates in which OMPL samples: joint times, which are positions over velocity limits.
 
-    Where the pitch is to stay within a band, it stands in place of one of the joints that change
-    it. It is linear in the joints, so straight motions stay straight, and every sample lies in
-    the band, however narrow.
+    If the pitch has to stay within a band, it replaces one of the joints that change it as a
+    coordinate. It is linear in the joints, so straight motions stay straight, and every sample
+    is within the band, however narrow that is.
     """
 
     def __init__(self, check: MotionCheck) -> None:
@@ -26,7 +26,7 @@ class Chart:
         self._joint = 0
         self._turns = 0.0
         if self._band is not None:
-            # the joint with the widest range: fewest samples ask it to leave that
+            # the joint with the widest range: the fewest samples make it leave its range
             changes = np.abs(self._band.row) > 0.5
             self._joint = int(np.argmax(np.where(changes, limits.upper - limits.lower, -1.0)))
 
@@ -37,14 +37,14 @@ class Chart:
             self._turns = whole - float(self._band.values(start[None, :])[0])
 
     def place(self, q: Vector) -> Vector:
-        """(n,) of the joints `q` (n,)."""
+        """(n,) the coordinates of the joints `q` (n,)."""
         found = q / self._rate
         if self._band is not None:
             found[self._joint] = (float(self._band.unwrapped(q)) - self._turns) / self._rate[self._joint]
         return np.asarray(found)
 
     def joints(self, places: Matrix) -> Matrix:
-        """(..., n) joints at `places` (..., n), held within their limits; the one that the pitch stands for is not."""
+        """(..., n) joints at `places` (..., n), clipped to their limits, except the joint that the pitch replaces."""
         q = np.clip(places * self._rate, self._limits.lower, self._limits.upper)
         if self._band is not None:
             off = q[..., self._joint].copy()
@@ -62,7 +62,7 @@ class Chart:
         return low, high
 
     def into_band(self, q: Matrix, rng: np.random.Generator) -> Matrix:
-        """The joints `q` (N, n), with the pitch moved to anywhere in the band by one of them."""
+        """The joints `q` (N, n), with one of them changed so that the pitch is at random in the band."""
         if self._band is None:
             return q
         places = q / self._rate

@@ -1,4 +1,4 @@
-"""The postures at which a motion may end, and how soon each can be reached."""
+"""The postures in which a motion may end, and how soon each can be reached."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from backhoe_planner.motion import Goal, Problem
 from backhoe_planner.planning.search.postures import find_distinct
 from backhoe_planner.proof import LeastTimes
 
-_LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
+_LONGEST = 120.0  # s up to which least times are computed; chosen, above all motions between two postures
 _SAME = 0.01  # rad or m: postures nearer than this count as one; chosen, less than a descent moves an end
 
 
@@ -25,9 +25,9 @@ class GoalEnds:
     Attributes
     ----------
     postures: (n,) each [rad or m], in the order in which they were found.
-    goals: of each, the goal that it is on.
-    least: s to each, that no motion falls short of.
-    order: of the postures, the soonest first.
+    goals: the goal of each posture.
+    least: a lower bound on the duration of any motion to each posture [s].
+    order: indices of the postures, the soonest first.
     """
 
     def __init__(self, problem: Problem, start: Vector) -> None:
@@ -39,7 +39,7 @@ class GoalEnds:
         self.order: list[int] = []
 
     def take(self, postures: Sequence[Vector], goals: Sequence[Goal]) -> list[int]:
-        """Count further postures in, each with its goal, but for those that are known; which, the soonest first."""
+        """Add postures that are not known yet, each with its goal; the indices of those added, the soonest first."""
         before = len(self.postures)
         known = np.array(self.postures).reshape(-1, len(self._rate))
         for index in find_distinct(np.array(postures).reshape(-1, len(self._rate)), _SAME, known):
@@ -52,17 +52,17 @@ class GoalEnds:
         return [index for index in self.order if index >= before]
 
     def at(self, which: Sequence[int]) -> Matrix:
-        """(K, n) these of the postures."""
+        """(K, n) the postures `which`."""
         return np.array([self.postures[index] for index in which])
 
     def nearest(self, which: Sequence[int], q: Vector) -> int:
-        """That of the postures `which` that is nearest to `q` (n,)."""
+        """The index of the posture nearest to `q` (n,) among `which`."""
         return min(which, key=lambda index: float(np.max(np.abs(self.postures[index] - q))))
 
     def within(self, longest: float, apart: float) -> Iterator[int]:
-        """Those that can be reached in `longest` [s], the soonest of those nearer than `apart` [s of joint time]."""
+        """Postures reachable in `longest` [s]; of those nearer than `apart` [s of joint time] only the soonest."""
         at = np.array(self.postures).reshape(-1, len(self._rate)) / self._rate
-        free = np.ones(len(at), dtype=bool)  # of those taken before
+        free = np.ones(len(at), dtype=bool)  # whether far enough from those taken before
         for index in self.order:
             if self.least[index] > longest:
                 return
@@ -71,5 +71,5 @@ class GoalEnds:
                 yield index
 
     def least_to(self, q: Vector) -> float:
-        """What no motion from the start to `q` (n,) falls short of [s]."""
+        """A lower bound on the duration of any motion from the start to `q` (n,) [s]."""
         return float(self._least_times.to_boxes(q[None, :], q[None, :])[0])

@@ -1,7 +1,7 @@
-"""Ways along which something is kept that no sample keeps by chance, such as a narrow cone of orientations.
+"""Routes that keep a condition that no random sample fulfils by chance, such as a narrow cone of orientations.
 
-Two trees grow towards each other (RRTConnect); every new configuration is projected onto what is to be
-kept before it is joined (Berenson et al., Manipulation planning on constraint manifolds, 2009).
+Two trees grow towards each other (RRTConnect); every new configuration is projected onto the condition
+before it is joined (Berenson et al., Manipulation planning on constraint manifolds, 2009).
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Keep
 
-_STEP = 0.25  # s of the slowest joint in one step; chosen: further a projected step bends away from what is kept
-_AHEAD = 0.2  # part of a step that must be gained by it; chosen, so that no tree creeps along a limit
+_STEP = 0.25  # s of the slowest joint in one step; chosen: the projection of a longer step leaves the condition
+_AHEAD = 0.2  # part of a step by which it must come nearer; chosen, so that no tree creeps along a limit
 
 
 class KeptTrees:
-    """Two trees of configurations that keep everything.
+    """Two trees of configurations that satisfy a `Keep`.
 
     Parameters
     ----------
-    keep: what is to be kept.
-    rate: (n,) by which the joints are weighed [rad/s or m/s].
-    lower, upper: (n,) limits of the joints [rad or m].
-    allows: whether the straight motion between two configurations may be taken; it counts the work.
+    keep: the conditions.
+    rate: (n,) by which the joints are weighted [rad/s or m/s].
+    lower, upper: (n,) joint limits [rad or m].
+    allows: whether the straight motion between two configurations may be used; it counts the work.
     ended: whether to stop.
     """
 
@@ -39,7 +39,7 @@ class KeptTrees:
     def connect(
         self, start: Vector, goals: Sequence[Vector], low: Vector, high: Vector, rng: np.random.Generator
     ) -> Matrix | None:
-        """(K, n) corners of a way from `start` to one of `goals`; None where none is found in time.
+        """(K, n) corners of a route from `start` to one of `goals`; None if none is found before `ended`.
 
         Parameters
         ----------
@@ -59,7 +59,7 @@ class KeptTrees:
         return None
 
     def _grow(self, tree: _Tree, towards: Vector) -> int | None:
-        """The last node that was added on the way to `towards` (n,), from the nearest; None where none was."""
+        """The last node that was added from the nearest node towards `towards` (n,); None if none was."""
         at = tree.nearest(towards)
         last, left = None, tree.distance(at, towards)
         while not self._ended():
@@ -96,7 +96,7 @@ class _Tree:
         return float(np.max(np.abs(self.nodes[node] - q) / self._rate))
 
     def way_to(self, node: int) -> list[Vector]:
-        """From its root."""
+        """The configurations from the root of a node to it."""
         way = []
         while node >= 0:
             way.append(self.nodes[node])

@@ -1,17 +1,16 @@
-"""Proofs that a motion between configurations keeps its distance, with few measurements.
+"""Proofs that a motion between configurations keeps its clearances, with few distance queries.
 
 On a curve q(t), 0 <= t <= 1, whose joints change at rates of at most r, no distance
 changes by more than B = r . travel from one end to the other, so a margin anywhere
-between is at least (m_a + m_b - B) / 2. Pairs for which that does not decide are
-measured halfway, they alone, and so on. A pair that is far away at one end is not
-measured at all.
+between is at least (m_a + m_b - B) / 2. Only the pairs that this does not decide are
+measured halfway, and so on. A pair that is far away at one end is not measured at all.
 
-Beyond each clearance a spare distance is kept. An end of the way that has less than
-that may be left and reached: for the pairs concerned the spare is half of what they
-have at that end, and grows with the distance from it (by `_SLOPE`, so the bound B counts
+Beyond each clearance a spare distance is kept. A motion may leave or reach an end of the
+route that has less: for the pairs concerned the spare is half of what they have at that
+end, and grows with the distance from it (by `_SLOPE`, so the bound B counts
 1 + `_SLOPE` times).
 
-What the problem is to keep along the motion is proven as well (`motion.keep`).
+The conditions that the problem keeps along the motion are proven as well (`motion.keep`).
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ Point = Callable[[Any], Vector]  # the configuration (n,) at a part 0..1 of a mo
 
 _SLOPE = 0.05  # m of spare per metre of travel away from a tight end; chosen small, since B grows by it
 _ROUNDING = 5e-7  # m: chosen far below every clearance, and far above the rounding of a distance
-_SELF_SPARE = 0.002  # m: the bodies of a machine are built to pass each other closely
-_MOST_HALVINGS = 250  # of one motion; chosen: one that is still undecided then is too tight to be worth more
-_REMEMBERED = 20_000  # configurations; chosen to bound the memory, above what one search visits
-_ANCHORS = 100  # configurations with every pair measured, from which others are bounded; chosen, as each is compared
-_ANCHOR_FROM = 0.4  # chosen: where this part of the pairs was measured anyway, the rest is measured for an anchor
-_NEAR_EVERY = 0.02  # s of the slowest joint between two looks at `near`: the period of a motion's samples
+_SELF_SPARE = 0.002  # m: the links of a machine are built to pass each other closely
+_MOST_HALVINGS = 250  # of one motion; chosen: a motion still undecided then is too tight to be worth more
+_REMEMBERED = 20_000  # configurations; chosen to bound the memory, more than one search visits
+_ANCHORS = 100  # configurations with all pairs measured, which bound others; chosen: each is compared at every query
+_ANCHOR_FROM = 0.4  # chosen: if so large a part of the pairs was measured anyway, the rest is measured for an anchor
+_NEAR_EVERY = 0.02  # s of the slowest joint between two checks of `near`: the period of a motion's samples
 
 
 @dataclass(slots=True, eq=False)
@@ -52,23 +51,23 @@ class _Margins:
 
 
 class MotionCheck:
-    """Decides which motions of one problem are clear; remembers what it measured.
+    """Decides which motions of one problem are clear; it remembers its measurements.
 
     Parameters
     ----------
-    problem: its joint limits are kept, and its velocity limits weigh the joints.
+    problem: its joint limits are kept, and its velocity limits are the weights of the joints.
     proximity: distances to the obstacles.
-    ends: (n,) configurations at which a way may begin or end [rad or m].
-    spare: kept beyond every clearance [m]; between bodies of the machine at most 2 mm.
-    time: the obstacles stand where they are at this time [s].
+    ends: (n,) configurations at which a route may begin or end [rad or m].
+    spare: kept beyond every clearance [m]; between links of the machine at most 2 mm.
+    time: at which the positions of the obstacles are taken [s].
     near: a further condition on configurations. It is not proven but sampled along a
         motion, every 0.02 s of the slowest joint.
-    brake: checked at every question; by default none.
+    brake: checked at every query; by default none.
 
     Attributes
     ----------
-    proves: whether what is said to be clear is proven.
-    ends_clear: whether each end keeps its clearances, the limits, `near` and what the problem is to keep.
+    proves: whether a positive answer is a proof.
+    ends_clear: whether each end satisfies its clearances, the limits, `near` and the problem's `keep`.
     measured: how many configurations were measured.
     """
 
@@ -109,16 +108,16 @@ class MotionCheck:
         self._wide_screen = ClearanceScreen(proximity, time=time, spare=twice)
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
         self._screen = ClearanceScreen(proximity, time=time, spare=self._least_spare())
-        self._known.clear()  # the spare at a configuration depends on all ends
+        self._known.clear()  # measured before all ends were known, on which the spare depends
 
-    # --- questions -------------------------------------------------------------
+    # --- queries ---------------------------------------------------------------
 
     def segment_is_clear(self, q_a: Vector, q_b: Vector) -> bool:
         """Whether the straight motion from `q_a` (n,) to `q_b` (n,) is proven clear.
 
         Raises
         ------
-        OutOfTime: the brake has ended it.
+        OutOfTime: the budget of the brake is used up.
         """
         dq = q_b - q_a
         if not self._within_limits(q_b) or not self._within_limits(q_a):
@@ -132,12 +131,12 @@ class MotionCheck:
 
         Parameters
         ----------
-        sagitta: (n,) by which the joints may be off the parabola [rad or m]: what they
-            can move a link is kept free as well, also where the spare is less.
+        sagitta: (n,) by which the joints may be off the parabola [rad or m]: the distance by which
+            this can move a link is kept free as well, even where the spare is less.
 
         Raises
         ------
-        OutOfTime: the brake has ended it.
+        OutOfTime: the budget of the brake is used up.
         """
         if self._keep is not None and not self._keep.corner_holds(q_a, corner, q_b, sagitta=sagitta):
             return False
@@ -228,13 +227,13 @@ class MotionCheck:
     def _stays_near(self, point: Point, rate: Vector) -> bool:
         assert self._near is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _NEAR_EVERY)) + 1
-        at = places(steps)  # most of what is too far off is so at an end or in the middle
+        at = places(steps)  # most motions that go too far off do so at an end or in the middle
         return all(self._near(np.array([point(part) for part in some])) for some in (at[:3], at[3:]) if some)
 
     # --- what is known -----------------------------------------------------------
 
     def _at(self, q: Vector, enough: Vector) -> _Margins:
-        """Margins at `q`: of each pair the exact one, or a lower bound that is at least `enough` (P,) [m]."""
+        """Margins at `q`: for each pair the exact one, or a lower bound of at least `enough` (P,) [m]."""
         key = q.tobytes()
         known = self._known.get(key)
         if known is None:
@@ -255,7 +254,7 @@ class MotionCheck:
         return np.asarray(self._anchors[nearest][1] - away[nearest] @ self._transposed)
 
     def _toward(self, q: Vector, from_: _Margins, bound: Vector, needed: NDArray[np.bool_]) -> _Margins | None:
-        """Margins at `q`, exact for the pairs that are `needed`; None where one of them is negative."""
+        """Margins at `q`, exact for the pairs that are `needed`; None if one of these is negative."""
         key = q.tobytes()
         known = self._known.get(key)
         if known is None:
@@ -297,7 +296,7 @@ class MotionCheck:
         return np.asarray(margin - spare)
 
     def _least_spare(self) -> Vector:
-        """(P,) what is kept beyond every clearance everywhere [m]: at a tight end all of it, elsewhere more."""
+        """(P,) the spare that is kept beyond every clearance everywhere [m]: away from tight ends it is larger."""
         spare = np.zeros(len(self.proximity.pairs))
         spare[self._pairs] = np.min([self._spare, *(at_end for _, at_end in self._tight_ends)], axis=0) - _ROUNDING
         return spare
@@ -309,7 +308,7 @@ class MotionCheck:
             return False
         if not len(self._pairs):
             return True
-        # all others have twice the spare
+        # all other pairs have at least twice the spare
         rows = np.searchsorted(self._pairs, self._wide_screen.pairs_not_apart_unchecked(q))
         margin = np.full(len(self._pairs), np.inf)
         near = self.proximity.distances_of_unchecked(self._pairs[rows], q, time=self._time)

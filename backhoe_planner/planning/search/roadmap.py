@@ -1,10 +1,10 @@
-"""Different ways through a roadmap: the cheapest first, none of them near one that is known.
+"""Different routes through a roadmap: the cheapest first, none of them near a known one.
 
 Nodes are the start, the ends, and clear configurations through which a motion can be short enough: drawn at random,
-and in the middle between two that are not clear, which finds narrow passages (bridge test, Hsu et al. 2003). Each is
-joined to its nearest. A joint is looked at in its middle when the roadmap is made, and all along once a way leads
-over it (lazy roadmaps, Bohlin and Kavraki 2000). What every node costs from the start and to an end gives
-the cheapest way through each node (alternative routes through via nodes, Abraham et al. 2013).
+and in the middle between two that are not clear, which finds narrow passages (bridge test, Hsu et al. 2003). Each
+node is joined to its nearest. An edge is checked in its middle when the roadmap is made, and along its whole length
+once a route uses it (lazy roadmaps, Bohlin and Kavraki 2000). The costs of every node from the start and to an end
+give the cheapest route through each node (alternative routes through via nodes, Abraham et al. 2013).
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from backhoe_planner.planning.search.reach import Reach, beyond_limits
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
-# (E,) what straight motions cost, from the first (E, n) to the second (E, n)
+# (E,) the costs of straight motions from the first (E, n) to the second (E, n)
 Price = Callable[[Matrix, Matrix], Vector]
 
 _NEIGHBOURS = 12  # to which a node is joined; chosen
-_DRAWN = 6  # times as many configurations as nodes are drawn at most, where few are short enough or clear; chosen
-_BRIDGES = 10  # tried from each that is not clear; chosen, one in thirty is one
-_BRIDGE = 0.4  # s of each joint, the deviation of a bridge's length; chosen among 0.3 to 0.8
-_MOST_BLOCKED = 60  # ways that turn out blocked, after which no further one is looked for; chosen
-_NEAR = 0.15  # part of a way's length: configurations that are nearer to it do not make another way; chosen
-_PLACES = 5  # of each straight motion of a way, from which that is measured
-_TOGETHER = 500  # nodes whose nearest are looked for at once, to bound the memory
-_LEAST = 1e-6  # of the mean price: what a step costs at least, well above the rounding of a way's price
-_EVEN = 0.05  # part of the Euclidean joint time that counts beside the slowest joint's; it decides between equals
+_DRAWN = 6  # at most so many times as many configurations as nodes are drawn, if few are within reach or clear; chosen
+_BRIDGES = 10  # tried from each configuration that is not clear; chosen: one in thirty is a bridge
+_BRIDGE = 0.4  # s of each joint: the standard deviation of a bridge's length; chosen among 0.3 to 0.8
+_MOST_BLOCKED = 60  # blocked routes, after which no further route is sought; chosen
+_NEAR = 0.15  # part of a route's length: configurations nearer to it do not make another route; chosen
+_PLACES = 5  # of each straight motion of a route, from which that is measured
+_TOGETHER = 500  # nodes whose nearest are found at once, to bound the memory
+_LEAST = 1e-6  # part of the mean price: the least cost of a step, well above the rounding of a route's price
+_EVEN = 0.05  # part of the Euclidean joint time, added to the slowest joint's; it decides between equals
 
 
 def joint_time(rate: Vector) -> Price:
-    """About how long straight motions take at full rates `rate` (n,) [s]."""
+    """The estimated time of straight motions [s], at full velocities `rate` (n,)."""
 
     def price(a: Matrix, b: Matrix) -> Vector:
         step = np.abs(b - a) / rate
@@ -50,12 +50,12 @@ class Roadmap:
 
     Parameters
     ----------
-    check: says what is clear, made for the start and the ends.
+    check: decides what is clear; made for the start and the ends.
     reach: start, ends, and how long a motion may take.
     nodes: how many are drawn.
-    rng: by which they are.
+    rng: by which they are drawn.
     price: of straight motions.
-    known: (K, n) each: places along further ways, which become nodes too.
+    known: (K, n) each: places along known routes, which become nodes too.
     """
 
     def __init__(
@@ -67,14 +67,14 @@ class Roadmap:
         self._ends = np.arange(1, 1 + len(reach.ends))
         places = [way[reach.holds(way)] for way in known]
         self._q = np.vstack((reach.start, reach.ends, *places, *self._draw(nodes, rng)))
-        self._near = np.zeros(len(self._q), dtype=bool)  # to ways that are known
+        self._near = np.zeros(len(self._q), dtype=bool)  # to known routes
         for way in known:
             self.avoid(way)
-        self._clear: set[tuple[int, int]] = set()  # joints that were looked at all along
+        self._clear: set[tuple[int, int]] = set()  # edges that were checked along their whole length
         self._join(*self._nearest())
 
     def avoid(self, way: Matrix) -> None:
-        """Give no further way whose own part is near the one through places (K, n)."""
+        """Exclude further routes whose via node is near the route through places (K, n)."""
         part = np.linspace(0.0, 1.0, _PLACES, endpoint=False)[:, None, None]
         x, left = way / self._rate, np.flatnonzero(~self._near)
         step = np.diff(x, axis=0)
@@ -86,15 +86,15 @@ class Roadmap:
         self._near[left] = near.any(axis=0)
 
     def ways(self, *, dearest: float = np.inf) -> Iterator[JointPath]:
-        """Ways to an end, the cheapest first, each through a configuration that is not near those before.
+        """Routes to an end, the cheapest first, each through a configuration that is not near those before.
 
         Parameters
         ----------
-        dearest: up to what price there are ways.
+        dearest: the highest price of a route.
 
         Raises
         ------
-        OutOfTime: the brake of the check has ended it.
+        OutOfTime: the budget of the check's brake is used up.
         """
         start = np.zeros(1, dtype=np.intp)
         blocked, changed = 0, True
@@ -138,7 +138,7 @@ class Roadmap:
             low, high = np.array(low), np.array(high)
             low[::2], high[::2] = beyond_limits(
                 reach.limits, low[::2], high[::2]
-            )  # of seven joints one is mostly there
+            )  # with seven joints, one is mostly at a limit then
             q = low + rng.random(ends.shape) * (high - low)
             q = chart.into_band(np.clip(q, reach.limits.lower, reach.limits.upper), rng)
             q = self._within(q, lower, upper)[: count - have]
@@ -164,7 +164,7 @@ class Roadmap:
         return q[self._reach.holds(q) & ((q >= lower) & (q <= upper)).all(axis=1)]
 
     def _nearest(self) -> tuple[Indices, Indices]:
-        """(E,) the nodes between which there are joints, each pair once."""
+        """(E,) the nodes at the ends of the edges, each pair once."""
         at = (self._q / self._rate).astype(np.float32)
         count = len(at)
         each = min(_NEIGHBOURS, count - 1)
@@ -175,7 +175,7 @@ class Roadmap:
             for own, other in zip(rows.T, at.T, strict=True):
                 np.maximum(apart, np.abs(own[:, None] - other), out=apart)
             apart[np.arange(len(rows)), first + np.arange(len(rows))] = np.inf
-            # the distance of the furthest of them takes half as long to find as they do
+            # finding the distance of the furthest neighbour takes half as long as finding the neighbours
             furthest = np.partition(apart, each - 1, axis=1)[:, each - 1 : each]
             one, other = np.nonzero(apart <= furthest)
             pairs.append(np.minimum(first + one, other) * count + np.maximum(first + one, other))
@@ -183,11 +183,11 @@ class Roadmap:
         return found // count, found % count
 
     def _join(self, one: Indices, other: Indices) -> None:
-        """Joints between these nodes (E,), where they are clear in the middle."""
+        """Join these nodes (E,) by edges, if these are clear in the middle."""
         clear = self._check.keeps(0.5 * (self._q[one] + self._q[other]))
         one, other = one[clear], other[clear]
         there, back = self._price(self._q[one], self._q[other]), self._price(self._q[other], self._q[one])
-        # each step costs something, so that no way goes round in a circle
+        # each step costs something, so that no route goes in a circle
         least = _LEAST * float(np.mean(there + back)) if len(one) else 0.0
         there, back = np.maximum(there, least), np.maximum(back, least)
         one, other = np.append(one, other), np.append(other, one)
@@ -195,7 +195,7 @@ class Roadmap:
         order, count = np.argsort(one, kind="stable"), np.bincount(one, minlength=len(self._q))
         one, other = one[order], other[order]
         slot = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count)
-        # (N, M) the nodes to which each is joined, and what it costs from them and to them
+        # (N, M) the nodes to which each is joined, and the costs from them and to them
         self._joined = np.zeros((len(self._q), max(int(count.max()), 1)), dtype=np.intp)
         self._out = np.full(self._joined.shape, np.inf)
         self._back = self._out.copy()
@@ -203,7 +203,7 @@ class Roadmap:
         self._out[one, slot], self._back[one, slot] = back[order], there[order]
 
     def _prices(self, step: Matrix, roots: Indices) -> tuple[Vector, Indices]:
-        """(N,) what it costs to get between every node and the nearest of `roots`, and the next node on that way."""
+        """(N,) the least cost between every node and any of `roots`, and the next node on that route."""
         cost = np.full(len(self._q), np.inf)
         cost[roots] = 0.0
         while True:  # Bellman and Ford, all nodes at once
@@ -215,7 +215,7 @@ class Roadmap:
         return cost, self._joined[np.arange(len(slot)), slot]
 
     def _drop_blocked(self, nodes: Sequence[int]) -> bool:
-        """Look at the joints of a way all along, and take away those that are blocked; whether there are any."""
+        """Check the edges of a route along their whole length, and remove blocked ones; whether there are any."""
         blocked = False
         for pair in itertools.pairwise(nodes):
             a, b = sorted(pair)

@@ -1,4 +1,4 @@
-"""A look at motions in place of a proof, many times quicker: for what is proven later, as a whole."""
+"""A sampled check of motions in place of a proof, many times quicker; for motions that are later proven as a whole."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.search.motion_check import MotionCheck, Point, places
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-_TOGETHER = 16  # places asked about at once where there are clusters; chosen
-_APART = 0.04  # m between two looks, of the point that moves most; chosen: a motion of 1 s is looked at 20 to 60 times
-_APART_HURRIED = 0.08  # m: the same in a hurry; chosen, a seventh of a quick plan at a shelf, and motions as good
+_TOGETHER = 16  # places checked at once if there are clusters; chosen
+_APART = 0.04  # m between two places, of the point that moves most; chosen: 20 to 60 places for a motion of 1 s
+_APART_HURRIED = 0.08  # m: the same in a hurry; chosen: saves a seventh of a quick plan at a shelf, motions are as good
 
 
 class SampledCheck(MotionCheck):
-    """Says of a motion that it is clear where it is clear at places close to each other.
+    """Counts a motion as clear if it is clear at places close to each other.
 
-    The places are asked the middle first, then the middles of the halves, and so on: where a motion is
-    not clear, few of them say so.
+    The ends and the middle are checked first, then the middles of the halves, and so on: if a motion is
+    not clear, a few places mostly show it.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class SampledCheck(MotionCheck):
         self._apart = _APART_HURRIED if hurried else _APART
 
     def keeps(self, q: Matrix) -> Flags:
-        """(N,) which of `q` (N, n) keep what is to be kept and every clearance, with the least spare of any end."""
+        """(N,) which of `q` (N, n) satisfy `keep` and every clearance, with the least spare of any end."""
         self._brake.check()
         found = np.ones(len(q), dtype=bool) if self._keep is None else self._keep.holds_each(q)
         found[found] = self._screen.keeps(q[found])
@@ -60,7 +60,7 @@ class SampledCheck(MotionCheck):
         """Whether all of `q` (N, n) keep every clearance and its spare."""
         if not len(self._tight_rows):
             return self._screen.keeps_all_unchecked(q)
-        row = 0  # most configurations keep the spare of all pairs, also of those that have less at an end
+        row = 0  # most configurations keep the full spare of all pairs, also of pairs with less at an end
         while (row := row + self._full_screen.first_not_kept_unchecked(q[row:])) < len(q):
             if not self._screen.keeps_unchecked(q[row]) or self._measure(self._tight_rows, q[row]).min() < 0.0:
                 return False
@@ -74,7 +74,7 @@ class SampledCheck(MotionCheck):
 
     @cached_property
     def _full_screen(self) -> ClearanceScreen:
-        """For the spare of all pairs, also of those."""
+        """A screen with the full spare of all pairs, the tight ones included."""
         spare = np.zeros(len(self.proximity.pairs))
         spare[self._pairs] = self._spare
         return ClearanceScreen(self.proximity, time=self._time, spare=spare)
@@ -82,7 +82,7 @@ class SampledCheck(MotionCheck):
 
 @lru_cache(maxsize=1024)
 def _column_of_places(steps: int) -> Matrix:
-    """(K, 1) the same as `places`."""
+    """(K, 1) the same as `places`, as a column."""
     found = np.array(places(steps))[:, None]
     found.setflags(write=False)
     return found

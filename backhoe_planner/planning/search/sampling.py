@@ -1,8 +1,8 @@
-"""A way from one configuration to any of several, by sampling in joint space.
+"""A route from one configuration to any of several, by sampling in joint space.
 
 Straight lines are tried first, then RRTConnect (Kuffner and LaValle 2000) of OMPL with
-motion checks that are proofs. Joints are weighed by their velocity limits, so lengths
-are about times.
+motion checks that are proofs. Joints are weighted by their velocity limits, so lengths
+are approximate times.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.reach import Reach, beyond_limits
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
-# parts of the box's diagonal that such a motion may be at least, for slow machines, and at most; chosen, so that trees
-# come through the box in some hundred motions, and branch
+# least length of such a motion, for slow machines, and largest, as parts of the box's diagonal; chosen, so that trees
+# cross the box in some hundred motions, and branch
 _LEAST_OF_BOX, _MOST_OF_BOX = 0.025, 0.4
 
 
@@ -45,7 +45,7 @@ class JointPath:
         self.q.setflags(write=False)
 
     def length(self, limits: JointLimits) -> float:
-        """Root of the squared joint times (at full rate), added up over the segments [s]."""
+        """Euclidean norm of the joint times (at full velocity), added up over the segments [s]."""
         return float(np.sum(np.linalg.norm(np.diff(self.q, axis=0) / limits.velocity, axis=1)))
 
 
@@ -60,29 +60,29 @@ def sample_path(
     longest: float = np.inf,
     straight: bool = True,
 ) -> JointPath | None:
-    """A way that provably keeps every clearance and joint limit, or None.
+    """A route that keeps every clearance and joint limit, as far as `check` proves it; or None.
 
-    The same input and seed give the same way. OMPL's global seed is set.
+    The same input and seed give the same route. OMPL's global seed is set.
 
     Parameters
     ----------
     check: made for `start` and `goals`, in this order.
-    start: (n,) where the way begins [rad or m].
-    goals: (n,) where it may end, each; those that are not clear are left out.
+    start: (n,) where the route begins [rad or m].
+    goals: (n,) each, where it may end; those that are not clear are left out.
     seed: of the sampling, not negative.
-    work: every motion that the sampling looks at is taken from it.
+    work: every motion that the sampling checks is subtracted from it.
     most_motions: after so many the sampling is given up; by default `Effort.motions_per_search`,
         0 for the straight motions alone.
     straight: whether straight motions to the goals are tried first.
-    longest: configurations are left out through which every motion from the start to an end takes longer [s].
+    longest: configurations are left out if every motion through them from the start to an end takes longer [s].
 
     Returns
     -------
-    The way to the goal that was reached first; None where no end is clear, or no work is left.
+    The route to the goal that was reached first; None if none was found, no end is clear, or no work is left.
 
     Raises
     ------
-    OutOfTime: the brake of `check` has ended it.
+    OutOfTime: the budget of the brake of `check` is used up.
     """
     if not check.ends_clear[0]:
         return None
@@ -92,7 +92,7 @@ def sample_path(
     )
     band = None if check.problem.keep is None else check.problem.keep.band
     open_goals = [goals[index] for index in order]
-    if band is not None:  # a whole turn of the pitch from the start: within the band there is no way
+    if band is not None:  # a goal a whole turn of the pitch from the start cannot be reached within the band
         open_goals = [goal for goal in open_goals if abs(float(band.row @ (goal - start))) < np.pi]
     for goal in open_goals if straight else ():
         if check.segment_is_clear(start, goal):
@@ -113,8 +113,8 @@ _OMPL = threading.Lock()
 class _Search:
     """One run of RRTConnect, in the coordinates of a `Chart`.
 
-    No exception passes through OMPL: the first one makes it stop, and is raised again
-    afterwards. Nothing that OMPL owns is kept here, or it would never be freed.
+    No exception passes through OMPL: the first one makes OMPL stop, and is raised again
+    afterwards. Nothing that OMPL owns is kept here, because it would never be freed.
     """
 
     def __init__(self, check: MotionCheck, work: Work, most_motions: int, longest: float) -> None:
@@ -128,7 +128,7 @@ class _Search:
         self._raised: BaseException | None = None
 
     def run_kept(self, keep: Keep, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
-        """The same where samples are projected onto what is to be kept, without OMPL."""
+        """The same with samples projected onto the conditions of `keep`, without OMPL."""
 
         def allows(a: Vector, b: Vector) -> bool:
             self._work.motions -= 1
@@ -159,13 +159,13 @@ class _Search:
     def _solve(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
         from ompl import base, geometric, util
 
-        util.RNG.setSeed(seed + 1)  # 0 would mean: whatever the clock says
+        util.RNG.setSeed(seed + 1)  # 0 would mean a seed from the clock
         n = len(start)
         self._chart.begin_at(start)
         limits = self._check.problem.limits
         reach = Reach(limits, start, np.array(goals), self._longest)
         low, high = self._chart.box(*beyond_limits(limits, *reach.box()))
-        # OMPL waits for ever for an end outside of the box
+        # OMPL waits forever for an end outside the box
         goals = [goal for goal in goals if reach.holds(goal[None])[0] and self._is_within(low, high, goal)]
         if not goals or not self._is_within(low, high, start):
             return None
@@ -198,7 +198,7 @@ class _Search:
         q = self._chart.joints(np.array(corners))
         q[0] = start
         q[-1] = min(goals, key=lambda goal: float(np.max(np.abs(goal - q[-1]))))
-        # the scaling has moved the corners by its rounding, which only a proof can tell
+        # the scaling has moved the corners by rounding; only a proof shows that they are still clear
         clear = not self._check.proves or all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
         return JointPath(q) if clear else None
 
@@ -212,7 +212,7 @@ class _Search:
         return state
 
     def _allows(self, a: list[float], b: list[float]) -> bool:
-        """Whether OMPL may move from `a` to `b`, in its own coordinates."""
+        """Whether OMPL may move from `a` to `b`, in the chart's coordinates."""
         self._work.motions -= 1
         if self._raised is not None:
             return False

@@ -1,6 +1,6 @@
-"""Shortcuts: a way made shorter as long as every new segment is proven clear.
+"""Shortcuts: a route is shortened as long as every new segment is proven clear.
 
-Corners are left out, then straight pieces replace what lies between two random places,
+Corners are left out, then straight pieces replace the part between two random places,
 for all joints or for one alone (partial shortcuts, Geraerts and Overmars 2007).
 """
 
@@ -22,7 +22,7 @@ _SHORTEST = 1e-6  # s between two corners: far below any motion, so that no segm
 
 
 def shorten(check: MotionCheck, way: JointPath, *, seed: int) -> JointPath:
-    """A way with the same ends that is not longer, and as well proven.
+    """A route with the same ends that is not longer, with the same proof.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def _length(q: Matrix, rate: Vector) -> float:
 
 
 def _without_corners(check: MotionCheck, q: Matrix) -> Matrix:
-    """From each corner straight on to the furthest one to which the motion is clear."""
+    """From each corner straight to the furthest one to which the motion is clear."""
     kept = [0]
     while kept[-1] < len(q) - 1:
         here = kept[-1]
@@ -62,7 +62,7 @@ def _without_corners(check: MotionCheck, q: Matrix) -> Matrix:
 
 
 def _shortcut(check: MotionCheck, q: Matrix, rng: np.random.Generator) -> Matrix | None:
-    """(K, n) the way with one straight piece between two random places; None where that is no gain or not clear."""
+    """(K, n) the route with one straight piece between two random places; None if that is no gain or not clear."""
     steps = np.linalg.norm(np.diff(q, axis=0) / check.rate, axis=1)
     stations = np.concatenate(([0.0], np.cumsum(steps)))
     one_joint = bool(rng.random() < _ONE_JOINT)

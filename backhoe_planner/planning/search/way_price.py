@@ -1,4 +1,4 @@
-"""About what straight motions cost, by which the ways through a roadmap are compared."""
+"""Estimated costs of straight motions, by which the routes through a roadmap are compared."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _PLACES = 40  # of a motion, between which its length is counted; chosen
 def price_of(problem: Problem, like: Trajectory, longest: float) -> Price:
     """The price of straight motions by the problem's objective, at the even pace of a motion that takes `longest` [s].
 
-    The time is priced by `joint_time`. Where only positive power counts, such as for the work, a motion has to speed
-    up once: with its length L in the metric of the mass matrix this needs (L / T)^2 / 2 in the time T, of which a step
-    is priced by its share of a change, dL L / T^2, with the length of the motion `like`.
+    The time is priced by `joint_time`. If only positive power counts, as for the work, a motion has to speed up once:
+    with its length L in the metric of the mass matrix this needs (L / T)^2 / 2 in the time T. A step is priced by its
+    share, the derivative dL L / T^2, with the length L of the motion `like`.
     """
     rate = problem.limits.velocity
     time = joint_time(rate)
