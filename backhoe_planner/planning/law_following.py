@@ -1,7 +1,7 @@
-"""Following a bucket path with the completed law, and leaving it around an obstacle.
+"""Following a tip path with the completed law, and leaving it around an obstacle.
 
-The law resolves the path as far as it can. Where it is blocked, the machine stops. The law
-brings it to the first point of the path ahead that it can stand on, as to any goal, and
+The law resolves the path as far as it can. Where the path is blocked, the machine stops. The
+law moves it to the first point ahead at which it can stand on the path, as to any goal, and
 goes on from there. So the path is left as late and rejoined as early as the law can.
 """
 
@@ -27,23 +27,23 @@ from backhoe_planner.site import Obstruction
 _RASTER = 0.05  # m between the points of the path ahead at which it may be rejoined; chosen
 _COARSE = 5.0 * _RASTER  # m to the next such point, after one that the law does not reach; chosen
 _MOST_DETOURS = 8  # of one path; chosen
-_MOST_REJOINS = 4  # points that are tried for one detour; chosen, each takes up to `_POSTURES` attempts
+_MOST_REJOINS = 4  # points that are tried for one detour; chosen: each takes up to `_POSTURES` attempts
 _POSTURES = 4  # configurations that are tried at one point; chosen
-_GUESSES, _FEW_GUESSES = 12, 6  # starting points for rejoining, and to say where the path is free; chosen
-_LOOKS = 40  # at most, for where a path that may not be left is free again; chosen to be quick
-_STARTS = 8  # configurations on the beginning of the path that are compared; chosen
-_FREE_STARTS = 3  # of them from which the path is followed where the machine may begin in any; chosen
-_ON_PATH = 1e-6  # m and rad: chosen, where the tip counts as being on the beginning
-_STUCK_WITHIN = 0.1  # rad or m: chosen, a nearer configuration is the one in which the law was stuck
+_GUESSES, _FEW_GUESSES = 12, 6  # starting points for rejoining, and for finding where the path is free; chosen
+_LOOKS = 40  # points at most, to find where a path that may not be left is free again; chosen to be quick
+_STARTS = 8  # configurations at the beginning of the path that are compared; chosen
+_FREE_STARTS = 3  # of them from which the path is followed if the machine may begin in any; chosen
+_ON_PATH = 1e-6  # m and rad; chosen: within this the tip counts as being at the beginning
+_STUCK_WITHIN = 0.1  # rad or m; chosen: a nearer configuration counts as the one in which the law was stuck
 
 
 def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Outcome:
-    """To the beginning of the path as to a goal, then along it.
+    """A motion to the beginning of the path, as to a goal, then along the path.
 
     Parameters
     ----------
-    stepper: a motion that is at rest; None where the machine may begin in any
-        configuration on the beginning of the path. Then the law begins where it gets furthest.
+    stepper: a motion that is at rest; None if the machine may begin in any configuration
+        at the beginning of the path. Then the law begins where it gets furthest.
     """
     follower = _Follower(world, path)
     target = path.target(0.0)
@@ -58,7 +58,7 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
     attempts: list[Attempt] = []
 
     def begun() -> Iterator[Stepper]:
-        """Motions that are at rest on the beginning of the path."""
+        """Motions that end at rest at the beginning of the path."""
         if stepper is None:
             yield from map(world.stepper, starts[:_FREE_STARTS])
             return
@@ -87,11 +87,11 @@ class _Follower:
         self._may_leave, self._may_turn = task.detour, task.turn_on_the_spot
 
     def furthest(self, stepper: Stepper, s: float, candidates: Sequence[Vector]) -> list[Vector]:
-        """`candidates` (n,) at arc length `s` [m], the one from which the law gets furthest first."""
+        """`candidates` (n,) at arc length `s` [m], sorted by how far the law gets from them, the furthest first."""
         return sorted(candidates, key=lambda q: -round(self._follow_law(stepper, s, q).reached, 3))
 
     def follow(self, stepper: Stepper) -> Outcome:
-        """Go along the path from a motion that is at rest on its beginning."""
+        """Follow the path from a motion that is at rest at its beginning."""
         s = 0.0
         for _ in range(_MOST_DETOURS):
             stretch = self._follow_law(stepper, s, stepper.q)
@@ -109,10 +109,10 @@ class _Follower:
         return self._world.follow_law(self._path, s, q, time=stepper.time)
 
     def _rejoin(self, stepper: Stepper, stretch: Stretch) -> tuple[Stepper, float] | Outcome:
-        """A motion that is back on the path beyond what blocks it, and where [m]; or why there is none."""
+        """A motion that is back on the path beyond the obstruction, and its arc length [m]; or why there is none."""
         left = stretch.reached
         marks = self._path.stations[self._path.standing_waypoints]
-        end = float(np.min(marks[marks > left + _ON_PATH], initial=self._path.length))  # a turn may not be left out
+        end = float(np.min(marks[marks > left + _ON_PATH], initial=self._path.length))  # no turn may be left out
         if not self._may_leave:
             return self._blocked(stepper, left, self._free_again(stepper, left), stretch.obstruction)
         furthest = end
@@ -135,7 +135,7 @@ class _Follower:
         return self._blocked(stepper, left, furthest, stretch.obstruction)
 
     def _free_again(self, stepper: Stepper, left: float) -> float:
-        """The first point of the path beyond `left` that the machine can stand on, else its end [m]."""
+        """The first arc length beyond `left` at which the machine can stand on the path, otherwise its end [m]."""
         raster = max(_RASTER, (self._path.length - left) / _LOOKS)
         s = left + raster
         while s < self._path.length:

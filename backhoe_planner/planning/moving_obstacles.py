@@ -1,13 +1,13 @@
 """Planning among obstacles that move, and among obstacles that are unknown until they appear.
 
 Moving obstacles: the plan waits until they have passed, keeps out of all the space that
-they will take up, gives way, or goes to where they will not pass. Each of these is planned
-as a motion among obstacles that stand still, and taken where it is proven clear of the
-obstacles as they move.
+they will occupy, gives way, or goes to where they will not pass. Each of these is planned
+as a motion among static obstacles, and used if it is proven clear of the obstacles as
+they move.
 
-Obstacles that appear: up to that moment the motion stays as it was planned, and from there
-on it is planned anew. First the machine swerves without stopping (the completed law), then
-it brakes along its way and plans from rest. Where both work, the shorter motion is taken.
+Obstacles that appear: up to that moment the motion stays as planned, and from there on it
+is planned anew. First the plan tries to swerve without stopping (the completed law), then
+to brake along the planned motion and go on from rest. If both work, the shorter is used.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ if TYPE_CHECKING:
     from backhoe_planner.planning.goals.goal_planning import ToGoal
     from backhoe_planner.planning.path_planning import AlongPath
 
-_Reply = tuple[Outcome, str, float | None]  # how the motion goes on, in a word, and when the machine stands [s]
+_Reply = tuple[Outcome, str, float | None]  # the motion, how it goes on in words, and when the machine is at rest [s]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s, tried in turn; chosen
 _HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of moving obstacles is kept free, in turn; chosen
-_SOON = (0.5, 1.5)  # s: shorter horizons, for a way to a refuge; chosen
+_SOON = (0.5, 1.5)  # s: shorter horizons, for a route to a refuge; chosen
 _REFUGES = 150  # random postures that may be refuges; chosen
 _ROOM = 0.02  # m of margin in a refuge; chosen
 _HALVINGS = 4  # of the time between a wait that is too short and one that is not; chosen
-_SLOWEST_BRAKING = 0.05  # 1/s: where its own clock would take more than 20 s to stop, a motion is not braked; chosen
+_SLOWEST_BRAKING = 0.05  # 1/s; chosen: a motion whose clock would take more than 20 s to stop is not braked
 
 
 def plan_over_time(world: World, task: ToGoal | AlongPath, stepper: Stepper) -> Outcome:
     """A motion from `stepper`, which is at rest, among all obstacles.
 
-    Where none of them moves or appears it is that of `task.from_rest`.
+    If none of them moves or appears, it is that of `task.from_rest`.
     """
     if not world.problem.is_dynamic:
         return task.from_rest(world, stepper)
@@ -62,7 +62,7 @@ class _OverTime:
         self._limits = world.problem.limits
 
     def plan(self, stepper: Stepper) -> Outcome:
-        """A motion from `stepper`, at rest, that reacts to every obstacle that appears while it lasts."""
+        """A motion from `stepper`, which is at rest, that reacts to every obstacle that appears meanwhile."""
         reactions: list[Reaction] = []
         outcome = self._among_known(stepper)
         known_until = stepper.time
@@ -72,7 +72,7 @@ class _OverTime:
                 continue
             motion = outcome.trajectory
             if moment >= motion.duration:
-                continue  # the machine stands by then: at the end, or stopped by another obstacle
+                continue  # the machine is at rest by then: at the end, or stopped by another obstacle
             known_until = moment
             known = self._known(moment)
             if _is_clear(known.proximity, motion, moment):
@@ -88,10 +88,10 @@ class _OverTime:
         """The world with the obstacles that have appeared by `moment` [s]."""
         return self._world.among([o for o in self._world.problem.obstacles if o.appears_at <= moment])
 
-    # --- what moves -----------------------------------------------------------------
+    # --- moving obstacles -----------------------------------------------------------
 
     def _among_known(self, stepper: Stepper) -> Outcome:
-        """From rest among the obstacles that are known at the end of `stepper`, each moving as it does."""
+        """A motion from rest among the obstacles known at the end of `stepper`, as they move."""
         known = self._known(stepper.time)
         obstacles = known.proximity.obstacles
         stepper = stepper.branch(attempt=stepper.attempt, proximity=known.proximity)
@@ -120,7 +120,7 @@ class _OverTime:
         return Outcome(held.trajectory(), "blocked", message, Findings(obstruction=tightest))
 
     def _motions(self, stepper: Stepper, known: World, still: World) -> Iterator[Outcome]:
-        """Motions that may be clear of what moves, the simplest first."""
+        """Motions that may be clear of the moving obstacles, the simplest first."""
         task = self._task
         direct = task.from_rest(still, stepper.branch(attempt=1))
         yield direct
@@ -143,11 +143,11 @@ class _OverTime:
                 later = task.from_rest(still, refuge)
             yield later
 
-    # --- what appears ---------------------------------------------------------------
+    # --- appearing obstacles --------------------------------------------------------
 
     def _react(self, known: World, motion: Trajectory, moment: float) -> _Reply:
-        """`motion` up to `moment` [s], and from there on a motion that is clear of what appears then."""
-        # the obstacle is seen at the next sample, where the motion can change without a shorter step
+        """`motion` up to `moment` [s], then a motion that is clear of the obstacle that appears at that time."""
+        # the motion reacts at the next sample, where it can change without a shorter step
         moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
         tightest = known.proximity.tightest(motion.at(moment), time=moment)
         if tightest is not None and tightest.margin < 0.0:
@@ -165,7 +165,7 @@ class _OverTime:
         return again, way, stopped_at
 
     def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reply:
-        """`motion` up to `moment` [s], then to rest, and on from there."""
+        """`motion` up to `moment` [s], then braking to rest, and a new motion from there."""
         stopped = moving.branch(attempt=moving.attempt)
         braked = _brake_along(motion, moment, self._limits)
         if braked is not None and _is_clear(known.proximity, braked, moment) and known.keeps(braked):
@@ -180,12 +180,12 @@ class _OverTime:
         return outcome, "stopped and planned anew", stopped.time
 
     def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
-        """`motion` up to `moment` [s], then to rest along its own way, clear or not."""
+        """`motion` up to `moment` [s], then braking to rest along it, clear or not."""
         halted = _brake_along(motion, moment, self._limits) or motion
         return Outcome(halted, "blocked", why, Findings(obstruction=obstruction)), "", halted.duration
 
     def _duration(self, outcome: Outcome) -> float:
-        """How long a motion takes when torque, flow and power are kept too [s]."""
+        """How long a motion takes if limits of torque, flow and power are kept too [s]."""
         return retime(outcome.trajectory, self._limits, drive=drive_of(self._world.problem)).duration
 
 
@@ -197,7 +197,7 @@ def _describe(reaction: Reaction) -> str:
 
 
 def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None:
-    """`direct` after the shortest wait at the end of `stepper` that makes it clear; None where none does."""
+    """`direct` after the shortest wait at the end of `stepper` that makes it clear; None if no wait does."""
 
     def clear(wait: float) -> bool:
         return _is_clear(known, _delay(direct.trajectory, stepper.time, wait), stepper.time)
@@ -224,15 +224,15 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
 
 
 def _swept_world(known: World, since: float, horizon: float) -> World:
-    """The world with standing obstacles, and with all the space that moving ones take up for `horizon` [s]."""
+    """The world with static obstacles, and with all the space that moving ones occupy for `horizon` [s]."""
     obstacles = known.proximity.obstacles
     return known.among([sweep(o, since, since + horizon) if o.moves else _from_the_beginning(o) for o in obstacles])
 
 
 def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
-    """Motions to where no moving obstacle will pass, at rest there."""
+    """Motions to rest where no moving obstacle will pass."""
     robot, limits, keep = known.problem.robot, known.problem.limits, known.problem.keep
-    around = stepper.q + np.pi * np.array([[-1.0], [1.0]])  # half a turn either way, of joints that turn without end
+    around = stepper.q + np.pi * np.array([[-1.0], [1.0]])  # half a turn either way, for continuous joints
     lower, upper = np.where(np.isinf(limits.lower), around, np.array([limits.lower, limits.upper]))
     rng = np.random.default_rng(known.seed)
     passed = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity
@@ -254,14 +254,14 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
 
 
 def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
-    """The same motion, standing `wait` [s] longer at the time `since` [s], where it is at rest."""
+    """The same motion with a rest of `wait` [s] more at the time `since` [s], at which it is at rest."""
     split = int(np.searchsorted(motion.time, since - 1e-9))
     time = np.concatenate((motion.time[: split + 1], motion.time[split:] + wait))
     return Trajectory.from_steps(time, np.vstack((motion.q[: split + 1], motion.q[split:])))
 
 
 def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Trajectory | None:
-    """The motion up to `moment` [s], then braked along its own way as hard as accelerations allow; None if too slow.
+    """The motion up to `moment` [s], then braked along itself as hard as accelerations allow; None if too slow.
 
     The motion's own clock slows down evenly, and stops after 1 / rate.
     """

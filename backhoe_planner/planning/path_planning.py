@@ -1,4 +1,4 @@
-"""Planning along a path: resolved globally, left only where it must be."""
+"""Planning along a path: its redundancy is resolved globally, and the path is left only where it must be."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import AT_CLEARANCE, describe_step
 from backhoe_planner.site import ClearanceScreen
 
-_ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about what chords are off the curve
-_FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between them then: chords are 25 times nearer to the curve
-_GRID = np.radians(2.5)  # of the free parameter, where there is one: half the usual step, which one can afford
-_LAYER = 0.1  # m of path between layers there: twice the usual, so that a route can turn slowly
-_MOST_DENSER = 3  # times that samples are put between those of a stretch; chosen: a curve then swings out an eighth
-_STEP_SPARE = 1e-3  # part of what a joint may move from waypoint to waypoint; chosen: for chords and round corners
-_ON_PATH = 1e-4  # m and rad: chosen, where the tip counts as being on the path
+_ROOM = 5e-4  # m of margin below which the samples are closer; chosen: about the sagitta of chords
+_FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between such samples: chords are 25 times nearer to the curve
+_GRID = np.radians(2.5)  # of the free parameter, if there is only one: half the usual step, which is then affordable
+_LAYER = 0.1  # m of path between layers in that case: twice the usual, so that a route can turn slowly
+_MOST_DENSER = 3  # times that samples are inserted into a stretch; chosen: a curve then swings out by an eighth
+_STEP_SPARE = 1e-3  # part of the allowed joint step between waypoints that is kept for chords and round corners; chosen
+_ON_PATH = 1e-4  # m and rad; chosen: within this the tip counts as being on the path
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class AlongPath:
     path: TipPath
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """To the path and along it, or on along it from where the motion has followed it to."""
+        """A motion to the path and along it, or on along it from where the motion has got to."""
         task = world.problem.scene.task.path
         assert task is not None
         since = progress(
@@ -67,20 +67,20 @@ class AlongPath:
         return plan_along_path(world, self.path, stepper=stepper, since=since)
 
     def in_motion(self, world: World, stepper: Stepper) -> None:
-        """None: a path is followed further from rest only."""
+        """Always None: a path is followed further only from rest."""
 
     def by_law(self, world: World, stepper: Stepper | None) -> Outcome:
-        """By the completed law alone, from rest or (None) from anywhere on the beginning of the path."""
+        """A motion by the completed law alone, from rest or (None) from any configuration at the path's beginning."""
         return follow_with_law(world, self.path, stepper)
 
 
 def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, since: float | None = None) -> Outcome:
-    """To the path and along it to its end.
+    """A motion to the path and along it to its end.
 
     Parameters
     ----------
-    stepper: a motion that is at rest; None where the machine may begin in any
-        configuration on the beginning of the path.
+    stepper: a motion that is at rest; None if the machine may begin in any
+        configuration at the beginning of the path.
     since: arc length up to which the motion has followed the path already [m]; None for
         a motion that is not on the path yet.
     """
@@ -94,7 +94,7 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     begin = stepper.q if stepper is not None and on_path else None
 
     def resolver_within(joint_steps: Vector | None) -> PathResolver:
-        """What resolves the path where a joint may move by `joint_steps` (n,) from waypoint to waypoint."""
+        """A resolver of the path if a joint may move by `joint_steps` (n,) from waypoint to waypoint; None: freely."""
         return PathResolver(
             world.problem,
             path,
@@ -131,7 +131,7 @@ def _first(pieces: Sequence[Stretch | Bypass]) -> Vector:
 
 
 class _Along:
-    """One path, and the ways to resolve it."""
+    """One path, and the methods to resolve it."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class _Along:
 
         Parameters
         ----------
-        begin: (n,) joints from which the path is followed [rad or m]; None for any on its beginning.
+        begin: (n,) joints from which the path is followed [rad or m]; None for any at its beginning.
         off_path: whether the tip is off the path there.
         """
         resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
@@ -173,7 +173,7 @@ class _Along:
             return self._blocked(resolved, at_rest(self._anywhere() if self._stepper is None else self._stepper.q))
         stepper = self._stepper
         if stepper is not None and begin is None:
-            # before the pieces are made cheaper: that moves no first joints, and may use up the time
+            # before the pieces are made cheaper, which does not change the first joints and may use up the time
             resolved = self._turned(resolved, stepper.q)
             transit = find_transit(self._world, stepper, [_first(resolved.pieces)])
             if isinstance(transit, str):
@@ -181,7 +181,7 @@ class _Along:
             stepper = transit
         elif stepper is not None:
             stepper = stepper.branch(attempt=stepper.attempt)
-        # of a path that may not be left and is blocked, an answer at once is worth more than a cheaper beginning
+        # for a blocked path that may not be left, a quick answer is worth more than a cheaper beginning
         fails = resolved.obstruction is not None and not self._may_leave
         pieces, law = (list(resolved.pieces), None) if fails else self._improve(resolved, begin)
         brake = self._world.work.brake
@@ -199,14 +199,14 @@ class _Along:
         )
 
     def _within_steps(self, resolved: Resolution, begin: Vector | None) -> Resolution:
-        """`resolved`, or where a joint moves too far from waypoint to waypoint another resolution of the path."""
+        """`resolved`, or if a joint moves too far from waypoint to waypoint, another resolution of the path."""
         if self._steps is None or self._keeps_steps(resolved.pieces):
             return resolved
         within = self._resolver_within((1.0 - _STEP_SPARE) * self._steps)
         return within.resolve(begin, detours=False, price=self._price)
 
     def _keeps_steps(self, pieces: Sequence[Stretch | Bypass]) -> bool:
-        """Whether no joint moves too far from waypoint to waypoint; a detour is not within the steps of its legs."""
+        """Whether no joint moves too far from waypoint to waypoint; a detour counts as too far."""
         if self._steps is None:
             return True
         if any(isinstance(piece, Bypass) for piece in pieces):
@@ -216,7 +216,7 @@ class _Along:
         return all(step is None or step.ratio <= 1.0 for step in steps)
 
     def _too_long(self, step: WaypointStep) -> Outcome:
-        """The failure where some joint has to move further from waypoint to waypoint than it may."""
+        """The failure if a joint has to move further from waypoint to waypoint than it may."""
         problem = self._world.problem
         motion = at_rest(self._anywhere()) if self._stepper is None else self._stepper.trajectory()
         asked = replace(step, allowed=step.allowed / (1.0 - _STEP_SPARE))
@@ -227,13 +227,13 @@ class _Along:
         return Outcome(motion, "outside_limits", message, Findings(joints=(problem.robot.joint_names[step.joint],)))
 
     def _price(self, nodes: Matrix) -> Vector:
-        """(N,) what it costs to get to each of `nodes` (N, n), by the objective [rad]."""
+        """(N,) the cost of getting to each of `nodes` (N, n), by the objective [rad]."""
         if self._stepper is None:
             return np.zeros(len(nodes))
         return self._cost.of_approaches(self._stepper.q, nodes)
 
     def _turned(self, resolved: Resolution, near: Vector) -> Resolution:
-        """The same, with continuous joints turned as a whole so that the path begins within half a turn of `near`."""
+        """The same with continuous joints shifted by whole turns: the path begins within half a turn of `near`."""
         first = _first(resolved.pieces)
         turns = self._world.problem.robot.reduce_unchecked(first, near=near) - first
         return replace(resolved, pieces=tuple(replace(piece, q=piece.q + turns) for piece in resolved.pieces))
@@ -243,7 +243,7 @@ class _Along:
         return nodes[0] if len(nodes) else self._world.problem.robot.middle
 
     def _from_elsewhere(self, stepper: Stepper, failure: str) -> Outcome:
-        """The motion from any configuration on the path's beginning that the machine can get to."""
+        """The motion from any configuration at the path's beginning that the machine can reach."""
         nodes = self._world.problem.robot.reduce_unchecked(self._resolver.first_layer, near=stepper.q)
         transit = find_transit(self._world, stepper, list(nodes))
         if isinstance(transit, str):
@@ -253,7 +253,7 @@ class _Along:
         return along.plan(transit.q)
 
     def _improve(self, resolved: Resolution, begin: Vector | None) -> tuple[list[Stretch | Bypass], LawWay | None]:
-        """The pieces; those that follow the path are made cheaper. And the law's way, where they are one."""
+        """The pieces, made cheaper where they follow the path; and the law's result, if there is only one piece."""
         pieces, law = list(resolved.pieces), None
         last = len(pieces) - 1
         for index, piece in enumerate(pieces):
@@ -263,7 +263,7 @@ class _Along:
                 if last == 0 and resolved.obstruction is None:
                     low = float(cheap.stations[0])
                     way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
-                    if not self._world.apart:  # of which the law knows nothing
+                    if not self._world.apart:  # the law does not know these extra clearances
                         pieces[index] = self._cheaper_than_law(cheap, way, free_start=free_start)
                     law = LawWay(self._path, way) if low == 0.0 and not self._world.problem.is_dynamic else None
         return pieces, law
@@ -276,20 +276,22 @@ class _Along:
             "free_start": free_start,
             "free_end": free_end,
         }
-        if self._cost.objective.is_quadratic:  # its cost is close to the one that smoothing lowers
+        if self._cost.objective.is_quadratic:  # its cost is close to that which smoothing lowers
             piece = smooth_stretch(world.problem, self._path, piece, brake=world.work.brake, **setting)
         return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
 
     def _cheaper_than_law(self, piece: Stretch, law: Stretch, *, free_start: bool) -> Stretch:
-        """The cheapest of `piece`, the whole way, and the local law's way from the same joints, also made cheaper.
+        """The cheapest of `piece`, which is the whole path, and the law's resolution from the same joints, made cheaper
+        too.
 
-        A cost has more than one minimum, and the grid may miss the one near the law's way. What the search makes small
-        is near to the cost, and leaves out inertia: what the motions cost decides.
+        A cost has more than one minimum, and the grid may miss the one near the law's resolution. The search minimises
+        an
+        approximation of the cost without inertia, so the costs of the motions decide.
         """
         if law.obstruction is not None:
             return piece
         costs = {way: self._motion_cost(way) for way in (piece, law) if self._keeps_steps([way])}
-        # of full poses the graph has all configurations, and making a way cheaper takes as long again
+        # for full poses the graph has all configurations, and lowering the law's cost would take as long again
         if self._path.target(0.0).rotation is None or min(costs, key=costs.__getitem__, default=piece) is law:
             other = self._cheapen(law, free_start=free_start, free_end=True)
             if self._keeps_steps([other]):
@@ -297,7 +299,7 @@ class _Along:
         return min(costs, key=costs.__getitem__, default=piece)
 
     def _motion_cost(self, way: Stretch) -> float:
-        """What the motion along a way costs, as fast as it can be, by the objective and in its unit."""
+        """The cost of the fastest motion along a stretch, by the objective and in its unit."""
         problem = self._world.problem
         motion = fastest_motion(problem, self._path, way, proximity=self._world.proximity, time=self._time)
         return trajectory_costs(problem, motion)[self._cost.objective.name]
@@ -317,8 +319,9 @@ class _Along:
     def _timed(self, stretch: Stretch, stops: Vector, time: float) -> list[Trajectory]:
         """The motions along a stretch, each from rest to rest.
 
-        Where the joints turn sharply, as where a turn on the spot ends, the smooth curve through the samples swings
-        out. Where that is too near to something, samples are put between them, which halves it.
+        Where the joints turn sharply, for example at the end of a turn on the spot, the smooth curve through the
+        samples
+        swings out. If it comes too near to something, samples are inserted between them, which halves the swing.
         """
         world, brake = self._world, self._world.work.brake
         screen = ClearanceScreen(world.proximity, time=time, spare=-AT_CLEARANCE)
@@ -333,7 +336,7 @@ class _Along:
         return motions
 
     def _is_tight(self, q: Matrix, time: float) -> bool:
-        """Whether anything is so near that the chords between the usual samples might touch it."""
+        """Whether anything is so near that chords between samples of the usual period might touch it."""
         proximity = self._world.proximity
         floor = proximity.clearance + _ROOM
         return any(bool(np.any(proximity.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)

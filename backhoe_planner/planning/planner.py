@@ -53,7 +53,7 @@ def plan_motion(
     Parameters
     ----------
     problem: of a whole task, or of one leg of a sequence.
-    method, seed, watch: as of `plan`.
+    method, seed, watch: as for `plan`.
     effort: how much counted work the searches may do.
     brake: ends a search that takes too long; by default there is no time limit.
     """

@@ -1,4 +1,4 @@
-"""Sampled ways, from where the machine stands to other configurations."""
+"""Sampled routes from the present configuration to others, and detours off a path."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world.world import World
 
-_SPARES = (0.01, 0.002)  # m kept beyond every clearance; chosen: the second where the first leads nowhere
-_TUBES = (0.25, 0.6, 1.5)  # m that a detour may go off the path, beside half of what it leaves out; chosen
+_SPARES = (0.01, 0.002)  # m kept beyond every clearance; chosen: the second is used if the first finds nothing
+_TUBES = (0.25, 0.6, 1.5)  # m that a detour may go off the path, added to half of the length that it leaves out; chosen
 _DETOURS = 4  # of which the shortest is taken; chosen
 _TUBE_PART, _FREE_PART = 8, 2  # parts of `Effort.motions_per_search` for a detour in a tube, and one without; chosen
 
@@ -32,7 +32,7 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector]) -> Ste
 
     Returns
     -------
-    The motion, at rest on one of the goals; where no way was found, what was tried, in words.
+    The motion, at rest on one of the goals; if no route was found, what was tried, in words.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector]) -> Ste
 def find_detour(
     world: World, path: TipPath, start: Vector, end: Vector, low: float, high: float, *, time: float
 ) -> Matrix | None:
-    """(K, n) corners of a way that leaves a path from arc length `low` to `high` [m] and stays near it; None if none.
+    """(K, n) corners of a route off a path from arc length `low` to `high` [m], near it if possible; None if none.
 
     Parameters
     ----------
     start, end: (n,) joints with the tip on the path at `low` and `high` [rad or m].
-    time: the obstacles stand where they are at this time [s].
+    time: at which the positions of the obstacles are taken [s].
     """
     work = world.work
     for tube in (*_TUBES, np.inf):
@@ -86,7 +86,7 @@ def find_detour(
 
 
 def play(world: World, stepper: Stepper, path: JointPath) -> None:
-    """Append to a motion a path that begins where it stands, with rounded corners."""
+    """Append to a motion a joint path that begins where the motion ends, with rounded corners."""
     ends = [path.q[0], path.q[-1]]
     _play_checked(MotionCheck(world.problem, world.proximity, ends, spare=_SPARES[1], time=stepper.time), stepper, path)
 

@@ -1,8 +1,8 @@
-"""A motion of the law made as fast as the machine allows, along its own way.
+"""Makes a motion of the law as fast as the machine allows, along the same joint-space curve.
 
-The law goes step by step and asks for no more speed than it can brake from at any moment.
-Its way is a curve in joint space all the same: here a smooth one is laid through places on
-it, timed anew within all limits, and taken where every segment of it is proven clear.
+The law goes step by step, and never faster than it can brake from at any moment. Its motion
+nevertheless follows a curve in joint space: a smooth curve through places on it is timed anew
+within all limits, and used if every segment of it is proven clear.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Proximity
 
-# s of the slowest joint between places, tried in turn: the closer, the nearer to the law's way;
+# s of the slowest joint between places, tried in turn: closer places stay nearer to the law's curve;
 # chosen, down to the period of a motion's samples
 _SPACINGS = (0.1, 0.05, 0.02)
 _FEWEST = 4  # intervals between places at least; chosen: fewer do not bend a curve
-_INTERVALS = 300  # of a way, at whose ends limits are looked at; chosen to be quick, the certificate looks at all
-_LEAST_ITERATION = 1e-6  # s of the slowest joint: an iteration that moves less is at the same place
-_MOST_HASTE = 1e3  # times as fast; chosen above what any law leaves unused, for machines without limits
-_HALVINGS = 12  # of a factor of 2; chosen: what is left unused is below a thousandth
-_GAIN = 0.01  # part of the time; chosen: for less a motion is left as it is
+_INTERVALS = 300  # of a curve, at whose ends limits are checked; chosen to be quick: the certificate checks all
+_LEAST_ITERATION = 1e-6  # s of the slowest joint: an iteration that moves less counts as the same place
+_MOST_HASTE = 1e3  # times as fast; chosen, above what any law leaves unused, for machines without limits
+_HALVINGS = 12  # of a factor of 2; chosen: less than a thousandth is left unused
+_GAIN = 0.01  # part of the time; chosen: for a smaller gain a motion is not changed
 
 
 def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
-    """The same way from rest to rest in less time; `arrived` itself where no faster motion is proven clear.
+    """The law's part from rest to rest in less time; `arrived` itself if no faster motion is proven clear.
 
-    Where anything moves or appears, the proof holds for these times alone: they stay.
+    If anything moves or appears, the proof holds only for the present times, so they are not changed.
 
     Parameters
     ----------
-    begun: the motion up to where the law's way begins, at rest.
-    arrived: the same motion with the law's way after it, at rest.
+    begun: the motion up to where the law's part begins, at rest.
+    arrived: the same motion with the law's part after it, at rest.
     """
     problem, motion = begun.problem, arrived.trajectory()
     first = int(np.searchsorted(motion.time, begun.time - 1e-9))
@@ -50,7 +50,7 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
             return arrived
         quick = time_along(along, places, limits, drive=drive, intervals=_INTERVALS)
         if quick.duration > (1.0 - _GAIN) * took:
-            # the law runs the joints at rates that all of them together may not have
+            # the law may run the joints at rates that the drive does not allow for all of them together
             own = Trajectory.from_steps(motion.time[first:] - motion.time[first], q)
             took = retime(own, limits, drive=drive).duration
             if quick.duration > (1.0 - _GAIN) * took:
@@ -63,7 +63,7 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
 
 
 def _hastened(begun: Stepper, arrived: Stepper, first: int) -> Stepper:
-    """The same samples in less time throughout, as far as the limits let all of them; itself where that is no gain."""
+    """The same samples faster by one factor, as far as the limits allow; `arrived` itself if that gains nothing."""
     motion = arrived.trajectory()
     own = Trajectory.from_steps(motion.time[first:] - motion.time[first], motion.q[first:])
 
@@ -84,15 +84,15 @@ def _hastened(begun: Stepper, arrived: Stepper, first: int) -> Stepper:
 
 
 def _use(problem: Problem, motion: Trajectory) -> float:
-    """The greatest part of any limit that is used at any time."""
+    """The largest use of any limit at any time, as a part of the limit."""
     return float(np.max(limit_usage(problem, motion, tip_speed=False).ratio))
 
 
 def time_iterates(problem: Problem, q: Matrix, *, proximity: Proximity) -> Trajectory:
     """The fastest motion along a smooth curve through the iterates q (K, n) of a law, from rest to rest.
 
-    What lies between two iterates the law leaves open. Where the straight way there is clear and the curve is
-    not, one that lies nearer to the straight way is taken, or that way itself in one slow ramp.
+    The law does not say what happens between two iterates. If the straight line between them is clear and the curve is
+    not, a curve nearer to the line is used, or the line itself in one slow ramp.
     """
     limits, drive = problem.limits, drive_of(problem)
     straight = retime(time_polyline(q, limits), limits, drive=drive)

@@ -1,9 +1,9 @@
-"""Planning with the completed law: step by step, with nothing but what is near.
+"""Planning with the completed law: step by step, using only what is near.
 
-A goal is first approached with the tip straight for it. Where that does not arrive, the
-joints are sent towards configurations that put the tip on the goal; and where the tip's
-own way is blocked, it circulates along the surface of what blocks it, in each sense in
-turn. The first attempt that arrives ends the search.
+First the tip moves straight to the goal. If it does not arrive, the joints are driven
+towards configurations that put the tip on the goal. If the tip's straight line is blocked,
+it also circulates along the surface of the blocking obstacle, in each sense in turn. The
+first attempt that arrives ends the search.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.site import Nearby, Obstruction
 
 _AT_GOAL = 1e-4  # m and rad from the goal: chosen, far below what a machine can keep
-_ARRIVED = 0.2 * _AT_GOAL  # m and rad that are left in the law's own rows; the other rows may add to it
+_ARRIVED = 0.2 * _AT_GOAL  # m and rad left in the rows that the law controls; the other rows may add to it
 _LONGEST = 40.0  # s of motion per attempt; chosen: long for a motion to a goal
 _PATIENCE = 1.5  # s without progress after which an attempt counts as stuck; chosen
 _PROGRESS = 0.002  # m (or rad) within the patience that counts as progress; chosen
-_NOTICEABLE = 0.02  # part of what is left that counts as progress, where that is more; chosen
-_POSTURES_FIRST = 3  # tried before the tip circulates: they are quick to try, and quick motions where they arrive
+_NOTICEABLE = 0.02  # part of the remaining distance that counts as progress, if that is more; chosen
+_POSTURES_FIRST = 3  # tried before the tip circulates: they are quick to try, and give quick motions if they arrive
 _STILL = 0.03  # m that the tip must move within the patience while it circulates; chosen: 2 cm/s
-_LONGEST_TURN = 12.0  # s that the tip circulates; chosen: a third of an attempt, so that something is left after it
-_HOLD = 0.4  # s after which a surface that was left no longer counts; chosen: 20 steps
-_LEADS = 0.6  # part of the way to the goal; chosen: where so much lies along a surface, the surface leads to the goal
-_CLOSE = 0.1  # m of margin: chosen, nearer pairs say where the surface is
-_BRAKING_PART = 0.5  # of the acceleration; chosen: half is kept in reserve
+_LONGEST_TURN = 12.0  # s for which the tip circulates; chosen: a third of an attempt, so that time is left after it
+_HOLD = 0.4  # s after the tip left a surface, when the surface no longer counts; chosen: 20 steps
+_LEADS = 0.6  # part of the direction to the goal along a surface, from which it leads to the goal; chosen
+_CLOSE = 0.1  # m of margin; chosen: pairs nearer than this define the surface
+_BRAKING_PART = 0.5  # part of the acceleration limit; chosen: half is kept in reserve
 _SETTLE = 10.0  # 1/s: chosen, the rate at which a motion ends; five of its time constants are half a second
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One try at a goal.
+    """One attempt to reach a goal.
 
     Attributes
     ----------
-    arrived: whether the tip is on the goal, at rest.
+    arrived: whether the machine is on the goal, at rest.
     stepper: the motion that was made.
     distance: of the tip from the goal at the end [m].
-    obstruction: what is nearest to the machine at the end; None where nothing is near.
-    way: how the goal was tried, in words.
+    obstruction: what is nearest to the machine at the end; None if nothing is near.
+    way: how the goal was approached, in words.
     """
 
     arrived: bool
@@ -79,20 +79,20 @@ def approach_goal(
     all_ways: bool = False,
     null_space: bool = True,
 ) -> Iterator[Attempt]:
-    """Attempts to end at `goal`, the simplest first; ends once one arrives.
+    """Attempts to reach `goal`, the simplest first; ends once one arrives.
 
-    To a goal that is given by the joints there is one way: straight for them.
+    For a goal that is given by the joints there is one attempt: straight in joint space.
 
     Parameters
     ----------
     stepper: a motion that is at rest; every attempt is a branch of it.
     configurations: (n,) each, with the tip on the goal [rad or m], the preferred one first.
-    work: from which every step is taken; without any left, or without time, the attempt
+    work: every step is subtracted from it; if no work or no time is left, the attempt
         ends where it is and no further one is begun.
     all_ways: whether to go on after an attempt that arrives.
-    null_space: whether the null-space terms of the law take part; studies leave them out.
+    null_space: whether the null-space terms of the law are used; studies leave them out.
     """
-    # an arm that stays in a level plane has no way over the top or underneath
+    # an arm that moves in a level plane cannot go over the top or underneath
     level = not movable_rows(stepper.look()[0].jacobian[:3])[2]
     senses = [Sense.LEFT, Sense.RIGHT] if level else list(Sense)
     postures: list[_Way] = [(f"to posture {index}", q, None) for index, q in enumerate(configurations, start=1)]
@@ -127,7 +127,7 @@ def _drive_tip(stepper: Stepper, goal: Goal, sense: Sense | None, way: str, work
         error, J = _task(goal.search_target, at)
         left = float(np.linalg.norm(error))
         if left < _ARRIVED and stepper.stopped():
-            # rows that no joint can move at this very posture are not in `left`
+            # `left` does not include rows that no joint can change in this posture
             arrived = max(goal.search_target.distances(at)) < _AT_GOAL
             stepper.stop()
             break
@@ -148,7 +148,7 @@ def _drive_tip(stepper: Stepper, goal: Goal, sense: Sense | None, way: str, work
 
 
 def _task(goal: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
-    """Error and Jacobian of the rows that joints can move and that are not yet satisfied."""
+    """Error and Jacobian of the rows that the joints can change and that are not satisfied yet."""
     error, J = goal.error(at), goal.jacobian(at)
     rows = movable_rows(J)
     if goal.pitch is not None and goal.rotation is None and error[3] == 0.0 and goal.pitch[1] > goal.pitch[0]:
@@ -157,14 +157,14 @@ def _task(goal: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
 
 
 def _pace(limits: JointLimits, dq: Vector) -> float:
-    """The rate at which the rest of the way, `dq` (n,), shrinks [1/s]: so that every joint can still brake."""
+    """The rate at which the remaining joint motion `dq` (n,) shrinks [1/s], so that every joint can still brake."""
     size = np.abs(dq) + 1e-9
     braking = np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / size)
     return float(min(np.min(limits.velocity / size), np.min(braking), _SETTLE))
 
 
 def _within_rates(v: Vector, limits: JointLimits) -> Vector:
-    """`v` (n,) in the same direction, so slow that every joint is within its velocity limit."""
+    """`v` (n,) scaled down until every joint is within its velocity limit."""
     ratio = float(np.max(np.abs(v) / limits.velocity))
     return v / ratio if ratio > 1.0 else v
 
@@ -177,18 +177,18 @@ class _Progress:
         self._since = 0.0
 
     def stuck(self, left: float, time: float) -> bool:
-        """Whether `left` has not fallen by a noticeable part for longer than the patience."""
+        """Whether `left` has not fallen noticeably for longer than `_PATIENCE`."""
         if left < self._best - max(_PROGRESS, _NOTICEABLE * left):
             self._best, self._since = left, time
         return time - self._since > _PATIENCE
 
 
 class _Turning:
-    """The circulation term: along the surface of what blocks the way.
+    """The circulation term: motion along the surface of the blocking obstacle.
 
-    It begins where the straight way is stuck. Where the surface leads towards the goal,
-    the tip follows it that way, else in the given sense. It ends where the tip is nearer
-    to the goal than at the beginning and the way to the goal points away from the surface.
+    It begins when the straight motion is stuck. If the surface leads towards the goal,
+    the tip follows it in that direction, otherwise in the given sense. It ends when the tip is
+    nearer to the goal than at the beginning and the direction to the goal points away from the surface.
     """
 
     def __init__(self, sense: Sense | None) -> None:
@@ -205,7 +205,7 @@ class _Turning:
         return self._hit is not None
 
     def begin(self, nearby: Nearby, stepper: Stepper, left: float) -> bool:
-        """Start to circulate; False where no sense is given, or nothing blocks the way."""
+        """Start to circulate; False if no sense is given, or nothing blocks the tip."""
         if self._sense is None or self._hit is not None:
             return False
         normal = _blocking_normal(nearby, stepper)
@@ -223,7 +223,7 @@ class _Turning:
         return time - self._since > _PATIENCE or time - self._begun > _LONGEST_TURN
 
     def direction(self, error: Vector, at: Configuration, nearby: Nearby, stepper: Stepper, left: float) -> Vector:
-        """(m,) where to go: along `error` (m,), or along the surface while circulating.
+        """(m,) the direction to go: along `error` (m,), or along the surface while circulating.
 
         Parameters
         ----------
@@ -248,26 +248,26 @@ class _Turning:
             along = _tangent(self._normal, self._sense, at)
         along = along / max(float(np.linalg.norm(along)), 1e-9)
         found = np.array(error)
-        # a little into the surface, so as not to lose it
+        # slightly into the surface, so as not to lose it
         found[:rows] = (size * (along + 0.3 * self._normal))[:rows]
         return found
 
 
 def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
-    """(3,) along a surface in the given sense, of any length; `normal` (3,) points into the surface."""
+    """(3,) a vector of any length along a surface in the given sense; `normal` (3,) points into the surface."""
     up = np.array([0.0, 0.0, 1.0])
     if sense in (Sense.LEFT, Sense.RIGHT):
         left = np.cross(normal, up) if abs(normal[2]) < 0.9 else np.cross(up, at.tip_position - at.points[0])
         return np.asarray(left if sense is Sense.LEFT else -left)
     rise = up - normal[2] * normal
-    if abs(normal[2]) > 0.9:  # a floor or a ceiling: over it means back to the machine
+    if abs(normal[2]) > 0.9:  # on a floor or a ceiling, "over" means back towards the machine
         rise = at.points[0] - at.tip_position
         rise = rise - (rise @ normal) * normal
     return np.asarray(rise if sense is Sense.UP else -rise)
 
 
 def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
-    """(3,) unit vector into what holds the shield back, the mean of all that is close; None where nothing does."""
+    """(3,) mean unit normal into the close obstacles while the shield is binding; None if it is not."""
     shielded = stepper.shielded
     if shielded is None or len(shielded.binding) == 0 or len(nearby) == 0:
         return None
@@ -303,7 +303,7 @@ def _drive_joints(stepper: Stepper, posture: Vector, goal: Goal, way: str, work:
 
 
 def _may_step(work: Work) -> bool:
-    """Take a step from the work; False where none is left, or no time."""
+    """Subtract a step from the work; False if no step or no time is left."""
     work.law_steps -= 1
     return work.law_steps >= 0 and not work.brake.is_used_up()
 

@@ -1,7 +1,7 @@
-"""One step after another, each taken only when it is proven clear.
+"""A motion made of steps, each taken only if it is proven clear.
 
-A `Stepper` turns wished joint velocities into a motion: the shield filters the wish, the
-certificate's bound checks the step that results. A step that is not proven is tried again
+A `Stepper` turns desired joint velocities into a motion: the shield filters them, and the
+certificate's bound checks the resulting step. A step that is not proven is tried again
 with more distance from the pairs that came too near, then with half the time; if nothing
 helps, the machine brakes.
 """
@@ -22,8 +22,8 @@ from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Proximity
 
 STEP = SAMPLE_PERIOD  # s: a step is a sample of the motion
-_BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen
-_KEEP_BUFFER = 1e-4  # rad or m by which a step that was not kept is tried again further within; chosen
+_BUFFER = 0.002  # m kept on top of every clearance, for the error of the linearised rows; chosen
+_KEEP_BUFFER = 1e-4  # rad or m: a step that breaks a kept condition is tried again so much further within; chosen
 _HALVINGS = 5  # of the time of a step, tried in turn; chosen: the last is about a millisecond
 _CORRECTIONS = 3  # tries with more distance at one length of the step; chosen
 _LONGEST_STOP = 10.0  # s after which giving way is given up; chosen: long for a stop
@@ -31,14 +31,14 @@ _LONGEST_STOP = 10.0  # s after which giving way is given up; chosen: long for a
 
 @dataclass(frozen=True)
 class PlannerStep:
-    """What a watcher is shown while the planner works.
+    """What a watcher gets while the planner works.
 
     Attributes
     ----------
     time: [s] in the motion.
     q: (n,) joint positions [rad or m].
     attempt: the attempt of the planner that the step belongs to, from 1.
-    best: what the best motion to a goal so far costs, by the problem's objective; None before there is one.
+    best: the cost of the best motion to a goal so far, by the problem's objective; None before there is one.
     """
 
     time: float
@@ -60,7 +60,7 @@ class Stepper:
     time: of the motion so far [s].
     proximity: to the obstacles that the motion keeps clear of, as they are at the time of each step.
     attempt: of the planner, from 1; shown to the watcher.
-    shielded: the shield's answer to the last step; None before the first, and where it was not asked.
+    shielded: the shield's answer to the last step; None before the first, and after a step without the shield.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class Stepper:
         self._path = [self.q]
 
     def branch(self, *, attempt: int, proximity: Proximity | None = None) -> Stepper:
-        """Another motion that goes on from here; this one stays as it is.
+        """Another motion that continues from here; this one is not changed.
 
         Parameters
         ----------
         attempt: of the planner, from 1.
-        proximity: to what the new motion keeps clear of; by default the same.
+        proximity: to the obstacles that the new motion keeps clear of; by default the same.
         """
         other = copy.copy(self)
         other.proximity = proximity or self.proximity
@@ -107,8 +107,8 @@ class Stepper:
     def look(self) -> tuple[Configuration, Nearby]:
         """The present configuration, and the pairs that act on the motion there.
 
-        Those are the pairs within the influence distance, and those whose distance could be
-        used up before the machine stops, whatever velocity within the limits is wished for.
+        These are the pairs within the influence distance, and those whose distance could be
+        used up before the machine stops, for any desired velocity within the limits.
         """
         dt = self._last_dt
         fastest = np.abs(self.v)
@@ -124,16 +124,16 @@ class Stepper:
 
         Parameters
         ----------
-        wish: joint velocities [rad/s or m/s].
+        wish: desired joint velocities [rad/s or m/s].
         nearby: as returned by `look` at the present configuration.
-        J_tip: (3, n) position Jacobian of the tip; zeros where only the joints count.
-        dt: time of the step [s]; a shorter one is taken where this is not clear.
+        J_tip: (3, n) position Jacobian of the tip; zeros if only the joints count.
+        dt: time of the step [s]; a shorter one is taken if this step is not clear.
         """
         keep = self.problem.keep
         kept = None if keep is None else Kept(keep.margins(self.q), keep.gradients(self.q))
         for _ in range(_HALVINGS):
             extra: Vector | float = _BUFFER
-            # two half steps beside each other share the change of velocity
+            # the change of velocity is spread over half of this step and half of the last one
             span = 0.5 * (dt + self._last_dt)
             for _ in range(_CORRECTIONS):
                 shielded = self._shield.filter_unchecked(
@@ -151,10 +151,10 @@ class Stepper:
         return self._brake(dt)
 
     def play(self, piece: Trajectory) -> None:
-        """Append a motion that begins where this one stands, from rest to rest.
+        """Append a motion from rest to rest that begins where this one ends.
 
-        After a motion the machine stands for one step: the velocity would change twice at the
-        seam otherwise.
+        If the machine was moving, it stands for one step first: otherwise the velocity would
+        change twice at the seam.
         """
         if len(piece) < 2:
             return
@@ -197,12 +197,12 @@ class Stepper:
                 break
 
     def give_way(self, until: float) -> bool:
-        """Come to rest, out of the way of whatever moves, until the time `until` [s].
+        """Come to rest, giving way to moving obstacles, until the time `until` [s].
 
         Returns
         -------
-        Whether that was possible without coming too near to anything, and the machine
-        is at rest at the end.
+        Whether that was possible without coming too near to anything, with the machine
+        at rest at the end.
         """
         still = np.zeros_like(self.q)
         no_tip = np.zeros((3, len(self.q)))
@@ -231,7 +231,7 @@ class Stepper:
             self._watch(PlannerStep(time, q, self.attempt))
 
     def _brake(self, dt: float) -> bool:
-        """Brake all joints in proportion for one step; False where that is not clear."""
+        """Brake all joints in proportion for one step; False if that step is not clear."""
         time = self._shield.braking_time(self.v)
         span = 0.5 * (dt + self._last_dt)
         v = self.v * max(1.0 - span / time, 0.0) if time > 0.0 else self.v
@@ -242,18 +242,18 @@ class Stepper:
         return True
 
     def _is_kept(self, q: Vector) -> bool:
-        """Whether the step to `q` (n,) keeps what the problem asks for; true where the machine does not stand in it."""
+        """Whether the step to `q` (n,) satisfies `keep`; true if the present configuration does not satisfy it."""
         keep = self.problem.keep
         return keep is None or not keep.holds(self.q) or keep.segment_holds(self.q, q)
 
     def _tighter(self, kept: Kept, q: Vector) -> Kept:
-        """What is to be kept, with less left, by what the step to `q` (n,) misses."""
+        """The kept conditions with margins reduced according to how far the step to `q` (n,) breaks them."""
         assert self.problem.keep is not None
         missing = np.maximum(-self.problem.keep.margins(q), 0.0)
         return Kept(kept.margin - 2.0 * missing - _KEEP_BUFFER, kept.gradient)
 
     def _within_limits(self, q: Vector) -> Vector:
-        # for a handful of joints plain numbers cost a fraction of what arrays would
+        # for a handful of joints, plain numbers cost a fraction of the time of arrays
         for position, (least, most) in zip(q.tolist(), self._ranges, strict=True):
             if position < least or position > most:
                 break

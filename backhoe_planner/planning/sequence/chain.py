@@ -1,11 +1,11 @@
-"""The posture at the end of every leg, chosen with the legs after it in mind.
+"""Chooses the posture at the end of every leg with the later legs in mind.
 
-The postures in which legs may end are the nodes of a layered graph, a layer a leg; the ways between
-them are its edges, priced by estimates until they are planned. In turn the cheapest chain is sought and
-planned as a whole: first with the end of each leg anywhere on the goal that the chain chooses, then, where
-that chain is still the cheapest, in just the postures of the chain. A way that cannot be planned leaves the
-graph, so that other ends are tried. What planning leg by leg gives is one of the chains: the result is
-never dearer.
+The postures in which legs may end are the nodes of a layered graph, with a layer for each leg; the motions
+between them are its edges, priced by estimates until they are planned. Repeatedly, the cheapest chain is found
+and planned as a whole: first with the end of each leg anywhere on the goal that the chain chooses, then, if that
+chain is still the cheapest, in exactly the postures of the chain. A motion that cannot be planned is removed
+from the graph, so that other ends are tried. The result of planning leg by leg is one of the chains, so the
+result is never dearer than that.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.planning.world.world import World
 
-_SAME = 1e-9  # rad or m: rounding; postures nearer than this are one end
-_GAIN = 1e-3  # part of the whole cost by which another chain must promise to be better; chosen
-_OFF = (0.2, 1.1)  # times its estimate, that a way is taken to cost before it is planned; chosen: hope looks further
-_CALIBRATED = (0.5, 3.0)  # factors by which estimates of ways between two goals are corrected; chosen
-_FAILED = 2.0  # factor by which ways between two goals look dearer for each that could not be planned; chosen
-_NOTHING = 1e-9  # of a price, in place of 0
+_SAME = 1e-9  # rad or m: rounding; postures nearer than this count as one end
+_GAIN = 1e-3  # part of the whole cost by which another chain must be estimated to be better; chosen
+_OFF = (0.2, 1.1)  # bounds of the factor on estimates of unplanned motions; chosen: low estimates try more chains
+_CALIBRATED = (0.5, 3.0)  # bounds of the factor that corrects estimates between two goals; chosen
+_FAILED = 2.0  # factor on the estimates between two goals for each motion that could not be planned; chosen
+_NOTHING = 1e-9  # least value of a price, in place of 0
 
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A planned way: one edge of the graph."""
+    """A planned motion: one edge of the graph."""
 
     done: DoneLeg
     cost: float
@@ -43,20 +43,20 @@ class _Way:
 
 @dataclass(eq=False)
 class _Layer:
-    """One leg that moves: the ends that it may have, and the ways there.
+    """One leg that moves: its possible ends, and the motions to them.
 
     Attributes
     ----------
     leg: the leg.
-    prices: of ways.
-    known: where it may begin and end; the ends of the last leg are left to the planner of motions.
+    prices: of straight motions.
+    known: where it may begin and end; the motion planner chooses the end of the last leg.
     ends: (n,) each.
-    names: of each end the goal that it is on; None along a path. Of the last leg none.
-    planned: by the index of the end before and of its own; None where no way was found.
-    free: by the end before and the goal, the end of the way that was planned to anywhere on it; None for none.
-    estimates: (A, B) of the ways that are not planned.
-    unit: of the cost, by which it is divided.
-    off: how many times its estimate a way costs.
+    names: the goal of each end; None along a path. Empty for the last leg.
+    planned: by the indices of the end before and of its own; None if no motion was found.
+    free: by the end before and the goal, the end of the motion planned to anywhere on that goal; None for none.
+    estimates: (A, B) costs of the motions that are not planned.
+    unit: by which the cost is divided.
+    off: factor on the estimates.
     """
 
     leg: Leg
@@ -71,11 +71,11 @@ class _Layer:
     off: float = 1.0
 
     def place(self, end: int) -> str | None:
-        """The name of the goal that an end is on; None along a path, and where the end is left open."""
+        """The name of the goal of an end; None along a path, and if the end is left open."""
         return self.names[end] if end < len(self.names) else None
 
     def estimate(self, begins: Sequence[Vector]) -> None:
-        """Price all ways from `begins`."""
+        """Estimate the costs of all motions from `begins`."""
         if not self.known.entries:
             self.estimates = self.prices.between(begins, self.known.ends)
             return
@@ -85,14 +85,14 @@ class _Layer:
 
 
 class Chain:
-    """The search for the cheapest chain of ways through all legs.
+    """The search for the cheapest chain of motions through all legs.
 
     Parameters
     ----------
-    legs: of which at least two move and none meets what moves or appears.
-    first: what planning leg by leg has given, as far as it came.
+    legs: at least two of them move, and none is among obstacles that move or appear.
+    first: the result of planning leg by leg, as far as it got.
     planner: plans single legs.
-    most: how many ways may be planned at most.
+    most: how many motions may be planned at most.
     """
 
     def __init__(self, legs: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int) -> None:
@@ -104,7 +104,7 @@ class Chain:
         self.tried = 0
 
     def run(self) -> list[DoneLeg]:
-        """The cheapest chain that was found, waits included; what came first where none is cheaper."""
+        """The cheapest chain that was found, waits included; the first result if none is cheaper."""
         if not self._build():
             return list(self._first)
         while self._left > 0 and not self._planner.brake.is_used_up():
@@ -117,7 +117,7 @@ class Chain:
     # --- the graph --------------------------------------------------------------------
 
     def _build(self) -> bool:
-        """The layers, with what came first in them; False where a leg has no end."""
+        """Create the layers, with the first result in them; False if a leg has no possible end."""
         near, effort, brake = self._start, self._planner.effort, self._planner.brake
         for number, index in enumerate(self._moving):
             leg = self._legs[index]
@@ -146,7 +146,7 @@ class Chain:
             begins = layer.ends
 
     def _take_first(self) -> None:
-        """What came first is a chain of planned ways, and says how far estimates are off."""
+        """Add the first result, a chain of planned motions, which shows how far estimates are off."""
         before = 0
         totals: defaultdict[str, float] = defaultdict(float)
         for layer, index in zip(self._layers, self._moving, strict=True):
@@ -170,7 +170,7 @@ class Chain:
             layer.unit = max(totals[name], _NOTHING) / share
 
     def _note(self, layer: _Layer, before: int, done: DoneLeg) -> tuple[int, float]:
-        """Take a planned way in; the index of its end, and its cost."""
+        """Add a planned motion; returns the index of its end, and its cost."""
         end, cost = done.motion.q[-1], motion_cost(done.problem, done.motion)
         index = 0
         if layer is not self._layers[-1]:
@@ -199,7 +199,7 @@ class Chain:
     # --- chains -----------------------------------------------------------------------
 
     def _weights(self, layer: _Layer, *, estimated: bool) -> Matrix:
-        """(A, B) of all ways of a leg, in parts of the whole cost."""
+        """(A, B) costs of all motions of a leg, as parts of the whole cost."""
         found = layer.off * layer.estimates if estimated else np.full(layer.estimates.shape, np.inf)
         found = found.copy()
         for (a, b), way in layer.planned.items():
@@ -207,7 +207,7 @@ class Chain:
         return np.asarray(found / layer.unit)
 
     def _cheapest(self, *, estimated: bool) -> list[tuple[int, int]] | None:
-        """The cheapest chain, as the ends before and after each leg; None where there is none."""
+        """The cheapest chain, as the indices of the ends before and after each leg; None if there is none."""
         cost, back = np.zeros(1), []
         for layer in self._layers:
             through = cost[:, None] + self._weights(layer, estimated=estimated)
@@ -226,14 +226,14 @@ class Chain:
         return float(sum(matrix[way] for matrix, way in zip(weights, chain, strict=True)))
 
     def _promises(self, chain: Sequence[tuple[int, int]]) -> bool:
-        """Whether a chain may be cheaper than the cheapest that is known."""
+        """Whether a chain may be cheaper than the cheapest known one."""
         best = self._cheapest(estimated=False)
         if best is None:
             return True
         return self._cost(chain, estimated=True) < (1.0 - _GAIN) * self._cost(best, estimated=False)
 
     def _plan_chain(self, chain: Sequence[tuple[int, int]]) -> bool:
-        """Plan what is not planned of a chain, as far as it goes; False where nothing was left to be planned."""
+        """Plan the unplanned motions of a chain, as far as possible; False if nothing was left to be planned."""
         places = tuple(layer.place(b) for layer, (_, b) in zip(self._layers, chain, strict=True))
         anywhere = places not in self._tried
         self._tried.add(places)
@@ -257,7 +257,7 @@ class Chain:
         return anywhere or self.tried > planned
 
     def _calibrate(self, layer: _Layer, before: int, place: str) -> None:
-        """Let what a way to a goal has cost say how far estimates of all ways from there to that goal are off."""
+        """Correct the estimates of all motions between two goals by the cost of a planned one."""
         end = layer.free[before, place]
         rows, columns = self._between_the_same_goals(layer, before, place)
         own = layer.estimates[before, columns]
@@ -270,9 +270,10 @@ class Chain:
         layer.estimates[np.ix_(rows, columns)] *= factor
 
     def _plan(self, layer: _Layer, a: int, b: int, *, anywhere: bool) -> int | None:
-        """Plan one way, from the end `a` of the leg before to the end `b`; the index of its end, None for no way.
+        """Plan one motion from the end `a` of the leg before to the end `b`; the index of its end, None if none is
+        found.
 
-        anywhere: on the goal of `b`, not just at `b`.
+        anywhere: whether it may end anywhere on the goal of `b`, not just at `b`.
         """
         number = self._layers.index(layer)
         start = self._layers[number - 1].ends[a] if number else None
@@ -295,7 +296,7 @@ class Chain:
         return self._note(layer, a, done)[0]
 
     def _between_the_same_goals(self, layer: _Layer, before: int, place: str | None) -> tuple[list[int], list[int]]:
-        """The ends before a leg on the same goal as one of them, and its own on the goal `place`; all, where None."""
+        """The ends before a leg on the same goal as `before`, and its own ends on the goal `place`; all if None."""
         number = self._layers.index(layer)
         names = self._layers[number - 1].names if number else [None]
         rows = [k for k, name in enumerate(names) if name == names[before]]
@@ -318,7 +319,7 @@ class Chain:
 
 
 def _ending_at(leg: Leg, q: Vector) -> Leg:
-    """The same leg along a path, with the pitch of a posture `q` (n,) asked for at its end where any would do."""
+    """The same leg along a path, with the pitch of a posture `q` (n,) required at its end if it was free there."""
     problem = leg.problem
     assert problem.path is not None
     last = problem.path.waypoints[-1]

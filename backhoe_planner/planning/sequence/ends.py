@@ -1,4 +1,4 @@
-"""Postures in which the legs of a sequence may end, and what the ways between them cost at least about."""
+"""Postures in which the legs of a sequence may end, and estimated costs of the motions between them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import LeastTimes
 from backhoe_planner.site import ClearanceScreen
 
-_MOST_ENDS = 40  # postures at the end of a leg; chosen: 0.05 rad apart, they fill two radians of one free joint
+_MOST_ENDS = 40  # postures at the end of a leg; chosen: 0.05 rad apart, they cover two radians of one free joint
 _ENDS_A_WAY = 12  # the same for each of `Effort.ways_at_once`; chosen
-_MOST_PRICED = 16  # the same where the ways between them are priced by inverse dynamics; chosen
-_LONGEST = 120.0  # s: least times are looked at up to this one; chosen, far above any leg
-_PLACES = 8  # on a straight way between two postures, at which it is looked at; chosen
-_BLOCKED = 0.5  # part by which a way costs more where all of it is blocked; chosen
-_BRISK = 1.15  # times the least time, that a straight way takes; chosen
+_MOST_PRICED = 16  # the same if the motions between them are priced by inverse dynamics; chosen
+_LONGEST = 120.0  # s: least times are computed up to this one; chosen, far above any leg
+_PLACES = 8  # on a straight motion between two postures, that are checked; chosen
+_BLOCKED = 0.5  # part by which a motion costs more if all of it is blocked; chosen
+_BRISK = 1.15  # times the least time: the duration of a straight motion; chosen
 
 
 def posture_on(world: World, target: TipTarget, near: Vector) -> tuple[Vector, ...]:
@@ -41,8 +41,8 @@ class LegEnds:
     Attributes
     ----------
     ends: (n,) each, postures in which it may end; at least one.
-    entries: where a path or a ready motion may be joined; empty for a goal.
-    goals: of each end, the goal that it is on; empty for a path and a ready motion.
+    entries: postures in which a path or a ready motion may be joined; empty for a goal.
+    goals: the goal of each end; empty for a path and a ready motion.
     """
 
     ends: tuple[Vector, ...]
@@ -51,7 +51,7 @@ class LegEnds:
 
 
 def find_ends(world: World, leg: Leg, near: Vector) -> LegEnds | None:
-    """Postures in which a leg may end; None where there is none.
+    """Postures in which a leg may end; None if there are none.
 
     Parameters
     ----------
@@ -76,16 +76,16 @@ def find_ends(world: World, leg: Leg, near: Vector) -> LegEnds | None:
 
 
 class WayPrices:
-    """What straight ways between postures cost about, by the objective of one leg."""
+    """Estimated costs of straight motions between postures, by the objective of one leg."""
 
     def __init__(self, world: World) -> None:
         self._problem = world.problem
         self._screen = ClearanceScreen(world.proximity)
 
     def between(self, begins: Sequence[Vector], ends: Sequence[Vector]) -> Matrix:
-        """(A, B) from each of `begins` to each of `ends`, more where something is in the way.
+        """(A, B) costs from each of `begins` to each of `ends`, more if something is in the way.
 
-        Infinite from where the leg cannot begin.
+        Infinite from postures in which the leg cannot begin.
         """
         a, b = np.array(begins), np.array(ends)
         keep = self._problem.keep
@@ -99,7 +99,7 @@ class WayPrices:
         return np.where(begin[:, None], price * (1.0 + _BLOCKED * blocked), np.inf)
 
     def _costs(self, lines: Matrix, time: Matrix) -> Matrix:
-        """(A, B) of the objective along straight ways at an even speed."""
+        """(A, B) costs by the objective of straight motions at an even speed."""
         duration = np.maximum(_BRISK * time, 1e-3)
         velocity = (lines[-1] - lines[0]) / duration[..., None]
         v = np.broadcast_to(velocity, lines.shape).reshape(-1, lines.shape[-1])

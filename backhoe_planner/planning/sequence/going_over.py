@@ -1,8 +1,8 @@
-"""Legs that go over into each other without a stop, where both allow it.
+"""Joins legs without a stop between them, if both allow it.
 
-A leg may pass the end of the one before by as far as both tolerate: the tolerance of a goal, or that of a
-path. What is accepted is proven: each leg on its own part, and both of them on all of the time in which
-one has begun while the other still slows down, with the payload, soil, obstacles and conditions of each.
+The motion may pass the point between two legs at a distance that both tolerate: the tolerance of a goal, or that
+of a path. A joint is accepted only if it is proven: each leg on its own part, and both of them during the time in
+which one has begun while the other still slows down, with the payload, soil, obstacles and conditions of each.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from backhoe_planner.motion import GOAL_TOLERANCE, Problem, Trajectory, overlap,
 from backhoe_planner.planning.sequence.leg import DoneLeg, join
 from backhoe_planner.proof import certify_motion
 
-_PART = 0.5  # of a leg, that may go over into another at either end; chosen
-_SHORTEST = 0.06  # s: chosen, three samples; to go over within less gains nothing that counts
-_HALVINGS = 7  # of the time within which two legs go over; chosen, finds it to a hundredth
+_PART = 0.5  # part of a leg that may overlap with another at either end; chosen
+_SHORTEST = 0.06  # s; chosen: three samples; a shorter overlap gains hardly anything
+_HALVINGS = 7  # of the overlap time of two legs; chosen: finds it to a hundredth
 _SHARES = (1.0, 0.6, 0.3)  # of the longest time that the tolerance allows, tried in turn; chosen
-_SPARE = 0.9  # part of a tolerance that is used; chosen: samples are not exactly where the tip is nearest
+_SPARE = 0.9  # part of a tolerance that is used; chosen: no sample is exactly where the tip is nearest
 
 
 def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
-    """The whole motion of planned legs, with a stop between two of them only where it must be.
+    """The whole motion of planned legs, with a stop between two of them only if it is needed.
 
-    Where anything moves or appears, every leg stops: it was planned for when it begins.
+    If anything moves or appears, every leg stops, because it was planned for the time at which it begins.
     """
     stops = any(leg.problem.is_dynamic for leg in legs)
     whole, free_from = replace(join([legs[0].motion]), begins=(0,)), 0.0
     for before, leg in itertools.pairwise(legs):
-        motion = join([leg.motion])  # of two samples at least
+        motion = join([leg.motion])  # with at least two samples
         found = None if stops else _without_stop(whole, before, leg, motion, free_from)
         if found is None:
             time = np.concatenate((whole.time, whole.duration + motion.time[1:]))
@@ -46,7 +46,7 @@ def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
 def _without_stop(
     whole: Trajectory, before: DoneLeg, leg: DoneLeg, motion: Trajectory, free_from: float
 ) -> tuple[Trajectory, float] | None:
-    """The whole motion with one more leg, and when it is that leg's alone [s]; None where it must stop before it."""
+    """The whole motion with one more leg, and when the overlap ends [s]; None if the motion must stop before it."""
     first, second = before.problem, leg.problem
     if not (before.may_go_over and leg.may_go_over):
         return None
@@ -56,7 +56,7 @@ def _without_stop(
     corner = kinematics.at(whole.q[-1:]).tip_position[0]
 
     def nearest(joined: Trajectory, shared: slice) -> tuple[float, int]:
-        """How far the tip passes the end of the leg by [m], and at which sample."""
+        """The distance at which the tip passes the end of the leg before [m], and the sample."""
         away = np.linalg.norm(kinematics.at(joined.q[shared]).tip_position - corner, axis=1)
         row = int(np.argmin(away))
         return float(away[row]), shared.start + row
@@ -83,7 +83,7 @@ def _without_stop(
 
 
 def _tolerance(problem: Problem, *, at_end: bool = True) -> float:
-    """How far the tip may pass the end, or the beginning, of a leg [m]."""
+    """At what distance the tip may pass the end, or the beginning, of a leg [m]."""
     path = problem.scene.task.path
     if problem.path is not None and path is not None:
         return path.tolerance
@@ -94,7 +94,7 @@ def _tolerance(problem: Problem, *, at_end: bool = True) -> float:
 
 
 def _is_proven(motion: Trajectory, shared: slice, first: Problem, second: Problem) -> bool:
-    """Whether both legs hold on their own parts, and both while they go over into each other."""
+    """Whether both legs are proven on their own parts, and both during their overlap."""
     begun, meet, last = motion.begins[-2], motion.begins[-1], len(motion) - 1
     parts = [(first, begun, meet, len(motion.begins) > 2), (second, meet, last, True)]
     for problem, low, high, moved in parts:

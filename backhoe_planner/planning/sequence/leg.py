@@ -1,4 +1,4 @@
-"""A leg that is to be planned, and what came of it."""
+"""A leg to be planned, and the result of planning it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.proof import Certificate
 
-_SAME_PLACE = 1e-8  # rad or m: rounding; where two motions are further apart, one does not go on with the other
+_SAME_PLACE = 1e-8  # rad or m: rounding; if two motions are further apart, one does not continue the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,9 +23,9 @@ class Leg:
 
     Attributes
     ----------
-    problem: of the leg; its name is the leg's. Where it begins counts for the first leg alone: any other begins
+    problem: of the leg; its name is the leg's. Its start counts only for the first leg: any other begins
         where the one before has ended.
-    motion: ready, from rest to rest, such as a cut: planned is only the way to its beginning. None where
+    motion: a ready motion from rest to rest, such as a cut: only the motion to its beginning is planned. None if
         all is to be planned.
 
     Raises
@@ -50,12 +50,12 @@ class Leg:
 
     @property
     def name(self) -> str:
-        """Of the leg."""
+        """The name of the leg."""
         return self.problem.name
 
 
 def posture_goal(problem: Problem, q: Vector, name: str = "end of the motion") -> Goal:
-    """The goal of standing at `q` (n,) [rad or m]."""
+    """The goal of being at rest at `q` (n,) [rad or m]."""
     at = Kinematics(problem.robot).at(q)
     return Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name=name)
 
@@ -66,10 +66,10 @@ class DoneLeg:
 
     Attributes
     ----------
-    problem: with where it begins, on its own clock.
+    problem: of the leg, with its start, on its own clock.
     outcome: the motion from rest to rest, or why there is none.
-    certificate: what is proven of it.
-    is_ready: whether it has a ready motion, which is driven as it is.
+    certificate: what is proven of the motion.
+    is_ready: whether it has a ready motion, which is driven unchanged.
     """
 
     problem: Problem
@@ -79,24 +79,24 @@ class DoneLeg:
 
     @property
     def motion(self) -> Trajectory:
-        """Of the leg, on its own clock."""
+        """The motion of the leg, on its own clock."""
         return self.outcome.trajectory
 
     @property
     def may_go_over(self) -> bool:
-        """Whether it may go over into another leg without a stop: none that waits, or is driven as it is."""
+        """Whether it may join another leg without a stop: not if it failed, waits, or is driven unchanged."""
         return not (self.failed or self.is_ready) and self.problem.wait is None
 
     @property
     def failed(self) -> bool:
-        """Whether it does not do what is asked."""
+        """Whether the motion does not do the leg's task."""
         return not self.certificate.verified
 
 
 def join(motions: Sequence[Trajectory]) -> Trajectory:
     """The motions one after the other, each beginning where and when the one before has ended.
 
-    One that takes no time rests for a sample, so that every leg has a part of its own.
+    A motion that takes no time becomes a rest of one sample, so that every leg has a part of its own.
     """
     time, q, begins = [np.zeros(1)], [motions[0].q[:1]], []
     end, count = 0.0, 1

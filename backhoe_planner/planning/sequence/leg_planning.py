@@ -16,17 +16,17 @@ from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, join, posture_go
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.proof import certify_motion
 
-_THERE = 1e-9  # rad or m: rounding; a ready motion that begins nearer than this needs no way to it
+_THERE = 1e-9  # rad or m: rounding; a ready motion that begins nearer than this needs no motion to it
 
 
 @dataclass(frozen=True, eq=False)
 class LegPlanner:
-    """Plans single legs, all in the same way.
+    """Plans single legs, all with the same settings.
 
     Attributes
     ----------
-    method, seed, effort: of every leg.
-    brake: of all together.
+    method, seed, effort: for every leg.
+    brake: for all legs together.
     watch: called with every step while a leg is planned.
     """
 
@@ -41,13 +41,13 @@ class LegPlanner:
 
         Parameters
         ----------
-        start: (n,) where it begins [rad or m]; None for the first leg, whose problem says that.
+        start: (n,) where it begins [rad or m]; None for the first leg, whose problem gives its start.
         time: when it begins [s].
-        asked: the same leg asking for more, such as one posture at its end; what is proven is the leg itself.
+        asked: the same leg with more requirements, such as one posture at its end; the proof is for the leg itself.
         """
         problem = leg.problem
         if start is None and problem.wait is not None:
-            start = problem.start_q  # where it waits is the place that it has to keep
+            start = problem.start_q  # a wait has to keep its own start
         if start is not None:
             problem = problem.beginning(start, time)
         if leg.motion is not None:
@@ -61,7 +61,7 @@ class LegPlanner:
         return DoneLeg(problem, outcome, certificate)
 
     def _ready(self, motion: Trajectory, problem: Problem) -> DoneLeg:
-        """A ready motion, after the way to its beginning."""
+        """A ready motion, after a planned motion to its beginning."""
         start = problem.start_q
         if start is None or float(np.max(np.abs(start - motion.q[0]))) <= _THERE:
             exact = motion if start is None else Trajectory.from_steps(motion.time, np.vstack((start, motion.q[1:])))

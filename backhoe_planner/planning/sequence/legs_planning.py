@@ -1,4 +1,4 @@
-"""`plan_legs`: legs planned together, the end of each chosen with those after it in mind."""
+"""`plan_legs`: plans legs together, with the end of each chosen with the later legs in mind."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from backhoe_planner.planning.world.outcome import bad_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
 
-_CHAINS = 4  # of legs, that are planned besides as many as `Effort.ways_at_once`; chosen
+_CHAINS = 4  # of legs that may be planned, in addition to `Effort.ways_at_once`; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class LegsOutcome:
     Attributes
     ----------
     done: every leg that was begun; only the last of them may have failed.
-    trajectory: of all of them, with the samples at which they begin.
-    certificate: what is proven of it, in all and by leg.
-    tried: how many ways over other ends of legs were planned.
+    trajectory: of all these legs, with the samples at which they begin.
+    certificate: what is proven of the trajectory, as a whole and by leg.
+    tried: how many motions with other ends of legs were planned.
     """
 
     done: tuple[DoneLeg, ...]
@@ -41,12 +41,12 @@ class LegsOutcome:
 
     @property
     def cost(self) -> float:
-        """What its legs cost by their objectives, added up; of use where all have the same."""
+        """The costs of the legs by their objectives, added up; meaningful if all have the same objective."""
         return sum(motion_cost(leg.problem, leg.motion) for leg in self.done)
 
     @property
     def failed(self) -> DoneLeg | None:
-        """The leg that failed; None where none did."""
+        """The leg that failed; None if none did."""
         return next((leg for leg in self.done if leg.failed), None)
 
 
@@ -60,17 +60,17 @@ def plan_legs(
     watch: Watcher | None = None,
     ahead: bool = True,
 ) -> LegsOutcome:
-    """Plan legs one after the other, the end of each chosen with those after it in mind.
+    """Plan legs one after the other, with the end of each chosen with the later legs in mind.
 
-    Among obstacles that move or appear, and by the law alone, the ends are those of the legs for themselves.
+    Among obstacles that move or appear, and by the law alone, the end of each leg is chosen for that leg alone.
 
     Parameters
     ----------
-    legs: at least one; the first one's problem says where the joints are.
+    legs: at least one; the problem of the first one gives the start.
     method, seed, effort: of every leg, see `plan`.
-    brake: what ends the search; by default it is not ended.
+    brake: ends a search that takes too long; by default there is no time limit.
     watch: called with every step while the planner works.
-    ahead: whether ends are chosen with the next legs in mind.
+    ahead: whether ends are chosen with the later legs in mind.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def plan_legs(
 
 
 def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
-    """Each leg for itself, until one fails."""
+    """The legs planned one by one, until one fails."""
     done: list[DoneLeg] = []
     time = 0.0
     for leg in legs:
@@ -111,9 +111,9 @@ def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
 
 
 def _impossible(leg: Leg, near: Vector, planner: LegPlanner) -> str:
-    """Why no motion can end where a leg does, with the joints `near` (n,) before it; empty where one may, or it moves.
+    """Why no motion can end where a leg does, with the joints `near` (n,) before it; empty if one may, or if unknown.
 
-    Which leg fails first is not always the one that is wrong: where a later one may end is looked at without planning.
+    The leg that fails first is not always the wrong one, so the ends of later legs are checked without planning.
     """
     problem = leg.problem
     if problem.is_dynamic or not problem.goals or any(goal.q is None for goal in problem.goals):
@@ -143,7 +143,7 @@ def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg], tried: int) -> LegsOutc
 
 
 def _begun(leg: DoneLeg, index: int, motion: Trajectory, first: int) -> Problem:
-    """A leg's problem with where and when its part of the motion begins."""
+    """A leg's problem with the configuration at which its part of the motion begins."""
     if index == 0 and leg.problem.wait is None:
         return leg.problem
     return leg.problem.beginning(motion.q[first])

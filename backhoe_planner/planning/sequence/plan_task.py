@@ -1,6 +1,6 @@
 """`plan`: from a machine and a scene to a motion with a verdict.
 
-Every ending is a `Plan`: what can fail in normal use is a reason with its numbers.
+The result is always a `Plan`: a failure in normal use is a reason with its numbers.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Scene
 
 _LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
-_BINDS = 0.95  # part of a limit from which on it binds; samples tell accelerations to some percent
-_SHORT = 10.0 * SAMPLE_PERIOD  # s: what is shorter has too few samples for its limits to show; chosen
+_BINDS = 0.95  # part of a limit from which it counts as reached; samples give accelerations to some percent
+_SHORT = 10.0 * SAMPLE_PERIOD  # s: a shorter motion has too few samples to show its use of limits; chosen
 
 
 def plan(
@@ -41,20 +41,20 @@ def plan(
 
     Parameters
     ----------
-    robot, scene: machine and site; the scene says what is to be done.
+    robot, scene: machine and site; the scene contains the task.
     method: ``auto``, ``optimal`` (the least of the scene's objective; ``auto`` does the same, and
-        falls back on the law where a search finds no motion to a goal), ``reactive`` (the
-        completed law alone), or ``paper`` (the law as printed, to compare with).
+        falls back on the law if a search finds no motion to a goal), ``reactive`` (the
+        completed law alone), or ``paper`` (the law as printed, for comparison).
     seed: of every random choice, not negative.
-    effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
-        take. The same input, seed and effort give the same plan, however busy the machine.
-    budget: computing time [s] after which the search is ended, by default 60, of ``thorough`` 600.
-        A motion that was still made better is delivered, with a note; else the reason is ``budget``.
+    effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may do.
+        The same input, seed and effort give the same plan, however busy the computer is.
+    budget: computing time [s] after which the search is ended, by default 60, for ``thorough`` 600.
+        A motion that was still being improved is returned with a note; without a motion the reason is ``budget``.
     watch: called with every step while the planner works.
 
     Returns
     -------
-    A plan in any case; `Plan.verdict` is ``verified`` only where the certificate holds.
+    Always a plan; `Plan.verdict` is ``verified`` only if the certificate holds.
 
     Raises
     ------
@@ -88,17 +88,17 @@ def plan_problem(
     watch: Watcher | None = None,
     begun: float | None = None,
 ) -> Plan:
-    """The same for a problem that is built already.
+    """Like `plan`, for a problem that is built already.
 
     Parameters
     ----------
-    method, seed, effort, watch: as of `plan`.
-    brake: ends what takes too long; by default nothing does.
-    begun: when the clock stood at the beginning of what counts as planning time [s]; by default now.
+    method, seed, effort, watch: as for `plan`.
+    brake: ends a search that takes too long; by default there is no time limit.
+    begun: the clock's value from which planning time counts [s]; by default now.
 
     Raises
     ------
-    InputError: the method is not one for this task.
+    InputError: the method is not possible for this task.
     """
     begun, brake = clock.monotonic() if begun is None else begun, brake or Brake()
     if problem.legs and method == "paper":
@@ -142,7 +142,7 @@ def plan_problem(
 
 
 def _describe_unused_limits(problem: Problem, motion: Trajectory, certificate: Certificate) -> str:
-    """That a motion to a goal comes near no limit at any time, so that a faster one exists; empty where it does.
+    """A note if a motion to a goal is never near any limit, so that a faster one exists; empty otherwise.
 
     Motions for another cost than the time need not be fast.
     """
@@ -157,8 +157,8 @@ def _plan_sequence(
     problem: Problem, method: Method, *, seed: int, effort: EffortName, brake: Brake, watch: Watcher | None,
     begun: float,
 ) -> Plan:  # fmt: skip
-    """The plan of a sequence; `begun` is when the clock stood at its beginning [s]."""
-    from backhoe_planner.planning.sequence.leg import Leg  # what one motion does without is not loaded for it
+    """The plan of a sequence; `begun` is the clock's value at its beginning [s]."""
+    from backhoe_planner.planning.sequence.leg import Leg  # loaded only for sequences
     from backhoe_planner.planning.sequence.legs_planning import plan_legs
 
     found = plan_legs(
@@ -179,7 +179,7 @@ def _plan_sequence(
         trajectory=motion,
         certificate=certificate,
         metrics=measure_motion(problem, motion, certificate, planning_time=planning_time),
-        findings=NOTHING if failed is None else failed.outcome.adding(allowed_time=None).findings,  # that is the leg's
+        findings=NOTHING if failed is None else failed.outcome.adding(allowed_time=None).findings,  # it is the leg's
         failure="" if failed is None else failed.outcome.reason,
         note="; ".join(notes),
         effort=effort,
