@@ -58,7 +58,7 @@ class AlongPath:
     path: TipPath
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """A motion to the path and along it, or on along it from where the motion has got to."""
+        """A motion to the path and along it, or further along it from where `stepper` has followed it to."""
         task = world.problem.scene.task.path
         assert task is not None
         since = progress(
@@ -281,12 +281,10 @@ class _Along:
         return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
 
     def _cheaper_than_law(self, piece: Stretch, law: Stretch, *, free_start: bool) -> Stretch:
-        """The cheapest of `piece`, which is the whole path, and the law's resolution from the same joints, made cheaper
-        too.
+        """The cheapest of `piece`, the whole path, and the law's resolution from the same joints, also made cheaper.
 
         A cost has more than one minimum, and the grid may miss the one near the law's resolution. The search minimises
-        an
-        approximation of the cost without inertia, so the costs of the motions decide.
+        an approximation of the cost without inertia, so the costs of the motions decide.
         """
         if law.obstruction is not None:
             return piece
@@ -320,8 +318,8 @@ class _Along:
         """The motions along a stretch, each from rest to rest.
 
         Where the joints turn sharply, for example at the end of a turn on the spot, the smooth curve through the
-        samples
-        swings out. If it comes too near to something, samples are inserted between them, which halves the swing.
+        samples swings out. If it comes too near to something, samples are inserted between them, which halves the
+        swing.
         """
         world, brake = self._world, self._world.work.brake
         screen = ClearanceScreen(world.proximity, time=time, spare=-AT_CLEARANCE)

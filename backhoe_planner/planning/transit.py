@@ -18,7 +18,7 @@ from backhoe_planner.planning.world.world import World
 
 _SPARES = (0.01, 0.002)  # m kept beyond every clearance; chosen: the second is used if the first finds nothing
 _TUBES = (0.25, 0.6, 1.5)  # m that a detour may go off the path, added to half of the length that it leaves out; chosen
-_DETOURS = 4  # of which the shortest is taken; chosen
+_DETOURS = 4  # of which the shortest is used; chosen
 _TUBE_PART, _FREE_PART = 8, 2  # parts of `Effort.motions_per_search` for a detour in a tube, and one without; chosen
 
 

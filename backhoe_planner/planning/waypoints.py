@@ -23,7 +23,7 @@ from backhoe_planner.site import ClearanceScreen
 
 _MOST_WAYPOINTS = 32  # tried from `_GUESSES` before a path is planned; chosen: the others start from their results
 _CARRIED = 2  # configurations of the waypoint before, and of the one after, from which another is tried; chosen
-_GUESSES = 24  # starting points for each of them: as many as `Postures.at` takes
+_GUESSES = 24  # starting points for each of them: as many as `Postures.at` uses
 _MORE_GUESSES = 192  # for a waypoint at which all configurations found collide; chosen: eight times as many
 _MOVED = 0.9  # part of the tolerance by which a waypoint is moved at most; chosen: the rest is for chords and curve
 _INSIDE = 0.02  # part of the tolerance by which it is moved further than needed; chosen: a stretched arm turns fast
@@ -166,8 +166,7 @@ class _Waypoints:
         return None
 
     def _aside(self, target: TipTarget, within: TipTarget, ends: Matrix) -> TipTarget | None:
-        """`within` moved further, away from what the machine is too near to, until it is clear; None if that is too
-        far.
+        """`within` moved further, away from what the machine is too near to, until clear; None if that is too far.
 
         Parameters
         ----------

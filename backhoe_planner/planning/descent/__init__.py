@@ -1,1 +1,1 @@
-"""Descents: a curve of the joints is bent until it costs least."""
+"""Descents: a joint-space curve is bent until its cost stops falling."""

@@ -77,8 +77,7 @@ class JointCurve:
         return cls(np.tile(start, (pieces + 1, 1))).ending_at(end)
 
     def finer(self, pieces: int, unit: Vector) -> JointCurve:
-        """The same curve of `pieces` pieces, or as many as it has if that is more; denser where accelerations change
-        more.
+        """The same curve with at least `pieces` pieces, shorter where accelerations change more.
 
         Each piece is divided into equal ones, so that the curve does not change.
 

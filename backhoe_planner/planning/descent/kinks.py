@@ -54,8 +54,7 @@ class Kinks:
         return replace(self, share=self.share / unit)
 
     def near(self, reach: Vector) -> NearKinks:
-        """Those below the width that may come to count within a step of `reach` (m,), and those above that may fall
-        below.
+        """Those below the width that may come to count within `reach` (m,), and those above that may fall below it.
 
         Those that hardly change the cost are left out.
         """

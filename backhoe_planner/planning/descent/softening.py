@@ -41,8 +41,7 @@ def soft_flows(mean_flow: float, *, first: bool, fine: bool, hurried: bool) -> t
 
 
 def soft_power(hydraulics: Hydraulics, q: Matrix, v: Matrix, torque: Matrix, *, flow: float) -> Vector:
-    """(K,) a smooth approximation of `Hydraulics.load_sensing_power` [W] in q, v, torque (K, n), closer for less
-    `flow`.
+    """(K,) smooth approximation of `Hydraulics.load_sensing_power` [W] at q, v, torque (K, n); less `flow`, less error.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _TOGETHER = 100  # starts that are priced at once, to bound the memory
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A curve from which a descent may begin, about how long it takes [s], where it ends, and how it was found."""
+    """A curve from which a descent may begin, its estimated duration [s], where it ends, and how it was found."""
 
     curve: JointCurve
     duration: float
@@ -97,12 +97,9 @@ class StartPrices:
         """The straight `lines` with some joints early or late, so that they cost less; the cheapest first.
 
         The cost of a motion often depends on which joint moves first: an arm that is unfolded after it was lowered
-        needs
-        little of the work of one that is held out meanwhile, and no small step leads there from an even pace. The
-        joints
-        are tried one after the other, twice. The other starts that were tried are included, except those that are dear
-        or
-        near another.
+        needs little of the work of one that is held out meanwhile, and no small step leads there from an even pace. The
+        joints are tried one after the other, twice. The other starts that were tried are included, except those that
+        are dear or near another.
         """
         if not lines:
             return []

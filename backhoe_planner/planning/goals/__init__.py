@@ -1,1 +1,1 @@
-"""Motions to a goal: postures, ways, and the best motion that is found among them."""
+"""Motions to a goal: postures, routes, and the best motion that is found."""

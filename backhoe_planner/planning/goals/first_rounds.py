@@ -44,8 +44,8 @@ def after_first_rounds(starts: Iterable[Start], bend: FewRounds, *, far_off: flo
     """A few rounds of each start, and more of those that are cheap because they go through an obstacle.
 
     A curve through an obstacle stays there if leaving costs more than the penalty of the missed clearance. If it is
-    much
-    cheaper than all others, the penalty is raised until it is clear: mostly it is then still cheaper than the others.
+    much cheaper than all others, the penalty is raised until it is clear: mostly it is then still cheaper than the
+    others.
 
     Parameters
     ----------

@@ -43,8 +43,7 @@ class ToGoal:
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
         """The least-cost motion from rest that the search finds; if it finds none, a motion by the law.
 
-        If the machine already stands on a goal it stays: nothing costs less, however near the machine is to an
-        obstacle.
+        If the machine already stands on a goal it stays: nothing costs less, however near an obstacle is.
         """
         if self._is_there(world, stepper):
             return Outcome(stepper.trajectory())

@@ -76,8 +76,7 @@ class MotionDescents:
     best: the best motion so far.
     ended: the motions at which descents ended, some of them not proven.
     longest: the longest time that a motion may take [s], if the time is not the cost; infinite while it is not known;
-    may
-        be set.
+        may be set.
     blocked, early: the cost after the first rounds of the cheapest start that stays in an obstacle, and of the
         cheapest one that gets clear; infinite if there is none.
     """
@@ -146,8 +145,7 @@ class MotionDescents:
     def goes_straight(self, found: FoundMotion) -> bool:
         """Whether this motion came from a straight line, if the cost is not the time: it goes around nothing.
 
-        False if a blocked start was cheaper after its first rounds, or none got clear: a route around may be cheaper
-        too.
+        False if a blocked start was cheaper after its first rounds, or none got clear: then a detour may be cheaper.
         """
         return found.curve is not None and found.way == STRAIGHT and self.early <= self.blocked
 

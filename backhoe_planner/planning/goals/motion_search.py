@@ -40,8 +40,8 @@ _PLACES = 25  # of a known motion, given to a roadmap; chosen, about every 2 to 
 _WORTH = 1.4  # times the best cost, up to which a route is worth a descent; chosen
 _WORTH_MORE = 2.0  # times the relative excess of the best over the bound: by so much a route may cost more; chosen
 _DEAREST = 1.6  # times the best cost: the highest price of a route through a roadmap; chosen
-# a route's longest time is below the best duration by these parts of the distance to the bound (in logarithms), in
-# turn; chosen
+# parts of the logarithmic distance from the best duration to the bound, by which a route's longest time is below the
+# best, in turn; chosen
 _SHORTER = (0.25, 0.5, 0.0, 0.5)
 _MANY_NODES = 3_600  # at least so many in a roadmap after one that gained nothing; chosen
 _FEWEST_WAYS = 2  # tries to sample a first route before the search gives up

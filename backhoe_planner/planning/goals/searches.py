@@ -120,8 +120,7 @@ def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: G
     """Whether another search that is begun anew may find a motion that costs clearly less.
 
     It is unlikely if one costs little more than the lift to the lowest posture, or if several of the `costs` of
-    searches
-    from the same start are near the least: within a few per cent, or within what is worth another search.
+    searches from the same start are near the least: within a few per cent, or within what is worth another search.
     """
     alike, least = world.work.effort.alike, min(costs)
     if not alike:

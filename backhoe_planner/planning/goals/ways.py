@@ -126,8 +126,7 @@ class Ways:
         nodes: of the roadmap.
         longest: configurations are left out if every motion through them takes longer [s].
         price: of straight motions, by which the cheapest routes come first.
-        known: (K, n) each: configurations along known motions; a route may pass through them, but not near all of one
-        motion.
+        known: (K, n) each: configurations along known motions; a route may pass some of them, but not near all of one.
         dearest: the highest price of a route.
         """
         goals = self._ends.at(which)

@@ -1,1 +1,1 @@
-"""The cheapest way through all resolutions of a path."""
+"""The cheapest resolution of a path."""

@@ -34,7 +34,7 @@ _FOLLOWED = 0.2  # rad or m; chosen: a node with another this near in the next l
 _FOLLOWED_STEPS = 1.2  # grid steps: the same on curves of self-motion; chosen: just above the distance of two nodes
 _FOLLOWED_PART = 0.5  # part of the longest step, if steps are bounded: an upper bound for the same; chosen
 _CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times `_FOLLOWED`
-_MOST = 500  # nodes of a layer to which no more are carried; chosen: twice `_SAMPLES`, since steps grow by its square
+_MOST = 500  # nodes of a layer, above which none are carried to it; chosen: twice `_SAMPLES`; steps grow as the square
 _SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given start; chosen: near, further and far
 _AROUND = 16  # guesses for each of `_SPREADS`; chosen
 _ROOT_ROUNDS = 60  # iterations: each more than halves the error of the root of g^(n + 1) = g + 1
@@ -240,7 +240,7 @@ class PathLayers:
         return found
 
     def _trace(self, batch: TargetBatch, rows: NDArray[np.intp], q: Matrix) -> tuple[Matrix, NDArray[np.intp]]:
-        """(N, n) nodes along the null space from each of `q` (B, n), first in one direction, and (N,) their rows."""
+        """(N, n) nodes along the null space from `q` (B, n), in one direction, then the other; and (N,) their rows."""
         # both directions at once: numpy takes little longer for twice as many
         sense, rows, q = np.repeat((1.0, -1.0), len(q)), np.tile(rows, 2), np.tile(q, (2, 1))
         found, found_rows, found_sense = [q[:0]], [rows[:0]], [sense[:0]]
@@ -385,7 +385,7 @@ def _spread(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
     """(count, n) quasi-random configurations in `box`, always the same for one `seed`.
 
     The additive sequence of M. Roberts (2018): steps of 1/g, 1/g^2, ..., modulo 1, with g the root of
-    g^(n + 1) = g + 1. Sobol's sequence is in scipy.stats, which takes half as long to load as a path to plan.
+    g^(n + 1) = g + 1. Sobol's sequence is in scipy.stats, but loading that takes half as long as planning a path.
     """
     n = len(box[0])
     root = 2.0

@@ -294,7 +294,7 @@ class PathResolver:
             stations = np.unique(self._path.stations)
             stations = stations[(stations > low + _SAME) & (stations < high - _SAME)]
             stations = stations[:: max(len(stations) // (_PARTS - 1), 1)]
-        own = layer - (len(graph.layers) - len(self._layers))  # a beginning off the path is a layer of the graph alone
+        own = layer - (len(graph.layers) - len(self._layers))  # a start off the path is a layer only in the graph
         if not len(stations) or own < 0:
             return False
         self._splits += 1

@@ -57,8 +57,7 @@ def measure_bound(problem: Problem, trajectory: Trajectory, certificate: Certifi
         alone = least_duration_of_all(problem, q[0], boxes=boxes)
         least, settled = max(least, alone), settled and alone <= least
     longer = 100.0 * (duration / least - 1.0) if least > 0.0 else 0.0
-    # only of the objective that is minimised: for the time, the bound of the work would be a third of the computing
-    # time
+    # only if work is minimised: beside the bound of the time it would take a third of the computing time of both
     lifted = least_work(problem, q[0], end=q[-1], boxes=boxes) if problem.objective.lifts else None
     energy = _least_energy(problem, lifted)
     return Bound(duration=least, longer_percent=longer, settled=settled, energy=energy)

@@ -165,8 +165,7 @@ class Plan:
         """The name of the objective that was minimised for the whole motion, whose value is `metrics.cost`.
 
         It is given for a motion to a goal, and for a sequence if all legs that move have the same objective. It is
-        empty
-        along a path, where only the part along it counts, for a motion driven by hand, and for an older file.
+        empty along a path, where only the part along it counts, for a motion driven by hand, and for an older file.
         """
         if self.method == "teleop" or self.metrics.cost is None:
             return ""

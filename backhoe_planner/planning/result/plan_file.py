@@ -56,7 +56,7 @@ class RobotRecord(Record):
     joints: tuple[str, ...]
     """Names of the joints, in the order of the columns."""
     tip: str
-    """The link that carries the tip."""
+    """Name of the tip link."""
 
 
 class TrajectoryRecord(Record):

@@ -1,1 +1,1 @@
-"""Ways in joint space whose every motion is proven."""
+"""Routes in joint space, checked or proven clear."""

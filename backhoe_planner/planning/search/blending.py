@@ -10,8 +10,8 @@ from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
 _HALVINGS = 7  # chosen: a cut that is less than a hundredth of the longest possible saves little time
-_SHARED = 0.5  # part of a leg that each of two corners may take: an even half
-_ALONE = 0.95  # part of a leg that its only corner may take: nearly all, so that a piece of the leg is left
+_SHARED = 0.5  # part of a leg that each of two corners may use: an even half
+_ALONE = 0.95  # part of a leg that its only corner may use: nearly all, so that a piece of the leg is left
 
 
 def blend(check: MotionCheck, way: JointPath) -> SmoothWay:

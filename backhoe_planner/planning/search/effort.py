@@ -1,7 +1,7 @@
 """How much work a plan may take: counted, so that it does not depend on the computer or its load.
 
-Every search ends by a count, so the same input, seed and effort give the same plan. Only this
-module reads the clock: the `Brake` ends a search that takes far too long.
+Every search ends by a count, so the same input, seed and effort give the same plan. The clock
+matters only here: the `Brake` ends a search that takes far too long.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ class Effort:
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
     alike: so many searches of nearly the same cost end the restarts; so does one that costs little more than what is
-        lifted, and one that was short; 0 for none.
+        lifted, and a short first search; 0 for none.
     restarts_round: further searches if the best motion goes around an obstacle; each continues from what is known.
     restarts_long: further searches for the time, each begun anew with the normal effort, if the best motion takes
-        much longer than the joints need, until one finds a shorter motion.
+        much longer than the joints need, until one finds a motion that does not.
     rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve
         continues from there, and mostly costs no more at the end.
     """
@@ -123,8 +123,7 @@ def _scaled(factor: float) -> Effort:
 
 EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
     {
-        # inverse kinematics costs little and decides much: with a fifth of it, goals within reach would count as out of
-        # it
+        # inverse kinematics costs little and decides much: with a fifth of it, goals within reach count as out of reach
         "quick": replace(
             _scaled(0.2),
             motions_per_search=6_000,

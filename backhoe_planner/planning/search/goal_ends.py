@@ -62,7 +62,7 @@ class GoalEnds:
     def within(self, longest: float, apart: float) -> Iterator[int]:
         """Postures reachable in `longest` [s]; of those nearer than `apart` [s of joint time] only the soonest."""
         at = np.array(self.postures).reshape(-1, len(self._rate)) / self._rate
-        free = np.ones(len(at), dtype=bool)  # whether far enough from those taken before
+        free = np.ones(len(at), dtype=bool)  # whether far enough from the ones yielded before
         for index in self.order:
             if self.least[index] > longest:
                 return

@@ -68,8 +68,7 @@ def travel_within(limits: JointLimits, time: float) -> Vector:
 
 
 def beyond_limits(limits: JointLimits, low: Array, high: Array) -> tuple[Array, Array]:
-    """Bounds for drawing configurations between `low` and `high` (..., n), which are clipped to joint limits
-    afterwards.
+    """Bounds for drawing configurations between `low` and `high` (..., n) that are clipped to joint limits later.
 
     Bounds that are joint limits are moved outwards, so that many a joint ends up exactly at its limit. Routes often
     pass there, for example with the arm folded up, but random values hardly ever do.

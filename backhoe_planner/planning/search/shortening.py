@@ -17,7 +17,7 @@ from backhoe_planner.planning.search.sampling import JointPath
 _TRIES = 60  # random shortcuts; chosen
 _PATIENCE = 20  # shortcuts in a row without a gain after which no more are tried; a third of all
 _GAIN = 1e-3  # part of the length; chosen: a shortcut that gains less is not worth its proof
-_ONE_JOINT = 0.4  # part of the shortcuts that move one joint alone; chosen, rather fewer than those of all joints
+_ONE_JOINT = 0.4  # part of the shortcuts that move only one joint; chosen: somewhat fewer than those of all joints
 _SHORTEST = 1e-6  # s between two corners: far below any motion, so that no segment is divided by 0
 
 

@@ -1,1 +1,1 @@
-"""Sequences of legs, planned together; and `plan`, for whatever a scene asks for."""
+"""Sequences of legs, planned together; and `plan`, for every task of a scene."""

@@ -270,8 +270,7 @@ class Chain:
         layer.estimates[np.ix_(rows, columns)] *= factor
 
     def _plan(self, layer: _Layer, a: int, b: int, *, anywhere: bool) -> int | None:
-        """Plan one motion from the end `a` of the leg before to the end `b`; the index of its end, None if none is
-        found.
+        """Plan one motion from the end `a` of the leg before to the end `b`; the index of its end, None if it failed.
 
         anywhere: whether it may end anywhere on the goal of `b`, not just at `b`.
         """

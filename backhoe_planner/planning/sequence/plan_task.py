@@ -22,7 +22,7 @@ from backhoe_planner.planning.search.effort import DEFAULT_BUDGETS, EFFORTS, Bra
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Scene
 
-_LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
+_LARGEST_SEED = 2**32 - 1  # the largest that OMPL's generator accepts
 _BINDS = 0.95  # part of a limit from which it counts as reached; samples give accelerations to some percent
 _SHORT = 10.0 * SAMPLE_PERIOD  # s: a shorter motion has too few samples to show its use of limits; chosen
 

@@ -37,7 +37,7 @@ class Outcome:
     reason: why the task is not done; empty if nothing is known to be wrong.
     message: the same in words; with an empty reason, that time ran out while the motion was being improved.
     findings: the numbers behind reason and message, and how the motion was found.
-    law: how the local law follows the path, from where the motion may begin too; None if that was not computed.
+    law: how the local law follows the path from a configuration in which the motion may begin; None if not computed.
     """
 
     trajectory: Trajectory
