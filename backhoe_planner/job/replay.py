@@ -130,8 +130,8 @@ def _job(record: JobPlanRecord, file: Path, urdf: Path | None) -> Job:
         beside = [path for path in (file.parent / machine, Path(machine)) if path.is_file()]
         if not beside:
             raise RobotError(
-                "the URDF with which the job was planned is not there", file=file, key="machine", found=machine,
-                hint="say where it lies now: --urdf FILE, in the library load_job_plan(..., urdf=FILE)",
+                "the URDF with which the job was planned was not found", file=file, key="machine", found=machine,
+                hint="give its path: --urdf FILE, in the library load_job_plan(..., urdf=FILE)",
             )  # fmt: skip
         machine = str(beside[0].resolve())
     elif not machine.startswith("example:"):

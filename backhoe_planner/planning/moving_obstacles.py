@@ -172,8 +172,8 @@ class _OverTime:
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
         elif not stopped.give_way(moment):
-            kept = "" if known.problem.keep is None else ", or would violate `keep`"
-            return self._halt(motion, moment, f"it comes too near all the same{kept}")
+            kept = "" if known.problem.keep is None else " or violate `keep`"
+            return self._halt(motion, moment, f"even braking, the machine would come too near to it{kept}")
         outcome = self._among_known(stopped)
         if outcome.reason and outcome.trajectory.duration < stopped.time:
             outcome = replace(outcome, trajectory=stopped.trajectory())

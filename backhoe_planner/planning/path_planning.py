@@ -220,10 +220,10 @@ class _Along:
         problem = self._world.problem
         motion = at_rest(self._anywhere()) if self._stepper is None else self._stepper.trajectory()
         asked = replace(step, allowed=step.allowed / (1.0 - _STEP_SPARE))
-        message = f"a joint has to move too far between two waypoints, at the least {describe_step(problem, asked)}"
+        message = f"a joint would have to move too far between two waypoints: at least, {describe_step(problem, asked)}"
         if asked.kept:
             message += f", of which {100.0 * _STEP_SPARE:g} % is left for chords and round corners"
-        message += "; it is the first such pair, and a waypoint between them makes the steps shorter"
+        message += "; this is the first such pair, and a waypoint between the two makes the steps shorter"
         return Outcome(motion, "outside_limits", message, Findings(joints=(problem.robot.joint_names[step.joint],)))
 
     def _price(self, nodes: Matrix) -> Vector:
@@ -247,7 +247,7 @@ class _Along:
         nodes = self._world.problem.robot.reduce_unchecked(self._resolver.first_layer, near=stepper.q)
         transit = find_transit(self._world, stepper, list(nodes))
         if isinstance(transit, str):
-            message = f"no way was found to the beginning of the path: {failure}"
+            message = f"no motion was found to the beginning of the path: {failure}"
             return Outcome(stepper.trajectory(), "blocked", message)
         along = _Along(self._world, self._path, self._resolver, self._cost, transit, self._resolver_within)
         return along.plan(transit.q)
@@ -341,7 +341,7 @@ class _Along:
 
     def _blocked(self, resolved: Resolution, trajectory: Trajectory) -> Outcome:
         assert resolved.obstruction is not None
-        why = ", and no way round was found" if self._may_leave else ", and detours are not allowed"
+        why = ", and no detour was found" if self._may_leave else ", and detours are not allowed"
         if not self._may_turn:
             why += ", nor turns on the spot"
         if resolved.gave_up:

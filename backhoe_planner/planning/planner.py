@@ -138,7 +138,11 @@ def _plan_task(world: World, method: Method) -> Outcome:
         within = waypoint_breaks_keep(world, path) or path_within_reach(world, path)
         if isinstance(within, Outcome):
             counted = within.reason == "unreachable" and problem.keep is not None
-            return replace(within, message=f"{within.message}, as `keep` has it") if counted else within
+            return (
+                replace(within, message=f"{within.message}, with the orientation that `keep` requires")
+                if counted
+                else within
+            )
         world, path = within
         if problem.start_q is None and problem.start_target is None:
             return _plan_from_anywhere(world, _along(path), method)

@@ -39,7 +39,7 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector]) -> Ste
     OutOfTime: the budget is used up.
     """
     if not len(goals):
-        return "there is nowhere to go"
+        return "there is no configuration to move to"
     work = world.work
     before = work.motions
     for spare in _SPARES:

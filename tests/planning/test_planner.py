@@ -184,7 +184,7 @@ def test_where_only_the_pitch_is_out_of_reach_those_that_are_not_are_told(backho
         plan = bp.plan(backhoe, scene, effort="quick")
         assert plan.reason == "unreachable"
         messages.append(plan.message)
-    told = messages[0].partition("by itself can be reached, with a pitch of ")[2]
+    told = messages[0].partition("alone can be reached, with a pitch of ")[2]
     spans = [[float(number) for number in re.findall(r"-?[\d.]+", span)] for span in told.split(" or ")]
     assert any(low <= -2.0 <= high for low, *_, high in spans), messages[0]
     assert not any(low <= 1.4 <= high for low, *_, high in spans), messages[0]

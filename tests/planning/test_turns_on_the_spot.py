@@ -224,7 +224,7 @@ def test_an_angle_beyond_a_limit_is_refused_with_the_joint_at_its_limit(backhoe:
     assert plan.reason == "unreachable"
     assert "waypoint 3 of the path" in plan.message
     assert "deg away" in plan.message
-    assert "with bucket at the limit; the position by itself can be reached, with a pitch of " in plan.message
+    assert "with bucket at the limit; the position alone can be reached, with a pitch of " in plan.message
 
 
 def test_what_blocks_a_turn_is_named_with_its_place(backhoe: bp.Robot) -> None:

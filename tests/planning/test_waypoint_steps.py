@@ -80,7 +80,7 @@ def test_where_no_way_is_short_enough_the_waypoint_and_the_least_step_are_said(e
     plan = bp.plan(elbow, inward(max_joint_step=0.95), effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "outside_limits")
     assert f"elbow moves by {FIRST:.4g} rad from waypoint 1 to 2; max_joint_step allows 0.95 rad" in plan.message
-    assert plan.message.endswith("it is the first such pair, and a waypoint between them makes the steps shorter")
+    assert plan.message.endswith("this is the first such pair, and a waypoint between the two makes the steps shorter")
     assert plan.findings.joints == ("elbow",)
 
 

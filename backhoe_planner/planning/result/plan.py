@@ -396,9 +396,9 @@ def _locate(source: str, file: Path) -> str:
         if path.is_file():
             return str(path)
     raise RobotError(
-        "the URDF with which the plan was made is not there",
+        "the URDF with which the plan was made was not found",
         file=file,
         key="robot.urdf",
         found=source,
-        hint="say where it lies now: --urdf FILE, in the library load_plan(..., urdf=FILE)",
+        hint="give its path: --urdf FILE, in the library load_plan(..., urdf=FILE)",
     )

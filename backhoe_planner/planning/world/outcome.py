@@ -190,13 +190,13 @@ def _position_alone(world: World, target: TipTarget) -> str:
     found = world.postures.anywhere(TipTarget(target.position), count=_STARTS_ALONE)
     if not len(found):
         return ""
-    words = "; the position by itself can be reached"
+    words = "; the position alone can be reached"
     if target.pitch is None:
-        return words + ", turned otherwise"
+        return words + ", with another orientation"
     spans = _spans([world.kinematics.at(q).pitch for q in found])
     asked = target.pitch[0]
     if any(low <= wrap_angle(asked) <= high for low, high in spans):  # the reach has a gap that the samples do not show
-        return words + ", with other pitches"
+        return words + ", with another pitch"
     return words + f", with a pitch of {' or '.join(_span(low, high) for low, high in spans)} rad"
 
 
