@@ -11,7 +11,7 @@
 SI units and radians everywhere; x away from the machine, y left, z up.
 """
 
-# what is public stands in __init__.pyi, and is imported when it is first used
+# __init__.pyi lists what is public; each name is imported when it is first used
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

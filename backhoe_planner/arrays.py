@@ -1,7 +1,7 @@
-"""Numbers and arrays of numbers: their names in annotations, and the check of what is handed in as one.
+"""Numbers and arrays of numbers: their names in annotations, and the checks of arguments.
 
-The shape of an array stands where its name is used. The functions here are called where a
-public function begins. What can be taken as such an array, a list too, is returned as one;
+The shape of an array is given where its name is used. Public functions call the functions here
+first. A value that can be read as such an array, such as a list, is returned as an array;
 anything else is an `InputError` that names the argument.
 """
 
@@ -29,27 +29,27 @@ Flags: TypeAlias = NDArray[np.bool_]
 """Truth values, of any shape."""
 
 _FLOAT = np.dtype(np.float64)
-_SMALL = 10_000  # numbers: BLAS takes threads for more, which wait for each other on a busy machine
+_SMALL = 10_000  # numbers: for more BLAS uses threads, which wait for each other on a busy machine
 
 
 def as_array(
     value: Any, *shape: int | None, key: str, finite: bool = True, names: Sequence[str] | None = None
 ) -> Array:
-    """`value` as an array of floats; itself where it is one.
+    """`value` as an array of floats; `value` itself if it is one.
 
     Parameters
     ----------
     value: an array, or numbers in lists.
-    shape: the length of each axis, None for any length; without any, every shape is allowed.
+    shape: the length of each axis, None for any length; if no length is given, every shape is allowed.
     key: the name of the argument, for messages.
     finite: whether all numbers must be finite; otherwise only nan is refused.
-    names: of the numbers, for messages, where there is one axis.
+    names: of the numbers, for messages, if there is one axis.
 
     Raises
     ------
-    InputError: it has something else than numbers, another shape, or a number that is not finite.
+    InputError: it holds something other than numbers, has another shape, or a number is not finite.
     """
-    try:  # what is right already costs a microsecond
+    try:  # takes a microsecond if the value is already right
         is_right = value.dtype is _FLOAT and value.size <= _SMALL and math.isfinite(np.vdot(value, value))
         if is_right and (not shape or _fits(value.shape, shape)):
             return np.asarray(value)
@@ -78,7 +78,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def as_vector(value: Any, n: int | None, *, key: str, names: Sequence[str] | None = None) -> Vector:
-    """(n,) finite numbers, any number of them where `n` is None, see `as_array`; of an array in half a microsecond."""
+    """(n,) finite numbers, any number of them if `n` is None; see `as_array`. Takes half a microsecond for an array."""
     try:
         if value.dtype is _FLOAT and value.shape == (n,) and math.isfinite(sum(value.tolist())):
             return value  # type: ignore[no-any-return]
@@ -88,7 +88,7 @@ def as_vector(value: Any, n: int | None, *, key: str, names: Sequence[str] | Non
 
 
 def as_rows(value: Any, n: int, *, key: str, beside: Array | None = None) -> Array:
-    """(..., n) finite numbers, see `as_array`; of a shape that fits together with that of `beside`.
+    """(..., n) finite numbers, see `as_array`; their shape must broadcast with that of `beside`.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def as_number(
         raise InputError("is not a number", key=key, found=reprlib.repr(value), allowed=allowed)
     try:
         found = float(value)
-    except OverflowError:  # of a whole number with very many digits
+    except OverflowError:  # a whole number with very many digits
         found = math.nan
     if not (least <= found <= most and found > above) or (finite and math.isinf(found)):
         raise InputError("is not in its range", key=key, found=found, allowed=allowed)

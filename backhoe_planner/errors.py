@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 _Kind = TypeVar("_Kind")
 _LONG = 200  # characters; chosen
-# part of the letters of two names, in order, from which on one may be meant for the other; chosen: one wrong letter in
-# four is enough, the ending of another word is not
+# part of the letters that two names must share, in order, for one to be suggested for the other; chosen: one wrong
+# letter in four is accepted, a common ending with another word is not
 _SIMILAR = 0.7
-_FEWEST_LETTERS = 3  # of a name that is cut short, as pos; chosen
+_FEWEST_LETTERS = 3  # of a name that is cut short, such as pos; chosen
 
 
 class PlannerError(Exception):
@@ -41,10 +41,10 @@ class InputError(PlannerError, ValueError):
 
     Parameters
     ----------
-    problem: one sentence saying what is wrong.
-    file: the file in which it stands.
+    problem: one sentence that says what is wrong.
+    file: the file that has the problem.
     key: the place in the file, such as ``obstacles[2].radius``.
-    found, allowed: what stands there, and what may stand there.
+    found, allowed: what is there, and what may be there.
     hint: what to do about it.
     """
 
@@ -69,7 +69,7 @@ class InputError(PlannerError, ValueError):
         if found is not None:
             text += f"; found {found!r}" if not isinstance(found, str) else f"; found {found}"
         parts = [f"; allowed: {allowed}" if allowed is not None else "", f" ({hint})" if hint is not None else ""]
-        # after a long list a hint is not seen
+        # a hint after a long list would be overlooked
         text += "".join(parts if len(parts[0]) < _LONG else reversed(parts))
         super().__init__(text)
 
@@ -88,10 +88,10 @@ class InputError(PlannerError, ValueError):
 
         Parameters
         ----------
-        problem, file, key: as of the class.
+        problem, file, key: as for the class.
         name: what was found.
-        names: all that is allowed.
-        other_words: words that are not allowed, and the name to suggest where one of them was meant.
+        names: all names that are allowed.
+        other_words: words that are not allowed, each with the name to suggest instead.
         """
         known = list(names)
         near = nearest_name(name, (*known, *other_words)) if isinstance(name, str) else None
@@ -109,7 +109,7 @@ class SceneError(InputError):
 
 
 class StudyError(InputError):
-    """The study cannot be run as it is written, or not into this folder of results."""
+    """The study cannot be run as it is written, or its results cannot go into this folder."""
 
 
 class PlanFileError(InputError):
@@ -117,11 +117,11 @@ class PlanFileError(InputError):
 
 
 class OutputError(InputError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
-    """The entry of `names` that is most similar to `name`, or is the only one that begins so; None where none is."""
+    """The entry of `names` most similar to `name`, or the only one that begins with it; None if there is none."""
     names = list(names)
     close = difflib.get_close_matches(name, names, n=1, cutoff=_SIMILAR)
     if not close and len(name) >= _FEWEST_LETTERS:
@@ -154,7 +154,7 @@ def check_flag(value: Any, *, key: str) -> bool:
 
 
 def check_path(value: Any, *, key: str) -> Path:
-    """`value` as a path of a file.
+    """`value` as a file path.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the machine is: the URDF, kinematics, dynamics, and its collision shape."""
+"""The machine: its URDF, kinematics, dynamics, hydraulics and collision shape."""
 
 import lazy_loader
 

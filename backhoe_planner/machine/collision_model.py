@@ -4,8 +4,8 @@
 point of the piece can have from that joint's axis. A motion dq then moves no point of the
 piece further than sum_j |dq_j| r_j. The certificate and the broad phase rest on this bound.
 
-How far out a slide carries what is beyond it decides r_j. Within its limits that is known
-beforehand; where a posture lies outside of them, r_j is asked for with that posture.
+r_j depends on how far a slide carries the parts beyond it. Within the slide's limits that is known
+beforehand; for a configuration outside of them, pass the configuration as `q`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def geometry_model(
 
     Parameters
     ----------
-    pieces: of the robot, which it holds instead.
-    inner: indices of the pieces of which it holds `Piece.inner`, where there is one.
+    pieces: other pieces of the robot, to be held instead of `robot.pieces`.
+    inner: indices of the pieces for which the model holds `Piece.inner`, if there is one.
     """
     model = pin.GeometryModel()
     for index, piece in enumerate(robot.pieces if pieces is None else pieces):
@@ -38,10 +38,10 @@ def geometry_model(
 
 
 def _slide_reach(robot: Robot, q: Matrix | None = None) -> Vector:
-    """(n,) how far every slide is run out from its zero at most [m]; 0 for a hinge.
+    """(n,) the greatest distance of every slide from its zero [m]; 0 for a hinge.
 
-    Within the limits, in the postures q (..., n), anywhere between, and where the machine's
-    tracking error can take it from there.
+    It holds within the limits, in the configurations q (..., n) and between them, with the machine's
+    tracking error added.
     """
     limits = robot.limits
     reach = np.maximum(np.abs(limits.lower), np.abs(limits.upper))
@@ -53,9 +53,9 @@ def _slide_reach(robot: Robot, q: Matrix | None = None) -> Vector:
 def travel_bounds(robot: Robot, q: Matrix | None = None, *, pieces: Sequence[LinkPiece] | None = None) -> Matrix:
     """(pieces, n) r of each of `robot.pieces` and each joint [m/rad], 1 for a prismatic joint.
 
-    0 for joints further out than the piece: they do not move it. The bounds hold within the
-    limits; where postures q (..., n) are given, also in these and between them. Where `pieces` of the
-    robot are given, of these instead.
+    It is 0 for joints further out than the piece, because they do not move it. The bounds hold within
+    the limits, and also in and between the configurations q (..., n) if these are given. If `pieces` of
+    the robot are given, the bounds are for these instead.
     """
     pieces = robot.pieces if pieces is None else pieces
     bounds, reach = np.zeros((len(pieces), robot.n)), _slide_reach(robot, q)
@@ -65,16 +65,15 @@ def travel_bounds(robot: Robot, q: Matrix | None = None, *, pieces: Sequence[Lin
 
 
 def tracking_room(robot: Robot, pieces: Sequence[LinkPiece], travel: Matrix) -> Vector:
-    """(K,) how far any point of a piece can be from where it is planned, by the machine's tracking error [m].
+    """(K,) how far the machine's tracking error can take any point of a piece from its planned position [m].
 
-    It is sum_j |delta_j| r_j; for what is fixed to the tip and meets what stands, not more
-    than the tip's own error and what the turning of all hinges adds around it.
+    It is sum_j |delta_j| r_j. For a piece that is fixed to the tip and is compared with something that
+    does not move, it is at most the tip's own error plus what the turning of all hinges adds around the tip.
 
     Parameters
     ----------
-    pieces: K of the robot's.
-    travel: (K, n) r of each, see `travel_bounds`; of two links of the machine, of their motion
-        against each other.
+    pieces: K pieces of the robot.
+    travel: (K, n) r of each, see `travel_bounds`; for two links of the machine, r of their relative motion.
     """
     if robot.tube is None:
         return np.zeros(len(pieces))
@@ -92,7 +91,7 @@ def tracking_room(robot: Robot, pieces: Sequence[LinkPiece], travel: Matrix) -> 
 
 
 def tip_tracking_error(robot: Robot) -> float:
-    """How far the tip can be from where it is planned, by the machine's tracking error [m]."""
+    """How far the machine's tracking error can take the tip from its planned position [m]."""
     if robot.tube is None:
         return 0.0
     return min(robot.tube.tip, float(tip_travel_bound(robot) @ robot.tube.joints))
@@ -109,7 +108,7 @@ def reach_ball(robot: Robot, q: Matrix | None = None) -> tuple[Vector, float]:
     """A ball that no moving piece ever leaves: its centre (3,) and radius [m], world; `q` as in `travel_bounds`."""
     model, slides = robot.model, _slide_reach(robot, q)
     centre = np.array(model.jointPlacements[1].translation)
-    away = np.zeros(robot.n + 1)  # how far the origin of each joint can be from that of the first
+    away = np.zeros(robot.n + 1)  # the greatest distance of each joint's origin from that of the first joint
     for joint in range(2, robot.n + 1):
         inner, step = int(model.parents[joint]), model.jointPlacements[joint].translation
         if inner == 0:
@@ -127,7 +126,7 @@ def reach_ball(robot: Robot, q: Matrix | None = None) -> tuple[Vector, float]:
 def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float, reach: Vector) -> Vector:
     """(n,) r for balls of `radius` [m] around points (k, 3) that are fixed in the frame of `joint`.
 
-    reach: (n,) see `_slide_reach`.
+    reach: (n,) from `_slide_reach`.
     """
     model = robot.model
     found = np.zeros(robot.n)
@@ -154,7 +153,7 @@ def _off_axis(points: Matrix, axis: Vector) -> float:
 
 
 def bend_weights(delta: Array, turning: Vector) -> Array:
-    """(..., n) weights b of the joints, so that a motion `delta` bends the way of no point by more than r . b [m].
+    """(..., n) weights b of the joints: r . b bounds the second derivative of any point's path on a motion `delta` [m].
 
     On the motion q + s delta, 0 <= s <= 1, a point x moved by the joints 1 .. n, counted
     from the base, has the second derivative
@@ -167,12 +166,12 @@ def bend_weights(delta: Array, turning: Vector) -> Array:
 
         |x''| <= sum_j r_j |d_j| (w_j + 2 sum_{i<j} w_i) = r . b
 
-    The point is then nowhere further than r . b / 8 from the chord: from where it would be if
-    it moved straight and evenly from the one end to the other.
+    The point is then nowhere further than r . b / 8 from where it would be if it moved straight and
+    evenly along the chord from one end to the other.
 
     Parameters
     ----------
-    delta: (..., n) the motion [rad or m], joints in the order from the base.
+    delta: (..., n) the motion [rad or m], joints in order from the base.
     turning: (n,) 1 for hinges, 0 for slides.
     """
     size = np.abs(delta)

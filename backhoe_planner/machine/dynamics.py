@@ -2,7 +2,7 @@
 
     tau = M(q) a + C(q, v) v + g(q) - J_tip^T F
 
-with F the force on the tip from outside, such as the soil's. A payload is part of the last
+with F the external force on the tip, such as that of the soil. A payload is part of the last
 body: its weight and its inertia are in M, C and g.
 """
 
@@ -28,7 +28,7 @@ class Dynamics:
     Parameters
     ----------
     payload: mass that the tip carries [kg], as a point.
-    payload_at: (3,) where that point is from the tip, in the tip's axes [m]; at the tip by default.
+    payload_at: (3,) position of that point from the tip, in the tip's axes [m]; at the tip by default.
     """
 
     def __init__(
@@ -48,18 +48,18 @@ class Dynamics:
 
         Parameters
         ----------
-        tip_force: (3,) force that acts on the tip from outside [N], world.
+        tip_force: (3,) external force on the tip [N], world.
         """
         tau = np.array(pin.rnea(self._model, self._data, q, v, a))
         if tip_force is not None:
             J = pin.computeFrameJacobian(self._model, self._data, q, self._tip, pin.LOCAL_WORLD_ALIGNED)
-            tau -= J.reshape(6, len(tau))[:3].T @ tip_force  # of one joint alone it is 1-D
+            tau -= J.reshape(6, len(tau))[:3].T @ tip_force  # with one joint J is 1-D
         return tau
 
     def torques_along(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
-        """(B, n) the same of B moments, each with q, v and a of shape (B, n)."""
+        """(B, n) the joint torques or forces of B moments, with q, v and a (B, n)."""
         found = np.empty(np.shape(q))
-        rnea, model, data = pin.rnea, self._model, self._data  # looked up once: it is called millions of times
+        rnea, model, data = pin.rnea, self._model, self._data  # looked up once: rnea is called millions of times
         for row, moment in enumerate(zip(q, v, a, strict=True)):
             found[row] = rnea(model, data, *moment)
         return found
@@ -67,7 +67,7 @@ class Dynamics:
     def torque_slopes(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, Array]:
         """(B, n) the torques of `torques_along` [N m or N], and (B, n, 3 n) their derivatives.
 
-        Those by q (B, n) come first along the last axis, then those by v and by a (B, n).
+        Along the last axis, the derivatives by q (B, n) come first, then those by v and by a (B, n).
         """
         count, n = np.shape(q)
         found, slopes = np.empty((count, n)), np.empty((count, n, 3 * n))
@@ -80,7 +80,7 @@ class Dynamics:
         return found, slopes
 
     def gravity_torques(self, q: Matrix) -> Matrix:
-        """(B, n) torques or forces that hold the machine still at q (B, n) [N m or N]."""
+        """(B, n) joint torques or forces that hold the machine still at q (B, n) [N m or N]."""
         found = [pin.computeGeneralizedGravity(self._model, self._data, row) for row in q]
         return np.array(found, dtype=float).reshape(q.shape)
 
@@ -92,7 +92,7 @@ class Dynamics:
         return _symmetric(found)
 
     def bodies(self) -> tuple[Vector, Matrix]:
-        """(n,) the masses that each joint carries itself [kg], and (n, 3) their centres in the joints' frames [m]."""
+        """(n,) the mass of the body on each joint [kg], and (n, 3) the centres of mass in the joints' frames [m]."""
         inertias = [self._model.inertias[joint] for joint in range(1, self._model.njoints)]
         return np.array([one.mass for one in inertias]), np.array([one.lever for one in inertias])
 
@@ -116,7 +116,7 @@ class MotionEnergy:
     joint_power: (T, n) tau_i v_i, the power of each joint [W]; negative where it brakes.
     power: (T,) sum of max(tau_i v_i, 0) [W]: hydraulics recover no energy.
     work: (T,) integral of `power` up to that time [J].
-    kinetic, potential: (T,) [J], the potential energy from the first sample on.
+    kinetic, potential: (T,) [J]; the potential energy is relative to the first sample.
     hydraulic_power: (T,) power of a load-sensing pump, the highest pressure times the
         whole flow [W]; None for a machine without a hydraulic description.
     hydraulic: (T,) its integral [J], or None.
@@ -134,7 +134,7 @@ class MotionEnergy:
 
 
 def _symmetric(M: Array) -> Array:
-    """(..., n, n) Pinocchio's mass matrices as a whole: below the diagonal stands what was there before."""
+    """(..., n, n) whole mass matrices M: Pinocchio fills only the upper triangle, so the lower one is mirrored."""
     return np.asarray(np.triu(M) + np.triu(M, 1).swapaxes(-1, -2))
 
 
@@ -155,9 +155,9 @@ def motion_energy(
     Parameters
     ----------
     time: (T,) [s]; q, v, a: (T, n) positions, velocities and accelerations of the joints.
-    payload, payload_at: as of `Dynamics`.
-    tip_force: (T, 3) force on the tip from outside [N], world.
-    outside: (T, n) torques on the joints from outside [N m or N], such as the soil's.
+    payload, payload_at: as for `Dynamics`.
+    tip_force: (T, 3) external force on the tip [N], world.
+    outside: (T, n) external torques or forces on the joints [N m or N], such as those of the soil.
     """
     dynamics = Dynamics(robot, payload=payload, payload_at=payload_at)
     forces = [None] * len(time) if tip_force is None else list(tip_force)

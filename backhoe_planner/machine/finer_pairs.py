@@ -1,13 +1,13 @@
-"""Pairs of a machine's own pieces that often overlap though what is written does not, as pairs of smaller pieces.
+"""Smaller pieces for pairs of a machine's own pieces that often overlap though their shapes as written do not.
 
-A convex piece around a mesh fills its cavities, and what stands in one, as a forearm in its fork, overlaps it in
-all postures. Smaller pieces are the hulls of parts of the mesh's own triangles. Of two pieces the larger one is
-halved, its halves are held against the other in turn, and so on, until hulls are apart in every posture looked at
-in which the triangles are. Parts that are far from each other stay whole, so that few pairs come of it. They
-hold all triangles of both: where none of them touches, no triangle does.
+A convex piece around a mesh fills its cavities, so a link inside a cavity, such as a forearm in its fork, overlaps
+the piece in all configurations. The smaller pieces are the hulls of parts of the mesh's own triangles. The larger of
+two pieces is halved, its halves are compared with the other in turn, and so on, until the hulls are apart in every
+tested configuration in which the triangles are. Parts that are far from each other stay whole, so that the number of
+pairs stays small. The parts contain all triangles of both pieces: if no parts touch, no triangles do.
 
-That a link is as a whole inside of another one, no triangle tells: `marks_outside` finds what does. Where nothing
-does, the pair of links stays as it is.
+Triangles cannot show that one link is wholly inside another: `marks_outside` finds triangles that rule this out. If
+it finds none, the pair of links stays as it is.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.shapes import Piece, convex, hull, is_flat, surface_of, thicken, transform
 
-_POSTURES = 200  # looked at; chosen: pairs that are free in a hundredth of them are free in two
-_COMMONLY = 0.33  # of these postures in which two links overlap by their pieces; chosen: others leave room enough
-_OFTEN = 0.1  # of them in which these links overlap by their pieces alone, from which on that is mended; chosen
-_SOMETIMES = 0.05  # of them, for each of their pairs of pieces; chosen
-_NEAR_PART = 0.3  # of how far the triangles are apart: hulls that are nearer to each other are divided too; chosen
-_NEAR = 1e-3  # m: or this, where that is less
+_POSTURES = 200  # configurations tested; chosen: pairs that are free in a hundredth of them are free in two
+_COMMONLY = 0.33  # part of them in which the pieces of two links must overlap; chosen: otherwise there is room enough
+_OFTEN = 0.1  # part of them in which only the pieces of these links must overlap for pairs to be divided; chosen
+_SOMETIMES = 0.05  # the same for each pair of pieces of these links; chosen
+_NEAR_PART = 0.3  # part of the distance of the triangles: hulls that are nearer to each other are divided; chosen
+_NEAR = 1e-3  # m: or this, if that is less
 _MOST = 3000  # pairs that one pair is divided into; chosen, a PR2's palm in its forearm takes a thousand
 _THICKNESS = 4e-5  # m of a flat part of a surface: far below the play of links in use, far above what counts as flat
 
@@ -62,7 +62,7 @@ class FinerPairs:
     ----------
     divided: those pairs, as indices into `Robot.pieces`.
     finer: the smaller pieces.
-    pairs: what takes their place, as indices into `Robot.pieces` followed by `finer`.
+    pairs: the pairs that replace them, as indices into `Robot.pieces` followed by `finer`.
     """
 
     divided: tuple[tuple[int, int], ...]
@@ -81,9 +81,9 @@ def pieces_with(robot: Robot, finer: Sequence[FinerPiece]) -> tuple[LinkPiece, .
 
 
 def finer_pairs(robot: Robot, kept: Sequence[tuple[int, int]]) -> FinerPairs:
-    """Of the pairs that are `kept`, as indices into `Robot.pieces`, those to be divided, and into what.
+    """The pairs of `kept`, as indices into `Robot.pieces`, that are divided, and what they are divided into.
 
-    Deterministic: the postures are seeded.
+    Deterministic: the random configurations are seeded.
     """
     larger = [pair for pair in kept if any(robot.pieces[index].piece.make_inner for index in pair)]
     if not larger:
@@ -137,7 +137,7 @@ class _Division:
 
     Parameters
     ----------
-    postures: (n,) each, in which the pairs are looked at.
+    postures: configurations (n,) in which the pairs are tested.
     """
 
     def __init__(self, robot: Robot, postures: Sequence[Vector]) -> None:
@@ -150,7 +150,7 @@ class _Division:
 
     @cached_property
     def _places(self) -> list[list[pin.SE3]]:
-        """Of every joint, in each posture."""
+        """The placement of every joint in each configuration."""
         model, found = self._robot.model, []
         data = model.createData()
         for q in self._postures:
@@ -166,7 +166,7 @@ class _Division:
         return FinerPairs(tuple(sorted(self._divided)), finer, tuple(self._pairs))
 
     def falsely_overlapping(self, pairs: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-        """For links that commonly overlap, often though their triangles do not, the pairs of pieces that do so."""
+        """The pairs of pieces, by links, that overlap while their triangles do not, if their links often do so."""
         robot = self._robot
         model = geometry_model(robot)
         for a, b in pairs:
@@ -201,7 +201,7 @@ class _Division:
         return shapes.within(first, self._relative(pair, posture), second, pin.SE3.Identity(), 0.0)
 
     def divide(self, pairs: Sequence[tuple[int, int]], kept: Sequence[tuple[int, int]]) -> None:
-        """Divide `pairs` of pieces of two links, if that no link is inside of the other can be told all the same."""
+        """Divide `pairs` of pieces of two links, if it can still be ruled out that one link is inside the other."""
         free = np.ones(len(self._postures), dtype=bool)
         gaps = {pair: self._gaps_as_written(pair) for pair in pairs}
         for gap in gaps.values():
@@ -229,14 +229,14 @@ class _Division:
         return self._numbers.setdefault(part, len(self._robot.pieces) + len(self._numbers))
 
     def _relative(self, pair: tuple[int, int], posture: int) -> pin.SE3:
-        """The place of a pair's first shape in the frame of its second one's."""
+        """The placement of a pair's first shape in the frame of its second."""
         first, second = (self._robot.pieces[index] for index in pair)
         places = self._places[posture]
         there = places[second.joint] * second.piece.placement
         return there.actInv(places[first.joint] * first.piece.placement)
 
     def _gaps_as_written(self, pair: tuple[int, int]) -> Vector:
-        """How far apart the inner shapes of a pair are in each posture [m]; not more than 0 where they touch."""
+        """The distance of the inner shapes of a pair in each configuration [m]; 0 or less where they touch."""
         first, second = (self._robot.pieces[index].piece.inner for index in pair)
         found = np.full(len(self._postures), np.inf)
         if first is not None and second is not None:
@@ -253,12 +253,12 @@ class _Division:
         return self._wholes[index]
 
     def _halved(self, pair: tuple[int, int], gap: Vector) -> list[tuple[_Part, _Part]] | None:
-        """The pairs of parts of a pair, which are as far apart as is asked for where it is possible; None of too many.
+        """The pairs of parts of a pair, divided until they are far enough apart where possible; None if too many.
 
-        gap: how far apart the triangles are in each posture [m].
+        gap: the distance of the triangles in each configuration [m].
         """
         if not np.isfinite(gap).all():
-            return []  # one of them holds no triangle
+            return []  # one of the pieces has no triangles
         relative = [self._relative(pair, posture) for posture in range(len(gap))]
         near = np.minimum(_NEAR_PART * gap, _NEAR)
         first, second = (self._whole(index) for index in pair)

@@ -1,12 +1,13 @@
-"""How it is told that no part of a link is as a whole inside of another link, where triangles alone are measured.
+"""How to rule out that a part of a link is wholly inside another link, if only triangles are measured.
 
-A connected part of a link is inside of another link as a whole, or not at all, as long as no triangles touch. One
-triangle of it, its mark, stands for it:
+As long as no triangles touch, a connected part of a link is inside another link as a whole, or not at all. One
+triangle of the part, its mark, represents it. The mark is
 
-- one that stays out of all convex pieces of the other link in the postures in which the triangles are apart: it
-  counts as a pair with each of these pieces. If the part was inside, its mark would be in them.
-- or, as for a part within a fork, one that is proven to keep off the other's triangles over the whole ranges of
-  the joints between, and is outside of it. It then is so everywhere, and so is the part wherever it touches nothing.
+- a triangle that stays out of all convex pieces of the other link in the configurations in which the triangles are
+  apart: it forms a pair with each of these pieces. If the part were inside, its mark would be in them.
+- or, such as for a part within a fork, a triangle that is proven to keep off the other link's triangles over the whole
+  ranges of the joints between, and that is outside. It is then outside everywhere, and so is the part wherever it
+  touches nothing.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ from backhoe_planner.machine.shape.closed_bodies import winding
 from backhoe_planner.machine.shape.shapes import Piece, convex, hull, surface_of
 
 _SAME_PLACE = 1e-7  # m: corners that are nearer to each other are one; the rounding of an STL file's numbers
-_JOINED = 1e-4  # m: parts of a link that are nearer to each other hang together
-_WITHIN = 0.9  # of a convex solid, which may be a little larger than what is written: this part of it is within
-_CLEAR = 1e-3  # m that a mark stays away from the pieces of another link, so that it hinders no posture nearby
+_JOINED = 1e-4  # m: parts of a link that are nearer to each other are connected
+_WITHIN = 0.9  # scale of a convex solid, which may be a little larger than as written: so scaled it is surely inside
+_CLEAR = 1e-3  # m: distance of a mark from the pieces of another link, so that it blocks no configuration nearby
 _CANDIDATES = 300  # triangles of a connected part among which its mark is sought; chosen
-_FEW = 20  # of these are looked at in all postures; chosen
-_FIRST_POSTURES = 10  # tell which of them; chosen
+_FEW = 20  # number of these that are tested in all configurations; chosen
+_FIRST_POSTURES = 10  # number of configurations that select them; chosen
 _PROOFS = 3  # triangles for which the proof is tried; chosen: each takes up to a second
-_WINDINGS = 20  # postures in which the other link's surface is wound around a mark; chosen: an open one does so in some
-_WOUND = 0.5  # of a turn, from where on a point counts as inside: between 0 and 1
+_WINDINGS = 20  # configurations in which the winding number of a mark is taken; chosen: an open surface shows in some
+_WOUND = 0.5  # winding number from which on a point counts as inside: between 0 and 1
 
 Triangles = list[tuple[int, Matrix]]
 """Triangles (m, 3, 3) in the frames of the shapes of pieces [m], by the pieces' indices."""
@@ -49,8 +50,8 @@ class Mark:
     ----------
     index: of the piece it belongs to, in `Robot.pieces`.
     triangle: (3, 3) in the frame of that piece's shape [m].
-    others: indices of the pieces.
-    is_first: whether it belongs to the link that is named first in pairs.
+    others: indices of the other link's pieces.
+    is_first: whether the triangle belongs to the link that comes first in pairs.
     """
 
     index: int
@@ -62,17 +63,17 @@ class Mark:
 def marks_outside(
     robot: Robot, pairs: Sequence[tuple[int, int]], places: Sequence[Sequence[pin.SE3]]
 ) -> list[Mark] | None:
-    """Marks for two links of which `pairs` of pieces are measured by their triangles; None where there are too few.
+    """Marks for two links of which `pairs` of pieces are measured by their triangles; None if a part has none.
 
     Parameters
     ----------
     pairs: indices into `robot.pieces`, of the same two links in the same order.
-    places: of every joint, in postures in which the triangles of these pairs are apart.
+    places: placements of every joint in the configurations in which the triangles of these pairs are apart.
     """
     found = []
     for side in (0, 1):
         if all(surface_of(robot.pieces[pair[1 - side]].piece) is None for pair in pairs):
-            continue  # these are convex and solid: triangles are seen inside of them
+            continue  # these are convex and solid: triangles inside them are noticed
         other = robot.pieces[pairs[0][1 - side]].link
         others = tuple(index for index, piece in enumerate(robot.pieces) if piece.link == other)
         for part in _connected_parts(robot, robot.pieces[pairs[0][side]].link):
@@ -87,7 +88,7 @@ def marks_outside(
 def _outside_pieces(
     robot: Robot, part: Triangles, others: Sequence[int], places: Sequence[Sequence[pin.SE3]]
 ) -> tuple[int, Matrix] | None:
-    """That triangle of a part of a link that stays furthest out of `others`, pieces of another; None if all come in."""
+    """The triangle of a part of a link that stays furthest out of `others`, pieces of another; None if all enter."""
     best, furthest = None, _CLEAR
     planes = [(robot.pieces[other], *_planes(robot.pieces[other].piece)) for other in others]
     for index, candidates in _some_of(part, _CANDIDATES):
@@ -109,7 +110,7 @@ def _outside_pieces(
 
 
 def _never_inside(robot: Robot, part: Triangles, others: Sequence[int], places: Sequence[Sequence[pin.SE3]]) -> bool:
-    """Whether a triangle of a part of a link is proven to be outside of another link wherever the joints stand."""
+    """Whether a triangle of a part of a link is proven to be outside another link in every configuration."""
     if not len(places):
         return False
     solid = [robot.pieces[other] for other in others]
@@ -126,14 +127,14 @@ def _never_inside(robot: Robot, part: Triangles, others: Sequence[int], places: 
         some = places[:: -(-len(places) // _WINDINGS)]
         there = [at[solid[0].joint].actInv(at[mark.joint]).act(point) for at in some]
         pairs = [(mark, one) if mark.joint > one.joint else (one, mark) for one in solid]
-        is_outside = any(not _contain(solid, one) for one in there)  # of what closes, then in all postures
+        is_outside = any(not _contain(solid, one) for one in there)  # for a closed surface, then everywhere
         if is_outside and all(proven_apart(robot, pair, lower, upper) for pair in pairs):
             return True
     return False
 
 
 def _gap(gauge: shapes.Gauge, mark: LinkPiece, other: LinkPiece, at: Sequence[pin.SE3]) -> float:
-    """How far a mark is from the inner shape of another piece, with joints `at` their places [m]."""
+    """The distance of a mark from the inner shape of another piece, with the joints `at` their placements [m]."""
     if other.piece.inner is None:
         return np.inf
     T_mark, T_other = (at[one.joint] * one.piece.placement for one in (mark, other))
@@ -151,13 +152,13 @@ def _contain(solid: Sequence[LinkPiece], point: Vector) -> bool:
 
 
 def _some_of(part: Triangles, most: int) -> Triangles:
-    """At most so many triangles of a part of a link, and one of each of its pieces at least."""
+    """At most about `most` triangles of a part of a link, and at least one of each of its pieces."""
     step = -(-sum(len(triangles) for _, triangles in part) // most)
     return [(index, triangles[::step]) for index, triangles in part]
 
 
 def _connected_parts(robot: Robot, link: str) -> list[Triangles]:
-    """For each part of a link that hangs together the triangles of its pieces."""
+    """The triangles of each connected part of a link, by pieces."""
     bodies: list[tuple[Piece, Triangles]] = []
     meshes: Triangles = []
     for index, own in enumerate(robot.pieces):
@@ -182,7 +183,7 @@ def _connected_parts(robot: Robot, link: str) -> list[Triangles]:
 
 
 def _planes(piece: Piece) -> tuple[Matrix, Vector]:
-    """Outward normals (f, 3) and offsets (f,) of the faces of a piece, in its body's frame; with its radius [m]."""
+    """Outward normals (f, 3) and offsets (f,) of the faces of a piece, radius included, in its body's frame [m]."""
     equations = np.unique(np.round(hull(piece.hull).equations, 12), axis=0)
     return equations[:, :3], equations[:, 3] - piece.radius
 
@@ -200,7 +201,7 @@ def _within_solid(piece: Piece) -> Matrix:
 
 
 def _joined_by_corners(triangles: Matrix) -> Indices:
-    """(m,) the connected body of each of some triangles (m, 3, 3)."""
+    """(m,) the number of the connected body of each of the triangles (m, 3, 3)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -214,7 +215,7 @@ def _joined_by_corners(triangles: Matrix) -> Indices:
 
 
 def _joined_by_touch(bodies: Sequence[Piece]) -> Indices:
-    """(K,) a number for each body, the same for those that hang together, by their inner shapes in one frame."""
+    """(K,) a number for each body, the same for connected ones, judged by their inner shapes in one frame."""
     group = np.arange(len(bodies))
     low = np.array([body.hull.min(axis=0) - body.radius - _JOINED for body in bodies])
     high = np.array([body.hull.max(axis=0) + body.radius for body in bodies])

@@ -1,8 +1,8 @@
-"""Which pairs of a machine's own pieces must keep apart, as a record, and kept in the user's cache folder.
+"""The record of the pairs of a machine's own pieces that must keep apart, and its entry in the user's cache folder.
 
-With meshes they take up to a second or two to work out, with many primitives some hundredths of one. An
-entry belongs to all that they depend on: the URDF, the pieces with the triangles in them, the joints and
-their ranges, to the code that works them out and to the versions of the libraries that it calls.
+With meshes the pairs take up to a second or two to find, with many primitives some hundredths of a second. The
+key of an entry covers all that they depend on: the URDF, the pieces with their triangles, the joints and
+their ranges, the code that finds them, and the versions of the libraries that the code calls.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _LIBRARIES = ("coal", "pin", "numpy")
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Two links of which some pieces do not count as a pair that must keep apart.
+    """Two links of which some pairs of pieces are left out and need not keep apart.
 
     Attributes
     ----------
     link, other: names of the links, the one further out first.
-    touch: whether they touch by construction; else they cannot meet.
-    why: in words.
+    touch: whether they touch by construction; otherwise they cannot meet.
+    why: the reason in words.
     """
 
     link: str
@@ -53,9 +53,9 @@ class SelfPairs:
 
     Attributes
     ----------
-    kept: pairs of indices into `self_pieces`, those of the robot and finer ones, that must not touch each other.
-    left_out: why the other pairs of links that move against each other need not be looked at.
-    divided: pairs of indices into `Robot.pieces` in whose place finer pieces are among those that are kept.
+    kept: pairs of indices into `self_pieces`, the robot's pieces and the finer ones, that must not touch each other.
+    left_out: why the other pairs of links that move against each other need not be checked.
+    divided: pairs of indices into `Robot.pieces` that pairs of finer pieces replace in `kept`.
     finer: these finer pieces.
     """
 
@@ -77,7 +77,7 @@ def key_of(robot: Robot) -> bytes:
 def _arrays_of(robot: Robot) -> Iterator[Array]:
     yield from (robot.limits.lower, robot.limits.upper)
     yield from (placement.homogeneous for placement in robot.model.jointPlacements)
-    if robot.tube is not None and robot.prismatic.any():  # how far a slide runs out counts, and its error with it
+    if robot.tube is not None and robot.prismatic.any():  # the reach of a slide matters, and so its tracking error
         yield robot.tube.joints
     for piece in robot.pieces:
         own = piece.piece
@@ -86,7 +86,7 @@ def _arrays_of(robot: Robot) -> Iterator[Array]:
 
 
 def _inner_of(piece: Piece) -> Iterator[Array]:
-    """What the inner shape of a piece is made of."""
+    """The arrays from which the inner shape of a piece is made."""
     if piece.make_inner is not None:
         if not isinstance(piece.make_inner, partial):
             raise TypeError("an inner shape is made by a partial call of a function of arrays")
@@ -95,12 +95,12 @@ def _inner_of(piece: Piece) -> Iterator[Array]:
 
 @cache
 def _maker() -> bytes:
-    """Of the code that works pairs out."""
+    """A digest of the code that finds the pairs."""
     return maker_digest(Path(__file__).parent, _MAKERS, _LIBRARIES)
 
 
 def read_pairs(key: bytes) -> SelfPairs | None:
-    """The pairs that are kept for a `key`; None where there are none."""
+    """The stored pairs for a `key`; None if there are none."""
     with contextlib.suppress(RuntimeError):  # no home
         body = read_entry(_entry(key), key)
         if body is not None:
@@ -115,7 +115,7 @@ def read_pairs(key: bytes) -> SelfPairs | None:
 
 
 def keep_pairs(key: bytes, pairs: SelfPairs) -> None:
-    """Write them into the cache folder, where that can be."""
+    """Write the pairs into the cache folder, if possible."""
     with contextlib.suppress(RuntimeError):
         left_out, finer = ([astuple(one) for one in own] for own in (pairs.left_out, pairs.finer))
         body = json.dumps((pairs.kept, left_out, pairs.divided, finer)).encode()

@@ -1,8 +1,8 @@
-"""The proof that two pieces of a machine never meet as they are written, though their convex pieces overlap.
+"""The proof that the shapes of two pieces as written never meet, though their convex pieces overlap.
 
-A box of postures is halved until, in the middle of each part, the two are further apart than they can
-come nearer within it: sum_j h_j r_j, with half the width h_j of the part [rad or m] and r_j of
-`travel_bounds`.
+A box of configurations is halved until, in the middle of each part, the two shapes are further apart than
+they can approach each other within the part: sum_j h_j r_j, with half the width h_j of the part [rad or m]
+and r_j of `travel_bounds`.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from backhoe_planner.machine.description.link_shapes import LinkPiece
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
 
-_LOOKS = 3000  # postures that are looked at, at most; chosen: below a second
+_LOOKS = 3000  # configurations that are tested at most; chosen: below a second
 
 
 def proven_apart(robot: Robot, pair: tuple[LinkPiece, LinkPiece], lower: Vector, upper: Vector) -> bool:
-    """Whether two pieces are proven never to meet, by shapes nowhere larger than what is written.
+    """Whether two pieces are proven never to meet, by shapes nowhere larger than as written.
 
     Parameters
     ----------
-    pair: the one further out first.
-    lower, upper: (n,) finite ends of the joints' positions; only those between the two count [rad or m].
+    pair: the piece further out first.
+    lower, upper: (n,) finite ranges of the joints; only the joints between the two pieces matter [rad or m].
     """
     outer, inner = pair
     between = slice(inner.joint, outer.joint)

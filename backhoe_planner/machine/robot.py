@@ -1,6 +1,6 @@
 """The machine: a Pinocchio model of the joints that move the tip, and its shape.
 
-`load_robot` is the only door. The model holds one number per joint: continuous
+`load_robot` is the only way to make one. The model holds one number per joint: continuous
 joints are angles without limits, and joints that do not move the tip are held still.
 A robot does not change after loading.
 """
@@ -35,12 +35,12 @@ from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 from backhoe_planner.machine.shape.shapes import Piece, moved
 
-DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none; chosen
-_FULL_RATE_AFTER = 0.5  # s from rest, where neither URDF nor scene gives an acceleration; chosen
-_INERTIA_ROUNDING = 1e-3  # of the largest principal moment; chosen: files give few digits
+DEFAULT_VELOCITY = 1.0  # rad/s or m/s, if the URDF gives none; chosen
+_FULL_RATE_AFTER = 0.5  # s from rest, if neither URDF nor scene gives an acceleration; chosen
+_INERTIA_ROUNDING = 1e-3  # part of the largest principal moment; chosen: files give few digits
 _PARALLEL = 1e-6  # sine of the angle between axes that count as parallel: rounding of a URDF's numbers
-_SEEDS_OF_AXIS = 8  # postures in which the last axis is looked at: one that leaves the level does so in nearly all
-_SEEDS_OF_REACH = 64  # postures among which the furthest reach is sought; only its sign counts
+_SEEDS_OF_AXIS = 8  # random configurations that test the last axis: one that is not always level tilts in nearly all
+_SEEDS_OF_REACH = 64  # random configurations among which the furthest reach is sought; only its sign counts
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class JointLimits:
     lower, upper: position [rad or m]; infinite for a continuous joint.
     velocity: [rad/s or m/s], symmetric.
     acceleration: [rad/s^2 or m/s^2], symmetric.
-    effort: [N m or N], symmetric; infinite where the URDF gives none.
+    effort: [N m or N], symmetric; infinite if the URDF gives none.
     """
 
     lower: Vector
@@ -74,12 +74,12 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class TrackingTube:
-    """How far a machine may be off where it is commanded: all motions within the tube of a plan.
+    """The largest tracking error of a machine: all motions within this tube around a plan are allowed for.
 
     Attributes
     ----------
-    joints: (n,) of every joint [rad or m].
-    tip: of the tip's position [m]; infinite where only the joints bound it.
+    joints: (n,) error of every joint [rad or m].
+    tip: error of the tip's position [m]; infinite if only the joints bound it.
     """
 
     joints: Vector
@@ -92,24 +92,23 @@ class Robot:
 
     Attributes
     ----------
-    name: the URDF's name.
+    name: the name in the URDF.
     urdf: the checked URDF from which it was built.
     tip: the link that is moved.
-    tip_frame: its frame index in `model`.
-    joint_names: the n joints that move it, from the machine outward.
-    hold: the joints that are held as it was asked for, and where [rad or m].
-    held: these and all others that do not move, and where they stand.
-    limits: of these joints.
-    model: Pinocchio's model of them (nq = nv = n). Not to be written on.
-    solids: the collision shape of every link, wherever the link is.
-    pieces: the same in the frames of the joints of `model`.
+    tip_frame: the frame index of the tip in `model`.
+    joint_names: the n joints that move the tip, from the machine outward.
+    hold: the joints that the caller wants held, and their positions [rad or m].
+    held: these and all other joints that do not move, with their positions.
+    limits: of the n joints.
+    model: Pinocchio's model of the n joints (nq = nv = n). Do not modify it.
+    solids: the collision shape of every link, in the frame of the link.
+    pieces: the same shapes in the frames of the joints of `model`.
     visuals: what to draw.
     warnings: what the URDF does not say about its shape, in words.
-    hydraulics: cylinders and pump, where the machine has a description of them.
-    tube: how far it may be off where it is commanded; None where it is exact.
-    base: where its root link stands in the site.
-    carried: what it carries, by the name under which it stands among the links, with its pieces in the tip's
-        frame; None where that is nothing.
+    hydraulics: cylinders and pump, if the machine has a description of them.
+    tube: the largest tracking error; None if the machine follows its commands exactly.
+    base: placement of the root link in the site.
+    carried: the load: its name among the links, and its pieces in the tip's frame; None if there is no load.
     """
 
     name: str
@@ -140,7 +139,7 @@ class Robot:
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
-        """From which it was read: the URDF, its meshes, the description of the hydraulics."""
+        """The files it was read from: the URDF, its meshes, the description of the hydraulics."""
         return self.urdf.files if self.hydraulics is None else (*self.urdf.files, self.hydraulics.file)
 
     @cached_property
@@ -165,7 +164,7 @@ class Robot:
 
     @cached_property
     def joint_units(self) -> tuple[str, ...]:
-        """The unit of each joint's position: rad, or m of one that slides."""
+        """The unit of each joint's position: rad, or m for one that slides."""
         return tuple("m" if slides else "rad" for slides in self.prismatic.tolist())
 
     @cached_property
@@ -175,12 +174,12 @@ class Robot:
 
     @cached_property
     def without_velocity(self) -> tuple[str, ...]:
-        """Joints that move and to which the URDF gives no velocity limit, or 0: `DEFAULT_VELOCITY` is assumed."""
+        """Moving joints whose velocity limit is missing or 0 in the URDF: `DEFAULT_VELOCITY` is assumed."""
         return tuple(name for name in self.joint_names if not getattr(self.urdf.joints[name].limit, "velocity", None))
 
     @cached_property
     def without_effort(self) -> tuple[str, ...]:
-        """Joints that move and whose torque or force nothing limits, neither the URDF nor a cylinder."""
+        """Moving joints whose torque or force is limited neither by the URDF nor by a cylinder."""
         driven = () if self.hydraulics is None else self.hydraulics.joint_of.tolist()
         return tuple(
             name
@@ -190,7 +189,7 @@ class Robot:
 
     @cached_property
     def soft_limits(self) -> dict[str, tuple[float, float]]:
-        """The URDF's soft limits (``<safety_controller>``) of joints that move, where they are narrower [rad or m]."""
+        """The soft limits (``<safety_controller>``) of moving joints that are narrower than the limits [rad or m]."""
         found = {}
         for name in self.joint_names:
             joint = self.urdf.joints[name]
@@ -205,7 +204,7 @@ class Robot:
 
     @cached_property
     def support(self) -> Matrix:
-        """(n + 1, n) 1 where a joint (column) moves the body of Pinocchio's joint (row); 0 elsewhere and in row 0."""
+        """(n + 1, n) 1 if a joint (column) moves the body of Pinocchio's joint (row), otherwise 0; row 0 is 0."""
         mask = np.zeros((self.n + 1, self.n))
         for joint in range(1, self.n + 1):  # Pinocchio numbers joints from the root outward
             mask[joint] = mask[int(self.model.parents[joint])]
@@ -214,7 +213,7 @@ class Robot:
 
     @cached_property
     def middle(self) -> Vector:
-        """(n,) the middle of each joint's range, 0 where there is no range [rad or m]."""
+        """(n,) the middle of each joint's range, 0 if it has no range [rad or m]."""
         lower, upper = self.finite_range
         return 0.5 * (lower + upper)
 
@@ -234,11 +233,11 @@ class Robot:
 
     @cached_property
     def continuous(self) -> Flags:
-        """(n,) which joints turn without end: a turn more or less of them is the same configuration."""
+        """(n,) which joints turn without end: one turn more or less is the same configuration."""
         return np.isinf(self.limits.lower) & np.isinf(self.limits.upper)
 
     def reduce_unchecked(self, q: Array, near: Array | None = None) -> Array:
-        """(..., n) positions or changes `q` [rad or m]; continuous joints within half a turn of `near` (0)."""
+        """(..., n) `q`, positions or changes [rad or m], with continuous joints within half a turn of `near` (or 0)."""
         if not self.continuous.any():
             return q
         turns = np.round((q if near is None else q - near) / (2.0 * np.pi))
@@ -252,17 +251,17 @@ class Robot:
         for _ in range(_SEEDS_OF_AXIS):
             q = self.random_q(rng)
             pin.computeJointJacobians(self.model, data, q)
-            axis = data.J.reshape(6, self.n)[3:, -1]  # of one joint alone it is 1-D
+            axis = data.J.reshape(6, self.n)[3:, -1]  # with one joint J is 1-D
             if np.linalg.norm(axis) < 0.5 or abs(axis[2]) > 1e-9:
                 return False
         return True
 
     @cached_property
     def pitch_sense(self) -> float:
-        """1 where turning the last joint forward lifts the tip, -1 where it lowers it.
+        """1 if turning the last joint forward lifts the tip, -1 if it lowers the tip.
 
-        Forward is the direction in which the tip lies where the arm reaches out furthest,
-        of 64 seeded postures. The axis of the last joint may point to either side of the arm.
+        Forward is the direction from the base to the tip where the arm reaches out furthest
+        among 64 seeded configurations. The axis of the last joint may point to either side of the arm.
         """
         data = self.model.createData()
         rng = np.random.default_rng(0)
@@ -281,8 +280,8 @@ class Robot:
     def pitch_pin(self) -> Vector | None:
         """(3,) the pin from which `Configuration.pitch` is measured, in the frame of the last joint that moves [m].
 
-        None where that is the last joint itself. It is not where hinges parallel to it are held
-        between it and the tip: then it is the outermost of these, as of a bucket that is held.
+        None if the pin is that last joint itself. If hinges parallel to it are held between it and the
+        tip, such as that of a held bucket, the pin is the outermost of them.
         """
         hinges = {joint.name for joint in self.held if self.urdf.joints[joint.name].type != "prismatic"}
         for joint in reversed(self.urdf.chain(self.tip)):
@@ -297,7 +296,7 @@ class Robot:
 
     @cached_property
     def first_held_at(self) -> float | None:
-        """Where the first joint between the root and the tip is held [rad or m]; None where it moves."""
+        """The position at which the first joint between the root and the tip is held [rad or m]; None if it moves."""
         first = next(joint.name for joint in self.urdf.chain(self.tip) if joint.type != "fixed")
         return next((joint.position for joint in self.held if joint.name == first), None)
 
@@ -312,11 +311,11 @@ class Robot:
         return self._rebuilt(tip, self.hold, self.base)
 
     def with_hold(self, hold: Mapping[str, float]) -> Robot:
-        """The same machine with these joints held, and no others that could move the tip; itself if they are the same.
+        """The same machine with these joints held, and no other that can move the tip; itself if nothing changes.
 
         Parameters
         ----------
-        hold: any joints of the URDF by name, and where they stand [rad or m].
+        hold: any joints of the URDF by name, and their positions [rad or m].
 
         Raises
         ------
@@ -326,11 +325,11 @@ class Robot:
         return self if hold == self.hold else self._rebuilt(self.tip, hold, self.base)
 
     def with_base(self, base: Base) -> Robot:
-        """The same machine, standing elsewhere; itself where it stands there."""
+        """The same machine at another place; itself if it is already there."""
         return self if check_kind(base, Base, key="base") == self.base else self._rebuilt(self.tip, self.hold, base)
 
     def pieces_of(self, links: Collection[str] | None) -> tuple[int, ...]:
-        """Rows of `pieces` that move and belong to these links, to any where None; a load to those that hold it."""
+        """Rows of `pieces` that move and belong to these links, or to any if None; a load belongs to what holds it."""
         moving = [row for row, piece in enumerate(self.pieces) if piece.joint > 0]
         if links is None:
             return tuple(moving)
@@ -348,12 +347,12 @@ class Robot:
 
         Parameters
         ----------
-        name: under which it stands among the links.
-        pieces: convex, at placements T_tip_piece.
+        name: the load's name among the links.
+        pieces: convex pieces of the load, at placements T_tip_piece.
 
         Raises
         ------
-        InputError: a link has that name, or something is carried already.
+        InputError: a link has that name, or the machine already carries something.
         """
         given = check_kind(pieces, Iterable, key="pieces")  # type: ignore[type-abstract]
         pieces = tuple(check_kind(one, Piece, key="pieces") for one in given)
@@ -370,7 +369,7 @@ class Robot:
 
     @cached_property
     def at_origin(self) -> Robot:
-        """The same machine with its root link in the world's axes; itself where it stands there."""
+        """The same machine with its root link's frame equal to the world's; itself if that is so already."""
         if self.base.is_origin:
             return self
         there = replace(self._unladen._rebuilt(self.tip, self.hold, ORIGIN), limits=self.limits, tube=self.tube)
@@ -378,9 +377,9 @@ class Robot:
 
     @cached_property
     def as_described(self) -> Robot:
-        """The same machine with nothing held and the URDF's own limits; itself where it is that.
+        """The same machine with nothing held and the URDF's own limits; itself if that is so already.
 
-        Where it cannot be without what is held, since a joint copies it, that stays held.
+        Joints stay held if the machine cannot be built otherwise, because another joint copies one of them.
         """
         if self.carried is not None:
             bare = self._unladen
@@ -430,15 +429,15 @@ def load_robot(
     hold: Mapping[str, float] | None = None,
     hydraulics: str | os.PathLike[str] | None = None,
 ) -> Robot:
-    """Load a machine from a URDF, and its hydraulic description where it has one.
+    """Load a machine from a URDF, and its hydraulic description if it has one.
 
     Parameters
     ----------
     source: a path, or ``example:NAME``.
-    tip: the link to be moved; by default ``bucket_tip``, else the only leaf link.
-    hold: joints by name, and where they stand [rad or m]. A scene holds its own instead
-        (`hold` in the scene file); this is for a machine that cannot be loaded otherwise, because
-        a joint copies one that would move.
+    tip: the link to be moved; by default ``bucket_tip``, otherwise the only leaf link.
+    hold: joints by name, and their positions [rad or m]. Usually the scene names the joints to hold
+        (`hold` in the scene file) and replaces these; this parameter is for a machine that cannot be
+        loaded otherwise, because a joint copies one that would move.
     hydraulics: the description of cylinders and pump; by default ``NAME.hydraulics.yaml``
         beside ``NAME.urdf``, if there is such a file.
 
@@ -467,7 +466,7 @@ def load_robot(
 
 
 def _checked_hold(hold: Mapping[str, float]) -> Mapping[str, float]:
-    """A copy, of numbers only."""
+    """A copy of `hold` in which every position is a float."""
     given = check_kind(hold, Mapping, key="hold")  # type: ignore[type-abstract]
     return {name: as_number(position, key=f"hold.{name}") for name, position in given.items()}
 
@@ -506,9 +505,9 @@ def _build(
 
 
 def _check_inertias(urdf: Urdf, model: pin.Model) -> None:
-    """RobotError where a body that moves has a negative principal moment: it would turn against the torque on it.
+    """RobotError if a moving body has a negative principal moment: it would turn against the torque on it.
 
-    Links that are fixed to each other are one body: in published URDFs small ones are wrong by themselves.
+    Links that are fixed to each other count as one body, because in published URDFs small links are often wrong alone.
     """
     for joint in range(1, model.njoints):
         moments = np.linalg.eigvalsh(model.inertias[joint].inertia)

@@ -1,27 +1,29 @@
 """Which pairs of the machine's own collision pieces must keep apart, and why the others need not.
 
-Links overlap at the joints that hold them together, and such pairs say nothing. They are
-found by geometry, piece by piece and not body by body: what is fixed to a link (a cab, a
-tool) counts as itself. Left out are pieces
+Links overlap at the joints that hold them together, so collisions of such pairs mean nothing. They are
+found by geometry, piece by piece and not body by body: a part that is fixed to a link (a cab, a
+tool) is judged by itself. A pair is left out if its pieces
 
-    on one body             they never move against each other
-    that cannot meet        one joint apart, proven over the joint's whole range; or proven as they are written,
-                            where their convex pieces overlap nearly throughout
-    that touch at the pin   of the joint's own two links, where no overlap reaches far from its axis; of
-                            other links one joint apart that touch over its whole range the same, or only
-                            grazing; and what touches over nearly all of the range by itself
-    that touch at the stop  of the joint's own two links, grazing at the ends of its range
-    that always overlap     of the joint's own two links, as they are written, away from the pin: one or another of
-                            such pairs does wherever the joint stands
-    of links that touch     in nearly every posture, two or more joints apart, where the pieces often do
+    are on one body         they never move against each other
+    cannot meet             they are one joint apart, and this is proven over the joint's whole range; or it is
+                            proven for the shapes as written, while their convex pieces overlap nearly throughout
+    touch at the pin        they belong to the joint's own two links, and no overlap reaches far from its axis; or to
+                            other links one joint apart that touch over its whole range, and the same holds or they
+                            only graze; or they touch by themselves over nearly all of the range
+    touch at the stop       they belong to the joint's own two links, and graze at the ends of its range
+    always overlap          they belong to the joint's own two links, and overlap as written, away from the pin: at
+                            every position of the joint at least one such pair does
+    belong to links         two or more joints apart that touch in nearly every configuration, and the pieces
+                            themselves often touch
 
-A convex piece may be larger than the shape as it is written, as around a hollow mesh. How often two links
-touch is therefore judged on shapes that are nowhere larger than what is written (`Piece.inner`), and what
-overlaps by its pieces alone counts.
+"As written" means the shape as the URDF and its meshes give it. A convex piece may be larger than that, such as
+around a hollow mesh. How often two links touch is therefore judged on shapes that are nowhere larger than the shape
+as written (`Piece.inner`). If only the convex pieces of a pair overlap, and nothing is proven, the pair is kept.
 
-Whatever else may touch somewhere counts. Where two pieces that count often overlap and what is written does not,
-smaller pieces count in their place (`finer_pairs`). What is held, or moves in narrower ranges than the URDF's, may
-touch in all postures and not by construction: such a pair counts if it does in the machine as described.
+Every other pair that may touch somewhere is kept. If the pieces of a kept pair often overlap while the shapes as
+written do not, smaller pieces replace them (`finer_pairs`). Links may touch in all configurations only because a
+joint is held, or moves in a narrower range than in the URDF: such a pair is left out only if it also touches by
+construction in the machine as described.
 """
 
 from __future__ import annotations
@@ -42,34 +44,35 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.overlap import faces_of, overlap_corners
 
-_BY_CONSTRUCTION = 0.85  # of random postures, by convex pieces; as they are written links then touch in `_THROUGHOUT`
-_POSTURES = (20, 100, 1000, 10_000)  # looked at in turn until it is decided; the last tell a share to within 0.004
-_POSTURES_AS_WRITTEN = _POSTURES[:-1]  # 4 standard deviations of their share are 0.04, less than 0.9 is above 0.85
-_SURE = 4.0  # standard deviations from that share, at which fewer postures decide
-_THROUGHOUT = 0.9  # of the joint's range, or of postures: 0.85, and what 41 places may be off by
-_PLACES = 41  # over a joint's range; 9 deg of a full turn, and between them it is proven
-_IN_TURN = tuple(16 * index % _PLACES for index in range(_PLACES))  # these places, first those far from each other
-_HALVINGS = 8  # of the distance between two places, to prove that a pair does not meet there
-_PIN_OF_CONTACT = 1.5  # times as far from the joint as its links touch, or overlap, anyway: still at the pin
-_PIN_OF_LINK = 0.25  # or this part of the smaller link; it is where an overlap is deepest
-_REACH_OF_LINK = 1.0 / 3.0  # of the smaller link; chosen: up to here such an overlap may reach
-_BUT_OVERLAP = ", though their convex pieces overlap"  # which are larger than what is written
+# part of random configurations in which convex pieces touch; the links as written must then touch in `_THROUGHOUT`
+_BY_CONSTRUCTION = 0.85
+_POSTURES = (20, 100, 1000, 10_000)  # numbers of configurations tried until it is decided; the last is sure to 0.004
+_POSTURES_AS_WRITTEN = _POSTURES[:-1]  # 4 standard deviations of their share are 0.04, less than 0.9 minus 0.85
+_SURE = 4.0  # standard deviations from the limit at which fewer configurations decide
+_THROUGHOUT = 0.9  # part of the joint's range, or of configurations: 0.85 plus the possible error of 41 places
+_PLACES = 41  # over a joint's range: every 9 deg of a full turn; between them the pair is proven to be apart
+_IN_TURN = tuple(16 * index % _PLACES for index in range(_PLACES))  # these places, in an order that spreads them
+_HALVINGS = 8  # of the interval between two places, to prove that a pair does not meet there
+_PIN_OF_CONTACT = 1.5  # times the distance from the joint at which its links touch or overlap anyway: the pin ends here
+_PIN_OF_LINK = 0.25  # or this part of the smaller link; the pin is where an overlap may be deepest
+_REACH_OF_LINK = 1.0 / 3.0  # part of the smaller link; chosen: an overlap at the pin may reach this far
+_BUT_OVERLAP = ", though their convex pieces overlap"  # these are larger than the shapes as written
 _STOP = 2  # places at each end of the range: 5 % of it
-_TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each other at 0.2 mm
-_PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
-_SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
-_GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
-_GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
-_MANY_PIECES = 20  # from which on pairs are kept in the cache folder: the shipped backhoe's 26 take 30 ms without
+_TOUCH = 1e-3  # m: nearer than this is touching; links of machines in use run past each other at 0.2 mm
+_PLAY = 5e-3  # m: links that are nowhere further apart run past each other, such as a wheel in its housing at 4.5 mm
+_SOMETIMES = 0.25  # part of the configurations in which two pieces of links that touch throughout do; less is no pin
+_GRAZE = 5e-3  # m of overlap between convex pieces that approximate two links; a link that folds in goes deeper
+_GRAZE_OF_LINK = 0.02  # or this part of the smaller link, if that is less
+_MANY_PIECES = 20  # from this number on pairs go into the cache folder: the shipped backhoe's 26 take 30 ms without it
 
 
 class _Shaped:
-    """A machine that equals its copies with the same pieces, ranges and, where it slides, tracking error."""
+    """A machine that equals its copies with the same pieces, ranges and, if it has a slide, tracking error."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         tube = robot.tube.joints.tobytes() if robot.tube is not None and robot.prismatic.any() else b""
-        # a machine with another tip, or other held joints, has other pieces: these are alive as long as this is
+        # a machine with another tip or other held joints has other pieces; these live as long as this object
         self._key = id(robot.pieces), robot.limits.lower.tobytes(), robot.limits.upper.tobytes(), tube
 
     def __hash__(self) -> int:
@@ -80,7 +83,7 @@ class _Shaped:
 
 
 class _Described:
-    """A machine that equals every other one that is the same in all that its pairs depend on, as one loaded twice."""
+    """A machine that equals every other one with the same inputs for its pairs, such as one that was loaded twice."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.key = robot, key_of(robot)
@@ -93,26 +96,26 @@ class _Described:
 
 
 def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPairs:
-    """The pairs of a machine's pieces that must not touch, and what is left out.
+    """The pairs of a machine's pieces that must not touch, and the pairs that are left out.
 
-    Deterministic: the postures are seeded.
+    Deterministic: the random configurations are seeded.
 
     Parameters
     ----------
-    posture: n joint positions [rad or m], where the machine may stand outside of its joints' ranges:
-        they are taken to reach so far.
+    posture: n joint positions [rad or m], which may be outside of the joints' ranges: the ranges are
+        extended to include them.
     """
     return _pairs_of(_Shaped(robot), posture)
 
 
 @lru_cache(maxsize=8)
 def _pairs_of(shaped: _Shaped, posture: tuple[float, ...] | None) -> SelfPairs:
-    return _pairs_as_described(_Described(shaped.robot.at_origin), posture)  # wherever it stands they are the same
+    return _pairs_as_described(_Described(shaped.robot.at_origin), posture)  # the pairs do not depend on the base
 
 
 @lru_cache(maxsize=8)
 def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) -> SelfPairs:
-    """The same, from the cache folder where it is slow; postures outside of the ranges are too many for it."""
+    """The pairs, from the cache folder if finding them is slow; not with a `posture`, of which there are too many."""
     robot = machine.robot
     has_meshes = any(solid.cached is not None for solid in robot.solids)
     if posture is not None or not (has_meshes or len(robot.pieces) >= _MANY_PIECES):
@@ -126,14 +129,14 @@ def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) 
 
 def _worked_out(robot: Robot, posture: tuple[float, ...] | None) -> SelfPairs:
     kept, left_out = _of_pieces(robot, posture)
-    if posture is not None:  # finer pieces rest on what is proven over the ranges of the joints
+    if posture is not None:  # finer pieces rely on proofs over the ranges of the joints
         return SelfPairs(tuple(kept), left_out)
     found = finer_pairs(robot, kept)
     return SelfPairs((*sorted(set(kept).difference(found.divided)), *found.pairs), left_out, found.divided, found.finer)
 
 
 def self_pieces(robot: Robot) -> tuple[LinkPiece, ...]:
-    """The pieces of a machine that `self_pairs` are of: those of `Robot.pieces`, and finer ones after them."""
+    """The pieces to which the indices of `self_pairs` refer: `Robot.pieces`, then the finer ones."""
     return _pieces_of(_Shaped(robot))
 
 
@@ -143,7 +146,7 @@ def _pieces_of(shaped: _Shaped) -> tuple[LinkPiece, ...]:
 
 
 def _of_pieces(robot: Robot, posture: tuple[float, ...] | None) -> tuple[list[tuple[int, int]], tuple[LeftOut, ...]]:
-    """The pairs of `Robot.pieces` that must not touch, and why the others need not be looked at."""
+    """The pairs of `Robot.pieces` that must not touch, and why the others need not be checked."""
     kept, reasons = _judged(robot, posture)
     if robot.as_described is not robot:
         _, whole = _judged(robot.as_described, None)
@@ -155,9 +158,9 @@ def _of_pieces(robot: Robot, posture: tuple[float, ...] | None) -> tuple[list[tu
 
 
 def held_overlaps(robot: Robot) -> tuple[tuple[str, str, float], ...]:
-    """Links that held joints between the root and the tip put into each other, and how deep [m].
+    """Links that overlap because of held joints between the root and the tip, and how deep [m].
 
-    They are on one body while these are held, and must not touch where they are not.
+    They are on one body while the joints are held, and must not touch when the joints move.
     """
     whole = robot.as_described
     if whole is robot:
@@ -182,12 +185,12 @@ def held_overlaps(robot: Robot) -> tuple[tuple[str, str, float], ...]:
 def _judged(
     robot: Robot, posture: tuple[float, ...] | None
 ) -> tuple[list[tuple[int, int]], dict[tuple[int, int], tuple[bool, str]]]:
-    """The pairs of pieces that must keep apart, and why the others need not, from this machine alone."""
-    beside: list[list[tuple[int, int]]] = [[] for _ in range(robot.n)]  # on the bodies that this joint joins
+    """The pairs of pieces that must keep apart, and why the others need not, judged from this machine alone."""
+    beside: list[list[tuple[int, int]]] = [[] for _ in range(robot.n)]  # pairs on the two bodies of each joint
     beyond: list[tuple[int, int]] = []
     for a, first in enumerate(robot.pieces):
         for b, second in enumerate(robot.pieces[a + 1 :], start=a + 1):
-            # the one further out is named first
+            # the piece further out comes first
             pair = (a, b) if first.joint > second.joint else (b, a)
             apart = abs(first.joint - second.joint)
             if apart == 1:
@@ -208,9 +211,9 @@ def _links(robot: Robot, pair: tuple[int, int]) -> tuple[str, str]:
 def _reasons_beyond(
     robot: Robot, pairs: list[tuple[int, int]], posture: tuple[float, ...] | None
 ) -> dict[tuple[int, int], tuple[bool, str]]:
-    """Why pairs of pieces that two or more joints lie between are left out; without those that are not.
+    """The pairs two or more joints apart that are left out, and why.
 
-    Few postures decide where links touch in nearly all of them, or in far fewer than by construction.
+    A few configurations are enough if the links touch in nearly all of them, or in far fewer than by construction.
     """
     by_pieces, _ = _touch_in_postures(robot, pairs, _BY_CONSTRUCTION, inner=False)
     reasons, touching = _touch_in_postures(robot, list(by_pieces), _THROUGHOUT, inner=True)
@@ -224,7 +227,7 @@ def _reasons_beyond(
 
 
 def _range(robot: Robot, posture: tuple[float, ...] | None) -> tuple[Vector, Vector]:
-    """(n,), (n,) finite ends of the joints' positions, with those of a posture [rad or m]."""
+    """(n,), (n,) finite ranges of the joints, extended to include a posture [rad or m]."""
     lower, upper = robot.finite_range
     return (lower, upper) if posture is None else (np.minimum(lower, posture), np.maximum(upper, posture))
 
@@ -232,9 +235,9 @@ def _range(robot: Robot, posture: tuple[float, ...] | None) -> tuple[Vector, Vec
 def _touch_in_postures(
     robot: Robot, pairs: list[tuple[int, int]], by_construction: float, *, inner: bool
 ) -> tuple[dict[tuple[int, int], tuple[bool, str]], set[tuple[int, int]]]:
-    """Those of some pairs that touch in such a share of random postures or more, and in how many; who touches at all.
+    """The pairs whose links touch in at least the share `by_construction` of random configurations; all that touch.
 
-    inner: by shapes that are nowhere larger than what is written.
+    inner: whether to use shapes that are nowhere larger than the shapes as written.
     """
     rng = np.random.default_rng(0)
     reasons: dict[tuple[int, int], tuple[bool, str]] = {}
@@ -262,7 +265,7 @@ def _touch_in_postures(
 def _touches(
     robot: Robot, pairs: list[tuple[int, int]], postures: list[Vector], *, inner: bool
 ) -> tuple[Counter[tuple[str, str]], Counter[tuple[int, int]]]:
-    """In how many postures (n,) links touch with any of some pairs of pieces, and each of these pairs does."""
+    """In how many of the `postures` (n,) any of the pairs of two links touches, and in how many each pair does."""
     links: Counter[tuple[str, str]] = Counter()
     pieces: Counter[tuple[int, int]] = Counter()
     if inner:
@@ -283,7 +286,7 @@ def _touches(
 def _reasons_beside(
     robot: Robot, joint: int, pairs: list[tuple[int, int]], stands_at: float | None
 ) -> dict[tuple[int, int], tuple[bool, str]]:
-    """The same for pieces on the two bodies that `joint` (index) joins; see `self_pairs` for where it `stands_at`."""
+    """The pairs on the two bodies of `joint` (index) that are left out, and why; `stands_at`: see `self_pairs`."""
     if not pairs:
         return {}
     sweep = _Sweep(robot, joint, pairs, stands_at)
@@ -330,9 +333,9 @@ class _Sweep:
 
     Attributes
     ----------
-    distance: (S, P) signed distances at S places of the joint [m]; less, of pairs that stay far apart.
-    from_pin: (S, P) where the pieces touch most deeply: how far from a hinge's axis, or from the origin of a
-        slide [m]; infinite where they do not touch.
+    distance: (S, P) signed distances at S places of the joint [m]; lower bounds for pairs that stay far apart.
+    from_pin: (S, P) distance of the deepest contact from a hinge's axis, or from the origin of a slide [m];
+        infinite where the pieces do not touch.
     """
 
     def __init__(self, robot: Robot, joint: int, pairs: list[tuple[int, int]], stands_at: float | None) -> None:
@@ -350,9 +353,9 @@ class _Sweep:
         if stands_at is not None:
             lower, upper = min(lower, stands_at), max(upper, stands_at)
         if not robot.prismatic[joint]:
-            upper = min(upper, lower + 2.0 * np.pi)  # then all comes again
+            upper = min(upper, lower + 2.0 * np.pi)  # beyond a full turn everything repeats
         self._places = np.linspace(lower, upper, _PLACES)
-        self._placed: list[pin.SE3] = []  # of the joint's outer body in its inner one, at each place
+        self._placed: list[pin.SE3] = []  # placement of the joint's outer body in its inner one, at each place
         self._reaches: dict[int, Vector] = {}
         self._sizes = {index: self._reach(index) for index in {index for pair in pairs for index in pair}}
         self._written: dict[tuple[int, int, float], bool] = {}
@@ -373,7 +376,7 @@ class _Sweep:
         self._apart_throughout = self._plainly_apart()
 
     def _between_balls(self) -> Matrix:
-        """(S, P) how far balls around the two pieces of each pair are from each other at each place [m]."""
+        """(S, P) the distance between balls around the two pieces of each pair at each place [m]."""
         pieces = [piece.piece for piece in self._robot.pieces]
         centres = np.array([piece.hull.mean(axis=0) for piece in pieces])
         radii = np.array([
@@ -388,29 +391,29 @@ class _Sweep:
         return np.asarray(np.array(found) - radii[outer] - radii[inner])
 
     def _plainly_apart(self) -> Flags:
-        """(P,) which pairs cannot meet between any two neighbouring places, by their distances at these alone."""
+        """(P,) which pairs cannot meet between any two neighbouring places, judged by the distances there alone."""
         reach = np.diff(self._places)[:, None] * self._travel
         near = self.distance[:-1] + self.distance[1:] <= reach
         return np.asarray(~(near.any(axis=0) | (self.distance <= _TOUCH).any(axis=0)))
 
     def _move_to(self, place: float) -> None:
-        """Stand with the joint at `place`, and all others in the middle of their ranges."""
+        """Put the joint at `place`, and all others in the middle of their ranges."""
         q = self._robot.middle.copy()
         q[self._joint] = place
         pin.updateGeometryPlacements(self._robot.model, self._data, self._model, self._geometry, q)
 
     def _from_pin(self, points: Matrix) -> float:
-        """How far the furthest of some points (k, 3) in the joint's frame is from it; 0 of none [m]."""
+        """The distance of the furthest of points (k, 3), in the joint's frame, from the joint; 0 without points [m]."""
         if not self._robot.prismatic[self._joint]:
             axis = self._robot.joint_axes[self._joint]
             points = points - np.outer(points @ axis, axis)
         return float(np.linalg.norm(points, axis=1).max(initial=0.0))
 
     def touch_throughout(self, rows: list[int]) -> bool:
-        """Whether any of some pairs touches over nearly all of the range, as they are written, or runs past with play.
+        """Whether, as written, any of some pairs touches over nearly all of the range, or runs past with little play.
 
-        That is judged on shapes that are nowhere larger than what is written: a piece around a hollow mesh
-        may overlap everywhere what the mesh meets in a part of the range.
+        This is judged on shapes that are nowhere larger than the shapes as written: the convex piece around a
+        hollow mesh may overlap everywhere with something that the mesh meets only in a part of the range.
         """
         seen = np.any(self.distance[:, rows] <= _TOUCH, axis=1)
         if np.mean(seen) < _THROUGHOUT:
@@ -429,7 +432,7 @@ class _Sweep:
         return all(self._any_within(rows, place, _PLAY) for place in (*apart, *unseen))
 
     def overlap_always(self, rows: list[int]) -> list[int]:
-        """As few of some pairs as will do so that one of them touches at each place, as they are written; none else."""
+        """As few of some pairs as possible of which, as written, one touches at each place; [] if that cannot be."""
         at = {row: {place for place in range(_PLACES) if self._any_within([row], place, 0.0)} for row in rows}
         without, found = set(range(_PLACES)), []
         while without:
@@ -441,7 +444,7 @@ class _Sweep:
         return found
 
     def _any_within(self, rows: list[int], place: int, margin: float) -> bool:
-        """Whether any of some pairs is within `margin` [m] at a place, as it is written."""
+        """Whether any of some pairs is, as written, within `margin` [m] at a place."""
         return any(self._within(row, place, margin) for row in rows if self.distance[place, row] <= margin)
 
     def _within(self, row: int, place: int, margin: float) -> bool:
@@ -455,7 +458,7 @@ class _Sweep:
         return self._written[key]
 
     def size(self, rows: list[int]) -> float:
-        """Of the two links of these pairs, how far the smaller one reaches from the joint's origin [m]."""
+        """How far the smaller of the two links of these pairs reaches from the joint's origin [m]."""
         sizes: defaultdict[str, float] = defaultdict(float)
         for row in rows:
             for index in self._pairs[row]:
@@ -464,7 +467,7 @@ class _Sweep:
         return min(sizes.values())
 
     def pin_radius(self, rows: list[int], size: float) -> float:
-        """Up to where from the joint's axis two links of `size` [m] that touch throughout do so by construction [m]."""
+        """How far from the joint's axis links of `size` [m] that touch throughout may do so by construction [m]."""
         touching = self.distance[:, rows] <= _TOUCH
         nearest = np.where(touching, self.from_pin[:, rows], np.inf).min(axis=1)
         return max(_PIN_OF_CONTACT * float(nearest[np.isfinite(nearest)].max()), _PIN_OF_LINK * size)
@@ -476,18 +479,18 @@ class _Sweep:
         return float(np.linalg.norm(piece.piece.hull - origin, axis=1).max()) + piece.piece.radius
 
     def touches_within(self, row: int, radius: float, reach: float, *, graze: float, anyway: list[int]) -> bool:
-        """Whether a pair was seen to touch, and near the joint only, over nearly all of its range, or hardly at all.
+        """Whether a pair was seen to touch only near the joint, or over nearly all of its range, or only by grazing.
 
         Parameters
         ----------
-        radius, reach: how far from the joint's axis an overlap may be deepest, and up to where it may reach [m].
+        radius, reach: how far from the joint's axis an overlap may be deepest, and how far it may reach [m].
         graze: overlap that does not count [m].
-        anyway: the pairs of two links that touch throughout, as at a turntable; how far these overlap at
-            half of the places is by construction.
+        anyway: the pairs of two links that touch throughout, as at a turntable; the reach of their overlaps
+            at half of the places counts as construction.
         """
         touching = self.distance[:, row] <= _TOUCH
         if not np.any(touching):
-            return False  # they meet between two places, if anywhere
+            return False  # if the pieces meet at all, it is between two places
         if self.touch_throughout([row]):
             return True
         if not np.all(self.distance[:, row] > -graze):
@@ -508,18 +511,18 @@ class _Sweep:
             )
             <= radius
         ):
-            return False  # the smaller one reaches no further
+            return False  # the smaller piece reaches no further
         return bool(np.any(self._overlap_reach(row) > radius))
 
     def _usual_reach(self, rows: list[int]) -> float:
-        """How far from the joint the overlaps of some pairs count as being at it; 0 of none [m]."""
+        """How far from the joint the overlaps of some pairs still count as at the joint; 0 without pairs [m]."""
         if not rows:
             return 0.0
         furthest = np.max([self._overlap_reach(row) for row in rows], axis=0)
         return _PIN_OF_CONTACT * float(np.median(furthest))
 
     def _overlap_reach(self, row: int) -> Vector:
-        """(S,) how far from the joint the overlap of a pair reaches at each place; 0 where there is none [m]."""
+        """(S,) how far from the joint the overlap of a pair reaches at each place; 0 where they do not overlap [m]."""
         if row not in self._reaches:
             outer, inner = (faces_of(self._robot.pieces[index].piece) for index in self._pairs[row])
             reach = np.zeros(_PLACES)
@@ -536,13 +539,13 @@ class _Sweep:
         return bool(at_ends and np.all(distance > -graze)) and self._keeps_apart_elsewhere(row)
 
     def never_meets(self, row: int) -> bool:
-        """Whether it is proven that a pair keeps apart over the joint's whole range."""
+        """Whether a pair is proven to keep apart over the joint's whole range."""
         if self._apart_throughout[row]:
             return True
         return bool(np.all(self.distance[:, row] > _TOUCH)) and self._keeps_apart_elsewhere(row)
 
     def never_meets_as_written(self, row: int) -> bool:
-        """Whether two pieces that overlap nearly throughout are proven to be larger there than what is written."""
+        """Whether two pieces overlap nearly throughout, but are proven never to meet as written."""
         larger = any(self._robot.pieces[index].piece.make_inner for index in self._pairs[row])
         if not larger or np.mean(self.distance[:, row] <= _TOUCH) < _THROUGHOUT:
             return False
@@ -554,13 +557,13 @@ class _Sweep:
         return proven_apart(self._robot, (outer, inner), ends[0], ends[1])
 
     def _keeps_apart_elsewhere(self, row: int) -> bool:
-        """The same between all neighbouring places at neither of which it touches."""
+        """Whether a pair is proven to keep apart between all neighbouring places at neither of which it touches."""
         places, distance = self._places, self.distance[:, row]
         ends = zip(places, places[1:], distance, distance[1:], strict=False)
         return all(self._apart(row, *end) for end in ends if min(end[2:]) > _TOUCH)
 
     def _apart(self, row: int, a: float, b: float, d_a: float, d_b: float, halvings: int = _HALVINGS) -> bool:
-        """The same between the places `a` and `b`, where the pair is `d_a` and `d_b` [m] apart."""
+        """Whether a pair keeps apart between the places `a` and `b`, at which its distances are `d_a` and `d_b` [m]."""
         if d_a + d_b > (b - a) * self._travel[row]:
             return True
         if halvings == 0:
