@@ -1,22 +1,22 @@
 """The figures of a data sheet: how far, how deep and how high the machine reaches, and how hard it digs.
 
-The working envelope of a machine that works in one upright plane, from the URDF alone (after
+The working envelope of a machine that works in one upright plane follows from the URDF alone (after
 ISO 7135 and SAE J1193):
 
 - digging depth: the greatest depth of the tip below the ground z = 0;
 - reach at ground level: the greatest horizontal distance of the tip from the first
   joint's axis while the tip is on the ground;
 - loading height: height of the tip with every joint but the last at its upper limit and
-  the bucket tipped to the dump pitch; loading reach: its distance from the axis there;
+  the bucket tipped to the dump pitch; loading reach: the tip's distance from the axis there;
 - bucket rotation and swing arc: the ranges of the last and the first joint.
 
 Data sheets do not give the dump pitch; -80 degrees is chosen here.
 
-Digging forces at relief pressure, from geometry alone (after ISO 6015 and SAE J1179):
+Digging forces at relief pressure follow from geometry alone (after ISO 6015 and SAE J1179):
 
-- bucket: the greatest force at the tooth tip, across the line bucket pin to tip, that the
+- bucket: the greatest force at the tooth tip, across the line from bucket pin to tip, that the
   bucket's cylinders give by curling, over the range of the bucket;
-- stick: the same of the stick's cylinders, across the line stick pin to tip, over the
+- stick: the same for the stick's cylinders, across the line from stick pin to tip, over the
   range of the stick, with the bucket where its own force is greatest.
 
 All other cylinders hold, the machine neither tips nor slides, and weights are left out.
@@ -37,8 +37,8 @@ _DUMP_PITCH = np.radians(-80.0)  # rad; chosen, see above
 _GRID = 9  # points per joint from which the search starts; chosen
 _SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, and the torque is flat at its maximum
 _AT_PIN = 1e-3  # m: a tip this near the last pin has no lever to dig with
-_SEEDS = 4  # best points of the grid from which to search: the best one may lie beside a lesser maximum
-_ON_GROUND = 1e-6  # m of height that count as none: a thousandth of the millimetre of a data sheet
+_SEEDS = 4  # best points of the grid from which to search: the best one may be beside a lesser maximum
+_ON_GROUND = 1e-6  # m of height that counts as 0: a thousandth of the millimetre of a data sheet
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Envelope:
 
     Attributes
     ----------
-    digging_depth, reach_at_ground, loading_height, loading_reach: [m]; None where the
-        machine cannot be in the posture that defines it.
+    digging_depth, reach_at_ground, loading_height, loading_reach: [m]; None if the
+        machine cannot reach the configuration that defines it.
     largest_reach: greatest horizontal distance of the tip from the axis [m].
     largest_height: greatest height of the tip [m].
     bucket_rotation, swing_arc: [rad]
@@ -174,8 +174,8 @@ class DiggingForces:
 
     Attributes
     ----------
-    bucket: by the last joint's cylinders [N]; bucket_at: position of that joint [rad].
-    stick: by those of the joint before [N]; stick_at: its position [rad].
+    bucket: force of the last joint's cylinders [N]; bucket_at: position of that joint [rad].
+    stick: force of the cylinders of the joint before [N]; stick_at: its position [rad].
     """
 
     bucket: float
@@ -187,7 +187,7 @@ class DiggingForces:
 def digging_forces(robot: Robot) -> DiggingForces | None:
     """The digging forces; None without cylinders on the last two joints or a pitch, or with the tip on a pin.
 
-    Neither are there any where the swing or the bucket is held.
+    They are None, too, if the swing or the bucket is held.
     """
     check_kind(robot, Robot, key="robot")
     if robot.hydraulics is None or robot.n < 2 or not robot.has_pitch or _ends_held(robot):
@@ -206,13 +206,13 @@ def digging_forces(robot: Robot) -> DiggingForces | None:
 
 
 def _strongest(robot: Robot, q: Vector, joint: int) -> tuple[float, float]:
-    """The greatest torque that curls the joint [N m], and where in its range [rad]."""
+    """The greatest torque that curls the joint [N m], and the joint's position there [rad]."""
     assert robot.hydraulics is not None
     angles = np.linspace(robot.limits.lower[joint], robot.limits.upper[joint], _SAMPLES)
     postures = np.tile(q, (_SAMPLES, 1))
     postures[:, joint] = angles
     limits = robot.hydraulics.torque_limits(postures)
-    # curling lowers the tip where the arm reaches out, and so the pitch
+    # curling lowers the tip of an arm that reaches out, and so lowers the pitch
     lifts = Kinematics(robot).at(robot.nearest_zero).pitch_row[joint] > 0.0
     torque = (limits.negative if lifts else limits.positive)[:, joint]
     best = int(np.argmax(torque))

@@ -1,7 +1,7 @@
-"""The Denavit-Hartenberg table of a machine, read off its URDF.
+"""The Denavit-Hartenberg table of a machine, from its URDF.
 
-Classic parameters (Denavit and Hartenberg 1955): from frame k-1 to frame k one turns by
-theta about z_{k-1}, slides by d along it, slides by a along x_k, and turns by alpha
+Classic parameters (Denavit and Hartenberg 1955): the transform from frame k-1 to frame k is a turn by
+theta about z_{k-1}, a shift by d along it, a shift by a along x_k, and a turn by alpha
 about x_k; z_{k-1} is the axis of joint k. Joint k's own position adds to theta (a hinge)
 or to d (a slide).
 """
@@ -16,7 +16,7 @@ import pinocchio as pin
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.robot import Robot
 
-_PARALLEL = 1e-9  # rad or m: axes nearer to each other are parallel, or meet, but for rounding
+_PARALLEL = 1e-9  # rad or m: below this, axes are parallel, or meet, but for rounding
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _axes(robot: Robot, data: pin.Data) -> tuple[list[Vector], list[Vector]]:
     """Direction and a point of every joint's axis, in the world at q = 0."""
     axes, points = [], []
     for k in range(robot.n):
-        column = data.J.reshape(6, robot.n)[:, k]  # of one joint alone it is 1-D
+        column = data.J.reshape(6, robot.n)[:, k]  # with one joint J is 1-D
         axes.append(np.array(column[:3] if robot.prismatic[k] else column[3:]))
         points.append(np.array(data.oMi[k + 1].translation))
     return axes, points
@@ -116,11 +116,11 @@ def _next_frame(frame: pin.SE3, axis: Vector, point: Vector) -> pin.SE3:
     z, origin = frame.rotation[:, 2], frame.translation
     normal = np.cross(z, axis)
     across = point - origin - ((point - origin) @ z) * z
-    if np.linalg.norm(normal) < _PARALLEL:  # parallel: any common normal; the one through `point`
+    if np.linalg.norm(normal) < _PARALLEL:  # parallel: of all common normals take the one through `point`
         if np.linalg.norm(across) < _PARALLEL:
             return _frame(axis, point, frame.rotation[:, 0])
         return _frame(axis, point, across)
-    # where the common normal meets the next axis
+    # the point where the common normal meets the next axis
     normal /= np.linalg.norm(normal)
     plane = np.cross(normal, z)
     along = ((origin - point) @ plane) / (axis @ plane)

@@ -1,4 +1,4 @@
-"""Where a machine stands in the site."""
+"""The placement of a machine in the site."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from backhoe_planner.arrays import as_number, as_vector
 
 @dataclass(frozen=True)
 class Base:
-    """Where the root link of a machine stands: upright, at the height 0 of the world.
+    """The placement of a machine's root link: upright, at height 0 of the world.
 
     Attributes
     ----------
     position: x, y of the root link [m], world.
-    heading: the angle about the vertical from the world's x to the root link's [rad].
+    heading: the angle about the vertical from the world's x axis to the root link's [rad].
 
     Raises
     ------
-    InputError: not two finite numbers, or not one.
+    InputError: `position` is not two finite numbers, or `heading` not one.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -42,8 +42,8 @@ class Base:
 
     @property
     def is_origin(self) -> bool:
-        """Whether root link and world have the same axes."""
+        """Whether the frames of the root link and the world are the same."""
         return self == ORIGIN
 
 
-ORIGIN = Base()  # root link and world have the same axes
+ORIGIN = Base()  # the frames of the root link and the world are the same

@@ -33,14 +33,14 @@ class ChainModel:
 
 
 def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float], base: Base) -> ChainModel:
-    """Pinocchio's model in which only the joints between the root and the tip move that are not held.
+    """Pinocchio's model in which only those joints between the root and the tip move that are not held.
 
     Parameters
     ----------
     urdf: the machine.
-    tip: the link; by default ``bucket_tip``, else the only leaf link.
-    hold: joints by name, and where they are held [rad or m].
-    base: where the root link stands.
+    tip: the link; by default ``bucket_tip``, otherwise the only leaf link.
+    hold: joints by name, and the positions at which they are held [rad or m].
+    base: placement of the root link.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _find_tip(urdf: Urdf, tip: str | None) -> str:
 
 
 def _model(urdf: Urdf, held: Mapping[str, float]) -> pin.Model:
-    """Pinocchio's model in which the joints named in `held` are fixed ones at their positions [rad or m].
+    """Pinocchio's model in which the joints named in `held` are fixed at their positions [rad or m].
 
     Pinocchio's own `buildReducedModel` is not used: it refuses a machine whose links have the
     names of its joints.
@@ -111,7 +111,7 @@ def _model(urdf: Urdf, held: Mapping[str, float]) -> pin.Model:
 
 
 def _place(model: pin.Model, T_world_root: pin.SE3) -> None:
-    """Put a model whose root link stands in the world's axes elsewhere."""
+    """Move a model whose root link's frame is the world's to another placement."""
     for joint in range(1, model.njoints):
         if model.parents[joint] == 0:
             model.jointPlacements[joint] = T_world_root * model.jointPlacements[joint]
@@ -121,7 +121,7 @@ def _place(model: pin.Model, T_world_root: pin.SE3) -> None:
 
 
 def _hold(element: etree._Element, joint: Joint, position: float) -> None:
-    """Make the `element` of a `joint` a fixed one at its `position` [rad or m]."""
+    """Turn the `element` of a `joint` into a fixed joint at its `position` [rad or m]."""
     element.set("type", "fixed")
     _remove(element, "limit", "mimic", "axis", "dynamics", "safety_controller")
     if position == 0.0:

@@ -1,4 +1,4 @@
-"""Joints that stand still: what a scene holds, what copies it, and all that do not move the tip."""
+"""Joints that stand still: those that a scene holds, those that copy them, and all that do not move the tip."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from backhoe_planner.errors import InputError, RobotError
 from backhoe_planner.machine.description.urdf import Urdf
 from backhoe_planner.machine.description.urdf_tree import Joint
 
-_SAME = 1e-9  # rad, m: positions nearer to each other are one but for rounding
+_SAME = 1e-9  # rad, m: positions that differ by less are equal but for rounding
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class HeldJoint:
     Attributes
     ----------
     name: the joint.
-    position: where it stands [rad or m].
-    why: ``held`` where the scene puts it there, ``copies`` another one that stands still, or is
-        ``beside`` the way from the root to the tip: then it stands at 0, or at the limit nearest to it.
+    position: its position [rad or m].
+    why: ``held`` if the scene holds it, ``copies`` if it copies another joint that stands still, or
+        ``beside`` if it is not between the root and the tip: its position is then 0, or the limit nearest to 0.
     copies: the joint that it copies (``<mimic>``), or None.
     """
 
@@ -39,13 +39,13 @@ def held_joints(urdf: Urdf, tip: str, hold: Mapping[str, float]) -> tuple[HeldJo
 
     Parameters
     ----------
-    hold: joints by name, and where they are held [rad or m]; of any part of the machine.
+    hold: joints of any part of the machine by name, and the positions at which they are held [rad or m].
 
     Raises
     ------
     InputError: there is no such joint, it is fixed, or the position is outside of its limits or
         not that of the joint that it copies. The key is that of a scene.
-    RobotError: a joint copies one that moves, or a joint between the root and the tip one that is not held.
+    RobotError: a joint copies one that moves, or a joint between the root and the tip copies one that is not held.
     """
     for name, position in hold.items():
         _check_held(urdf, name, position)
@@ -74,7 +74,7 @@ def _check_held(urdf: Urdf, name: str, position: float) -> None:
 
 
 class _Standing:
-    """Where the joints that stand still stand.
+    """The positions of the joints that stand still.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class _Standing:
                 )
 
     def joint(self, name: str) -> HeldJoint:
-        """One of the joints that stand still."""
+        """The record of one of the joints that stand still."""
         joint = self._urdf.joints[name]
         leader = self._leader(joint)
         if leader is None:
@@ -128,7 +128,7 @@ class _Standing:
         return HeldJoint(name, position, "copies", str(joint.mimic.joint))
 
     def _copied(self, joint: Joint) -> float:
-        """Where a joint stands that copies another one [rad or m]."""
+        """The position of a joint that copies another one [rad or m]."""
         mimic = joint.mimic
         leader = self._urdf.joints[mimic.joint]
         if leader.type == "fixed":
@@ -139,7 +139,7 @@ class _Standing:
         return multiplier * there + (0.0 if mimic.offset is None else float(mimic.offset))
 
     def _leader(self, joint: Joint) -> str | None:
-        """The joint that a joint copies in the end; None where it copies none, or only itself."""
+        """The joint at the end of a chain of copies; None if a joint copies none, or only itself."""
         met = {joint.name}
         leader = joint
         while leader.mimic is not None:
@@ -151,7 +151,7 @@ class _Standing:
 
 
 def _nearest_zero(joint: Joint) -> float:
-    """0, or the limit of a joint that is nearest to it [rad or m]."""
+    """0, or the limit of a joint that is nearest to 0 [rad or m]."""
     if joint.limit is None or joint.type == "continuous" or joint.limit.lower is None:
         return 0.0
     return float(np.clip(0.0, joint.limit.lower, joint.limit.upper))

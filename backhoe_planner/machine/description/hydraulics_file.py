@@ -1,7 +1,7 @@
 """Reading a machine's hydraulic description, a YAML file beside its URDF.
 
-The records below are the schema. `read_hydraulics` is the only door: what comes out of it
-closes, moves and bears in every posture that the URDF's limits allow.
+The records below are the schema. `read_hydraulics` is the only way to read one: the linkages that it
+returns close, move and have a lever in every configuration that the URDF's limits allow.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from backhoe_planner.machine.hydraulics.hydraulics import SAME_LENGTH, Cylinder,
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
 
 _LARGEST = 1e9  # Pa, W or m^3/s: no oil line bears such a pressure, no machine has such a power or flow
-_SAMPLES = 1441  # angles at which a linkage is tried: every quarter of a degree of a whole turn
-_ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever; chosen, far below what is ever drawn
-_NO_LEVER = 2e-3  # part of the longest lever; from one of the samples to the next a lever falls by less
-_SAME_END = 1e-9  # m, rad: ends of strokes and of ranges this near each other are one but for rounding
+_SAMPLES = 1441  # angles at which a linkage is checked: every quarter of a degree of a whole turn
+_ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever; chosen, far below any dimension in a drawing
+_NO_LEVER = 2e-3  # part of the longest lever; from one sample to the next a lever falls by less
+_SAME_END = 1e-9  # m, rad: ends of strokes and of ranges that differ by less are equal but for rounding
 
 Length = Annotated[float, Field(strict=True, gt=0.0, le=1e3, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e3, le=1e3, allow_inf_nan=False)]
@@ -41,25 +41,25 @@ class PumpRecord(Record):
     """The pump that all cylinders share."""
 
     flow: Positive
-    """What it delivers at most [m^3/s]."""
+    """Its greatest flow [m^3/s]."""
     pressure: Positive
-    """At which relief valves open [Pa]."""
+    """The pressure at which relief valves open [Pa]."""
 
 
 class EngineRecord(Record):
-    """What drives the pump."""
+    """The engine that drives the pump."""
 
     power: Positive
     """[W]"""
     efficiency: Part = 1.0
-    """What of it arrives in the oil."""
+    """The part of the power that reaches the oil."""
 
 
 class RockerRecord(Record):
     """A rocker between cylinder and link, as on a bucket.
 
-    Its pins are given as they lie with the joint at `drawn_at`, in the frame of the link
-    above the joint, which also says on which side the mechanism stands.
+    Its pins are given for the joint at `drawn_at`, in the frame of the link above the joint. They
+    also tell on which side the mechanism is.
     """
 
     pivot: Point
@@ -92,9 +92,9 @@ class CylinderRecord(Record):
     child: Point
     """Pin on the link below the joint, in that link's frame [m]: of the rod or, with a rocker, of its link."""
     rocker: RockerRecord | None = None
-    """Between cylinder and joint; left out: the cylinder lies straight across the joint."""
+    """The rocker between cylinder and joint; left out: the cylinder is straight across the joint."""
     flow: Positive | None = None
-    """The most that its valve passes [m^3/s]; left out: all that the pump delivers."""
+    """The greatest flow through its valve [m^3/s]; left out: all that the pump delivers."""
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> CylinderRecord:
@@ -138,9 +138,9 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
 
     Raises
     ------
-    RobotError: the URDF has no such joint, or it does not turn between limits; within the
+    RobotError: the URDF has no such joint, or the joint does not turn between limits; within the
         joint's limits the linkage does not close or passes a dead centre; the pins do not
-        allow the stroke, or it does not reach the joint's limits. The message names the
+        allow the stroke, or the stroke does not reach the joint's limits. The message names the
         file, the key, what was found and what is allowed.
     """
     content, lines = read_yaml(
@@ -181,7 +181,7 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
 
 @dataclass(frozen=True)
 class _Place:
-    """Where in the file a cylinder stands; makes its errors."""
+    """The place of a cylinder in the file; makes its errors."""
 
     file: Path
     cylinder: str  # its key
@@ -220,12 +220,12 @@ class _Plane:
         self._v = np.cross(self._axis, self._u)
 
     def of_parent(self, pin: Point) -> Vector:
-        """(3,) a pin in the frame of the link above: in the plane, then along the axis."""
+        """(3,) a pin given in the frame of the link above: in the plane, then along the axis."""
         R, p = self._T_parent_joint[:3, :3], self._T_parent_joint[:3, 3]
         return self.of_child(R.T @ (np.array(pin) - p))
 
     def of_child(self, pin: Point | Vector) -> Vector:
-        """(3,) a pin in the frame of the link below, with the joint at 0."""
+        """(3,) a pin given in the frame of the link below, with the joint at 0."""
         point = np.asarray(pin, dtype=float)
         return np.array([point @ self._u, point @ self._v, point @ self._axis])
 
@@ -253,7 +253,7 @@ def _linkage(spec: CylinderRecord, joint: Joint, place: _Place) -> Triangle | Fo
         pin=float(np.hypot(*moved[:2])),
         pin_angle=math.atan2(moved[1], moved[0]),
         side=1.0 if AB[0] * r[1] - AB[1] * r[0] >= 0.0 else -1.0,
-        # the drive's own angle counts from the cylinder's pin, theta from the link's
+        # the drive's own angle is measured to the cylinder's pin, theta to the link's pin
         drive=Triangle(drive.a, drive.b, drive.phi0 - math.atan2(r[1], r[0]), drive.offset),
     )
 
@@ -279,7 +279,7 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
     for cylinder, place in cylinders:
         shortest, longest = cylinder.linkage.length_range
         closed, opened = cylinder.closed, cylinder.open
-        # where two cylinders move one joint, one may pass the dead centre at which it is shortest
+        # if two cylinders move one joint, one of them may pass the dead centre at which it is shortest
         if alone and closed < shortest:
             allowed = f"{shortest:.4f} m or more"
             raise place.wrong("is shorter than the pins come together", key="closed", found=closed, allowed=allowed)
@@ -316,7 +316,7 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
 
 
 def _check_linkages(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float, upper: float) -> None:
-    """Every linkage closes from `lower` to `upper`, and one of them always has a lever."""
+    """Check that every linkage closes from `lower` to `upper`, and that one of them always has a lever."""
     angles = np.linspace(lower, upper, _SAMPLES)
     arms = np.stack([cylinder.linkage.arm(angles) for cylinder, _ in cylinders])
     for arm, (_, place) in zip(arms, cylinders, strict=True):
@@ -328,7 +328,7 @@ def _check_linkages(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float, 
                 found=f"open at {at:.4f} rad",
                 allowed=f"closed from {_degrees(lower)} to {_degrees(upper)}",
             )
-    # a single cylinder is stuck where its lever changes sides; of two, one may help the other across
+    # a single cylinder is stuck where its lever changes sign; of two, one may help the other across
     alone = len(cylinders) == 1
     sense, levers = np.sign(arms[0]), np.max(np.abs(arms), axis=0)
     stuck = sense != sense[len(angles) // 2] if alone else levers < _NO_LEVER * np.max(levers)

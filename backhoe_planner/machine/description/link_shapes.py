@@ -1,4 +1,4 @@
-"""The links of a URDF as convex collision pieces, and what is drawn of them."""
+"""The links of a URDF as convex collision pieces, and the shapes to draw."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from backhoe_planner.machine.description.urdf_tree import Geometry, Mesh
 from backhoe_planner.machine.shape.cover_cache import mesh_cover
 from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, sphere
 
-# volume of a mesh's hull over its own, up to which the hull stands for the link: a solid link with recesses
+# volume of a mesh's hull over the mesh's own, up to which the hull represents the link: a solid link with recesses
 # is below, an open bucket, whose cavity the hull would close, far above
 _LINK_HULL_EXCESS = 2.0
 _PIECES_PER_LINK_MESH = 8  # at most; chosen, few because each is one more pair with every obstacle
@@ -45,14 +45,14 @@ class LinkPiece:
 
 @dataclass(frozen=True, eq=False)
 class LinkSolid:
-    """A convex solid of a link, wherever the link is.
+    """A convex solid of a link, in the frame of the link.
 
     Attributes
     ----------
     link: the URDF link to which it belongs.
-    T_link_solid: its place on the link.
-    piece_at: the piece at a placement T_body_solid.
-    cached: whether its corners came from the cache folder; None where it is no piece of a mesh.
+    T_link_solid: its placement on the link.
+    piece_at: returns the piece at a placement T_body_solid.
+    cached: whether its corners came from the cache folder; None if it is not a piece of a mesh.
     """
 
     link: str
@@ -77,7 +77,7 @@ class Visual:
     kind: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
     size: box edges (3,); cylinder (radius, length); sphere (radius,); mesh scale (3,).
     mesh: the file of a mesh.
-    rgba: (4,) in 0..1, or None where the URDF gives no colour.
+    rgba: (4,) in 0..1, or None if the URDF gives no colour.
     """
 
     link: str
@@ -100,13 +100,13 @@ def _mesh_scale(mesh: Mesh) -> Vector:
 
 
 def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
-    """Convex solids that contain the collision shape of every link. Dividing a mesh that was not met before takes long.
+    """Convex solids that contain the collision shape of every link. Dividing a mesh for the first time takes long.
 
-    Where no link of the URDF has a collision shape, what it draws is taken as its shape.
+    If no link of the URDF has a collision shape, the visuals are used instead.
 
     Returns
     -------
-    The solids; and in words, where a link has a visual and no shape.
+    The solids; and warnings in words about links that have a visual and no collision shape.
 
     Raises
     ------

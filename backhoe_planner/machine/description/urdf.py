@@ -1,6 +1,6 @@
 """Reading a URDF: it is found, parsed, and checked before Pinocchio sees it.
 
-`read_urdf` is the only door. In a `Urdf` every link and joint has a name, all numbers are
+`read_urdf` is the only way to make a `Urdf`. In a `Urdf` every link and joint has a name, all numbers are
 finite, all joints are of types that this package plans with, and all meshes exist on disk.
 """
 
@@ -35,7 +35,7 @@ _REFUSED = {
     "spherical": "a spherical joint is not described by one angle",
 }
 
-# names for robots of example-robot-data whose file has another name
+# robots of example-robot-data whose file has another name
 _EXAMPLE_ALIASES = {
     "panda": "panda_description/urdf/panda.urdf",
     "ur3": "ur_description/urdf/ur3_robot.urdf",
@@ -58,7 +58,7 @@ class Urdf:
     ----------
     source: as the user gave it, a path or ``example:NAME``.
     path: the file itself.
-    xml: its text, with comments stripped; a velocity or effort that a `<limit>` does not give is 0.
+    xml: its text without comments; a velocity or effort that is missing in a `<limit>` is 0.
     sha256: of the file's bytes.
     robot: links and joints.
     acceleration: `<limit acceleration>` by joint name [rad/s^2 or m/s^2], where given.
@@ -72,7 +72,7 @@ class Urdf:
     acceleration: dict[str, float]
 
     def source_from(self, folder: Path | None) -> str:
-        """How a file in `folder` names it: ``example:NAME`` for a shipped model, else its path relative to there."""
+        """How a file in `folder` names it: ``example:NAME`` for a shipped model, otherwise the path from there."""
         if self.source.startswith("example:"):
             return self.source
         path = self.path.resolve()
@@ -119,12 +119,12 @@ class Urdf:
         return (self.path, *sorted(path for path in found if path is not None))
 
     def mesh_path(self, uri: str) -> Path | None:
-        """The file of a mesh that the URDF names by `uri`; None where there is no such file."""
+        """The file of a mesh that the URDF names by `uri`; None if there is no such file."""
         return next(filter(is_file, _mesh_candidates(uri, self.path)), None)
 
 
 def axis_of(joint: Joint) -> Vector:
-    """(3,) unit axis of a joint in its own frame; x where the URDF gives none."""
+    """(3,) unit axis of a joint in its own frame; x if the URDF gives none."""
     axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
     return np.asarray(axis / np.linalg.norm(axis))
 
@@ -140,7 +140,7 @@ def se3(origin: Matrix | None) -> pin.SE3:
 def shipped_folder(folder: str) -> Path:
     """The `folder` that comes with the package, ``models`` or ``scenes``.
 
-    In a wheel it lies inside the package, in a clone beside it.
+    In a wheel it is inside the package, in a clone beside it.
     """
     package = Path(__file__).resolve().parents[2]
     inside = package / folder
@@ -148,9 +148,10 @@ def shipped_folder(folder: str) -> Path:
 
 
 def shipped_file(file: Path, folder: str) -> Path:
-    """A file, or where there is none the one of that name which is shipped in a folder.
+    """`file`, or the file of that name which is shipped in `folder` if `file` does not exist.
 
-    The shipped one is meant by its name alone, and behind its folder or the end of it: ``scenes/jobs/drain.yaml``.
+    A shipped file is meant by its name alone, or by its name after the folder or a parent of the folder, such as
+    ``scenes/jobs/drain.yaml``.
     """
     inner, *outer = Path(folder).parts
     own = shipped_folder(inner).joinpath(*outer, file.name)
@@ -159,7 +160,7 @@ def shipped_file(file: Path, folder: str) -> Path:
 
 
 def example_names() -> list[str]:
-    """Names that ``example:NAME`` understands, sorted."""
+    """The names that may follow ``example:``, sorted."""
     found = {path.stem for path in shipped_folder("models").glob("*.urdf")}
     root = _example_root()
     if root is not None:
@@ -173,14 +174,14 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
 
     Parameters
     ----------
-    source: a path, or ``example:NAME`` for a robot of example-robot-data (or one of
-        the models that come with this package: ``example:backhoe``).
+    source: a path, or ``example:NAME`` for a robot of example-robot-data or for one of
+        the models that come with this package, such as ``example:backhoe``.
 
     Raises
     ------
     RobotError: the file is missing, is not XML, or is not a tree of links and joints; a joint
-        is of a type that is not supported or has no limits; a number is not finite; a mesh
-        does not exist. The message names file and element.
+        has a type that is not supported or has no limits; a number is not finite; a mesh
+        does not exist. The message names the file and the element.
     """
     path = _locate(os.fspath(source))
     try:
@@ -248,7 +249,7 @@ def _locate_example(name: str) -> Path:
 
 
 def _example_root() -> Path | None:
-    """`share/example-robot-data/robots` of the prefix in which it is installed."""
+    """The folder `share/example-robot-data/robots` of the prefix in which the package is installed."""
     prefixes = [Path(sys.prefix)]
     prefixes += [Path(entry) / "cmeel.prefix" for entry in sys.path if entry]
     for prefix in prefixes:
@@ -259,7 +260,7 @@ def _example_root() -> Path | None:
 
 
 def _mesh_candidates(uri: str, urdf: Path) -> Iterator[Path]:
-    """The paths at which the file of a mesh may lie, the most likely first."""
+    """The paths at which a mesh file may be, the most likely first."""
     if uri.startswith("package://"):
         package, _, rest = uri.removeprefix("package://").partition("/")
         root = _example_root()
@@ -301,7 +302,7 @@ def _parse_xml(data: bytes, path: Path) -> etree._Element:
 
 
 def _element_key(element: etree._Element) -> str:
-    """Where an element stands, by the names of the link or joint around it."""
+    """The place of an element, by the names of the link or joint around it."""
     parts = [
         f"{node.tag} {node.get('name')!r}" if node.get("name") else str(node.tag)
         for node in (element, *element.iterancestors())
@@ -347,19 +348,19 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
                 raise RobotError("is too small", file=path, key=key, found=repr(text), allowed=allowed)
 
 
-# m, rad, and of a scale: as far as anything of a scene; ranges of 1e16 are used for what turns for ever
+# m, rad, or a scale factor: as far as anything in a scene; ranges of 1e16 are used for joints that turn for ever
 _MOST = dict.fromkeys(("xyz", "rpy", "size", "radius", "length", "scale"), 1e5) | {"lower": 1e30, "upper": 1e30}
 _LARGEST = 1e12  # in any other unit: products of a few such numbers are finite; chosen
 # rad/s or m/s, and per second: a motion of 1 rad then takes hours; N m or N; chosen
 _LEAST = {"velocity": 1e-4, "acceleration": 1e-4, "effort": 1e-6}
 _GEOMETRY = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("filename",)}
-# of a joint, or of a link's shape or inertia
+# elements that a joint, a shape or an inertia of a link may have only once
 _ONCE = ("origin", "geometry", "mass", "inertia", "parent", "child", "axis", "limit", "mimic")
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def _check_complete(root: etree._Element, path: Path) -> None:
-    """Check that shapes and inertias have all their parts, and once; yourdfpy drops others silently."""
+    """Check that shapes and inertias have all their parts, and only once; yourdfpy drops others silently."""
     for element in (*root.iterfind("joint"), *root.iterfind("link/*")):
         for tag in _ONCE:
             if len(element.findall(tag)) > 1:
@@ -392,7 +393,7 @@ def _need(element: etree._Element, attributes: tuple[str, ...], path: Path) -> N
 
 
 def _fill_limits(root: etree._Element) -> None:
-    """Write 0, which says nothing, for velocity and effort where a limit has none; they are asked for."""
+    """Write 0, which means unknown, for a velocity or effort that a limit does not give; readers need them."""
     for limit in root.findall("joint/limit"):
         for attribute in ("velocity", "effort"):
             if limit.get(attribute) is None:

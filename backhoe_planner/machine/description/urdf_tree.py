@@ -1,7 +1,7 @@
 """Links and joints of a URDF, with the files of its meshes by name; no mesh is loaded.
 
-The records have the fields of `yourdfpy`'s, which loads trimesh and what that asks for before it
-reads a word. The other elements and attributes of a URDF are not kept.
+The records have the fields of those in `yourdfpy`, which loads trimesh and its dependencies before it
+reads anything. The other elements and attributes of a URDF are not kept.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Sphere:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A mesh file as the URDF names it, and its `scale`, one number or (3,); None where it is not given."""
+    """A mesh file as the URDF names it, and its `scale`, one number or (3,); None if it is not given."""
 
     filename: str
     scale: float | Vector | None
@@ -76,7 +76,7 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What is drawn, or must not be touched, of a link; `origin` is its T_link_shape (4, 4)."""
+    """A shape of a link to draw or to keep clear; `origin` is its T_link_shape (4, 4)."""
 
     geometry: Geometry
     origin: Matrix | None = None
@@ -94,7 +94,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Limit:
-    """Of a joint [rad, rad/s, N m; or m, m/s, N]; None where it is not given."""
+    """The limits of a joint [rad, rad/s, N m; or m, m/s, N]; None if not given."""
 
     effort: float | None
     velocity: float | None
@@ -104,7 +104,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Mimic:
-    """A position that is copied: `multiplier` times that of `joint`, and `offset` [rad or m]."""
+    """A copied position: `multiplier` times the position of `joint`, plus `offset` [rad or m]."""
 
     joint: str | None
     multiplier: float
@@ -113,7 +113,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class SafetyController:
-    """Limits of a joint that its controller keeps [rad or m]; None where it is not given."""
+    """Limits of a joint that its controller keeps [rad or m]; None if not given."""
 
     soft_lower_limit: float | None
     soft_upper_limit: float | None
@@ -121,7 +121,7 @@ class SafetyController:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint between links `parent` and `child`; `origin` is T_parent_joint (4, 4), `axis` (3,) as it is given."""
+    """A joint between links `parent` and `child`; `origin` is T_parent_joint (4, 4), `axis` (3,) as given."""
 
     name: str
     type: str | None
@@ -154,7 +154,7 @@ def read_tree(root: etree._Element) -> Tree:
 
     Raises
     ------
-    ValueError: a number is none.
+    ValueError: a number cannot be read.
     """
     return Tree(
         name=root.get("name"),

@@ -1,6 +1,6 @@
-"""What yourdfpy says of a URDF that names mesh files, asked once for each text.
+"""The check by yourdfpy of a URDF that names mesh files, done once for each text.
 
-yourdfpy loads trimesh, and what that asks for, before it reads a word. That it found a URDF valid is therefore
+yourdfpy loads trimesh and its dependencies before it reads anything. The result that a URDF is valid is therefore
 kept in the user's cache folder, for these bytes, this code and this version of yourdfpy.
 """
 
@@ -19,11 +19,11 @@ _VALID = b"valid"
 
 
 def check_by_yourdfpy(root: etree._Element) -> None:
-    """Check the URDF below a `root`, unless yourdfpy found the same one valid before.
+    """Check the URDF below a `root`, unless yourdfpy found the same URDF valid before.
 
     Raises
     ------
-    ValueError: it is not valid to yourdfpy.
+    ValueError: it is not valid according to yourdfpy.
     """
     entry, key = None, b""
     with contextlib.suppress(OSError, RuntimeError, ImportError):  # `_ask` says what is missing; or no home
@@ -38,7 +38,7 @@ def check_by_yourdfpy(root: etree._Element) -> None:
 
 
 def _ask(root: etree._Element) -> None:
-    """Let yourdfpy read and check it, without a word in its log."""
+    """Let yourdfpy read and check the URDF, with its log silenced."""
     import yourdfpy
 
     quiet = logging.getLogger("yourdfpy")

@@ -6,7 +6,7 @@ With l the pin-to-pin lengths of m cylinders and q the n joint positions,
 
 A cylinder extends with the oil on the piston (A_cap) and retracts with the oil on the
 piston less the rod (A_ann), so that every limit of speed and force has two sides.
-Forces push positive, lengths grow positive.
+A pushing force and a growing length are positive.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from backhoe_planner.arrays import Array, Flags, as_rows
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage
 
-_REMEMBERED = 8  # latest arrays of configurations whose moment arms are kept; chosen, as four are in use at a time
+_REMEMBERED = 8  # latest arrays of configurations whose moment arms are kept; chosen: four are in use at a time
 SAME_LENGTH = 1e-7  # m: an angle whose length is further off belongs to another branch; chosen, far above rounding
 _BESIDE = SAME_LENGTH  # rad, at a lever of 1 m: this far beyond the end of the stroke still counts as the end
 
@@ -35,8 +35,8 @@ class BothWays:
 
     Attributes
     ----------
-    positive: where a joint turns, or is driven, in its positive direction; where a cylinder extends.
-    negative: in the negative direction; where a cylinder retracts.
+    positive: for a joint that turns or is driven in its positive direction; for a cylinder that extends.
+    negative: for a joint in the negative direction; for a cylinder that retracts.
     """
 
     positive: Array
@@ -54,7 +54,7 @@ class Cylinder:
     bore, rod: diameters [m].
     closed, open: shortest and longest pin-to-pin length [m].
     linkage: length and moment arm over the joint's angle.
-    flow: the most that its valve passes [m^3/s].
+    flow: the greatest flow through its valve [m^3/s].
     """
 
     name: str
@@ -73,12 +73,12 @@ class Cylinder:
 
     @property
     def cap_area(self) -> float:
-        """Of the piston, on which oil presses to extend [m^2]."""
+        """Area of the piston, on which oil presses to extend [m^2]."""
         return 0.25 * math.pi * self.bore**2
 
     @property
     def annulus_area(self) -> float:
-        """Of the piston less the rod, on which oil presses to retract [m^2]."""
+        """Area of the piston less the rod, on which oil presses to retract [m^2]."""
         return 0.25 * math.pi * (self.bore**2 - self.rod**2)
 
 
@@ -95,8 +95,8 @@ class Hydraulics:
     joint_names: the n joints.
     joint_ranges: (m, 2) the range of each cylinder's joint that its strokes allow [rad].
     cylinders: the m cylinders.
-    pump_flow: what the pump delivers at most [m^3/s].
-    pressure: at which relief valves open [Pa].
+    pump_flow: the greatest flow of the pump [m^3/s].
+    pressure: the pressure at which relief valves open [Pa].
     engine_power: [W]; efficiency: the part of it that reaches the oil, 0 to 1.
     """
 
@@ -165,8 +165,8 @@ class Hydraulics:
     def joints(self, lengths: Array) -> Array:
         """(..., n) the joint positions [rad] with these `lengths` (..., m) [m]; the inverse of the method `lengths`.
 
-        Positions lie within `joint_range`. nan where the cylinders of one joint do not
-        agree, and where no position in the joint's range has this length.
+        Positions are within `joint_range`. They are nan if the cylinders of one joint do not
+        agree, or if no position in the joint's range has this length.
         """
         lengths = as_rows(lengths, len(self.cylinders), key="lengths")
         q = np.full((*lengths.shape[:-1], len(self.joint_names)), np.nan)
@@ -189,7 +189,7 @@ class Hydraulics:
 
         Raises
         ------
-        InputError: no cylinder moves such a joint.
+        InputError: no cylinder moves this joint.
         """
         for cylinder, (lower, upper) in zip(self.cylinders, self.joint_ranges, strict=True):
             if cylinder.joint == joint:
@@ -214,10 +214,10 @@ class Hydraulics:
         return np.asarray(np.sum(self.flows(q, v), axis=-1))
 
     def velocity_limits(self, q: Array) -> BothWays:
-        """(..., n) the greatest speed of each joint either way [rad/s], the others at rest, at q (..., n).
+        """(..., n) the greatest speed of each joint either way [rad/s], with the others at rest, at q (..., n).
 
-        The valves of its cylinders limit it, and the pump that these share. Infinite where
-        no cylinder moves the joint or all of them are at a dead centre.
+        It is limited by the valves of the joint's cylinders and by the pump that these share. It is infinite
+        if no cylinder moves the joint or all of them are at a dead centre.
         """
         arms = self._arms(q)
         sides = []
@@ -236,14 +236,14 @@ class Hydraulics:
     # --- force and pressure -----------------------------------------------------
 
     def joint_torques(self, q: Array, force: Array) -> Array:
-        """(..., n) tau = r^T F [N m] at q (..., n) of the cylinders' force F (..., m) [N], push positive."""
+        """(..., n) tau = r^T F [N m] at q (..., n) for the cylinders' force F (..., m) [N], push positive."""
         arms = self._arms(q)
         return self._by_joint(arms * as_rows(force, len(self.cylinders), key="force", beside=arms))
 
     def cylinder_forces(self, q: Array, tau: Array) -> Array:
         """(..., m) the forces F [N] that give the torques tau (..., n) [N m], push positive.
 
-        Where several cylinders move one joint, the forces of least norm: F = r tau / (r . r).
+        If several cylinders move one joint, these are the forces of least norm: F = r tau / (r . r).
         A torque on a joint without a cylinder is ignored.
         """
         arms = self._arms(q)
@@ -263,8 +263,8 @@ class Hydraulics:
     def torque_limits(self, q: Array) -> BothWays:
         """(..., n) the greatest joint torque either way at relief pressure [N m], at q (..., n).
 
-        All cylinders of a joint act together, each by pushing or pulling as its lever asks.
-        Infinite where no cylinder moves the joint.
+        All cylinders of a joint act together, each pushing or pulling according to its lever.
+        The limit is infinite if no cylinder moves the joint.
         """
         arms = self._arms(q)
         push, pull = self.force_limits.positive, self.force_limits.negative
@@ -279,15 +279,15 @@ class Hydraulics:
     def power(self, q: Array, v: Array, tau: Array) -> Array:
         """(...) power that the oil must deliver: the sum of p A |l'| [W]; a load that drives its cylinder counts as 0.
 
-        At q, v (..., n) with the torques tau (..., n) [N m]; to be kept within `power_limit`.
+        It is for q, v (..., n) with the torques tau (..., n) [N m], and must stay within `power_limit`.
         """
         return np.asarray(np.sum(self._driving_pressures(q, v, tau) * self.flows(q, v), axis=-1))
 
     def load_sensing_power(self, q: Array, v: Array, tau: Array) -> Array:
         """(...) power of a load-sensing pump: the highest pressure that is needed, times the whole flow [W].
 
-        At q, v (..., n) with the torques tau (..., n) [N m]. Flow to the lighter loads is
-        throttled down from that pressure, so it is never less than `power`.
+        It is for q, v (..., n) with the torques tau (..., n) [N m]. The flow to the lighter loads is
+        throttled down from that pressure, so the result is never less than `power`.
         """
         highest = np.max(self._driving_pressures(q, v, tau), axis=-1, initial=0.0)
         return np.asarray(highest * self.total_flow(q, v))
@@ -299,7 +299,7 @@ class Hydraulics:
 
     def _arms(self, q: Array) -> Array:
         """(..., m) dl/dq of each cylinder along its own joint [m/rad]."""
-        # speed, flow, force and power are asked for at the same q one after the other
+        # speed, flow, force and power are computed one after another at the same q
         q = as_rows(q, len(self.joint_names), key="q")
         key = (q.shape, q.tobytes())
         arms = self._known_arms.get(key)
@@ -317,7 +317,7 @@ class Hydraulics:
         return {}
 
     def _of_linkages(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
-        """(..., m) what `compute` says of each cylinder's linkage at its joint's angle, at q (..., n)."""
+        """(..., m) the result of `compute` for each cylinder's linkage and its joint's angle, at q (..., n)."""
         q = as_rows(q, len(self.joint_names), key="q")
         found = np.empty((*q.shape[:-1], len(self.cylinders)))
         for column, (cylinder, joint) in enumerate(zip(self.cylinders, self.joint_of, strict=True)):

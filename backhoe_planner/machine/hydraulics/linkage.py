@@ -1,9 +1,9 @@
-"""How the length of a cylinder follows from the angle of the joint that it moves.
+"""How the length of a cylinder depends on the angle of the joint that it moves.
 
-Everything lies in the plane across the joint's axis, with the axis at the origin and
-angles positive about it. Two linkages are known: a cylinder straight across the joint
-(`Triangle`), and one that turns a rocker whose link turns the joint (`FourBar`), as on a
-bucket. Both give the length of an angle and the angles of a length, for arrays of any shape.
+Everything is in the plane across the joint's axis, with the axis at the origin and
+angles positive about it. There are two linkages: a cylinder straight across the joint
+(`Triangle`), and one that turns a rocker whose link turns the joint (`FourBar`), such as on a
+bucket. Both give the length for an angle and the angles for a length, for arrays of any shape.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Linkage(Protocol):
 
     @property
     def length_range(self) -> tuple[float, float]:
-        """Shortest and longest distance that the pins can have [m]."""
+        """Shortest and longest possible distance of the pins [m]."""
 
     def length(self, angle: Array) -> Array:
         """Pin-to-pin length l(q) [m]; nan where the linkage does not close."""
@@ -32,7 +32,7 @@ class Linkage(Protocol):
         """Moment arm r = dl/dq [m/rad]; nan where the linkage does not close."""
 
     def angles(self, length: Array) -> Array:
-        """(k, ...) every angle q in (-pi, pi] that may have this length; nan where there is none."""
+        """(k, ...) every angle q in (-pi, pi] that may have this length; nan if there is none."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Triangle:
 
     Attributes
     ----------
-    a: distance of the joint's axis from the pin that stands still [m].
-    b: its distance from the pin that turns [m].
+    a: distance of the joint's axis from the fixed pin [m].
+    b: distance of the joint's axis from the moving pin [m].
     phi0: angle from the first pin to the second at q = 0 [rad].
     offset: h, distance of the pins along the axis [m].
     """
@@ -80,13 +80,13 @@ class Triangle:
 class FourBar:
     """A cylinder that turns a rocker, whose link turns the joint.
 
-    The joint's axis O and the rocker's pivot A stand still. The link, of length L, runs
+    The joint's axis O and the rocker's pivot A are fixed. The link, of length L, runs
     from the rocker's pin R, at distance r from A, to the pin B of the moved body, at
-    distance b from O. With d = |AB|, the rocker stands at
+    distance b from O. With d = |AB|, the rocker's angle is
 
         theta = angle(AB) + s arccos((r^2 + d^2 - L^2) / (2 r d)),
 
-    on the one side s of the line AB, and turns by (Freudenstein)
+    where s is the side of the line AB on which R is, and its derivative is (Freudenstein)
 
         dtheta/dq = (R - B) . (k x B) / ((R - B) . (k x (R - A))).
 
@@ -94,7 +94,7 @@ class FourBar:
     ----------
     pivot: A (2,) [m].
     rocker: r [m]. link: L [m].
-    pin: b [m]. pin_angle: of B at q = 0 [rad].
+    pin: b [m]. pin_angle: angle of B at q = 0 [rad].
     side: s, 1 or -1.
     drive: the triangle of cylinder and rocker about A; its angle is theta.
     """
@@ -109,7 +109,7 @@ class FourBar:
 
     @property
     def length_range(self) -> tuple[float, float]:
-        """See `Linkage`; what the rocker allows."""
+        """See `Linkage`; it is the range that the rocker allows."""
         return self.drive.length_range
 
     def length(self, angle: Array) -> Array:
@@ -146,7 +146,7 @@ class FourBar:
         R = _polar(self.rocker, self.drive.angles(length)) + self._pivot
         e = np.hypot(R[..., 0], R[..., 1])
         cosine = (self.pin**2 + e**2 - self.link**2) / (2.0 * self.pin * e)
-        # a rocker angle from which the link does not reach the pin is no posture
+        # a rocker angle from which the link does not reach the pin is not possible
         beyond = np.abs(cosine) > 1.0 + _ROUNDING
         spread = np.arccos(_within(np.where(beyond, np.nan, cosine), -1.0, 1.0))
         towards = np.arctan2(R[..., 1], R[..., 0])
@@ -165,12 +165,12 @@ def _polar(radius: float, angle: Array) -> Array:
 
 
 def _crossed(vectors: Array) -> Array:
-    """The product k x vector, a quarter turn about the axis."""
+    """The product k x vector: a quarter turn about the axis."""
     return np.stack((-vectors[..., 1], vectors[..., 0]), axis=-1)
 
 
 def _within(values: Array, low: float, high: float) -> Array:
-    """Values brought into [low, high] where rounding put them outside; nan where they are beyond."""
+    """Values clipped to [low, high] if only rounding put them outside; nan if they are further outside."""
     beyond = (values < low - _ROUNDING) | (values > high + _ROUNDING)
     return np.where(beyond, np.nan, np.clip(values, low, high))
 

@@ -1,1 +1,1 @@
-"""Where the links are, and the joints for a pose of the tip."""
+"""Forward and inverse kinematics."""

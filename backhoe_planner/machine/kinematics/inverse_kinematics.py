@@ -1,11 +1,11 @@
-"""Newton-Raphson inverse kinematics within joint limits, of one target or of many.
+"""Newton-Raphson inverse kinematics within joint limits, for one target or for many.
 
 The iteration is the paper's (q <- q + J^+ (x* - x(q))), with the damping of
 Levenberg and Marquardt chosen from the error (Sugihara 2011, "Solvability-Unconcerned
 Inverse Kinematics by the Levenberg-Marquardt Method"). Joints that push against a limit
 are left out of the step. `solve_batch` runs it for many targets at once, each from a guess
 of the caller. `solve_inverse_kinematics` runs it for one target with restarts, and finds
-the nearest pose where the target is out of reach.
+the nearest pose if the target is out of reach.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, mo
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.native import compiled
 
-_ITERATIONS = 40  # steps; most searches converge quadratically in a few, near singular postures damping slows them
-_ITERATIONS_OF_ONE = 60  # steps: a single target is given up later, since nothing else will find it
-_LARGEST_STEP = 0.6  # rad or m; chosen: over longer steps the Jacobian changes too much to be followed
-_STALLED_AT = 0.98  # part of the squared error: a step that leaves more of it is no progress; chosen
+_ITERATIONS = 40  # steps; most searches converge quadratically in a few, damping near singularities slows them down
+_ITERATIONS_OF_ONE = 60  # steps: a single target gets more, because nothing else will find it
+_LARGEST_STEP = 0.6  # rad or m; chosen: over longer steps the Jacobian changes too much
+_STALLED_AT = 0.98  # part of the squared error: a step that leaves more than this is no progress; chosen
 _MOST_STALLED = 8  # such steps in a row; fewer would end searches that slide along a limit
 _DAMPING = 0.1  # times the squared error (Sugihara's weight)
 _MOST_DAMPED_ERROR = 1e-2  # squared error beyond which the damping does not grow; chosen, an error of 0.1 m
-_LEAST_DAMPING = 1e-12  # keeps the equations solvable where no joint can move a row
-_SETTLED = 6  # attempts: where none arrives, so many of the best are led on to their nearest pose; chosen
-_ANGLE_WEIGHT = 1.0  # m per rad, in choosing among attempts: as in the squared error, a radian counts as a metre
+_LEAST_DAMPING = 1e-12  # keeps the equations solvable if no joint can move a row
+_SETTLED = 6  # if no attempt arrives, this many of the best are refined to the nearest pose; chosen
+_ANGLE_WEIGHT = 1.0  # m per rad, for choosing among attempts: as in the squared error, a radian counts as a metre
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class InverseKinematics:
     Attributes
     ----------
     reached: both errors are within the tolerance.
-    q: (n,) the solution [rad or m]; where not reached, the configuration that comes nearest.
+    q: (n,) the solution [rad or m]; if not reached, the configuration that comes nearest.
     position_error: [m]
     angle_error: [rad]
-    attempts: starting points tried.
+    attempts: number of starting points that were tried.
     """
 
     reached: bool
@@ -67,15 +67,15 @@ def solve_inverse_kinematics(
     Parameters
     ----------
     robot: the machine whose tip is placed.
-    target: position, and pitch or orientation where asked.
+    target: position, and pitch or orientation if required.
     start: (n,) where the first attempt begins [rad or m]; the middle of the ranges by default.
-    rng: draws the other starting points; by default one that is seeded with 0.
+    rng: draws the other starting points; by default a generator with seed 0.
     attempts: the greatest number of starting points.
     tolerance: on the position error [m] and the angle error [rad].
 
     Raises
     ------
-    InputError: an argument is not of its kind; names it.
+    InputError: an argument is of the wrong kind; the message names it.
     """
     kinematics, batch = Kinematics(robot), BatchKinematics(robot)
     check_kind(target, TipTarget, key="target")
@@ -92,7 +92,7 @@ def solve_inverse_kinematics(
                 True, found[first], *target.distances(kinematics.at(found[first])), len(ends) + first + 1
             )
         ends += list(found)
-        # few at first, since most targets need few; then ever more at once, which is cheaper for each
+        # few at first, because most targets need few; then more and more at once, which is cheaper for each
         count = min(2 * len(ends), attempts - len(ends))
         guesses = np.array([robot.random_q(rng) for _ in range(count)])
 
@@ -107,9 +107,9 @@ def solve_inverse_kinematics(
 
 
 def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector:
-    """(n,) where the squared error is least near `start`.
+    """(n,) the configuration near `start` with the least squared error.
 
-    Newton-Raphson would crawl: where the error stays large, J^T J is far from the second
+    Newton-Raphson would be slow here: if the error stays large, J^T J is far from the second
     derivative of the squared error.
     """
     from scipy.optimize import minimize
@@ -142,14 +142,14 @@ def solve_batch(
 ) -> tuple[Array, Flags]:
     """Configurations within the limits that put the tip on B targets, each searched from its own guess.
 
-    Nothing is restarted: the caller chooses the guesses, so that one batch yields all
+    There are no restarts: the caller chooses the guesses, so that one batch can yield all
     branches of a solution.
 
     Parameters
     ----------
     kinematics: of the machine whose tip is placed.
-    targets: B of them.
-    guesses: (B, n) where each search begins [rad or m]; brought into the limits.
+    targets: B targets.
+    guesses: (B, n) where each search begins [rad or m]; they are clipped to the limits.
     tolerance: on the norm of the position error [m] and the angle errors [rad] together.
     iterations: the greatest number of steps of one search.
 
@@ -160,7 +160,7 @@ def solve_batch(
     limits = kinematics.robot.limits
     q = np.clip(np.array(guesses, dtype=float), limits.lower, limits.upper)
     reached = np.zeros(len(q), dtype=bool)
-    # of those that go on: which they are, where they stand, and how they came on
+    # the searches that go on: their numbers, configurations and targets, and below their progress
     going, x, here = np.arange(len(q)), q, targets
     cost_before, stalled = np.full(len(q), np.inf), np.zeros(len(q), dtype=int)
     for iteration in range(iterations + 1):
@@ -176,7 +176,7 @@ def solve_batch(
         left = ~arrived & (stalled <= _MOST_STALLED)
         if iteration == iterations or not left.any():
             break
-        J = here.jacobians(at).transpose(1, 2, 0)  # the searches run along the last axis, in which numpy is quick
+        J = here.jacobians(at).transpose(1, 2, 0)  # the searches run along the last axis, along which numpy is fast
         if not left.all():
             going, x, here, error, J = going[left], x[left], here.take(left), error[left], J.compress(left, axis=2)
             cost_before, stalled = cost_before[left], stalled[left]
@@ -187,7 +187,7 @@ def solve_batch(
 
 
 def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) -> Array:
-    """(B, n) damped Newton steps [rad or m], without the joints that would leave a limit at which they stand.
+    """(B, n) damped Newton steps [rad or m], without joints that are at a limit and would move beyond it.
 
     J: (m, n, B); error: (B, m); q: (B, n).
     """
@@ -212,7 +212,7 @@ def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) 
 def damped_steps(J: Array, error: Array, damping: Vector, /) -> Array:
     """(n, B) the steps J^T (J J^T + damping I)^-1 error of J (m, n, B), error (m, B) and damping (B,).
 
-    By elimination without pivots, which a positive definite matrix does not need, for all B at once.
+    They are solved by elimination for all B at once, without pivots, which a positive definite matrix does not need.
     """
     count = len(J)
     square = np.einsum("inb,jnb->ijb", J, J)

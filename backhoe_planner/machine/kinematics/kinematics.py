@@ -1,9 +1,9 @@
 """Forward kinematics, of one configuration and of many at once.
 
-Owning a `Configuration` is evidence that everything in it belongs to its `q`. Pinocchio
+Owning a `Configuration` is evidence that everything in it belongs to its `q`; Pinocchio
 computes it. A `ConfigurationBatch` holds the same for B configurations. It is computed with
-one array operation per joint for the whole batch, a few microseconds per configuration in a
-batch of thousands. Tests compare the two.
+one array operation per joint for the whole batch, which takes a few microseconds per
+configuration in a batch of thousands. Tests compare the two.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _WORLD_AXES = pin.LOCAL_WORLD_ALIGNED
 def joint_poses(data: pin.Data) -> Array:
     """(joints, 3, 4) R and t of every joint's frame in the world, a view of Pinocchio's memory; joint 0 is the world.
 
-    It shows where the joints of `data` are now. They stand one behind the other in memory, equally far apart.
+    The view always shows the current poses of the joints of `data`, which are equally spaced in memory.
     """
     poses = [(pose.rotation, pose.translation) for pose in data.oMi]
     first, second, *_ = (R.__array_interface__["data"][0] for R, _ in poses)
@@ -49,10 +49,10 @@ class Configuration:
     ----------
     q: (n,) joint positions [rad or m].
     T_world_tip: pose of the tip.
-    jacobian: (6, n) of the tip's velocity, linear over angular, in world axes
+    jacobian: (6, n) Jacobian of the tip's velocity, linear over angular, in world axes
         [m/rad, rad/rad].
     J_world: (6, n) Pinocchio's joint Jacobians: column j is the spatial velocity of
-        joint j, linear part taken at the world's origin, in world axes.
+        joint j, with its linear part at the world's origin, in world axes.
     points: (n + 1, 3) origins of the joints from the machine outward, then the tip
         [m], world.
     """
@@ -77,14 +77,14 @@ class Configuration:
 
     @property
     def pitch(self) -> float:
-        """Angle of the line bucket pin to tip above the horizontal [rad], up positive.
+        """Angle of the line from the bucket pin to the tip above the horizontal [rad], up positive.
 
-        Measured in the plane across the last joint's axis, see also `Robot.pitch_pin`; for the backhoe it equals
-        boom + stick + bucket, up to whole turns.
+        It is measured in the plane across the last joint's axis; see also `Robot.pitch_pin`. For the backhoe it
+        equals boom + stick + bucket, up to whole turns.
 
         Raises
         ------
-        InputError: the last joint's axis is not horizontal in every posture.
+        InputError: the last joint's axis is not horizontal in every configuration.
         """
         if not self.robot.has_pitch:
             raise InputError(
@@ -118,11 +118,11 @@ class Kinematics:
         self.robot = check_kind(robot, Robot, key="robot")
         self._n = robot.n
         self._data = data = robot.model.createData()
-        # views of Pinocchio's own memory: they show what it computed last, and are copied where they are handed out
+        # views of Pinocchio's own memory: they show its latest results, and are copied before they are returned
         self._origins = joint_poses(data)[1:, :, 3]
         self._tip = data.oMf[robot.tip_frame]
         self._tip_position = self._tip.translation
-        self._J = data.J.reshape(6, self._n)  # of one joint alone it is 1-D
+        self._J = data.J.reshape(6, self._n)  # with one joint J is 1-D
         self._pin = robot.model, data, robot.tip_frame
 
     def at(self, q: Vector) -> Configuration:
@@ -135,7 +135,7 @@ class Kinematics:
         return self.at_unchecked(as_vector(q, self._n, key="q", names=self.robot.joint_names))
 
     def at_unchecked(self, q: Vector) -> Configuration:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`at` without checks, for callers in a loop whose arguments are right by construction."""
         model, data, tip = self._pin
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacement(model, data, tip)
@@ -148,7 +148,7 @@ class Kinematics:
 
 @compiled
 def placed_arrays(J: Matrix, origins: Matrix, tip: Vector, /) -> tuple[Matrix, Matrix]:
-    """Copies of J (6, n), and of `origins` (n, 3) with the `tip` (3,) behind them."""
+    """Copies of J (6, n), and of `origins` (n, 3) followed by the `tip` (3,)."""
     points = np.empty((len(origins) + 1, 3))
     points[:-1], points[-1] = origins, tip
     return J.copy(), points
@@ -167,7 +167,7 @@ class ConfigurationBatch:
     origins: (B, n, 3) origins of the joints [m], world.
     rotations: (B, n, 3, 3) R_world_joint of the frames that turn with the joints.
     prismatic: (n,) which joints slide.
-    pitch_sense: see `Robot.pitch_sense`; 0 where pitch is not defined.
+    pitch_sense: see `Robot.pitch_sense`; 0 if pitch is not defined.
     pitch_pin: see `Robot.pitch_pin`.
     """
 
@@ -201,7 +201,7 @@ class ConfigurationBatch:
         return columns.transpose(2, 0, 1)
 
     def pitch(self) -> Array:
-        """(B,) angle of the line bucket pin to tip above the horizontal [rad]; see `Configuration.pitch`."""
+        """(B,) angle of the line from bucket pin to tip above the horizontal [rad]; see `Configuration.pitch`."""
         axis = self.pitch_sense * self.axes[:, -1]
         line = self.tip_position - self.origins[:, -1]
         if self.pitch_pin is not None:
@@ -216,10 +216,11 @@ class ConfigurationBatch:
 
 
 def chain_factors(robot: Robot) -> Matrix:
-    """(33, n) of each joint, one below the other the rows of an (11, 3) matrix, which is one of columns transposed.
+    """(33, n) the constants of each joint: a column is an (11, 3) matrix, flattened row by row.
 
-    A serial chain: joint j hangs on joint j - 1. By Rodrigues its rotation is I + sin K + (1 - cos) K^2, and
-    all that multiplies the rotation before it stands in one (3, 11) matrix: R, R K, R K^2, the axis, the origin [m].
+    In a serial chain joint j hangs on joint j - 1. By Rodrigues its rotation is I + sin K + (1 - cos) K^2. All
+    factors of the rotation before it are in one (3, 11) matrix, which is stored transposed: R, R K, R K^2, the axis,
+    the origin [m].
     """
     own = []
     for placement, axis in zip(list(robot.model.jointPlacements)[1:], robot.joint_axes, strict=True):
@@ -235,7 +236,7 @@ class BatchKinematics:
         self.robot = robot
         model = robot.model
         self._factors, self._slides = chain_factors(robot), robot.prismatic.astype(float)
-        self._inward = []  # for a point that a joint carries: (9, 3) R, R K, R K^2 one below the other, axis, origin
+        self._inward = []  # for a point that a joint carries: R, R K, R K^2 stacked (9, 3), the axis, the origin
         for own in self._factors.T:
             parts = own.reshape(11, 3).T
             self._inward.append((np.vstack(np.split(parts[:, :9], 3, axis=1)), parts[:, 9:10], parts[:, 10:]))
@@ -245,10 +246,10 @@ class BatchKinematics:
         self._sense = robot.pitch_sense if robot.has_pitch else 0.0
 
     def tip_positions(self, q: Array) -> Array:
-        """(B, 3) positions of the tip alone [m], world, in the configurations `q` (B, n)."""
+        """(B, 3) positions of the tip [m], world, in the configurations `q` (B, n), and nothing else."""
         joints = np.ascontiguousarray(np.asarray(q, dtype=float).T)
         sine, versine = np.sin(joints), 1.0 - np.cos(joints)
-        point = self._tip[3][:, None]  # in the frame of the last joint, then of each further in
+        point = self._tip[3][:, None]  # in the frame of the last joint, then of each joint further in
         for joint in range(len(joints) - 1, -1, -1):
             matrix, axis, origin = self._inward[joint]
             parts = matrix @ point
@@ -261,7 +262,7 @@ class BatchKinematics:
     def at(self, q: Array) -> ConfigurationBatch:
         """The configurations `q` (B, n)."""
         q = np.asarray(q, dtype=float)
-        joints = np.ascontiguousarray(q.T)  # the configurations run along the last axis, in which numpy is quick
+        joints = np.ascontiguousarray(q.T)  # the configurations run along the last axis, along which numpy is fast
         axes, origins, rotations, tip_position, tip_rotation = chain_placements(
             joints, np.sin(joints), 1.0 - np.cos(joints), self._factors, self._slides, self._tip
         )
@@ -284,12 +285,12 @@ def chain_placements(
 ) -> tuple[Array, Array, Array, Matrix, Array]:
     """A chain's axes (n, 3, B), origins (n, 3, B) and rotations, (3, B) tip position, and the tip's rotation (3, 3, B).
 
-    The rotations (n, 3, 3, B) stand column by column.
+    The rotations (n, 3, 3, B) are stored column by column.
 
     Parameters
     ----------
     q: (n, B) joint positions [rad or m]; sine, versine: of these.
-    factors: (33, n) of each joint, one below the other the rows of its (11, 3) matrix; see `chain_factors`.
+    factors: (33, n) constants of the joints, from `chain_factors`.
     slides: (n,) 1 for a joint that slides, 0 for a hinge.
     tip: (4, 3) the columns of the tip's rotation in the last joint, and its position there [m].
     """

@@ -1,4 +1,4 @@
-"""Where the tip is to be: a position, perhaps with a pitch or an orientation; one target or many."""
+"""Targets for the tip: a position, perhaps with a pitch or an orientation; one target or many."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_arr
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
-_NO_SINE = 1e-12  # of an angle so small that it equals its sine
-_NEAR_HALF_TURN = -0.9  # cosine from which on a rotation vector is found from the symmetric part; chosen, 154 degrees
-_NO_TURN = 1e-12  # rad: less has no axis, and is within any tolerance
+_NO_SINE = 1e-12  # sine of an angle so small that it equals its sine
+_NEAR_HALF_TURN = -0.9  # cosine below which the symmetric part gives the rotation vector; chosen, 154 degrees
+_NO_TURN = 1e-12  # rad: a smaller rotation has no axis, and is within any tolerance
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
 
 @dataclass(frozen=True)
 class TipTarget:
-    """A pose of the tip, as much of it as is specified.
+    """A target pose of the tip, which may leave the pitch or the orientation free.
 
     Attributes
     ----------
     position: (3,) [m], world.
-    pitch: (low, high) [rad], equal where one angle is asked for; None where it is free.
-    rotation: (3, 3) R_world_tip; None where orientation is free.
-    rotation_tolerance: how far the tip may be turned from `rotation` [rad]: errors count from there on.
+    pitch: (low, high) [rad], equal for a single angle; None if it is free.
+    rotation: (3, 3) R_world_tip; None if the orientation is free.
+    rotation_tolerance: how far the tip may be turned from `rotation` [rad]: only the excess is an error.
 
     Raises
     ------
-    InputError: one of them is not such numbers.
+    InputError: one of them does not hold such numbers.
     """
 
     position: Vector
@@ -42,7 +42,7 @@ class TipTarget:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
-        # paths make targets by the thousand, whose angles are two numbers already: an array of them costs more
+        # a path makes thousands of targets whose pitch is two numbers already: an array check would cost more
         if not (self.pitch is None or (isinstance(self.pitch, tuple) and _are_two_numbers(*self.pitch))):
             low, high = as_array(self.pitch, 2, key="pitch").tolist()
             object.__setattr__(self, "pitch", (low, high))
@@ -52,7 +52,7 @@ class TipTarget:
             as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
 
     def pitch_excess(self, pitch: float) -> float:
-        """How far `pitch` lies above (+) or below (-) the asked range [rad]; 0 inside."""
+        """How far `pitch` is above (+) or below (-) the required range [rad]; 0 inside."""
         pitch = as_number(pitch, key="pitch")
         if self.pitch is None:
             return 0.0
@@ -63,8 +63,8 @@ class TipTarget:
     def error(self, at: Configuration) -> Vector:
         """(m,) target minus actual at a configuration: position [m], then angles [rad].
 
-        Rows: 3 of position; then 1 of pitch (0 inside the asked range) or 3 of the
-        rotation vector, in world axes, as far as it is longer than the tolerance.
+        The rows are 3 of position, then 1 of pitch (0 inside the required range) or 3 of the
+        rotation vector, in world axes, by as much as it is longer than the tolerance.
         """
         rows = [self.position - check_kind(at, Configuration, key="at").tip_position]
         if self.rotation is not None:
@@ -74,7 +74,7 @@ class TipTarget:
         return np.concatenate(rows)
 
     def turn_to(self, other: TipTarget) -> float:
-        """The angle between the orientations, or the middle pitches, of two targets [rad]; 0 where one has none."""
+        """The angle between the orientations, or the middle pitches, of two targets [rad]; 0 if one has none."""
         check_kind(other, TipTarget, key="other")
         if self.rotation is not None and other.rotation is not None:
             return float(np.linalg.norm(pin.log3(self.rotation.T @ other.rotation)))
@@ -100,13 +100,13 @@ class TipTarget:
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
     def _turn_from(self, at: Configuration) -> Vector:
-        """(3,) rotation vector from the tip's orientation to the asked one, in world axes [rad]."""
+        """(3,) rotation vector from the tip's orientation to the target's, in world axes [rad]."""
         assert self.rotation is not None
         return np.asarray(at.tip_rotation @ pin.log3(at.tip_rotation.T @ self.rotation))
 
 
 def _beyond(turn: Vector, tolerance: float) -> Vector:
-    """(3,) what of a rotation vector is longer than `tolerance` [rad]."""
+    """(3,) a rotation vector shortened by `tolerance`, to no less than 0 [rad]."""
     angle = float(np.linalg.norm(turn))
     return turn * max(1.0 - tolerance / angle, 0.0) if angle > 0.0 else turn
 
@@ -132,10 +132,10 @@ class TargetBatch:
     ----------
     position: (B, 3) [m], world.
     rotation: (B, 3, 3) R_world_tip; the identity where `has_rotation` is false.
-    has_rotation: (B,) whether an orientation is asked for.
+    has_rotation: (B,) whether an orientation is required.
     rotation_tolerance: (B,) how far the tip may be turned from it [rad].
-    pitch_middle, pitch_half: (B,) middle and half width of the asked range of the pitch [rad].
-    has_pitch: (B,) whether a pitch is asked for.
+    pitch_middle, pitch_half: (B,) middle and half width of the required range of the pitch [rad].
+    has_pitch: (B,) whether a pitch is required.
     """
 
     position: Array
@@ -158,7 +158,7 @@ class TargetBatch:
             rotation_tolerance=np.array([target.rotation_tolerance for target in targets]),
             pitch_middle=np.array([0.0 if r is None else 0.5 * (r[0] + r[1]) for r in ranges]),
             pitch_half=np.array([0.0 if r is None else 0.5 * (r[1] - r[0]) for r in ranges]),
-            # where both are given, the orientation decides, as in `TipTarget`
+            # if both are given, the orientation decides, as in `TipTarget`
             has_pitch=np.array([r is not None for r in ranges], dtype=bool) & ~has_rotation,
         )
 
@@ -175,7 +175,7 @@ class TargetBatch:
         return replace(self, has_rotation=no, pitch_middle=np.array(pitch), pitch_half=zero, has_pitch=yes)
 
     def errors(self, at: ConfigurationBatch) -> Array:
-        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not asked for."""
+        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not required."""
         found = np.zeros((len(self), 7))
         found[:, :3] = self.position - at.tip_position
         if self.has_rotation.any():
@@ -191,7 +191,7 @@ class TargetBatch:
 
     def jacobians(self, at: ConfigurationBatch) -> Array:
         """(B, 7, n) of `errors`: to first order, a step dq reduces an error by jacobian @ dq."""
-        found = np.zeros((7, at.q.shape[1], len(self))).transpose(2, 0, 1)  # laid out like what fills it
+        found = np.zeros((7, at.q.shape[1], len(self))).transpose(2, 0, 1)  # the memory layout of what is copied in
         found[:, :3] = at.position_jacobian()
         if self.has_rotation.any():
             turning = at.rotation_jacobian()
@@ -205,7 +205,7 @@ class TargetBatch:
         return found
 
     def _turns_from(self, at: ConfigurationBatch) -> Array:
-        """(B, 3) rotation vectors from the tip's orientations to the asked ones, in world axes [rad]."""
+        """(B, 3) rotation vectors from the tip's orientations to the targets', in world axes [rad]."""
         asked, tip = self.rotation.transpose(1, 2, 0), at.tip_rotation.transpose(1, 2, 0)
         turn = sum(asked[:, None, k] * tip[None, :, k] for k in range(3))
         return rotation_vectors(np.asarray(turn).transpose(2, 0, 1))
@@ -213,7 +213,7 @@ class TargetBatch:
 
 def rotation_vectors(rotation: Array) -> Array:
     """(B, 3) rotation vectors of rotation matrices (B, 3, 3) [rad]."""
-    # twice the axis times the sine, from the part that is not symmetric
+    # twice the axis times the sine, from the skew-symmetric part
     pairs = ((2, 1), (0, 2), (1, 0))
     twice = np.array([rotation[:, i, j] - rotation[:, j, i] for i, j in pairs])
     sine = 0.5 * np.sqrt(twice[0] ** 2 + twice[1] ** 2 + twice[2] ** 2)
@@ -221,20 +221,20 @@ def rotation_vectors(rotation: Array) -> Array:
     ratio = np.where(sine > _NO_SINE, np.arctan2(sine, cosine) / np.maximum(sine, _NO_SINE), 1.0)
     found = (0.5 * ratio * twice).T
     half_turn = np.flatnonzero(cosine < _NEAR_HALF_TURN)
-    if len(half_turn):  # there the sine says little
+    if len(half_turn):  # there the sine is too small to give the axis
         found[half_turn] = _near_half_turn(rotation[half_turn], twice[:, half_turn])
     return np.asarray(found)
 
 
 def _near_half_turn(rotation: Array, twice: Array) -> Array:
-    """(B, 3) the same near half a turn; `twice` (3, B) is twice the axis times the sine.
+    """(B, 3) rotation vectors near half a turn; `twice` (3, B) is twice the axis times the sine.
 
-    The symmetric part is cos I + (1 - cos) a a^T. Its column with the largest of the axis' components shows the axis a.
+    The symmetric part is cos I + (1 - cos) a a^T. Its column of the axis's largest component gives the axis a.
     """
     count = np.arange(len(rotation))
     largest = np.argmax(rotation[:, [0, 1, 2], [0, 1, 2]], axis=1)
     column = rotation[count, :, largest] + rotation[count, largest]
-    # on its diagonal stands 2 cos + 2 (1 - cos) a_k^2, of which the trace, 1 + 2 cos, takes off 2 cos
+    # the diagonal entry is 2 cos + 2 (1 - cos) a_k^2; 1 minus the trace, which is 1 + 2 cos, removes the 2 cos
     column[count, largest] += 1.0 - np.trace(rotation, axis1=1, axis2=2)
     axis = column / np.sqrt(np.einsum("bi,bi->b", column, column))[:, None]
     sine = 0.5 * np.einsum("bi,ib->b", axis, twice)
@@ -254,5 +254,5 @@ def rotation_matrices(turns: Matrix) -> Array:
 
 
 def movable_rows(jacobian: Matrix) -> Flags:
-    """(..., m) which rows of a task's Jacobian (..., m, n) any joint can move; the z of a planar arm is not one."""
+    """(..., m) which rows of a task Jacobian (..., m, n) any joint can move; the z of a planar arm is not one."""
     return np.asarray(np.max(np.abs(jacobian), axis=-1) > _IMMOVABLE)
