@@ -11,17 +11,18 @@ from typing import NoReturn
 
 from backhoe_planner.blas import use_one_thread
 
-_YOUNG = 20_000  # objects; the simplest plan makes 120,000 that nearly all stay, and takes 3 % longer with Python's 700
-_INTERRUPTED = 128 + signal.SIGINT  # exit status, as shells give it to what Ctrl-C ended
+# objects; the simplest plan makes 120,000, of which nearly all stay, and takes 3 % longer with Python's default of 700
+_YOUNG = 20_000
+_INTERRUPTED = 128 + signal.SIGINT  # the exit status that shells report for a command ended by Ctrl-C
 
 
 def main() -> NoReturn:
-    """Entry point of the command line. Ctrl-C also works before the command runs, and after."""
+    """Entry point of the command line. Ctrl-C also works before and after the command runs."""
     catches = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if catches:
         signal.signal(signal.SIGINT, _end)
     use_one_thread()
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it reads what every installed package offers
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # otherwise pydantic scans all installed packages
     gc.set_threshold(_YOUNG, *gc.get_threshold()[1:])
     from backhoe_planner.cli import main as run
 
@@ -34,14 +35,14 @@ def main() -> NoReturn:
     finally:
         if catches:
             signal.signal(signal.SIGINT, _end)
-        if "ompl" not in sys.modules:  # it complains of every object of its own that is left at the end
-            gc.freeze()  # the system takes back all memory at once; looking for cycles in it costs 0.1 s
+        if "ompl" not in sys.modules:  # ompl complains about each of its objects that is left at the end
+            gc.freeze()  # the system frees all memory at once; a search for cycles would take 0.1 s
 
 
 def _interrupt(_: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt; in the middle of an import, end at once.
 
-    Some libraries take every exception during an import to mean that a part is not
+    Some libraries take any exception during an import to mean that an optional part is not
     installed, and would go on. Nothing is being written at that time.
     """
     while frame is not None:

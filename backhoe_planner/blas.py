@@ -1,7 +1,7 @@
-"""The threads of numpy's linear algebra (BLAS): one is the best for what is computed here.
+"""The number of threads of numpy's linear algebra (BLAS): one is best for the small matrices here.
 
-Matrices have some ten or hundred rows. By default BLAS starts a thread for each core, and these wait for each other
-in loops that keep the cores busy: a plan then takes half as much of the processor again, and no less time.
+The matrices have some ten or hundred rows. By default BLAS starts a thread for each core, and the threads wait for
+each other in loops that keep the cores busy: a plan then takes 1.5 times the processor time, and is no faster.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ ONE_THREAD: Mapping[str, str] = MappingProxyType(
 
 
 def use_one_thread() -> None:
-    """Give BLAS one thread in this process and its children, but where the environment says how many.
+    """Give BLAS one thread in this process and its children, unless the environment sets the number.
 
-    It has to come before numpy is loaded.
+    This must be called before numpy is loaded.
     """
     for name, count in ONE_THREAD.items():
         os.environ.setdefault(name, count)

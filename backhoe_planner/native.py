@@ -1,14 +1,14 @@
-"""Compiled versions of some functions on arrays, where the package `backhoe_planner_native` is installed.
+"""Compiled versions of some functions on arrays, used if the package `backhoe_planner_native` is installed.
 
-What runs at every step of a motion, or in every round of a search, has its arithmetic in functions that take and
-return arrays and numbers alone. Each stands in plain Python where it belongs, marked so:
+The arithmetic that runs at every step of a motion, or in every round of a search, is in functions that take and
+return only arrays and numbers. Each is written in plain Python in the module where it belongs, and marked so:
 
     @compiled
     def bounds_after(lower, travel, q_0, q, /): ...
 
-and in C under the same name, in the folder `native` of the source. The marked function is the compiled one where
-the installed package has it. Its plain version says what is computed, is what the compiled one is tested against, and
-runs where there is none. Both give the same results to rounding.
+and in C under the same name, in the folder `native` of the source. The marked function is the compiled one if
+the installed package has it. The plain version defines what is computed, is the reference in the tests of the
+compiled one, and runs if there is no compiled one. Both give the same results to rounding.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from types import ModuleType
 from typing import Any, TypeVar, cast
 
 _PACKAGE = "backhoe_planner_native"
-_INTERFACE = 17  # of the functions, in both versions; counted up where one takes or returns something else
-_PLAIN_ONLY = "BACKHOE_PLANNER_PLAIN"  # set in the environment, it leaves the compiled versions alone
+_INTERFACE = 17  # version of the functions' interface, in Python and C; increased if arguments or results change
+_PLAIN_ONLY = "BACKHOE_PLANNER_PLAIN"  # if set in the environment, the compiled versions are not used
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 @cache
 def find_compiled() -> ModuleType | None:
-    """The package of compiled functions; None where it is not installed, is of another version, or is not wanted.
+    """The package of compiled functions; None if it is not installed, has another interface, or is not wanted.
 
-    It is looked for once, when the first function is marked: it loads numpy.
+    It is looked for only once, when the first function is marked, because it loads numpy.
     """
     if os.environ.get(_PLAIN_ONLY):
         return None
@@ -46,12 +46,12 @@ _plain: dict[str, Callable[..., Any]] = {}
 
 
 def compiled(plain: _Function) -> _Function:
-    """The compiled version of a function where the installed package has one, else the function itself."""
+    """The compiled version of a function if the installed package has one, otherwise the function itself."""
     _plain[plain.__name__] = plain
     found = find_compiled()
     if found is None:
         return plain
-    found.plain[plain.__name__] = plain  # it answers where the compiled one has no room for so many joints
+    found.plain[plain.__name__] = plain  # called when the compiled one has no room for so many joints
     return cast(_Function, getattr(found, plain.__name__, plain))
 
 
@@ -61,7 +61,7 @@ def plain_versions() -> dict[str, Callable[..., Any]]:
 
 
 def native_version() -> str | None:
-    """The version of the compiled functions that are in use; None where all runs in plain Python."""
+    """The version of the compiled functions that are in use; None if everything runs in plain Python."""
     import importlib.metadata  # takes long to load
 
     if find_compiled() is None:

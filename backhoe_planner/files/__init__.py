@@ -1,1 +1,1 @@
-"""How files are read and written."""
+"""Reading and writing files."""

@@ -1,7 +1,7 @@
-"""The user's cache folder: what takes seconds to work out, kept from one run to the next.
+"""The user's cache folder: results that take seconds to compute, kept from one run to the next.
 
-An entry begins with a checksum of what it was worked out from and of what follows. One that is damaged
-counts as missing; one that cannot be written costs time only. The folder may be deleted at any time.
+An entry begins with a checksum of its inputs and of the content that follows. A damaged entry counts
+as missing; if an entry cannot be written, this only costs time. The folder may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _CHECKSUM = 32  # bytes
 
 
 def caches() -> Path:
-    """The folder of this package, whether or not it exists yet.
+    """The cache folder of this package, whether or not it exists yet.
 
-    In ``XDG_CACHE_HOME`` where it is set to an absolute path; else in the user's folder of caches on this system.
-    A RuntimeError where the user has no home folder.
+    It is in ``XDG_CACHE_HOME`` if that is set to an absolute path, otherwise in the user's cache folder on this
+    system. A RuntimeError is raised if the user has no home folder.
     """
     home, asked = Path.home(), os.environ.get("XDG_CACHE_HOME", "")
     if Path(asked).is_absolute():
@@ -38,7 +38,7 @@ def caches() -> Path:
 
 
 def maker_digest(folder: Path, files: Sequence[str], libraries: Sequence[str]) -> bytes:
-    """A digest of the code in `files` of a folder, and of the versions of the libraries that it calls."""
+    """A digest of the code in `files` of a folder, and of the versions of the libraries that the code calls."""
     from importlib.metadata import version
 
     digest = hashlib.sha256()
@@ -49,7 +49,7 @@ def maker_digest(folder: Path, files: Sequence[str], libraries: Sequence[str]) -
 
 
 def read_entry(entry: Path, key: bytes) -> bytes | None:
-    """What an entry holds; None where there is none for this `key`, or a damaged one."""
+    """The content of an entry; None if there is no entry for this `key`, or it is damaged."""
     try:
         content = entry.read_bytes()
     except OSError:
@@ -59,7 +59,7 @@ def read_entry(entry: Path, key: bytes) -> bytes | None:
 
 
 def keep_entry(entry: Path, key: bytes, body: bytes) -> None:
-    """Write an entry, whole or not at all: another process may write the same one now."""
+    """Write an entry completely or not at all: another process may be writing the same one."""
     with contextlib.suppress(OSError, OutputError):
         entry.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(entry, "wb") as file:

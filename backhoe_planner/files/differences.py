@@ -1,4 +1,4 @@
-"""What a file says otherwise than was computed anew from what it holds."""
+"""The differences between the figures in a file and those recomputed from its content."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-_TOLD = 5  # differences that are told one by one; chosen
-_SAME = 1e-6  # of a figure, or of 1 in its unit: rounding of another machine's libraries
+_TOLD = 5  # differences that are listed one by one; chosen
+_SAME = 1e-6  # part of a figure, or of 1 in its unit: rounding of another computer's libraries
 
 
 def differences(
     said: Mapping[str, Any], found: Mapping[str, Any], *, left_out: Mapping[str, Collection[str]]
 ) -> list[str]:
-    """In words, which figures of a file are not those that were computed, with their keys; none where all are.
+    """The figures of a file that differ from the computed ones, in words and with their keys; empty if there are none.
 
-    Of many the first ones, and how many more there are.
+    If there are many, the first ones and the number of the others.
 
     Parameters
     ----------
     said: read from the file.
     found: computed from its motions, with the same keys.
-    left_out: by the name of a key what is not compared below it.
+    left_out: by the name of a key, the keys below it that are not compared.
     """
     lines = [line for key in said for line in _compared(said[key], found[key], key, key, left_out)]
     more = [f"and {len(lines) - _TOLD} figures more"] if len(lines) > _TOLD else []

@@ -1,4 +1,4 @@
-"""Packages that only some uses need: where one is missing, the message says what to install."""
+"""Packages that only some functions need: if one is missing, the message says what to install."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def need_package(package: str, *, extra: str, what: str) -> None:
 
     Parameters
     ----------
-    package: as it is imported.
-    extra: of this package's, that brings it.
-    what: needs it, for the message, in the plural: ``studies``.
+    package: its name in import statements.
+    extra: the extra of this package that installs it.
+    what: what needs it, for the message, in the plural: ``studies``.
 
     Raises
     ------

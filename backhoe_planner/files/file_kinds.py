@@ -1,4 +1,4 @@
-"""The kinds of file that the commands take, known by how they begin or by their keys, so that the wrong one is told."""
+"""The kinds of file that the commands take, told by their beginning or keys, so that a wrong one is recognised."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Kind = Literal["scene", "job", "study", "plan", "job plan", "stand", "urdf"]
 
 @dataclass(frozen=True)
 class _FileKind:
-    """What a file of one kind is called, and which command takes it; its name goes into the braces."""
+    """The words for one kind of file, and which command takes it; the file's name goes into the braces."""
 
     words: str
     taken: str
@@ -32,28 +32,28 @@ _KINDS: dict[Kind, _FileKind] = {
         "a URDF", "`backhoe-planner plan {0} SCENE` takes it, before the scene, and `backhoe-planner inspect {0}`"
     ),
 }
-_KEYS: dict[Kind, frozenset[str]] = {  # of which one is in every file of that kind, and in no other
+_KEYS: dict[Kind, frozenset[str]] = {  # every file of that kind has one of these keys, and no other file does
     "scene": frozenset({"task"}),
     "job": frozenset({"dig"}),
     "study": frozenset({"scene", "job", "parameters"}),
 }
 _FORMATS: dict[str, Kind] = {"plan": "plan", "job": "job plan", "stand": "stand"}
-_FORMAT = re.compile(r'"format":\s*"backhoe-planner/(\w+)"')  # as files that the package writes begin
-_KEY = re.compile(r"""^["']?(\w+)["']?\s*:""", re.MULTILINE)  # of YAML that is not indented
-_BEGINNING = 200  # characters in which the format stands
+_FORMAT = re.compile(r'"format":\s*"backhoe-planner/(\w+)"')  # the beginning of files that the package writes
+_KEY = re.compile(r"""^["']?(\w+)["']?\s*:""", re.MULTILINE)  # a key of YAML that is not indented
+_BEGINNING = 200  # characters from the start that contain the format
 
 
 def refuse_other_kind(text: str, wanted: Kind, *, file: Path, error: type[InputError]) -> None:
-    """Refuse a file that is of another kind than the one that is wanted; nothing where that cannot be told.
+    """Refuse a file of another kind than the `wanted` one; do nothing if the kind is not recognised.
 
     Parameters
     ----------
     text: of the file.
-    error: the class of what is raised.
+    error: the class of the exception.
 
     Raises
     ------
-    error: says what the file seems to be, and what takes it.
+    error: says what the file seems to be, and which command takes it.
     """
     found = _kind_of(text, wanted)
     if found is not None and found != wanted:
@@ -70,12 +70,12 @@ def _kind_of(text: str, wanted: Kind) -> Kind | None:
         return "urdf" if "<robot" in text else None
     keys = _keys(text)
     if "format" in keys:
-        return None  # written by a program, and damaged or of another package
+        return None  # a program wrote it: it is damaged, or from another package
     return next((kind for kind in dict.fromkeys((wanted, *_KEYS)) if keys & _KEYS.get(kind, frozenset())), None)
 
 
 def _keys(text: str) -> frozenset[str]:
-    """The keys of the outermost mapping, as far as they can be told without reading all of YAML."""
+    """The keys of the outermost mapping, as far as they are recognised without parsing the YAML."""
     if text.lstrip().startswith("{"):
         try:
             content = json.loads(text)

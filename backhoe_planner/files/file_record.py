@@ -1,4 +1,4 @@
-"""A record that is a whole YAML file: where it was read, and where the files lie that it names."""
+"""A record that is a whole YAML file: the file it was read from, and the folder of the files that it names."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class FileRecord(Record):
     """A record that is a whole file."""
 
     wrong: ClassVar[type[InputError]] = SceneError
-    """The class of what is raised where the file is wrong."""
+    """The class of the exception if the file is wrong."""
 
     _folder: Path = PrivateAttr(default=Path())
     _file: Path | None = PrivateAttr(default=None)
 
     @property
     def folder(self) -> Path:
-        """Where files that it names are looked for."""
+        """The folder in which files that it names are looked for."""
         return self._folder
 
     @property
@@ -39,7 +39,7 @@ class FileRecord(Record):
 
     @classmethod
     def file_schema(cls, kind: str) -> dict[str, Any]:
-        """The JSON Schema of such a file, of a `kind` in one word."""
+        """The JSON Schema of such a file; `kind` is one word for its title."""
         schema = cls.model_json_schema(by_alias=True)
         return schema | {"$schema": _DIALECT, "title": f"backhoe_planner {kind}"}
 
@@ -52,17 +52,17 @@ class FileRecord(Record):
         file: Path | None,
         lines: Mapping[KeyPath, int] | None,
     ) -> Self:
-        """The record of plain data.
+        """The record made from plain data.
 
         Parameters
         ----------
         content: keys and values as in its file.
-        folder: where files that it names are looked for.
+        folder: the folder in which files that it names are looked for.
         file, lines: for messages: the file it came from, and the line of every key.
 
         Raises
         ------
-        InputError: of the class `wrong`; names the key's path, what was found, and what is allowed.
+        InputError: of the class `wrong`; names the path of the key, what was found, and what is allowed.
         """
         check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
         folder = check_path(folder, key="folder")

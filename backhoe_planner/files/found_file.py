@@ -1,4 +1,4 @@
-"""Whether there is a file or a folder; there is none of a name that is too long, or that none can have."""
+"""Whether a file or a folder exists; a name that is too long or not possible is simply one that does not exist."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from backhoe_planner.errors import OutputError
 
-# endings of what this project writes or reads in other formats: under one of them JSON would be taken for that
+# endings of other formats that this project writes or reads: JSON under one of them would be taken for that format
 _TEXTS = (".html", ".htm", ".yaml", ".yml", ".urdf", ".xml")
 _PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _TABLES = (".csv", ".npz", ".npy", ".parquet", ".xyz", ".ply", ".stl", ".obj")
@@ -22,11 +22,11 @@ _OTHERS = frozenset((*_TEXTS, *_PICTURES, *_TABLES))
 def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
     """Open a file for writing; it appears under its name only once it is complete.
 
-    Where the name is a link, the file that it leads to is written.
+    If the name is a link, the file that it leads to is written.
 
     Parameters
     ----------
-    path: where it is to appear.
+    path: where the file is to appear.
     mode: ``w`` for UTF-8 text with its line ends as they are, ``wb`` for bytes.
 
     Raises
@@ -54,14 +54,14 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
-    """The file that is written, behind links too; checked before the long work whose result it is to hold.
+    """The file to write, with links resolved; call this before the long work whose result it will hold.
 
     Raises
     ------
-    OutputError: the path is a folder or a device, its folder does not exist or may not be written, links lead round
-        in a circle, or no file can have that name.
+    OutputError: the path is a folder or a device, its folder does not exist or may not be written, links form
+        a circle, or no file can have that name.
     """
-    target, file = Path(path), os.fspath(path)  # messages say what was given
+    target, file = Path(path), os.fspath(path)  # messages name the path as given
     try:
         target = target.resolve() if target.is_symlink() else target
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
@@ -81,16 +81,16 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def check_ending(path: str | os.PathLike[str], allowed: Sequence[str], *, what: str) -> str:
-    """The ending of a file's name in lower case, where what is to be written can be written so.
+    """The ending of a file's name in lower case, which must be one of `allowed`.
 
     Parameters
     ----------
     allowed: endings, such as ``.png``.
-    what: is to be written, for the message, such as ``a page``.
+    what: what is to be written, for the message, such as ``a page``.
 
     Raises
     ------
-    OutputError: the name ends otherwise.
+    OutputError: the name has another ending.
     """
     ending = Path(path).suffix.lower()
     if ending not in allowed:
@@ -102,7 +102,7 @@ def check_ending(path: str | os.PathLike[str], allowed: Sequence[str], *, what: 
 
 
 def check_apart(targets: Sequence[Path | None]) -> None:
-    """Check that each of what is written goes to a file of its own, by whatever name; None is not written.
+    """Check that each output goes to a file of its own, by whatever name; None is not written.
 
     Raises
     ------
@@ -119,11 +119,11 @@ def check_apart(targets: Sequence[Path | None]) -> None:
 
 
 def check_record(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
-    """As `check_output`, and that the name is none of a page, a figure, a table or a scene: what is written is JSON.
+    """`check_output` for JSON: also check that the name is not that of a page, a figure, a table or a scene.
 
     Raises
     ------
-    OutputError: the name ends as that of another kind of file; or see `check_output`.
+    OutputError: the name has the ending of another kind of file; or see `check_output`.
     """
     check_output(path, inputs)
     ending = Path(path).suffix.lower().strip()
@@ -134,7 +134,7 @@ def check_record(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
 
 
 def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
-    """The same, and that it is none of the files from which its content comes.
+    """Check that a file can be written, see `check_writable`, and that it is none of the inputs of its content.
 
     Raises
     ------

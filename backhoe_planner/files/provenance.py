@@ -1,4 +1,4 @@
-"""What a plan's file says of where it comes from: paths, and versions of what made it."""
+"""The provenance that a plan file states: the paths of its inputs, and the versions of the software that made it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 
 from backhoe_planner.native import native_version
 
-_PACKAGES = ("backhoe_planner", "pin", "coal", "numpy")  # on which the numbers of a plan depend
+_PACKAGES = ("backhoe_planner", "pin", "coal", "numpy")  # the numbers of a plan depend on these
 
 
 def relative_path(path: Path, folder: Path | None) -> str:
-    """A path as a file in `folder` names it; with None as it is."""
+    """A path relative to `folder`; unchanged if `folder` is None."""
     if folder is None:
         return str(path)
     try:
@@ -24,12 +24,12 @@ def relative_path(path: Path, folder: Path | None) -> str:
 
 
 def installed_versions() -> dict[str, str]:
-    """Of Python and of the packages that make a plan, as far as they are installed and used."""
+    """The versions of Python and of the packages that make a plan, as far as they are installed and used."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
     native = native_version()
-    if native is not None:  # else no number depends on it
+    if native is not None:  # otherwise no number depends on it
         found["backhoe_planner_native"] = native
     return found

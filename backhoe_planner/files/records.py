@@ -1,7 +1,7 @@
 """Files with a schema: their records, and messages that say what is wrong with a file.
 
 A schema is written once, as pydantic records. `explain` turns pydantic's complaints into
-messages that name the key as it stands in the file, its line, what was found and what is
+messages that name the key as it is in the file, its line, what was found and what is
 allowed, with the nearest name for a key that does not exist.
 """
 
@@ -31,9 +31,9 @@ from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.files.schema_keys import entries_at, fields_of, meant_by, record_at, variants
 from backhoe_planner.files.yaml_text import DECIMAL_COMMA, KeyPath
 
-_LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
+_LARGEST_FIGURE = 1e30  # in any unit: its square is still finite
 _WITH_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
-_BRIEF = 80  # characters, about a line: a longer value is not repeated in a message
+_BRIEF = 80  # characters, about a line: longer values are not repeated in messages
 
 
 def _figure(found: Any) -> Any:
@@ -42,34 +42,34 @@ def _figure(found: Any) -> Any:
     return math.nan if found is None else found
 
 
-# a computed number, which may be nan; JSON writes that as null
+# a computed number, which may be nan; JSON has null for it
 Figure = Annotated[float, Field(strict=True), BeforeValidator(_figure)]
 
 
 class Record(BaseModel):
-    """Keys that are not in the schema are refused; nothing changes after reading."""
+    """A part of a file with a schema: other keys are refused, and nothing changes after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, strict=False, defer_build=True)
 
     def __init__(self, /, **data: Any) -> None:
-        """Made from keywords: what is not allowed is an InputError that names the key, as it is of a file."""
+        """Make a record from keywords; a value that is not allowed is an InputError that names the key."""
         try:
             super().__init__(**data)
         except ValidationError as error:
             raise InputError(explain(error, data, root=type(self)), key=type(self).__name__) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Refused for what is in the file; the class keeps notes of its own under names with an underscore."""
+        """Refuse to set fields of the file; only names with an underscore, notes of the class itself, can be set."""
         if not name.startswith("_"):
             hint = f"model_copy(update={{{name!r}: ...}}) makes another, of which nothing is checked"
             raise InputError("does not change once it is made", key=f"{type(self).__name__}.{name}", hint=hint)
         super().__setattr__(name, value)
 
     def __delattr__(self, name: str) -> None:
-        """Refused."""
+        """Refuse to delete anything."""
         raise InputError("does not change once it is made", key=f"{type(self).__name__}.{name}")
 
-    # to pydantic this is its own: records within records are read as without it
+    # pydantic then treats this `__init__` as its own, and reads records within records without calling it
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @classmethod
@@ -82,7 +82,7 @@ class Record(BaseModel):
         properties = handler.resolve_ref_schema(schema).get("properties", {})
         for owner in cls.__mro__:
             for name, text in _described_fields(owner).items() if issubclass(owner, Record) else ():
-                field = cls.model_fields.get(name)  # None for what stands with the class, not in the file
+                field = cls.model_fields.get(name)  # None for an attribute of the class that is not in the file
                 key = (field and field.alias) or name
                 if key in properties:
                     properties[key].setdefault("description", text)
@@ -105,7 +105,7 @@ def _described_fields(record: type[BaseModel]) -> dict[str, str]:
 
 @functools.cache
 def _classes_of(module: str) -> dict[str, list[ast.stmt]]:
-    """The bodies of a module's classes by their qualified names; `inspect` reads the whole module for each class."""
+    """The bodies of a module's classes by their qualified names; `inspect` would read the module for each class."""
     return dict(_class_bodies(ast.parse(inspect.getsource(sys.modules[module])), ""))
 
 
@@ -143,16 +143,16 @@ def explain(
     Parameters
     ----------
     error: pydantic's complaints about it.
-    content: keys and values as they stand in the file.
-    root: the schema, or one that holds it.
-    lines: the line of every key, where it is known.
+    content: keys and values as in the file.
+    root: the schema, or one that contains it.
+    lines: the line of every key, if known.
     """
     tagged = variants(root)
     problems = []
     found = list(_of_one_kind(error.errors(include_url=False)))
     for detail in found:
         if detail["type"] == "too_short" and any(_is_within(other["loc"], detail["loc"]) for other in found):
-            continue  # pydantic does not count an entry that is wrong itself
+            continue  # the list is only too short because pydantic does not count entries that are wrong
         place = _place_in_file(detail["loc"], content, missing=detail["type"] == "missing")
         above = (place[:k] for k in range(len(place), 0, -1))
         line = next((lines[part] for part in above if part in lines), None) if lines else None
@@ -218,7 +218,7 @@ def describe(detail: Any) -> str:
 
 
 def _not_a_choice(found: str, shown: str, expected: str) -> str:
-    """The message for a value that is none of those `expected`, as pydantic lists them: 'work', 'time' or ..."""
+    """The message for a value that is none of `expected`, which pydantic lists as: 'work', 'time' or ..."""
     near = nearest_name(found, expected.replace(" or ", ", ").replace("'", "").split(", "))
     return f"is not one of the allowed values{shown}; allowed: {expected}" + (
         f" (did you mean {near!r}?)" if near else ""
@@ -226,13 +226,13 @@ def _not_a_choice(found: str, shown: str, expected: str) -> str:
 
 
 def _wrong_tag(detail: Any, tagged: Mapping[str, type[BaseModel]]) -> str:
-    """The message for a key that chooses between records, where it is missing or chooses none."""
+    """The message for a key that chooses between records, if it is missing or chooses none."""
     key = str(detail["ctx"]["discriminator"]).strip("'")
     choices = sorted(tag for tag, record in tagged.items() if key in record.model_fields)
     if detail["type"] == "union_tag_not_found":
         return f"{key} is missing; allowed: {', '.join(choices)}"
     tag = str(detail["ctx"]["tag"])
-    if key.endswith("()"):  # what chooses is the kind of value, not a key
+    if key.endswith("()"):  # the kind of value chooses, not a key
         return f"is a {tag}; allowed: {{key: value, ...}}"
     return f"there is no {key} {tag!r}{_meant(nearest_name(tag, choices))} Allowed: {', '.join(choices)}"
 
@@ -242,7 +242,7 @@ def _meant(name: str | None) -> str:
 
 
 def _of_one_kind(details: list[Any]) -> list[Any]:
-    """Of the complaints about a value that may be a number or a list or mapping, those for what it is."""
+    """The complaints; of those about a value that may be a number or a list or mapping, only those for its own kind."""
 
     def misses(detail: Any) -> bool:
         is_number_for_more = detail["type"] in ("tuple_type", "dict_type")
@@ -253,7 +253,7 @@ def _of_one_kind(details: list[Any]) -> list[Any]:
         )
 
     def is_answered(detail: Any) -> bool:
-        """Whether the other member of the union, which stands last in the place, has a complaint too."""
+        """Whether the other member of the union, the last entry of the place, has a complaint too."""
         *above, member = detail["loc"]
         if not str(member).endswith(("float", "]")):
             return False
@@ -266,7 +266,7 @@ def _of_one_kind(details: list[Any]) -> list[Any]:
 def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -> KeyPath:
     """The path of keys in the file: `loc` without the names that pydantic adds for members of a union.
 
-    With `missing`, the last key is one that the file does not have.
+    missing: whether the last key is one that the file does not have.
     """
     place: list[str | int] = []
     node = content

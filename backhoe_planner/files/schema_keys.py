@@ -1,4 +1,4 @@
-"""The keys of a schema: which may stand at a place of a file, and where one that stands in the wrong place belongs."""
+"""The keys of a schema: which keys a place in a file may have, and where a misplaced key belongs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pydantic.fields import FieldInfo
 
 from backhoe_planner.errors import nearest_name
 
-_HINTED_LEVELS = 2  # below a key that is not allowed, in which a place for it is looked for
+_HINTED_LEVELS = 2  # levels below a record that are searched for a place of a key that is not allowed there
 
 
 def variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Every record within `root` that a tag chooses, by that tag."""
+    """Every record within `root` that is chosen by a tag, by that tag."""
     found: dict[str, type[BaseModel]] = {}
     seen, todo = set[type[BaseModel]](), [root]
     while todo:
@@ -32,13 +32,13 @@ def variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
 def record_at(
     loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]
 ) -> type[BaseModel]:
-    """The record that holds the key to which `loc` points, from the schema itself."""
+    """The record of the schema that contains the key at `loc`."""
     node, choices = root, [root]
     for part in loc[:-1]:
         below = [record for field in _fields_called(part, node) for record in _models_in(field.annotation)]
         if below:
             node, choices = below[0], below
-        else:  # an index, or what pydantic adds for the member of a union: its tag, or the name of its record
+        else:  # an index, or what pydantic adds for a member of a union: its tag, or the name of its record
             named = [record for record in choices if record.__name__ == part]
             node = named[0] if named else tagged.get(str(part), node)
     return node
@@ -49,15 +49,15 @@ def _fields_called(key: str | int, record: type[BaseModel]) -> list[FieldInfo]:
 
 
 def fields_of(record: type[BaseModel]) -> dict[str, FieldInfo]:
-    """The fields of a record by their keys as they stand in a file."""
+    """The fields of a record by their keys in a file."""
     return {field.alias or name: field for name, field in record.model_fields.items()}
 
 
 def meant_by(key: str, given: Mapping[str, Any], record: type[BaseModel]) -> str | None:
-    """What `key`, one of those `given` for a record that does not have it, seems to stand for; None where that is open.
+    """The key that `key`, one of those `given` for a record that does not have it, seems to mean; None if unclear.
 
-    That is the only place below where such a key may stand, as `task.goal`, else the key of the record that is spelt
-    nearly so. Names with numbers count as a mapping of them where nothing else is given.
+    It is the only place below the record that has such a key, such as `task.goal`, otherwise the key of the record
+    with a similar spelling. If only names with numbers are given, they are taken for entries of a mapping.
     """
     found, fields = _places_below(key, [("", record)], depth=_HINTED_LEVELS), fields_of(record)
     if not found:
@@ -70,7 +70,7 @@ def meant_by(key: str, given: Mapping[str, Any], record: type[BaseModel]) -> str
 
 
 def _places_below(key: str, records: Sequence[tuple[str, type[BaseModel]]], *, depth: int) -> set[str]:
-    """Where `key` may stand in what the `records` hold, each with how its place begins, at the least depth."""
+    """The places of `key` below the `records`, each given with the beginning of its place, at the least depth."""
     below = [
         (f"{beginning}{name}.", inner)
         for beginning, record in records
@@ -89,7 +89,7 @@ def _takes_numbers_by_name(annotation: Any) -> bool:
 
 
 def entries_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]) -> str:
-    """How many numbers the list at `loc` has, in words; nothing where that is not fixed."""
+    """How many numbers the list at `loc` has, in words; empty if that is not fixed."""
     for field in _fields_called(loc[-1], record_at(loc, root, tagged)):
         for annotation in (field.annotation, *get_args(field.annotation)):
             entries = get_args(annotation) if get_origin(annotation) is tuple else ()
@@ -99,7 +99,7 @@ def entries_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mappin
 
 
 def _models_in(annotation: Any, *, in_lists: bool = True) -> Iterator[type[BaseModel]]:
-    """The records that `annotation` takes; without `in_lists` those of which it takes one, not a list of them."""
+    """The records that `annotation` accepts; without `in_lists` not those that it accepts only in a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     if in_lists or get_origin(annotation) is not tuple:

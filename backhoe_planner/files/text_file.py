@@ -13,8 +13,8 @@ def read_text(path: Path, *, what: str, error: type[InputError] = InputError, fo
     Parameters
     ----------
     what: what the file holds, for messages, such as ``scene``.
-    error: the class of what is raised.
-    formats: those in which it may be, for the message about a file that is no text.
+    error: the class of the exception.
+    formats: the formats that are allowed, for the message about a file that is not text.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def read_text(path: Path, *, what: str, error: type[InputError] = InputError, fo
         raise error(said, file=path, allowed=formats) from problem
     except OSError as problem:
         raise error(f"cannot be read: {problem.strerror}", file=path) from problem
-    except ValueError as problem:  # the name holds what none can
+    except ValueError as problem:  # the name has a character that no name can have
         raise error(f"no such {what} file", file=path) from problem
     if not text.strip():
         raise error("the file is empty", file=path, allowed=f"a {what}")

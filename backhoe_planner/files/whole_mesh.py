@@ -1,4 +1,4 @@
-"""Whether a text file of points or triangles holds what it says; one that was cut short or broken is noticed."""
+"""The check that a text file of points or triangles is complete: a file that was cut short or broken is refused."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from pathlib import Path
 from backhoe_planner.errors import InputError
 
 _HEADER = 1_000_000  # bytes in which the header of a PLY ends
-_NUMBERS = (3, 4, 6, 7)  # of a vertex in an OBJ: its place, a weight, a colour
-_CONTINUED = re.compile(rb"\\\r?\n")  # the end of a line that goes on in the next one
-_SHOWN = 60  # bytes of a wrong line; chosen
+_NUMBERS = (3, 4, 6, 7)  # of a vertex in an OBJ: position, perhaps a weight, perhaps a colour
+_CONTINUED = re.compile(rb"\\\r?\n")  # the end of a line that continues in the next one
+_SHOWN = 60  # bytes of a wrong line in a message; chosen
 
 
 def check_whole(path: Path) -> None:
     """Compare the lines of an ASCII PLY or OFF with the counts in its header, and look for the end of an ASCII STL.
 
-    Of an OBJ, whose reader lets numbers run on from line to line, see that each vertex has its numbers and each face
-    its vertices. What other files hold says nothing, or is checked where they are read.
+    In an OBJ, whose reader lets numbers run on from line to line, check that each vertex has its numbers and each
+    face its vertices. Other files do not tell whether they are complete, or are checked where they are read.
 
     Raises
     ------
-    InputError: the file has other counts than it says, or no end; a vertex or face of an OBJ is none.
-    OSError: it cannot be read.
+    InputError: the counts differ from the header, or the end is missing; a vertex or face of an OBJ is invalid.
+    OSError: the file cannot be read.
     """
     kind = path.suffix.lower()
     content = path.read_bytes() if kind in (".ply", ".off", ".stl", ".obj") else b""
@@ -65,14 +65,14 @@ def _check_off(path: Path, content: bytes) -> None:
         return
     vertices, faces = int(words[1]), int(words[2])
     written = [line for line in lines if line.strip()]
-    # the counts stand on the first line or on one of their own
+    # the counts are on the first line or on a line of their own
     rows = len(written) - (1 if len(written[0].split()) > 1 else 2)
     _check_rows(path, rows, vertices + faces, f"{vertices} of vertices and {faces} of faces")
 
 
 def _check_obj(path: Path, content: bytes) -> None:
     vertices, sizes, faces = 0, set[int](), list[tuple[int, list[int]]]()
-    counted_back = 0  # vertices there were where the first face counts back from the last of them
+    counted_back = 0  # number of vertices before the first face that counts back from the last vertex
     for number, line in enumerate(_CONTINUED.sub(b" ", content).splitlines(), start=1):
         words = line.split()
         if words[:1] == [b"v"]:
@@ -89,7 +89,7 @@ def _check_obj(path: Path, content: bytes) -> None:
             faces.append((number, own))
             if min(own) < 0:
                 counted_back = counted_back or vertices
-                own.append(-min(own))  # as many there must be
+                own.append(-min(own))  # at least this many vertices are needed
     for number, own in faces:
         if max(own) > vertices:
             raise InputError(

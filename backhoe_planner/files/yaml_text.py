@@ -1,8 +1,8 @@
-"""YAML as a person means it: no key twice, no tabs, numbers as in YAML 1.2.
+"""YAML as a person means it: no duplicate keys, no tabs, numbers as in YAML 1.2.
 
 PyYAML's own loader keeps the last of two equal keys, reads ``1e-3`` as text and
-``no`` as false; this one does not, and it knows the line on which each key stands.
-ruamel.yaml was tried instead: it reports a key that stands twice without its path and its
+``no`` as false; this one does not, and it knows the line of each key.
+ruamel.yaml was tried instead: it reports a duplicate key without its path and its
 first line, and accepts lists as keys. With both corrected by hand the code was as long as
 this, and reading a scene of 20 lines took two to three times as long.
 """
@@ -22,7 +22,7 @@ from backhoe_planner.files.text_file import read_text
 
 KeyPath = tuple[str | int, ...]
 
-# keys and entries of one file, aliases written out: 1 kB of aliases can stand for 10^9 of them
+# keys and entries of one file, aliases expanded: 1 kB of aliases can expand to 10^9 of them
 _MOST_KEYS = 200_000
 
 
@@ -68,12 +68,12 @@ def read_yaml(
     ----------
     path: the file.
     what, keys: for messages: what the file holds, and some of its keys.
-    kind: of file, if it is one that a command takes; one of another kind is refused.
-    error: the class of what is raised.
+    kind: the kind of file, if a command takes it; a file of another kind is refused.
+    error: the class of the exception.
 
     Raises
     ------
-    error: the file cannot be read, is empty, is not YAML, or names a key twice.
+    error: the file cannot be read, is empty, is not YAML, or has a key twice.
     """
     text = read_text(path, what=what, error=error)
     if kind is not None:
@@ -91,7 +91,7 @@ def read_yaml(
         raise error(_describe(problem), file=path) from problem
     except InputError:
         raise
-    except (AttributeError, LookupError, TypeError) as problem:  # as PyYAML's constructors run into
+    except (AttributeError, LookupError, TypeError) as problem:  # raised inside PyYAML's constructors
         raise error("cannot be understood: a tag does not suit its value", file=path) from problem
     except (ValueError, RecursionError) as problem:
         raise error(f"cannot be understood: {problem}", file=path) from problem
@@ -102,7 +102,7 @@ def read_yaml(
 
 
 def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: Path, error: type[InputError]) -> None:
-    """Add the line of every key and entry below `node`, which stands at `at`, to `lines`."""
+    """Add the line of every key and entry below `node`, whose place is `at`, to `lines`."""
     if len(lines) > _MOST_KEYS:
         raise error(f"holds more than {_MOST_KEYS} entries, counting what its aliases stand for", file=path)
     where = f"{'.'.join(map(str, at))} (line {node.start_mark.line + 1})" if at else None
@@ -131,7 +131,7 @@ def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: P
 
 
 def _refuse_decimal_comma(node: yaml.MappingNode, at: KeyPath, path: Path, error: type[InputError]) -> None:
-    """An error where a number was written with a comma: {a: 0,9} is a and another key, 9, without a value."""
+    """Raise `error` if a number is written with a comma: {a: 0,9} is a: 0 and another key, 9, without a value."""
     for (name, before), (key, after) in itertools.pairwise(node.value if node.flow_style else ()):
         whole, part = str(before.value), str(key.value)
         if after.value == "" and part.isdecimal() and _WHOLE_NUMBER.fullmatch(whole):
