@@ -1,4 +1,4 @@
-"""The paper's law by its equations, the completed law, the shield."""
+"""The paper's law by its equations, the completed law, and the shield."""
 
 import lazy_loader
 

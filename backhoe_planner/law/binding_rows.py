@@ -1,18 +1,19 @@
 """A quadratic program with many soft rows, solved in bounded work.
 
-Of hundreds of rows few bind. The program is first solved without its soft rows; then those
-that its solution misses most are added, and it is solved again, until every row that was left
-out is kept, or missed by no more than the worst of those that are in (row generation, as in
-cutting-plane methods). Where all rows can be kept, the result is the solution with all rows:
-its conditions of optimality (Karush, Kuhn and Tucker) hold with multipliers of 0 for the rows
-that were left out. Where they cannot, as all corners of an arm that somebody walks into, every
-missed row would enter the solver's active set, whose cost grows with its cube; instead, a few
-different directions of the worst misses are weighed against each other.
+Few of hundreds of rows bind. The program is first solved without its soft rows. Then the rows
+that its solution violates most are added and it is solved again, until every row that was left
+out is kept, or is violated by no more than the worst of those that are in (row generation, as in
+cutting-plane methods). If all rows can be kept, the result is the solution with all rows:
+its optimality conditions (Karush, Kuhn and Tucker) hold with multipliers of 0 for the rows
+that were left out. If they cannot, as when somebody walks into an arm, every violated row would
+enter the solver's active set, whose cost grows with its cube. A few different directions of the
+worst violations are then weighed against each other instead.
 
 Programs with up to `MOST_SOFT_ROWS` soft rows are solved at once, with all of them.
 
-Of hard rows too few bind, in a program of hundreds with a hundred variables, where most of the solver's time goes into
-taking them in. `solve_with_near_rows` leaves out those that are far for all x within the bounds, until one is missed.
+Few hard rows bind, too, in a program with hundreds of them and a hundred variables, in which the solver spends most
+of its time on adding rows. `solve_with_near_rows` leaves out the rows that no x within the bounds comes near, and adds
+those that the solution violates.
 """
 
 from __future__ import annotations
@@ -26,28 +27,28 @@ from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, StackedRows, so
 from backhoe_planner.native import compiled
 
 MOST_SOFT_ROWS = 48  # in a problem that is solved; an ordinary step has up to 25 (scripts/bench_servo.py)
-_ROUNDS = 4  # chosen; where all rows can be kept, 2 or 3 are enough
+_ROUNDS = 4  # chosen; if all rows can be kept, 2 or 3 are enough
 _PER_ROUND = MOST_SOFT_ROWS // _ROUNDS  # rows added at a time
-MOST_ITERATIONS = 150  # of the solver for one problem; an ordinary step takes up to 10, 48 missed rows some 100
-_ALIKE = 0.98  # cosine of the angle between two rows that ask for the same; chosen, some 11 degrees
+MOST_ITERATIONS = 150  # of the solver for one problem; an ordinary step takes up to 10, 48 violated rows some 100
+_ALIKE = 0.98  # cosine of the angle between two rows that demand the same; chosen, some 11 degrees
 _KEPT = 1e-9  # rad/s or m/s, in the measure of the cost: rounding
 _NONE: Indices = np.zeros(0, dtype=np.intp)
-# part of the most that a row can come to within the bounds; one that allows more than it is left out at first; chosen
-# among 0.02 to 0.3, of a hundred programs with 0.1 seven are solved again
+# part of the greatest value that g x can have within the bounds; rows whose h is larger are left out at first; chosen
+# among 0.02 to 0.3: with 0.1, seven of a hundred programs are solved again
 _FAR = 0.1
 _ROUNDING = 1e-5  # m/rad: a row without a greater entry is noise; measured, coal's normals are right to some 1e-6
-_MISSED = 1e-6  # in the units of the conditions, by which a row is missed: the solver's own tolerance
+_MISSED = 1e-6  # in the units of the conditions: a row is violated if by more; the solver's own tolerance
 
 
 class BindingSolution(NamedTuple):
-    """The x that costs least, and the work that finding it took.
+    """The x of least cost, and the work to find it.
 
     Attributes
     ----------
     x: (n,).
-    kept: (K,) which of the soft rows were in, counted through all blocks.
-    rows: of the largest problem that was solved.
-    problems, iterations: problems that were solved, and the solver's iterations in all of them.
+    kept: (K,) indices of the soft rows that were in, counted through all blocks.
+    rows: number of rows of the largest problem that was solved.
+    problems, iterations: number of problems that were solved, and of the solver's iterations in all of them.
     """
 
     x: Vector
@@ -60,12 +61,12 @@ class BindingSolution(NamedTuple):
 def solve_with_binding_rows(
     program: QuadraticProgram, *, first: Indices | None = None, stacked: StackedRows | None = None
 ) -> BindingSolution | None:
-    """The solution; None where no x keeps bounds, hard and equal rows, or the solver needs too many iterations.
+    """The solution; None if no x keeps bounds, hard and equal rows, or the solver needs too many iterations.
 
     Parameters
     ----------
-    first: (K,) soft rows to begin with, as those that were kept of a similar program with the same rows.
-    stacked: the program's rows, where several programs share them.
+    first: (K,) soft rows for a warm start, such as `kept` of a similar program with the same rows.
+    stacked: the program's rows, if several programs share them.
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
@@ -79,7 +80,7 @@ def solve_with_binding_rows(
     soft = [block for block in program.rows if block.kind is Kind.SOFT]
     others = tuple(block for block in program.rows if block.kind is not Kind.SOFT)
     G, h = np.concatenate([block.G for block in soft]), np.concatenate([block.h for block in soft])
-    # a row's miss counts by how far x has to go for it, as the cost measures that
+    # a violation is measured by how far x has to move to remove it, in the measure of the cost
     direction = np.linalg.solve(np.linalg.cholesky(program.H), G.T).T
     size = np.sqrt((direction**2).sum(axis=1))
     size[~_says_something(G)] = np.inf  # see `soft_solution`
@@ -104,9 +105,9 @@ def solve_with_binding_rows(
 
 
 def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int) -> Vector | None:
-    """(n,) the x that costs least of a program without soft rows; None as for `solve_program`.
+    """(n,) the x of least cost of a program without soft rows; None as for `solve_program`.
 
-    Every row that is left out is kept, so that it is the x of the program with all rows.
+    At the end x keeps every row that was left out, so that it is the x of the program with all rows.
     """
     rows = [row for row in program.rows if row.kind is Kind.HARD and len(row.h)]
     others = tuple(row for row in program.rows if row.kind is not Kind.HARD)
@@ -130,10 +131,10 @@ def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int) -> 
 def soft_solution(
     H: Matrix, f: Vector, low: Vector, high: Vector, G: Matrix, h: Vector, most_iterations: int, /
 ) -> tuple[Vector, int] | None:
-    """The x (n,) of a program with soft rows G x <= h alone, and the solver's iterations; None where it needs more.
+    """The x (n,) of a program with only soft rows G x <= h, and the solver's iterations; None if it needs more.
 
-    A row of nothing but rounding is left out: one of a link that turns about an axis through what it is too near to
-    would ask, missed, for all that the joints can do.
+    A row of nothing but rounding is left out. Such a row arises if a link turns about an axis through the obstacle
+    that it is too near to; being violated, it would demand all that the joints can do.
     """
     some = _says_something(G)
     if not some.all():
@@ -150,7 +151,7 @@ def _says_something(G: Matrix) -> Flags:
 
 
 def _most_missed(direction: Matrix, missed: Vector, *, beyond: float, count: int) -> Indices:
-    """Rows that are missed by more than `beyond`, the worst of each direction, at most `count`."""
+    """Rows that are violated by more than `beyond`, the worst of each direction, at most `count`."""
     chosen: list[int] = []
     left = missed.copy()
     while len(chosen) < count and left[row := int(left.argmax())] > beyond:

@@ -7,18 +7,18 @@
         + eps |H|^2
 
 Each critical point has one scalar row g_i (the gradient of its distance) instead of its
-three velocities, and one problem holds all terms instead of a sum of pseudo-inverses: where
-the null space cannot serve a row, eps lets it fade out instead of growing without bound.
+three velocities, and one problem has all terms instead of a sum of pseudo-inverses: if
+the null space cannot serve a row, eps lets the row fade out instead of growing without bound.
 The weights are the criterion for the gains that the paper leaves open:
 
 - w_i is 0 at the influence distance and 1 at the unity distance, a cosine between
   (Maciejewski and Klein 1985), so that no row enters or leaves with a jump;
 - c_i is a push away within the unity distance, ((d_u / d)^2 - 1) times nominal;
 - h_j grows from 0 to 1 as joint j nears a limit towards which it is moving. This is
-  the purpose of D = -1 in (15). As printed, D = -1 asks for the opposite of the predicted
-  turn of the whole link, and where the prediction is wrong it drives the joint on: over
-  random postures near a limit that happened in one to three of ten. The joint's own rate
-  cannot be wrong.
+  the purpose of D = -1 in (15). As printed, D = -1 requests the opposite of the predicted
+  turn of the whole link. If the prediction is wrong, this drives the joint further towards
+  its limit: in one to three of ten random configurations near a limit it did. The joint's
+  own rate cannot be wrong.
 - s_k, with D = +1, is 0 unless the scene sets it: over seeded random scenes it made no
   measurable difference to how often the law arrives.
 """
@@ -50,14 +50,14 @@ from backhoe_planner.site import Gains, Nearby
 _EPSILON = 2e-2  # (m/rad)^2; chosen: rows weaker than its root, 0.14 m/rad, fade out
 _LARGEST_PUSH = 3.0  # times nominal; chosen
 _NEAREST_PUSH = math.sqrt(1.0 + _LARGEST_PUSH)  # unity distance over the distance at which the push is largest
-_NEAR_LIMIT = 0.15  # part of a joint's range; chosen: within this it counts as near its limit
-_FEW = 32  # rows, up to which plain numbers are faster than arrays; measured
+_NEAR_LIMIT = 0.15  # part of a joint's range; chosen: within this a joint counts as near its limit
+_FEW = 32  # rows up to which plain numbers are faster than arrays; measured
 _STANDING = 1e-9  # rad/s or m/s: a slower joint moves towards no limit
 
 
 @dataclass(frozen=True)
 class Wish:
-    """The joint velocity that the law asks for, before the shield.
+    """The joint velocity that the law requests, before the shield.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class CriticalRows(NamedTuple):
     ----------
     margin: (K,) distance minus clearance [m].
     gradient: (K, n) derivative of the distance by the joints [m/rad].
-    drift: (K,) rate at which the obstacle's own motion changes the distance [m/s].
+    drift: (K,) rate of change of the distance due to the obstacle's own motion [m/s].
     """
 
     margin: Vector
@@ -111,9 +111,9 @@ class CompletedLaw:
     ----------
     robot: the machine.
     influence: margin (distance minus clearance) within which an obstacle acts [m].
-    nominal: speed of the push away from an obstacle at twice its unity factor [m/s].
+    nominal: speed of the push away from an obstacle where the push factor is 1 [m/s].
     gains: s_e and s_o multiply the primary task and the obstacles' weights, s_k [by
-        joint name] asks link k to turn as predicted (D = +1); None for 1, 1 and 0.
+        joint name] weighs the turn of link k as predicted (D = +1); None for 1, 1 and 0.
     directionality: whether joints near a limit are held, and links turned.
     """
 
@@ -153,20 +153,20 @@ class CompletedLaw:
         Parameters
         ----------
         at: the configuration.
-        J_e: (m, n) task Jacobian; rows that no joint can move are to be left out.
+        J_e: (m, n) task Jacobian; leave out rows that no joint can move.
         xdot_e: (m,) task velocity, [m/s] and [rad/s].
         nearby: critical points within clearance + influence.
 
         Raises
         ------
-        InputError: an argument is not of its kind or its shape; names it.
+        InputError: an argument has the wrong kind or shape; the message names it.
         """
         check_kind(at, Configuration, key="at")
         J_e, xdot_e = self._checked_task(J_e, xdot_e)
         return self.wish_unchecked(at, J_e, xdot_e, self._checked_rows(nearby))
 
     def wish_unchecked(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`wish` without checks, for callers in a loop whose arguments are right by construction."""
         task = resolve(J_e)
         primary = self._s_e * task.inverse.dot(xdot_e)
         N = task.projector
@@ -182,13 +182,13 @@ class CompletedLaw:
                 acts = True
         if not acts:
             return Wish(v=primary, primary=primary, null=b, task=task)
-        null = N @ eigenpy.LDLT(A).solve(b).reshape(-1)  # of a 1 x 1 system it gives a matrix
+        null = N @ eigenpy.LDLT(A).solve(b).reshape(-1)  # for a 1 x 1 system it returns a matrix
         return Wish(v=primary + null, primary=primary, null=null, task=task)
 
     def terms_unchecked(
         self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector]:
-        """(n,), (n,) the `primary` and `null` of `wish`, the quickest way, for callers in a loop."""
+        """(n,), (n,) the `primary` and `null` of `wish`, computed the fastest way, for callers in a loop."""
         found = self.quick_terms_unchecked(at.q, J_e, xdot_e, nearby)
         if found is None:
             wish = self.wish_unchecked(at, J_e, xdot_e, nearby)
@@ -198,20 +198,20 @@ class CompletedLaw:
     def wish_on_null_line(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector] | None:
-        """(4,), (4,) the v and H of `wish`, several times faster, where the null space is one line.
+        """(4,), (4,) the v and H of `wish`, several times faster, if the null space is one line.
 
         Parameters are those of `wish`, with joint positions q (4,) for the configuration.
 
-        With N = z z^T the problem is one for the number along z:
+        With N = z z^T the only unknown is the component along z:
 
             H = z (sum_i w_i (g_i z) missing_i - sum_j h_j z_j v_j) / (eps + sum_i w_i (g_i z)^2 + sum_j h_j z_j^2)
 
-        None where J_e is not (3, 4), comes near a singularity, or links are to be turned:
-        there `wish` answers.
+        None if J_e is not (3, 4) or is near a singularity, or if links are to be turned:
+        use `wish` in these cases.
 
         Raises
         ------
-        InputError: an argument is not of its kind or its shape; names it.
+        InputError: an argument has the wrong kind or shape; the message names it.
         """
         q = as_vector(q, self.robot.n, key="q", names=self.robot.joint_names)
         J_e, xdot_e = self._checked_task(J_e, xdot_e)
@@ -224,10 +224,10 @@ class CompletedLaw:
     def quick_terms_unchecked(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector, float] | None:
-        """(n,), (n,) the `primary` and `null` of `wish`, and its damping, quicker than by `wish` or not at all.
+        """(n,), (n,) the `primary` and `null` of `wish`, and its damping, faster than by `wish`.
 
-        None where links are to be turned, or there is no quicker way: the plain one is for a null space that is one
-        line, away from singularities, see `wish_on_null_line`.
+        None if links are to be turned, or if there is no faster way: the plain version works for a null space that is
+        one line, away from singularities, see `wish_on_null_line`.
         """
         if self._turns:
             return None
@@ -260,7 +260,7 @@ class CompletedLaw:
         return CriticalRows(margin, gradient, as_vector(nearby.drift, len(margin), key="nearby.drift"))
 
     def _add_obstacles(self, primary: Vector, nearby: Nearby | CriticalRows, N: Matrix, A: Matrix, b: Vector) -> bool:
-        """Add the rows w_i (g_i (v_e + H) - c_i)^2 of critical points that depart less than c_i asks."""
+        """Add the rows w_i (g_i (v_e + H) - c_i)^2 of critical points that move away more slowly than c_i."""
         margin, gradient = nearby.margin, nearby.gradient
         acts = margin < self.influence
         count = np.count_nonzero(acts)
@@ -320,7 +320,7 @@ class CompletedLaw:
 
 
 class LawSettings(NamedTuple):
-    """The numbers of a `CompletedLaw`, see there, and those of this module; `holds` is 1.0 with directionality."""
+    """The parameters of a `CompletedLaw` and the constants of this module; `holds` is 1.0 with directionality."""
 
     s_e: float
     s_o: float
@@ -341,14 +341,14 @@ def quick_terms(
     q: Vector, J_e: Matrix, xdot_e: Vector, margin: Vector, gradient: Matrix, drift: Vector,
     ranges: tuple[tuple[float, float, float], ...], settings: LawSettings, /,
 ) -> tuple[Vector, Vector, float] | None:  # fmt: skip
-    """(n,), (n,) J_e^+ xdot_e times s_e, and H, and the damping; None where there is no quicker way than `wish`.
+    """(n,), (n,) J_e^+ xdot_e times s_e, and H, and the damping; None if there is no faster way than `wish`.
 
     Parameters
     ----------
     q: (n,) joint positions [rad or m].
     J_e, xdot_e: (m, n), (m,) the task.
     margin, gradient, drift: (K,), (K, n), (K,) of the critical points, see `CriticalRows`.
-    ranges: of each of n joints its limits, and within which of one it counts as near it [rad or m].
+    ranges: for each of n joints the two limits, and the distance within which it counts as near a limit [rad or m].
     """
     if J_e.shape != (3, 4):
         return None

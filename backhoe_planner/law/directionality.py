@@ -1,7 +1,7 @@
 """Joint directionality, equations (6) to (9) and (13) to (18).
 
-Which way a link turns is predicted from where the tip goes, and asked for in the null
-space. With P_0 the axis of the first joint, P_k the end of link k, P_e the tip:
+The direction in which a link turns is predicted from the motion of the tip, and requested in
+the null space. With P_0 the axis of the first joint, P_k the end of link k, P_e the tip:
 
     xdot_k = J_k v                                                     (8), (9)
     xdot_k = -D M sgn(P_e^k . xdot_e) dtheta' (a_k x P_k^{k-1}) + xdot_{k-1}   (13)
@@ -10,13 +10,13 @@ space. With P_0 the axis of the first joint, P_k the end of link k, P_e the tip:
     |xdot_e| = |xdot_k|                                                (16)
     M = |P_e^k| / |P_k^{k-1}|                                          (17), (18)
 
-P_e^k runs from P_k to P_e, P_k^{k-1} from P_{k-1} to P_k. A velocity of the end of a
-link stands across the link, hence the axis a_k in (13), which the print omits; the
+P_e^k runs from P_k to P_e, P_k^{k-1} from P_{k-1} to P_k. The velocity of the end of a
+link is perpendicular to the link, hence the axis a_k in (13), which the paper omits; the
 box symbol lost in print is the inner product. In three dimensions all vectors are
-taken across a_k. dtheta' is 0 when the tip moves straight along P_e^k: then nothing is
-predicted.
+projected onto the plane across a_k. dtheta' is 0 when the tip moves straight along P_e^k:
+then nothing is predicted.
 
-Two choices are open in the paper and have names here:
+The paper leaves two choices open, which have names here:
 
 - magnification: ``"printed"`` is the 1/M of (13), ``"norm_preserving"`` the M with
   which (16) holds.
@@ -24,9 +24,9 @@ Two choices are open in the paper and have names here:
   differentiates that as the paper does, so that column l > k of J_k is minus the
   tip's own column; ``"standard"`` leaves those columns 0.
 
-The print's rule that a link turns clockwise when the tip moves outward holds only
-where the arm beyond the joint bends clockwise (boom up); with `follow_bend` the sign of
-the bend multiplies it. Where the arm lies straight about the joint's axis, as always
+The paper's rule that a link turns clockwise when the tip moves outward holds only
+if the arm beyond the joint bends clockwise (boom up); with `follow_bend` the sign of
+the bend multiplies it. If the arm is straight about the joint's axis, as it always is
 about a backhoe's swing, there is no such sign, and nothing is predicted.
 """
 
@@ -45,7 +45,7 @@ Magnification = Literal["printed", "norm_preserving"]
 Reference = Literal["tip_referenced", "standard"]
 
 _SHORT = 1e-6  # m: a link shorter than this has no direction; chosen
-_STRAIGHT = 1e-9  # rad, rounding: an arm that bends less has no sense of bending
+_STRAIGHT = 1e-9  # rad, rounding: an arm that bends less has no direction of bending
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def link_velocities(
     as_rates: dtheta' is the rate |P_e^k x xdot_e| / |P_e^k|^2, the limit of (14) for small
         steps, instead of the angle that one whole step of length xdot_e would make.
 
-    Written out in floats: for a handful of links that is several times faster than arrays.
+    The code uses plain floats: for a handful of links that is several times faster than arrays.
     """
     points, axes = chain.points.tolist(), chain.axes.tolist()
     vx, vy, vz = xdot_e.tolist()
@@ -108,7 +108,7 @@ def link_velocities(
     for (ax, ay, az), (bx, by, bz), (px, py, pz), d in zip(axes, points, points[1:-1], D.tolist(), strict=False):
         lx, ly, lz = px - bx, py - by, pz - bz
         tx, ty, tz = ex - px, ey - py, ez - pz
-        # a x P_k^{k-1} and a x P_e^k: as long as the vectors across the axis
+        # a x P_k^{k-1} and a x P_e^k: as long as the parts of these vectors across the axis
         clx, cly, clz = ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx
         ctx, cty, ctz = ay * tz - az * ty, az * tx - ax * tz, ax * ty - ay * tx
         length2 = clx * clx + cly * cly + clz * clz

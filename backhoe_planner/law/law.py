@@ -1,4 +1,4 @@
-"""The paper's law, equations (1) to (12), as printed but for corrections 1 to 3.
+"""The paper's law, equations (1) to (12), as printed except for corrections 1 to 3.
 
     x_e   = f(theta)                                              (1)
     xdot_e = J_e v                                                (2)
@@ -10,10 +10,10 @@
     v     = s_e J_e^+ xdot_e + s_o H_o + sum_k s_k H_k            (12)
 
 with N = I - J_e^+ J_e. Equation (1) is `Kinematics.at`, its derivative (2) is
-`Configuration.jacobian`. The print has J_o^+ J_e in (4), (5), (10) and J_k^+ J_e in
+`Configuration.jacobian`. The paper prints J_o^+ J_e in (4), (5), (10) and J_k^+ J_e in
 (11), whose sizes do not fit; J_o J_e^+ and J_k J_e^+ are meant (Maciejewski and Klein
-1985). `(J N)^+` is unbounded near where the null space cannot move the point (and 0 just
-there): that is the law as printed, and why `completed` exists.
+1985). `(J N)^+` is unbounded near configurations in which the null space cannot move the
+point (and 0 exactly there). The law as printed has this property; `completed` removes it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def null_space_term(J_e: Matrix, xdot_e: Vector, J: Matrix, xdot: Vector) -> Vec
     ----------
     J_e: (m, n) tip Jacobian; xdot_e: (m,) tip velocity.
     J: (p, n) Jacobian J_o of a critical point, or J_k of the end of link k.
-    xdot: (p,) velocity asked of that point.
+    xdot: (p,) velocity wanted of that point.
     """
     N = projector(J_e)
     scale = float(np.linalg.norm(J))

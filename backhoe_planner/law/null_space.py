@@ -1,9 +1,9 @@
 """Pseudo-inverses and the null-space projector.
 
-The inverse that serves the task and the one in the projector are different. The first may be
-damped near a singularity, where an exact one asks for infinite rates. The projector
-N = I - J^+ J must not be damped, because then null-space terms leak into the task. It is made
-from the undamped inverse, truncated at the numerical rank.
+The inverse for the task and the one in the projector are different. The first may be
+damped near a singularity, where an exact inverse gives infinite rates. The projector
+N = I - J^+ J must not be damped, because null-space terms would then leak into the task. It is
+made from the undamped inverse, truncated at the numerical rank.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ def pseudo_inverse(J: Matrix, *, scale: float | None = None) -> Matrix:
 
     Parameters
     ----------
-    scale: size beside which singular values count as rounding; by default the largest
-        of them. A product such as J_o N needs that of its factor J_o: where the null
-        space cannot move the point at all, J_o N should be 0 and is rounding, which
-        beside itself looks like full rank.
+    scale: size relative to which singular values count as rounding; by default the largest
+        of them. A product such as J_o N needs the size of its factor J_o: if the null
+        space cannot move the point at all, J_o N should be 0 but is rounding, which
+        relative to itself looks like full rank.
     """
     U, s, Vt = np.linalg.svd(J, full_matrices=False)
     kept = s > _ROUNDING * (s[0] if scale is None else scale)
@@ -89,7 +89,7 @@ def resolve(J: Matrix) -> TaskInverse:
 
 
 def _invert_if_undamped(square: list[list[float]]) -> Matrix | None:
-    """(3, 3) the inverse of S = J J^T, where J is known not to be damped; None elsewhere.
+    """(3, 3) the inverse of S = J J^T if J is known to need no damping; otherwise None.
 
     The smallest eigenvalue of S is at least det / (trace / 2)^2, see `resolve_on_null_line`.
     """
@@ -105,7 +105,7 @@ def _invert_if_undamped(square: list[list[float]]) -> Matrix | None:
 def resolve_on_null_line(J: Matrix, xdot: Vector) -> tuple[list[float], list[float]] | None:
     """J^+ xdot (4 numbers), and the unit vector along which N projects (4 numbers).
 
-    None unless the smallest singular value of J is known to be so large that J^+ is not damped.
+    None unless the smallest singular value of J is known to be so large that J^+ needs no damping.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ def resolve_on_null_line(J: Matrix, xdot: Vector) -> tuple[list[float], list[flo
 
         J^+ = J^T adj(J J^T) / |z|^2,    N = z z^T / |z|^2
 
-    Of the eigenvalues of J J^T the smallest is at least det / (trace / 2)^2, because the
+    The smallest eigenvalue of J J^T is at least det / (trace / 2)^2, because the
     product of the other two is at most the square of half their sum. In plain numbers this
-    costs a fraction of a decomposition of so small a matrix.
+    takes a fraction of the time of a decomposition of so small a matrix.
     """
     (a0, a1, a2, a3), (b0, b1, b2, b3), (c0, c1, c2, c3) = J.tolist()
     x, y, w = xdot.tolist()

@@ -1,9 +1,9 @@
 """The paper's iteration: equation (12) as printed, without the completed law's changes.
 
-Newton-Raphson on x_e(q): xdot_e = goal - x_e, q <- q + v, a hundred times. One critical
-point: the nearest of any link to any obstacle, pushed away with a constant speed once
-it is within the influence distance, its whole velocity asked for as in (10). Gains are
-the scene's, or those of the paper.
+Newton-Raphson on x_e(q): xdot_e = goal - x_e, q <- q + v, a hundred times. There is one
+critical point, the nearest of any link to any obstacle. It is pushed away with a constant
+speed once it is within the influence distance; its whole velocity is a task, as in (10). The
+gains are the scene's, or those of the paper.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from backhoe_planner.site import Gains, Nearby, Proximity
 
 ITERATIONS = 100  # steps of one run, as in the paper
 _PUSH = 0.2  # m per iteration, |xdot_o|; chosen
-_RUNAWAY = 1e6  # rad or m: a longer step has no meaning any more
+_RUNAWAY = 1e6  # rad or m: a longer step is meaningless
 
 
 @dataclass(frozen=True)
 class Push:
-    """A critical point and the velocity asked of it: J_o (3, n) and xdot_o (3,)."""
+    """A critical point and its wanted velocity: J_o (3, n) and xdot_o (3,)."""
 
     J_o: Matrix
     xdot_o: Vector
@@ -51,7 +51,7 @@ def paper_step(
     Parameters
     ----------
     at: the configuration.
-    push: the critical point within the influence distance; None where there is none.
+    push: the critical point within the influence distance; None if there is none.
     gains: s_e, s_o and s_k.
     magnification, reference: see `directionality`.
     """
@@ -75,14 +75,14 @@ def paper_step(
 def run_iteration(
     problem: Problem, start: Vector, goal: TipTarget, *, proximity: Proximity, kinematics: Kinematics
 ) -> Matrix:
-    """(ITERATIONS + 1, n) the joints from iteration to iteration.
+    """(ITERATIONS + 1, n) the joint positions after each iteration.
 
-    It ends early where a step is not finite or absurdly long: the law as printed has no bound.
+    It ends early if a step is not finite or absurdly long, because the law as printed has no bound.
 
     Parameters
     ----------
-    problem: machine and site; its gains are used, or the paper's where it gives none.
-    start: (n,) the first joints [rad or m].
+    problem: machine and site; its gains are used, or the paper's if it gives none.
+    start: (n,) the first joint positions [rad or m].
     goal: where the tip is to arrive.
     proximity, kinematics: of the problem's machine and obstacles.
     """
@@ -93,7 +93,7 @@ def run_iteration(
     for _ in range(ITERATIONS):
         at = kinematics.at(found[-1])
         nearby = proximity.at(at.q, within=problem.scene.influence)
-        obstacles = nearby.only(proximity.owner[nearby.pair] >= 0)  # the paper knows no self-contact
+        obstacles = nearby.only(proximity.owner[nearby.pair] >= 0)  # the paper does not consider self-collision
         step = paper_step(at, goal, _push(at, obstacles, proximity.moves), gains)
         if not np.all(np.isfinite(step)) or float(np.max(np.abs(step))) > _RUNAWAY:
             break
@@ -102,7 +102,7 @@ def run_iteration(
 
 
 def _push(at: Configuration, nearby: Nearby, moves: Flags) -> Push | None:
-    """The nearest critical point of those `nearby`, pushed straight away; `moves` as in `Proximity`."""
+    """The nearest of the critical points `nearby`, pushed straight away; `moves` as in `Proximity`."""
     if len(nearby) == 0:
         return None
     row = int(np.argmin(nearby.distance))

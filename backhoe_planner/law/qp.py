@@ -1,16 +1,16 @@
-"""One quadratic program: built of named rows, looked at, then solved by daqp.
+"""One quadratic program: built of named rows, open to inspection, then solved by daqp.
 
     min_x  1/2 x^T H x + f^T x + sum_i PRICE / 2 s_i^2 / (g_i H^-1 g_i^T)
     s.t.   low <= x <= high         bounds, always kept
            G x <= h                 rows of kind HARD
            G x  = h                 rows of kind EQUAL
-           G x <= h + s             rows of kind SOFT; s is what they miss
+           G x <= h + s             rows of kind SOFT; s is their violation
 
-The price of s_i is daqp's: it counts what a row misses by how far x has to go for it, as
-the cost measures that.
+The price of s_i is daqp's: it measures the violation of a row by how far x has to move to
+remove it, in the measure of the cost.
 
 All conditions have this one sign. Building is separate from solving, so that tests can
-look at the problem, and a solution can say by itself whether it is right.
+inspect the problem, and a solution can itself tell whether it is right.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.native import compiled
 
-PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
-UNBOUNDED = 1e30  # daqp takes a bound of this size for none
-_MISSED = 2  # daqp's flag where a soft row is missed
+PRICE = 1e6  # of the violation of soft rows, see above: 1 / rho_soft of daqp
+UNBOUNDED = 1e30  # daqp treats a bound of this size as none
+_MISSED = 2  # daqp's flag if a soft row is violated
 _KEPT = 1e-5  # in the units of the conditions: ten times daqp's tolerance
 
 
@@ -45,10 +45,10 @@ class Rows(NamedTuple):
 
     Attributes
     ----------
-    name: of the source, as "clearance".
+    name: of the source, such as "clearance".
     G: (K, n).
     h: (K,).
-    kind: of all of them.
+    kind: of all rows.
     """
 
     name: str
@@ -73,7 +73,7 @@ def keeps_rows(G: Matrix, h: Vector, x: Vector, tolerance: float, /) -> bool:
 
 
 class QuadraticProgram(NamedTuple):
-    """A problem, see the module's text.
+    """A problem, see the module's docstring.
 
     Attributes
     ----------
@@ -91,11 +91,11 @@ class QuadraticProgram(NamedTuple):
 
 
 class StackedRows(NamedTuple):
-    """All conditions of a program one below the other, as daqp takes them; the bounds of x (n,) come first.
+    """All conditions of a program stacked, as daqp takes them; the bounds of x (n,) come first.
 
-    Beside soft rows, hard and equal ones make room for themselves with spare rows that say nothing.
-    daqp 0.11.0 takes memory for a working set of n + 1 conditions and one more for each soft row. A set whose rows
-    depend on each other, and in whose dependence a soft row has a part, it goes on with as if they did not
+    If there are soft rows, spare rows without effect make room for the hard and equal ones.
+    daqp 0.11.0 allocates memory for a working set of n + 1 conditions and one more for each soft row. If the rows of
+    a set are linearly dependent, and a soft row is part of the dependence, daqp goes on as if they were independent
     (`daqp_remove_blocking`, "blocked by the slacks"), and writes beyond that memory once such a set has grown
     further. With the spare rows there is room for all conditions at once, and none is ever in the set twice.
 
@@ -152,7 +152,7 @@ def _no_rows(n: int) -> StackedRows:
 
 @lru_cache(maxsize=128)
 def _soft_rows(count: int, n: int) -> tuple[Vector, Indices]:
-    """The lower sides and the senses of so many rows on x (n,), to be read only."""
+    """The lower sides and the senses of `count` soft rows on x (n,); do not modify them."""
     senses: Indices = np.zeros(n + count, dtype=np.int32)
     senses[n:] = Kind.SOFT
     return np.full(count, -UNBOUNDED), senses
@@ -164,7 +164,7 @@ def _spare_rows(count: int, n: int) -> Rows:
 
 
 class Solution(NamedTuple):
-    """The x that costs least.
+    """The x of least cost.
 
     Attributes
     ----------
@@ -182,8 +182,8 @@ class Solution(NamedTuple):
     def residual(self) -> float:
         """Largest violation of the optimality conditions (Karush, Kuhn and Tucker), in the units of the terms.
 
-        Gradient of the cost against the multipliers, conditions that are broken, and
-        multipliers of conditions that do not bind; 0 at the exact solution.
+        It covers the gradient of the Lagrangian, violated conditions, and multipliers of
+        conditions that do not bind; it is 0 at the exact solution.
         """
         program, x = self.program, self.x
         n = len(x)
@@ -208,12 +208,12 @@ class Solution(NamedTuple):
 def solve_program(
     program: QuadraticProgram, *, most_iterations: int = 1000, stacked: StackedRows | None = None
 ) -> Solution | None:
-    """The solution, or None where no x keeps bounds, hard and equal rows.
+    """The solution, or None if no x keeps bounds, hard and equal rows.
 
     Parameters
     ----------
-    most_iterations: of the solver; where it needs more, there is no solution either.
-    stacked: the program's rows, where several programs share them.
+    most_iterations: of the solver; if it needs more, the result is None, too.
+    stacked: the program's rows, if several programs share them.
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
@@ -233,7 +233,7 @@ def solve_program(
 
 
 def _keeps(program: QuadraticProgram, stacked: StackedRows, x: Vector) -> bool:
-    """Whether x (n,) keeps bounds, hard and equal rows, which daqp does not see to where it misses a soft row."""
+    """Whether x (n,) keeps bounds, hard and equal rows, which daqp does not ensure if it violates a soft row."""
     off = np.maximum(program.low - x, x - program.high)
     Gx = stacked.G @ x
     miss = np.maximum(stacked.low - Gx, Gx - stacked.high)[stacked.senses[len(x) :] != Kind.SOFT]
@@ -243,13 +243,13 @@ def _keeps(program: QuadraticProgram, stacked: StackedRows, x: Vector) -> bool:
 def step_on_path(
     wish: Vector, J: Matrix, *, error: Vector, low: Vector, high: Vector, rows: tuple[Rows, ...] = ()
 ) -> Vector | None:
-    """(n,) the step dq nearest to `wish` (n,) with J dq = error [rad or m], or None where there is none.
+    """(n,) the step dq nearest to `wish` (n,) with J dq = error [rad or m], or None if there is none.
 
     Parameters
     ----------
-    J: (m, n) task Jacobian; error: (m,) what the step must take back.
+    J: (m, n) task Jacobian; error: (m,) the error that the step must remove.
     low, high: (n,) bounds of the step.
-    rows: further conditions that it must keep.
+    rows: further conditions that the step must keep.
 
     Unlike in the shield, the task is not weighed against safety.
     """

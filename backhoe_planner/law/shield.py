@@ -2,19 +2,19 @@
 
     min_v  (v - v_w)^T W (v - v_w)
     s.t.   g_i v + drift_i >= -gamma margin_i         every nearby pair       (soft)
-           k_i v >= -gamma left_i                         everything that is to be kept   (soft)
+           k_i v >= -gamma left_i                     every other condition   (soft)
            v within velocity, acceleration and braking limits of each joint   (hard)
 
-W weighs the change by its effect on the tip: leaving the wished direction costs most, going
+W weighs the change by its effect on the tip: leaving the desired direction costs most, going
 slower along it less, motion in the null space least.
 
 gamma is 1.6 / T with T the time in which all joints together can be braked to rest, so
 that braking in proportion, which keeps the joints' direction, stops within 80 % of
 each margin. From a velocity that satisfies the rows, braking satisfies them again: the
 problem stays solvable without slack as long as the obstacles hold still. Outside a
-limit, or closer than the clearance, the bounds ask for the way back. A row that cannot
-be met costs a price instead of an error, and the missing speed is reported. One of
-nothing but rounding asks for nothing, see `soft_solution`.
+limit, or closer than the clearance, the bounds require motion back. A row that cannot
+be satisfied costs a price instead of raising an error, and the missing speed is reported.
+A row of nothing but rounding is ignored, see `soft_solution`.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.native import compiled
 from backhoe_planner.site import Nearby
 
-_WEIGHTS = 10.0, 1.0, 0.05  # in W, across the wish, along it, and of what does not move the tip; chosen
+_WEIGHTS = 10.0, 1.0, 0.05  # in W: across the wish, along it, and of motion that leaves the tip in place; chosen
 _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, this stops within 80 % of each margin
-_RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
+_RECOVERY = 1.0  # 1/s: rate at which a violation of a clearance or limit is to be reduced; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
 _RATES = _STOPPING_PART, _RECOVERY, _FASTEST_RECOVERY
 _NO_PAIRS: Indices = np.zeros(0, dtype=np.intp)
-_FEW = 16  # rows; measured: to find out which can bind takes longer than to solve with all of them
+_FEW = 16  # rows; measured: up to here, finding those that can bind takes longer than solving with all of them
 _MOST_ITERATIONS = 1000  # of the solver; an ordinary step takes up to 10
-_MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
+_MET = 1e-5  # m/s: a soft row that binds is violated by its force over its price, some 1e-6
 
 JointTable: TypeAlias = tuple[tuple[float, ...], ...]
 
 
 class Kept(NamedTuple):
-    """What is to be kept beside clearances, such as a band of the pitch.
+    """Conditions to be kept besides clearances, such as a band of the pitch.
 
     Attributes
     ----------
-    margin: (K,) what is left of each condition; negative where it is not kept [unit of its own].
+    margin: (K,) margin of each condition; negative if it is not kept [each in its own unit].
     gradient: (K, n) of the margins with respect to the joints.
     """
 
@@ -66,7 +66,7 @@ class Shielded(NamedTuple):
     Attributes
     ----------
     v: (n,) joint velocity [rad/s or m/s].
-    slack: the most by which a row was not met [m/s]; 0 where all were.
+    slack: the greatest violation of a row [m/s]; 0 if all are satisfied.
     binding: indices into the nearby pairs, of those that hold the motion back.
     """
 
@@ -99,7 +99,7 @@ class Shield:
 
         Parameters
         ----------
-        q, v_before: (n,) where the joints are, and their velocity in the last step.
+        q, v_before: (n,) joint positions, and the velocity in the last step.
         dt: length of the step [s].
         """
         q, v_before = as_vector(q, self._n, key="q"), as_vector(v_before, self._n, key="v_before")
@@ -110,9 +110,9 @@ class Shield:
         return np.array(low), np.array(high)
 
     def _joints_at(self, dt: float) -> JointTable:
-        """What a step of dt [s] knows of each joint.
+        """The data of each joint for a step of dt [s].
 
-        Its range, the part of it in which there is room to brake from full speed, and its limits.
+        These are its range, the part of it in which there is room to brake from full speed, and its limits.
         """
         if dt != self._dt:
             self._dt, self._joints = dt, self._joints_of(dt)
@@ -126,18 +126,18 @@ class Shield:
         return tuple(zip(*(column.tolist() for column in columns), self._per_acceleration, strict=True))
 
     def braking_time(self, v: Vector) -> float:
-        """Time in which all joints, slowing in proportion, come to rest [s]."""
+        """Time in which all joints come to rest, braking in proportion [s]."""
         return self._braking_time(as_vector(v, self._n, key="v"))
 
     def _braking_time(self, v: Vector) -> float:
         return float(max(map(mul, map(abs, v.tolist()), self._per_acceleration)))
 
     def stopping_time(self, v: Vector) -> float:
-        """1 / gamma [s]: the margin that a rate of approach needs, divided by that rate."""
+        """1 / gamma [s]: the margin that is needed for a rate of approach, divided by that rate."""
         return self.braking_time(v) / _STOPPING_PART
 
     def stopping_time_unchecked(self, v: Vector) -> float:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`stopping_time` without checks, for callers in a loop whose arguments are right by construction."""
         return self._braking_time(v) / _STOPPING_PART
 
     def filter(
@@ -155,15 +155,15 @@ class Shield:
 
         Parameters
         ----------
-        q, v_before: (n,) where the joints are, and their velocity in the last step.
+        q, v_before: (n,) joint positions, and the velocity in the last step.
         dt: length of the step [s].
-        nearby: the pairs to keep clear of.
+        nearby: the pairs that must keep apart.
         J_tip: (3, n) position Jacobian of the tip.
         extra_margin: (K,) or one number, distance to be kept on top of the clearance [m].
 
         Raises
         ------
-        InputError: an argument is not of its kind or its shape; names it.
+        InputError: an argument has the wrong kind or shape; the message names it.
         """
         wish = as_vector(wish, self._n, key="wish")
         check_kind(nearby, Nearby, key="nearby")
@@ -194,11 +194,11 @@ class Shield:
         extra_margin: Vector | float = 0.0,
         kept: Kept | None = None,
     ) -> Shielded:
-        """The same for callers in a loop, whose arguments are right as they are made.
+        """`filter` without checks, for callers in a loop whose arguments are right by construction.
 
         Parameters
         ----------
-        kept: what is to be kept beside the clearances.
+        kept: conditions to be kept besides the clearances.
         """
         is_kept, low_high, time, bound = step_conditions(
             wish,
@@ -215,7 +215,7 @@ class Shield:
         keep = None if kept is None else self._keep_rows(kept, time, dt)
         if is_kept and (keep is None or keep.are_kept_by(wish)):
             return Shielded(wish, 0.0, _NO_PAIRS)
-        # without bounds, what is not kept stands beside the clearances
+        # without bounds, the wish violates only a condition in `keep`
         low, high = self._bounds(q, v_before, dt) if low_high is None else low_high
         H, f, G, h, pairs = nearest_safe_program(wish, J_tip, nearby.gradient, bound, low, high, _WEIGHTS, _FEW)
         rows, most = (G, h) if keep is None else (np.concatenate((G, keep.G)), np.concatenate((h, keep.h)))
@@ -243,16 +243,17 @@ def step_conditions(
     wish: Vector, q: Vector, v_before: Vector, dt: float, joints: JointTable, margin: Vector, extra: Vector | float,
     gradient: Matrix, drift: Vector, rates: tuple[float, float, float], /,
 ) -> tuple[bool, Matrix | None, float, Vector]:  # fmt: skip
-    """What the velocity of a step must keep, and whether `wish` (n,) keeps it.
+    """The conditions on the velocity of a step, and whether `wish` (n,) keeps them.
 
     Parameters
     ----------
     q, v_before, dt: as in `Shield.filter`.
-    joints: of each of n joints its lower and upper limit, between which positions there is room to brake from full
-        speed, largest velocity and acceleration, by how much the velocity can change in a step, 1 / acceleration.
+    joints: for each of n joints the lower and upper limit, the two positions between which there is room to brake
+        from full speed, the largest velocity and acceleration, the greatest change of velocity in a step, and
+        1 / acceleration.
     margin, gradient, drift: (K,), (K, n), (K,) as in `Nearby`.
-    extra: (K,) or one number, by how much less the margins are [m].
-    rates: gamma T, and those of the way back [1/s], at most [m/s or rad/s].
+    extra: (K,) or one number, subtracted from the margins [m].
+    rates: gamma T, the rate of recovery [1/s], and its greatest speed [m/s or rad/s].
 
     Returns
     -------
@@ -272,14 +273,14 @@ def step_conditions(
 def _range(
     wish: Vector, q: Vector, v_before: Vector, dt: float, joints: JointTable
 ) -> tuple[list[float], list[float], float, bool]:
-    """The bounds of the velocity, n numbers each, the time [s], and whether the wish is within; `step_conditions`."""
+    """The bounds of the velocity, n numbers each, the time [s], whether the wish is within; see `step_conditions`."""
     lead, within, time = 1.5 * dt, True, 0.0
     lows, highs = [], []
-    # for a handful of joints plain numbers cost a fraction of what arrays would
+    # for a handful of joints plain numbers take a fraction of the time of arrays
     each = zip(q.tolist(), v_before.tolist(), wish.tolist(), joints, strict=True)
     for position, rate, wished, (least, most, first, last, velocity, a, change, per) in each:
         low, high = rate - change, rate + change
-        if first < position < last:  # mostly there is room to brake from full speed
+        if first < position < last:  # usually there is room to brake from full speed
             upper, lower = velocity, -velocity
         else:
             upper = min(velocity, _stoppable(most - position, a, lead))
@@ -310,21 +311,22 @@ def nearest_safe_program(
 ) -> tuple[Matrix, Vector, Matrix, Vector, Indices]:  # fmt: skip
     """The program of the velocity nearest to `wish` (n,): W and its linear cost, and the rows -g v <= bound.
 
-    Of the K rows `gradient` (K, n), `bound` (K,) those are taken that can bind from `low` to `high` (n,); of few all.
+    It has those of the K rows `gradient` (K, n), `bound` (K,) that can bind between `low` and `high` (n,). If there
+    are no more than `few`, it has all of them.
 
     Parameters
     ----------
     J_tip: (3, n) position Jacobian of the tip.
-    weights: in W, across the wish, along it, and of what does not move the tip.
+    weights: in W: across the wish, along it, and of motion that leaves the tip in place.
 
     Returns
     -------
-    (n, n) W, (n,) -W wish, (R, n) and (R,) the rows, (R,) which of the K they are.
+    (n, n) W, (n,) -W wish, (R, n) and (R,) the rows, (R,) their indices among the K.
     """
     n, (across, along, free) = len(wish), weights
     tip = J_tip.dot(wish)
     speed2 = float(tip.dot(tip))
-    # the tip's three directions, and the one of the wish, each with its weight
+    # the tip's three directions, and the direction of the wish, each with its weight
     rows = np.empty((4, n))
     rows[:3] = J_tip
     tip.dot(J_tip, out=rows[3])
@@ -346,18 +348,18 @@ def nearest_safe_program(
 
 @lru_cache(maxsize=32)
 def _constant_weights(across: float, free: float, n: int) -> tuple[Vector, Matrix]:
-    """(4,) weights of the tip's three directions and none for a fourth, (n, n) of all motion; to be read only."""
+    """(4,) weights of the tip's three directions and 0 for a fourth, (n, n) of all motion; do not modify them."""
     return np.array((across, across, across, 0.0)), free * np.eye(n)
 
 
 @lru_cache(maxsize=_FEW)
 def _numbers(count: int) -> Indices:
-    """0, 1, ... , to be read only."""
+    """0, 1, ..., `count` - 1; do not modify it."""
     return np.arange(count)
 
 
 def _approach_rates(margin: Vector, braking_time: float, dt: float) -> Vector:
-    """(K,) gamma margin: how fast margins (K,) may shrink; negative where one is lost, the speed of the way back."""
+    """(K,) gamma margin: how fast margins (K,) may shrink; for a negative margin, minus the speed of recovery."""
     bound = margin * (_STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt))
     if len(margin) and margin[margin.argmin()] < 0.0:
         bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
@@ -367,8 +369,8 @@ def _approach_rates(margin: Vector, braking_time: float, dt: float) -> Vector:
 def _stoppable(gap: float, a: float, lead: float) -> float:
     """Speed towards a joint's limit from which braking at `a` stops within `gap`.
 
-    For `lead` [s] the joint goes on before braking counts: the step itself and half of
-    the next. Negative beyond the limit: the speed of the way back.
+    The joint goes on for `lead` [s] before it brakes: the step itself and half of
+    the next. Beyond the limit the result is minus the speed of recovery.
     """
     if gap < 0.0:
         return -min(-_RECOVERY * gap, _FASTEST_RECOVERY)
