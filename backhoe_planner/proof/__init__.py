@@ -1,4 +1,4 @@
-"""The certificate: from machine, site and motion alone."""
+"""The certificate, made from machine, site and motion alone."""
 
 import lazy_loader
 

@@ -1,10 +1,10 @@
-"""What follows from the features of a goal for boxes of configurations.
+"""Tests whether boxes of configurations miss a goal, from the goal's features.
 
-For a direction w in the space of the features, a configuration in the box around c is on the goal only where
+For any direction w in the space of the features, a configuration in the box around c is on the goal only if
 
     w . (J d + d^T H d / 2) >= w . error - sum_g |w_g| slack_g,    d = q - c.
 
-The left side is bounded joint by joint, exactly but for the products of two joints.
+The left side is bounded joint by joint, exactly except for the products of two joints.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.proof.goal_features import Features
 
-_STEPS = 3  # of the descent to a direction; chosen: further ones cost more boxes than they save
+_STEPS = 3  # of the descent to a direction; chosen: more steps cost more time than they save in boxes
 _DAMPING = 1e-3  # part of the mean square of the derivatives; chosen, keeps the equations solvable
-_LEAST_SHARE = 1e-3  # of a joint's part in its own row, below which the row says nothing about it; chosen
+_LEAST_SHARE = 1e-3  # of a joint in its own row; if it is less, the row does not bound the joint; chosen
 _TINY = 1e-300
 
 
 def best_directions(features: Features, low: Matrix, high: Matrix) -> Matrix:
     """(B, m) directions along which boxes low .. high (B, n) around their middles are likely to miss the goal.
 
-    The gradient, at its least within the box, of the squared error over what is unsure of it; any
-    other direction would be as true. 0 where the first order alone reaches the goal.
+    The direction is the gradient of the squared error, relative to its uncertainty, where this error is least within
+    the box. The test is valid for any direction. The direction is 0 if the first order alone reaches the goal.
     """
     half = np.maximum(np.maximum(-low, high), 0.0)
     bend = 0.5 * np.einsum("bmij,bi,bj->bm", np.abs(features.H), half, half)
@@ -54,7 +54,7 @@ class Quadratic:
             self._top = np.where(self._own < 0.0, -g / self._own, np.inf)
 
     def greatest(self, low: Matrix, high: Matrix) -> Vector:
-        """(B,) it is nowhere above this on low <= d <= high (B, n)."""
+        """(B,) an upper bound on low <= d <= high (B, n)."""
         g, own, top = self._g, self._own, self._top
         found = np.maximum((g + 0.5 * own * low) * low, (g + 0.5 * own * high) * high)
         inside = (top > low) & (top < high)
@@ -81,10 +81,10 @@ class DirectionTest:
 
 
 def contracted(features: Features, half: Matrix) -> tuple[Matrix, Matrix]:
-    """(B, n), (B, n) between which d must lie on the goal, in boxes of the half widths `half` (B, n).
+    """(B, n), (B, n) bounds of d on the goal, in boxes of half widths `half` (B, n).
 
-    For each joint along the direction that least depends on the others. The first is above the second
-    where no configuration is on the goal.
+    For each joint they follow from the direction that depends least on the other joints. The lower bound is above
+    the upper one if no configuration in the box is on the goal.
     """
     n = half.shape[1]
     known = np.isfinite(features.slack)
@@ -116,9 +116,9 @@ def contracted(features: Features, half: Matrix) -> tuple[Matrix, Matrix]:
 
 
 def bends(features: Features, half: Matrix) -> Matrix:
-    """(B, n) how much of the second order, and of the first a fifth, is each joint's, in boxes of these half widths.
+    """(B, n) each joint's part of the second order plus a fifth of its part of the first, for half widths `half`.
 
-    Where a box is halved in the joint with the most of it, the tests gain most; chosen by trial.
+    Halving a box in the joint with the largest value improves the tests most; chosen by trial.
     """
     second = np.einsum("bmij,bj->bi", np.abs(features.H), half)
     return np.asarray(half * (second + 0.2 * np.abs(features.J).sum(axis=1)))

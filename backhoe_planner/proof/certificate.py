@@ -25,10 +25,10 @@ from backhoe_planner.proof.keeping import KeepUse, keep_uses
 from backhoe_planner.proof.limits import LimitUse, duration_use, machine_uses, position_use, tip_speed_use
 from backhoe_planner.site import Obstruction, Proximity
 
-_STARTS_AT = 1e-5  # m and rad: rounding of what inverse kinematics finds is below
-_STARTS_AT_JOINTS = 1e-9  # rad or m: rounding in a plan file is below
+_STARTS_AT = 1e-5  # m and rad: the rounding of inverse kinematics is below this
+_STARTS_AT_JOINTS = 1e-9  # rad or m: the rounding in a plan file is below this
 _WAITS_WITHIN = 1e-9  # part of the time to wait: rounding of a sum of times
-_SAME_VELOCITY = 1e-6  # relative, and rad/s or m/s: velocities nearer than this are the same
+_SAME_VELOCITY = 1e-6  # relative, and rad/s or m/s: velocities that differ by less are the same
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,18 @@ class Certificate:
     Attributes
     ----------
     clearances: for every obstacle that comes near, and for the machine itself, the tightest
-        spot of the whole motion, with the proven lower bound of its distance and when it was
-        found; tightest margin first.
+        spot of the whole motion, with the proven lower bound of its distance and its time;
+        tightest margin first.
     position, velocity, acceleration: use of the joint limits.
     effort: use of the joints' torques; None for a machine whose torques are not limited.
     hydraulics: use of rod speeds, pump flow and engine power; None for a machine without
         a hydraulic description.
     tracking: how the tip keeps to its task.
-    tip_speed: use of the asked speed; None where none is asked for.
-    duration: use of the time that the motion to a goal may take; None where it may take any.
-    keep: what is left of every condition that is to be kept along the motion; empty where there is none.
-    problems: everything that is not as it must be, in words; empty where verified.
-    legs: of a sequence, what was proven of each leg that the motion has begun; all else is the tightest over them.
+    tip_speed: use of the required speed; None if no speed is required.
+    duration: use of `max_duration` by the motion to a goal; None if the scene gives none.
+    keep: the least margin of every condition to be kept along the motion; empty if there is none.
+    problems: everything that is wrong, in words; empty if verified.
+    legs: for a sequence, the certificate of each leg that the motion begins; all else is the tightest over the legs.
     """
 
     clearances: tuple[Obstruction, ...]
@@ -67,7 +67,7 @@ class Certificate:
 
     @property
     def min_clearance(self) -> Obstruction | None:
-        """The tightest spot, by margin; None where nothing can be touched."""
+        """The tightest spot, by margin; None if nothing can be touched."""
         return self.clearances[0] if self.clearances else None
 
     @property
@@ -82,7 +82,7 @@ class Certificate:
 
     @property
     def too_near(self) -> tuple[Obstruction, ...]:
-        """Of the clearances those that are not kept; tightest margin first."""
+        """The clearances that are not kept; tightest margin first."""
         return tuple(near for near in self.clearances if near.margin < -KEPT_WITHIN)
 
     @property
@@ -100,7 +100,7 @@ class Certificate:
 
     @property
     def goal(self) -> int | None:
-        """Number of the goal that is reached, from 1, in the order of the scene; None where none is."""
+        """Number of the goal that is reached, from 1, in the order of the scene; None if none is."""
         return self.tracking.goal or None if self.tracking.done else None
 
 
@@ -111,8 +111,8 @@ class LegCertificate:
     Attributes
     ----------
     name: of the leg.
-    first, last: its samples in the whole motion; the last is the first of the next leg.
-    begins: when [s].
+    first, last: its first and last sample in the whole motion; the last is the first of the next leg.
+    begins: the time at which it begins [s].
     certificate: of its part of the motion; its times count from `begins`.
     """
 
@@ -177,7 +177,7 @@ def _describe_turn(problem: Problem, turn: SpotTurn) -> str:
 
 
 def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking, kinematics: Kinematics) -> list[str]:
-    """What is wrong with the start of the motion, its velocities, and how it keeps to its task."""
+    """The problems of the motion's start, its velocities, and its task, in words."""
     found, q = [], trajectory.q[0]
     if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(q))) > _STARTS_AT:
         found.append("the motion does not begin at the start of the scene")

@@ -1,10 +1,10 @@
 """Proven distances between samples: whether one segment is clear, and the least distances of a whole motion.
 
-On a segment from q_a to q_b, joints moving linearly, no point of a link moves further than some
-B relative to an obstacle (its own travel added; `site.pairs.ways`), so the distance
-anywhere between is at least (d_a + d_b - B) / 2. Where that bound does not decide, the
-segment is halved; over a whole motion, always the segment with the lowest bound, until no
-bound is below what was measured, to within `RESOLUTION` (or 2 % of the margin, where that is
+On a segment from q_a to q_b, on which the joints move linearly, no point of a link moves further than
+some B relative to an obstacle (the obstacle's own travel included; `site.pairs.ways`), so the distance
+anywhere on the segment is at least (d_a + d_b - B) / 2. If that bound does not decide, the
+segment is halved. Over a whole motion, the segment with the lowest bound is halved first, until no
+bound is below the least measured margin by more than `RESOLUTION` (or 2 % of the margin, if that is
 more). The result is never above the true distance.
 """
 
@@ -19,20 +19,20 @@ from backhoe_planner.motion import Trajectory
 from backhoe_planner.proof.sample_bounds import bound_samples, measure_below
 from backhoe_planner.site import Obstruction, Proximity
 
-RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance; chosen, a tenth of a millimetre
-_RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more; chosen
-AT_CLEARANCE = 1e-5  # m: what is measured to be too near by no more is at its clearance; chosen, far above rounding
+RESOLUTION = 1e-4  # m: how far a proven bound may be below the true least distance; chosen, a tenth of a millimetre
+_RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, if that is more; chosen
+AT_CLEARANCE = 1e-5  # m: a pair that is too near by no more than this is at its clearance; chosen, far above rounding
 KEPT_WITHIN = RESOLUTION + AT_CLEARANCE  # m: a motion at exactly its clearance counts as keeping it
 _EFFORT = (
     200_000  # measurements per obstacle; chosen, so that the search ends on a motion along a wall at its clearance
 )
-_EFFORT_REFUTED = 2_000  # the same where the motion is already known not to keep its clearance; chosen
+_EFFORT_REFUTED = 2_000  # the same if the motion is already known not to keep its clearance; chosen
 TOUCH = 0.5 * RESOLUTION  # m: between samples at exactly its clearance, a path is clear to within this
 STEP_ROUNDING = (
     2e-5  # m by which the proof of a motion may fall short; chosen: far below a clearance, far above rounding
 )
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
-_FIRST_LOOKS = 16  # samples from one first look to the next; chosen
+_FIRST_LOOKS = 16  # samples between two first measurements; chosen
 _Ends = tuple[float | None, float | None]  # margins at the ends of a segment, None where not measured [m]
 _NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
@@ -57,7 +57,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     enough = least[owners]
 
     def note(row: int, pairs: Indices, margins: Vector) -> Vector:
-        """(P,) the margins to be proven after those (K,) of `pairs` (K,) at a sample."""
+        """(P,) the margins to be proven, after the `margins` (K,) of `pairs` (K,) were measured at a sample."""
         nonlocal enough
         nearer = (margins < least[owners[pairs]]).nonzero()[0].tolist()
         for k in nearer:
@@ -68,7 +68,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
             enough = np.where(least < _NEVER, _to_prove(least), least)[owners]
         return enough
 
-    # where an obstacle is nearest is known about after a few looks; what is further away is then hardly measured
+    # a few measurements tell roughly where each obstacle is nearest; pairs further away are then rarely measured
     firsts = np.arange(0, len(time), _FIRST_LOOKS)
     bounds = _bounds_at(proximity, q[firsts], time[firsts])
     for row, known, pairs in zip(firsts.tolist(), bounds, _nearest(owners, bounds), strict=True):
@@ -92,7 +92,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
 
 
 def _bounds_at(proximity: Proximity, q: Matrix, time: Vector) -> Matrix:
-    """(N, P) what is known of all distances in postures q (N, n) at `time` (N,) without measuring [m]."""
+    """(N, P) lower bounds of all distances in configurations q (N, n) at `time` (N,), without measuring [m]."""
     found = np.fmax(list(proximity.bounds_unchecked(q)), proximity.floor)
     if len(proximity.clusters):
         found[:, proximity.plain :] = proximity.clusters.lower_each(q, time)
@@ -100,7 +100,7 @@ def _bounds_at(proximity: Proximity, q: Matrix, time: Vector) -> Matrix:
 
 
 def _nearest(owners: Indices, bounds: Matrix) -> Indices:
-    """(N, C) of each obstacle the pair that seems nearest by bounds (N, P) [m]."""
+    """(N, C) the pair of each obstacle that seems nearest by `bounds` (N, P) [m]."""
     found = []
     for owner in np.unique(owners).tolist():
         pairs = np.flatnonzero(owners == owner)
@@ -109,12 +109,12 @@ def _nearest(owners: Indices, bounds: Matrix) -> Indices:
 
 
 def _to_prove(least: Vector) -> Vector:
-    """The margins to be proven where `least` are the least margins that were measured [m]."""
+    """The margins to be proven if `least` are the least measured margins [m]."""
     return np.asarray(least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least))
 
 
 def _to_prove_of_one(least: float) -> float:
-    """The same of one, at a tenth of what an array takes."""
+    """`_to_prove` for one number, in a tenth of the time of an array."""
     return least - max(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
 
 
@@ -123,7 +123,7 @@ class _Search:
 
     Attributes
     ----------
-    least: the least margin that was measured [m].
+    least: the least measured margin [m].
     """
 
     def __init__(self, proximity: Proximity, time: Vector, q: Matrix) -> None:
@@ -136,22 +136,22 @@ class _Search:
         self._measured = 0
 
     def note(self, margin: float, moment: float, pair: int) -> None:
-        """A margin was measured."""
+        """Note a margin that was measured."""
         if margin < self.least:
             self.least, self._where = margin, (moment, pair)
 
     def open(self, bound: float, segment: int, pair: int, way: float, ends: _Ends) -> None:
-        """On this segment the margin may be as low as `bound`, and changes by `way` at most [m].
+        """Add a segment on which the margin may be as low as `bound` and changes by at most `way` [m].
 
-        `ends` are the margins at its ends, None where not measured.
+        `ends` are the margins at its ends, None if not measured.
         """
         heapq.heappush(self._open, (bound, len(self._open), segment, pair, way, 0.0, 1.0, ends))
 
     def finish(self) -> Obstruction | None:
         """Halve the segment with the lowest bound until no bound is below what is to be proven.
 
-        Where the motion is refuted anyway, or the effort is used up, the result is the lower
-        bound that was reached. None for an obstacle that never comes near.
+        If the motion is refuted anyway, or the effort is used up, the result is the lower
+        bound that was reached. It is None for an obstacle that never comes near.
         """
         tie = len(self._open)
         while self._open and self._open[0][0] < _to_prove_of_one(self.least):
@@ -192,7 +192,7 @@ class _Search:
 
 
 def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, Matrix]:
-    """Samples of the motion, and one more at every moment at which an obstacle appears."""
+    """The samples of the motion, and one more at every time at which an obstacle appears."""
     moments = {float(t) for t in proximity.appears_at if trajectory.time[0] < t < trajectory.time[-1]}
     time = np.unique(np.concatenate((trajectory.time, sorted(moments))))
     if len(time) == len(trajectory.time):
@@ -215,7 +215,7 @@ def segment_is_clear(
     spare: distance to be kept in addition to every clearance [m]; negative to allow less.
     """
     if proximity.is_at_unchecked(q_a, time=time):
-        # one step of many: all but a few pairs are mostly far away
+        # one step of many: usually all but a few pairs are far away
         proximity.cover_unchecked(q_a)
         pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare)
         if len(pairs):
@@ -265,7 +265,7 @@ def _keep(
 def path_segment_is_clear(proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0) -> bool:
     """Whether every clearance provably holds, to within `TOUCH`, on a segment along a bucket path.
 
-    Such a path may run at exactly its clearance. Parameters are those of `segment_is_clear`.
+    Such a path may run at exactly its clearance. The parameters are those of `segment_is_clear`.
     """
     return segment_is_clear(proximity, q_a, q_b, time=time, depth=_TOUCHING_DEPTH, spare=-TOUCH)
 
@@ -276,8 +276,8 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
     Parameters
     ----------
     proximity: of the machine and the obstacles.
-    time: (T,) of the samples, not decreasing [s]; where all are equal, obstacles stand as they are then.
-    q: (T, n) joints there [rad or m].
+    time: (T,) of the samples, not decreasing [s]; if all are equal, obstacles stay where they are at that time.
+    q: (T, n) joint positions of the samples [rad or m].
     """
     owed = np.full(len(proximity.pairs), -STEP_ROUNDING)
     refuted = False
@@ -288,7 +288,7 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
         return None if refuted else owed
 
     proximity.cover_unchecked(q)
-    # an obstacle that appears on the way to the next sample counts on all of that way
+    # an obstacle that appears between two samples counts on the whole segment
     for stretch in bound_samples(proximity, time, q, owed, note, until=np.append(time[1:], time[-1])):
         lowest = 0.5 * (stretch.margins[:-1] + stretch.margins[1:] - stretch.ways)
         doubtful = ~(lowest >= owed)

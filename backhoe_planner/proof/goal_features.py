@@ -1,16 +1,16 @@
-"""What a goal asks for, over boxes of configurations, to second order with a proven remainder.
+"""The features of a goal over boxes of configurations, to second order with a proven remainder.
 
-What a goal asks for is a vector z(q) of features: the tip's position, two directions that are
+The features of a goal are a vector z(q): the tip's position, two directions that are
 fixed to it, its pitch. From the middle c of a box, with d = q - c,
 
     z(q) = z(c) + J d + d^T H d / 2 + R,    |R| <= sum_k r_k (C_k^3 - C_(k-1)^3) / 6
 
-with C_k the sum of |d_i| over the hinges up to joint k, r_k the farthest that the point can be from
-the axis of joint k within the box, and for a slide k instead 3 |d_k| C_(k-1)^2. All joints count
-from the base; x_ij = a_i x x_j where hinge i is not further out than joint j, and no derivative is
+with C_k the sum of |d_i| over the hinges up to joint k, and r_k the greatest distance of the point from
+the axis of joint k within the box. For a slide k, 3 |d_k| C_(k-1)^2 replaces the difference. All joints
+count from the base; x_ij = a_i x x_j if hinge i is not further out than joint j, and no derivative is
 longer than the one by its outermost joint alone.
 
-What follows for a box from its features stands in `box_tests`.
+`box_tests` draws the conclusions for a box from its features.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from backhoe_planner.machine import BatchKinematics, Robot, TipTarget, tip_trave
 from backhoe_planner.motion import ANGLE_TOLERANCE, GOAL_TOLERANCE, JOINT_TOLERANCE, Goal, Problem
 
 _LEVER = 0.5  # m: a direction that is off by 1 rad counts as a tip that is off by this; chosen
-_LOOSE = 0.2  # rad: chosen, a more tolerant orientation is not tested, and the position more closely
+_LOOSE = 0.2  # rad: chosen; with a larger tolerance the orientation is not tested, and the position more closely
 _SAME_ROW = 1e-9  # rad/rad: derivatives of the pitch that differ by less are the same
-_POSTURES = 8  # in which the derivative of the pitch is looked at
+_POSTURES = 8  # configurations in which the derivative of the pitch is compared
 _ROUNDING = 1e-9  # m: far above that of a chain of ten joints, some 1e-14
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What a goal asks for, to second order, over B boxes around `middle`; m features in g groups.
+    """The features of a goal, to second order, over B boxes around `middle`; m features in g groups.
 
     Attributes
     ----------
     middle: (B, n) of the boxes [rad or m].
-    error: (B, m) on the goal minus at the middle.
+    error: (B, m) the features on the goal minus those at the middle.
     J: (B, m, n); H: (B, m, n, n) first and second derivatives at the middle.
-    slack: (B, g) the goal's tolerance and the remainder, by the length of each group.
-    group: (m,) to which group a feature belongs.
+    slack: (B, g) the goal's tolerance plus the remainder, as a length for each group.
+    group: (m,) the group of each feature.
     """
 
     middle: Matrix
@@ -56,11 +56,11 @@ class GoalRegion(Protocol):
     """A goal: the configurations with which a motion may end."""
 
     def features(self, lower: Matrix, upper: Matrix) -> Features:
-        """Of the boxes `lower` .. `upper` (B, n) [rad or m]."""
+        """The features over the boxes `lower` .. `upper` (B, n) [rad or m]."""
 
 
 class _TipGoal:
-    """The tip within `off` [m] of a position, with its pitch in the range asked for, and `turned` more [rad]."""
+    """The tip within `off` [m] of a position, with its pitch within `turned` [rad] of the required range."""
 
     def __init__(self, robot: Robot, target: TipTarget, turned: float, off: float) -> None:
         self._turned, self._off = turned, off
@@ -85,7 +85,7 @@ class _TipGoal:
             off = wrap_angle(0.5 * (low + high) - at.pitch())
             spread = half @ np.abs(self._pitch_row)
             allowed = 0.5 * (high - low) + self._turned + _ROUNDING
-            # with more than one turn within the box it could be any of them
+            # if the box spans more than a turn, the pitch is ambiguous
             sure = np.abs(off) + spread + allowed < np.pi
             error = np.column_stack((error, _LEVER * off))
             J = np.concatenate((J, np.broadcast_to(_LEVER * self._pitch_row, (len(J), 1, J.shape[2]))), axis=1)
@@ -95,12 +95,11 @@ class _TipGoal:
 
 
 class _PoseGoal:
-    """The tip on a position with a whole orientation, from which it may be `turned` [rad].
+    """The tip within `off` [m] of a position and within `turned` [rad] of an orientation.
 
-    The body of a joint in the middle of the arm is looked at from both ends: as the inner joints
-    place it, and as the outer joints do, counted back from the goal. Each side has half of the
-    joints, so that the remainder, which grows with the third power of their travel together, is
-    about an eighth.
+    The body of a joint in the middle of the arm is placed from both ends: by the inner joints from the
+    base, and by the outer joints back from the goal. Each side has half of the joints, so that the
+    remainder, which grows with the third power of their total travel, is about an eighth.
     """
 
     def __init__(self, robot: Robot, target: TipTarget, turned: float, off: float) -> None:
@@ -120,7 +119,7 @@ class _PoseGoal:
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         at, meet = self._kinematics.at(middle), self._meet
         inner, outer = np.arange(meet + 1), np.arange(self._kinematics.robot.n - 1, meet, -1)
-        # brings the tip from where it is at the middle of the box onto the goal
+        # the rotation from the tip's orientation at the middle of the box to that on the goal
         turn = self._rotation @ np.swapaxes(at.tip_rotation, 1, 2)
         point = at.origins[:, meet]
         lever = point - at.tip_position
@@ -145,14 +144,14 @@ class _PoseGoal:
             rows, weight = slice(3 * index, 3 * index + 3), _LEVER if index else 1.0
             J[:, rows, : meet + 1] = weight * own_terms.J
             H[:, rows, : meet + 1, : meet + 1] = weight * own_terms.H
-            # back from the goal a joint turns what is further in the other way, and z is one side less the other
+            # back from the goal a joint turns the inner bodies in the opposite sense; z is the difference of the sides
             J[:, rows, meet + 1 :] = weight * other.J[:, :, ::-1]
             H[:, rows, meet + 1 :, meet + 1 :] = -weight * other.H[:, :, ::-1, ::-1]
         return Features(middle, np.concatenate(error, axis=1), J, H, np.stack(slack, axis=1), self._group)
 
 
 class _JointGoal:
-    """The joints at the posture `q` (n,) [rad or m]."""
+    """The joints at the configuration `q` (n,) [rad or m]."""
 
     def __init__(self, q: Vector) -> None:
         self._q = q
@@ -168,7 +167,7 @@ class _JointGoal:
 
 
 def goal_regions(problem: Problem) -> tuple[GoalRegion, ...]:
-    """The goals of a problem, any of which will do; none where it has a path."""
+    """The goals of a problem, of which a motion must reach one; empty if it has a path."""
     return tuple(_region_of(problem.robot, goal) for goal in problem.goals)
 
 
@@ -185,7 +184,7 @@ def _region_of(robot: Robot, goal: Goal) -> GoalRegion:
 
 
 def _constant_pitch_row(kinematics: BatchKinematics) -> Vector | None:
-    """(n,) the derivative of the pitch, where it is the same in every posture; else None: it is not tested."""
+    """(n,) the derivative of the pitch if it is constant; otherwise None, and the pitch is not tested."""
     rng = np.random.default_rng(0)
     rows = kinematics.at(np.array([kinematics.robot.random_q(rng) for _ in range(_POSTURES)])).pitch_rows()
     return rows[0] if np.ptp(rows, axis=0).max() < _SAME_ROW else None
@@ -198,8 +197,8 @@ class VectorTerms:
     Attributes
     ----------
     J: (B, 3, k); H: (B, 3, k, k) derivatives in the middle.
-    rest: (B,) the length of what the third order adds.
-    longest: (B, k) the length of the first derivatives anywhere in the box.
+    rest: (B,) an upper bound on the length of the remainder of third order.
+    longest: (B, k) an upper bound on the length of the first derivatives in the box.
     """
 
     J: Array
@@ -209,25 +208,25 @@ class VectorTerms:
 
 
 def _point(axes: Array, arms: Array, half: Matrix, *, hinge: Vector, bound: Vector | None = None) -> VectorTerms:
-    """A point, by the joints' `axes` and its `arms` from them (B, k, 3), in boxes of the half widths `half` (B, k).
+    """The terms of a point, from the joints' `axes` and its `arms` from them (B, k, 3), in boxes of half widths `half`.
 
-    hinge: (k,) 1, or 0 for a slide; bound: (k,) how far from each hinge's axis it can be anywhere.
+    half: (B, k); hinge: (k,) 1, or 0 for a slide; bound: (k,) its greatest distance from each hinge's axis anywhere.
     """
     return vector_terms(np.where(hinge[:, None] > 0.0, cross(axes, arms), axes), axes, half, hinge=hinge, bound=bound)
 
 
 def _direction(axes: Array, vector: Matrix, half: Matrix, *, hinge: Vector) -> VectorTerms:
-    """The unit `vector` (B, 3), else as `_point`."""
+    """The terms of a unit `vector` (B, 3); the rest is as in `_point`."""
     first = cross(axes, vector[:, None, :]) * hinge[:, None]
     return vector_terms(first, axes, half, hinge=hinge, bound=np.ones(len(hinge)))
 
 
 def vector_terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, bound: Vector | None = None) -> VectorTerms:
-    """A vector with the first derivatives `first` (B, k, 3)."""
+    """The terms of a vector with the first derivatives `first` (B, k, 3); the rest is as in `_point`."""
     count, k = half.shape
     second = np.zeros((count, 3, k, k))
     longest = np.empty((count, k))
-    moved = np.zeros(count)  # by the joints further out
+    moved = np.zeros(count)  # travel due to the joints further out
     for joint in reversed(range(k)):
         here = np.sqrt(np.einsum("bi,bi->b", first[:, joint], first[:, joint]))
         if hinge[joint]:
@@ -251,7 +250,7 @@ def _turned(turn: Array, vectors: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """The vector product along the last axis; numpy's own costs several times more."""
+    """The vector product along the last axis; numpy's own takes several times as long."""
     a, b = np.broadcast_arrays(a, b)
     found = np.empty(a.shape)
     found[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]

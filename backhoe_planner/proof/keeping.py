@@ -1,4 +1,4 @@
-"""How much is left of what is to be kept, over a whole continuous motion."""
+"""The least margin of every condition to be kept, over a whole continuous motion."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from backhoe_planner.arrays import Flags, Vector
 from backhoe_planner.machine import tip_travel_bound
 from backhoe_planner.motion import KEPT_TO, Condition, Problem, Trajectory
 
-_RESOLUTION = 1e-3  # rad or m that a proven margin may lie below what was measured; chosen, 0.06 degrees
+_RESOLUTION = 1e-3  # rad or m by which a proven margin may be below the measured one; chosen, 0.06 degrees
 _FINEST = 1e-6  # part of a segment that is not halved again; chosen, its ends are a few nanometres apart
 _MOST = 200_000  # measurements for one condition; chosen, some seconds
 
 
 @dataclass(frozen=True)
 class KeepUse:
-    """What is left of one condition that is to be kept, where least is left.
+    """The least margin of one condition to be kept.
 
     Attributes
     ----------
     name: ``pitch``, ``above``, ``below`` or ``rotation``, as in the scene file.
-    margin: proven lower bound over the whole motion of what is left [unit], less what the tracking
-        error can take; negative where it is not kept, or not proven to be.
-    value: the pitch, the tip's height or the angle from the asked orientation there [unit].
-    time: when [s].
+    margin: proven lower bound of the margin over the whole motion [unit], less what the tracking
+        error can take; negative if the condition is not kept, or not proven to be.
+    value: the pitch, the tip's height or the angle from the required orientation at that time [unit].
+    time: the time of the least margin [s].
     unit: ``rad`` or ``m``.
-    words: the sentence that says what it is and what is allowed.
+    words: the sentence that gives the value and what is allowed.
     """
 
     name: str
@@ -44,7 +44,7 @@ class KeepUse:
 
 
 def keep_uses(problem: Problem, trajectory: Trajectory) -> tuple[KeepUse, ...]:
-    """The least margin of every condition, at the samples and between them; empty where nothing is to be kept."""
+    """The least margin of every condition, at the samples and between them; empty if there are no conditions."""
     if problem.keep is None:
         return ()
     travel = tip_travel_bound(problem.robot, trajectory.q)
@@ -94,5 +94,5 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
 
 
 def _open(bound: Vector, least: float) -> Flags:
-    """(P,) which bounds say too little: less than is measured anywhere by more than the resolution, or less than 0."""
+    """(P,) which bounds are too weak: below 0, or more than the resolution below the least measured margin."""
     return np.asarray(bound < max(least - _RESOLUTION, -KEPT_TO))

@@ -1,12 +1,12 @@
 """A lower bound of the duration of every motion to a goal: branch and bound over boxes of configurations.
 
-The bound of a box is the least time in which the joints get to any configuration of it from rest to
-rest (`least_times`). It is dropped where none of its configurations is on the goal (`box_tests`).
-Its bound rises to t where none of those that can be reached in the time t is on the goal. The
-bound of all motions is the least of the boxes that are left; the box with the lowest is halved.
+The bound of a box is the least time in which the joints get to any of its configurations from rest to
+rest (`least_times`). A box is dropped if none of its configurations is on the goal (`box_tests`).
+Its bound rises to t if none of its configurations that can be reached in the time t is on the goal. The
+bound of all motions is the least bound of the boxes that are left; the box with the least bound is halved.
 
-What stands in the way is not looked at, nor what torques and engine power allow: they make
-every motion slower still.
+Obstacles and the limits of torque and engine power are not considered: they can only make
+motions slower.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from backhoe_planner.proof.box_tests import DirectionTest, bends, best_direction
 from backhoe_planner.proof.goal_features import Features, GoalRegion, goal_regions
 from backhoe_planner.proof.least_times import LeastTimes
 
-_NEAR = 0.01  # part of a known duration: a bound nearer to it is near enough; chosen
-_AT_ONCE = 128  # boxes that are halved together; chosen: more are cheaper each, but fewer have the lowest bound
-_SHORTEST, _LONGEST = 0.25, 120.0  # s up to which the bound of all motions is sought, at least and at most; chosen
-_FURTHER = 2.0  # times as far, where no motion is that short: the less far, the finer the bound is; chosen
-_ROUGHLY = (16.0, 128.0)  # s up to which it is looked first about how far that is; chosen
-_REACHED = 0.98  # part of what it is sought up to, from which on the bound may be more; a search ends at 0.99
-_LEVELS = 256  # of the time, at which boxes are tested; chosen: they are two fifths of a percent apart
-_INNERMOST = 26  # of these levels: the least that the first box reaches to; chosen, a tenth
-_NEXT_SHELL = 1.25  # times the level at which a shell begins: where it ends; chosen among 1.1 to 3 on random sites
+_NEAR = 0.01  # part of a known duration: a bound nearer to it than this is near enough; chosen
+_AT_ONCE = 128  # boxes that are halved together; chosen: more are cheaper each, but fewer of them have the least bound
+_SHORTEST, _LONGEST = 0.25, 120.0  # s: the shortest and longest times up to which a bound is sought; chosen
+_FURTHER = 2.0  # factor to the next such time if no motion is that short: a shorter time gives a finer bound; chosen
+_ROUGHLY = (16.0, 128.0)  # s: such times for a first rough bound; chosen
+_REACHED = 0.98  # part of such a time above which the true bound may be larger; a search ends at 0.99
+_LEVELS = 256  # times at which boxes are tested; chosen: they are two fifths of a percent apart
+_INNERMOST = 26  # least number of levels that the first box covers; chosen, a tenth
+_NEXT_SHELL = 1.25  # ratio of the levels at which a shell ends and begins; chosen among 1.1 to 3 on random sites
 
 _KNOWN: WeakKeyDictionary[Problem, dict[tuple[bytes, int], float]] = WeakKeyDictionary()  # bounds of all motions
 
 
 @dataclass(frozen=True)
 class LeastDuration:
-    """What no motion to the goal falls short of.
+    """A lower bound on the duration of every motion to the goal.
 
     Attributes
     ----------
-    duration: no motion takes less [s].
-    settled: whether the search ended because the bound is near what is known to be possible.
-    boxes: how many were looked at.
+    duration: the lower bound [s].
+    settled: whether the search ended because the bound is near the known duration.
+    boxes: number of boxes that were examined.
     """
 
     duration: float
@@ -57,16 +57,16 @@ def least_duration(
 ) -> LeastDuration:
     """A lower bound of the duration of every motion from rest at `start` to rest on the goal.
 
-    It holds for every motion that the certificate would accept, with what it allows a sampled motion.
+    It holds for every motion that the certificate would accept, including its tolerances for sampled motions.
 
     Parameters
     ----------
-    problem: with a goal.
-    start: (n,) where the joints are at rest [rad or m].
-    known: the duration of one motion [s]; the bound is not sought any nearer to it than 1 %.
-    end: (n,) where that motion ends [rad or m]: nor is it sought nearer than 1 % to the least
-        time that the joints take there, whatever is in the way.
-    boxes: how many may be looked at.
+    problem: a problem with a goal.
+    start: (n,) the configuration at rest at the start [rad or m].
+    known: the duration of one motion [s]; the search stops within 1 % of it.
+    end: (n,) the end of that motion [rad or m]; the search also stops within 1 % of the least
+        time in which the joints get there without obstacles.
+    boxes: the greatest number of boxes to examine.
     """
     if known <= 0.0:
         return LeastDuration(0.0, True, 0)
@@ -77,14 +77,14 @@ def least_duration(
 
 
 def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> float:
-    """What no motion from rest at `start` (n,) to the goal takes less than [s], where none is known.
+    """A lower bound on the duration of every motion from rest at `start` (n,) to the goal [s], if no motion is known.
 
-    It is the finer the less far it is sought: slow motions that are known make a bound of `least_duration` weaker.
-    A search with the effort `normal` and its plan ask for the same, so that it is remembered as long as the problem is.
+    A bound is finer if it is sought up to a shorter time: a known slow motion makes that of `least_duration` weaker.
+    A search with the effort `normal` and its plan need the same bound, so it is kept as long as the problem.
 
     Parameters
     ----------
-    boxes: how many may be looked at each time that it is sought.
+    boxes: the greatest number of boxes to examine in each search.
     """
     known = _KNOWN.setdefault(problem, {})
     key = start.tobytes(), boxes
@@ -107,7 +107,7 @@ def _least_of_all(problem: Problem, start: Vector, boxes: int) -> float:
 
 
 def _about(problem: Problem, start: Vector, goals: Sequence[GoalRegion]) -> float:
-    """A weak bound of all motions to `goals` [s], from the first boxes alone."""
+    """A weak lower bound for all motions to `goals` [s], from the first boxes alone."""
     found = 0.0
     for longest in _ROUGHLY:
         times = LeastTimes(problem, start, longest=longest)
@@ -118,7 +118,7 @@ def _about(problem: Problem, start: Vector, goals: Sequence[GoalRegion]) -> floa
 
 
 def _least_of(times: LeastTimes, goals: Sequence[GoalRegion], target: float, *, boxes: int) -> LeastDuration:
-    """The least that is found for any of `goals`, at most `target` [s], from so many boxes."""
+    """The least bound for any of `goals`, at most `target` [s], from at most about `boxes` boxes."""
     searches = [_Search(times, goal, target) for goal in goals]
     looked = sum(search.looked for search in searches)
     while looked < boxes and any(len(search.open) for search in searches):
@@ -137,8 +137,8 @@ class _Boxes:
     Attributes
     ----------
     lower, upper: (B, n) [rad or m].
-    bound: (B,) the least time to any configuration on the goal in each [s].
-    joint: (B,) in which each is to be halved.
+    bound: (B,) lower bound of the time to any configuration on the goal in each box [s].
+    joint: (B,) the joint in which each box is to be halved.
     """
 
     lower: Matrix
@@ -154,7 +154,7 @@ class _Boxes:
         return _Boxes(self.lower[rows], self.upper[rows], self.bound[rows], self.joint[rows])
 
     def with_others(self, other: _Boxes) -> _Boxes:
-        """These and the others."""
+        """These boxes and the others."""
         return _Boxes(
             np.vstack((self.lower, other.lower)), np.vstack((self.upper, other.upper)),
             np.append(self.bound, other.bound), np.append(self.joint, other.joint),
@@ -174,8 +174,8 @@ class _Search:
 
     Attributes
     ----------
-    open: the boxes in which there may be a configuration on the goal that is reached in less.
-    looked: how many were looked at.
+    open: the boxes that may contain a configuration on the goal that is reached in less than the target.
+    looked: number of boxes that were examined.
     """
 
     def __init__(self, times: LeastTimes, goal: GoalRegion, target: float) -> None:
@@ -189,11 +189,11 @@ class _Search:
 
     @property
     def least(self) -> float:
-        """No motion to this goal takes less, if less than the target [s]."""
+        """The lower bound for this goal, at most the target [s]."""
         return float(np.min(self.open.bound, initial=self._target))
 
     def run(self, most: int) -> None:
-        """Halve boxes until none is left, or `most` have been looked at."""
+        """Halve boxes until none is left, or `most` have been examined."""
         while len(self.open) and self.looked < most:
             count = min(_AT_ONCE, len(self.open))
             order = np.argpartition(self.open.bound, count - 1)
@@ -203,10 +203,10 @@ class _Search:
             self.open = self.open.take(order[count:]).with_others(found)
 
     def _shells(self) -> tuple[Matrix, Matrix]:
-        """(B, n), (B, n) boxes that cover what is reached within the target, one shell around the other.
+        """(B, n), (B, n) boxes that cover all that is reached within the target, in nested shells.
 
-        What misses the goal as a whole is left out. In a shell one joint is far from the start, so
-        that each of its boxes has a bound from the beginning.
+        Inner levels that miss the goal are left out. In each box of a shell one joint is far from the
+        start, so that the box has a bound from the beginning.
         """
         features = self._goal.features(self._from, self._to)
         low, high = self._from - features.middle, self._to - features.middle
@@ -230,7 +230,7 @@ class _Search:
         return np.reshape(lower, (-1, len(self._times.start))), np.reshape(upper, (-1, len(self._times.start)))
 
     def _look(self, lower: Matrix, upper: Matrix, bound: Vector) -> _Boxes:
-        """What is left of boxes with these bounds, each of them contracted."""
+        """The boxes that remain of those with these bounds, each contracted."""
         if not len(lower) or self._target <= 0.0:
             return _Boxes(lower[:0], upper[:0], bound[:0], np.zeros(0, dtype=np.intp))
         features = self._goal.features(lower, upper)
@@ -245,7 +245,7 @@ class _Search:
         return found.take(np.flatnonzero(bound < self._target))
 
     def _missed_up_to(self, features: Features, lower: Matrix, upper: Matrix, bound: Vector) -> Indices:
-        """(B,) the greatest level found in whose time no configuration of a box is reached that is on the goal."""
+        """(B,) the highest level found in whose time no configuration of a box that is on the goal is reached."""
         middle = features.middle
 
         def ends(level: Indices) -> tuple[Matrix, Matrix]:

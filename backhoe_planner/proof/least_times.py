@@ -1,20 +1,20 @@
 """The least time in which the joints get from rest at one place to rest at another.
 
-It holds for every motion that the certificate accepts, so what the certificate allows a
-sampled motion is added to the limits. With the period S of `SAMPLE_PERIOD`, a motion of the
+It holds for every motion that the certificate accepts, so the certificate's tolerances for
+sampled motions are added to the limits. With the period S of `SAMPLE_PERIOD`, a motion of the
 duration T, and a limit a of the acceleration, no segment of the motion is faster than
 
     u <= a (t + 3 S / 2),    u <= a (T - t + 3 S / 2)          at any time t on it,
 
-since each corner changes the velocity by at most a times the lesser of S and the half segments
-beside it, at the ends a whole one. Summed up over the segments, a joint gets no further than
-a S^2 more than a continuous motion of the duration T + S; in between, the segments at most S / 2
-from either end of a ramp count twice, which is where a S^2 comes from.
+because each corner changes the velocity by at most a times the lesser of S and the adjacent half
+segments, at the ends a whole one. Summed up over the segments, a joint gets no further than
+a S^2 beyond a continuous motion of the duration T + S: the segments within S / 2
+of either end of a ramp count twice, which gives the a S^2.
 
 The oil that a cylinder takes from one joint position to another is the integral of its piston's
-area over the rod's travel. Whatever way the other joints take, this joint passes every position
-between. The certificate looks at the flow at least every 0.025 rad of a joint, between these
-moments in the middle; the midpoint rule is off by at most f'' d^3 / 24, which is taken off.
+area over the rod's travel. However the other joints move, this joint passes every position
+between. The certificate checks the flow at least every 0.025 rad of a joint, in the middle between
+two such moments; the error of the midpoint rule is at most f'' d^3 / 24, and is subtracted.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from backhoe_planner.motion import DRIVE_TOLERANCE, SAMPLE_PERIOD, Problem
 from backhoe_planner.proof.limits import JOINTS_WITHIN
 
 _LATE = 1.5 * SAMPLE_PERIOD  # s by which a sampled motion may be ahead of its ramps
-_LOOKED_AT = 0.025  # rad or m of a joint between two moments at which the certificate looks at the drive
-_GRID = 0.004  # rad or m, of the tables over a joint's range; chosen, well below `_LOOKED_AT`
-_ABOVE = 1.0001  # times the greatest at a grid point: what lies between them is above it by less
+_LOOKED_AT = 0.025  # rad or m of a joint between two moments at which the certificate checks the drive
+_GRID = 0.004  # rad or m, step of the tables over a joint's range; chosen, well below `_LOOKED_AT`
+_ABOVE = 1.0001  # times the greatest value at a grid point: values between grid points exceed it by less
 _MOMENTS = 2000  # of a table over time; chosen: the bound loses a four-thousandth of the longest time
-_MOST_TOGETHER = 4  # joints of which all combinations are looked at; with more, each alone and all together
-_ROUNDING = 1e-9  # part of a greatest need; far above that of the sums
-_BESIDE = 1e-6  # rad or m, by which the certificate lets a joint be outside of its range; see `JOINTS_WITHIN`
+_MOST_TOGETHER = 4  # joints of which all combinations are considered; with more, each alone and all together
+_ROUNDING = 1e-9  # part of the greatest need; far above the rounding of the sums
+_BESIDE = 1e-6  # rad or m by which the certificate lets a joint be outside of its range; see `JOINTS_WITHIN`
 
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """What a joint needs to get away from its start on one side.
+    """What a joint needs to move away from its start to one side.
 
     Attributes
     ----------
     offset: (K,) distances from the start [rad or m], from 0.
-    need: (K,) at least so much of the oil [m^3], or of the time at the valves' greatest speed [s].
+    need: (K,) lower bound of the oil [m^3], or of the time at the valves' greatest speed [s].
     most: the greatest need per rad or m anywhere in the range.
     """
 
@@ -56,12 +56,12 @@ class _Side:
     most: float
 
     def at(self, gap: Array) -> Array:
-        """The need of getting `gap` away."""
+        """The need for a distance `gap`."""
         return np.asarray(np.interp(gap, self.offset, self.need))
 
     def reach(self, need: Array) -> Array:
-        """How far `need` is enough for at most [rad or m]."""
-        # where nothing more is needed for a while, the furthest counts
+        """The greatest distance for which `need` is enough [rad or m]."""
+        # where the need does not rise for a while, the furthest distance counts
         rising = self.need + _ROUNDING * self.need[-1] * np.linspace(0.0, 1.0, len(self.need))
         found = np.interp(need + _ROUNDING * self.need[-1], rising, self.offset)
         return np.asarray(np.where(need >= self.need[-1], np.inf, found))
@@ -69,7 +69,7 @@ class _Side:
 
 @dataclass(frozen=True, eq=False)
 class _Supply:
-    """How much there can be of something up to the middle of a motion: H(t), with T the duration 2 H(T / 2).
+    """The most of a resource that a motion can use by time t in its first half: H(t); so 2 H(T / 2) in a duration T.
 
     Attributes
     ----------
@@ -84,17 +84,17 @@ class _Supply:
         return np.asarray(2.0 * np.interp(0.5 * need, self.amount, self.time))
 
     def within(self, duration: Array) -> Array:
-        """The most that a motion of this `duration` [s] can have."""
+        """The most that a motion of `duration` [s] can have."""
         return np.asarray(2.0 * np.interp(0.5 * duration, self.time, self.amount))
 
 
 class LeastTimes:
-    """The least times from one place, for one problem's limits.
+    """The least times from one configuration, for one problem's limits.
 
     Parameters
     ----------
-    start: (n,) where the joints are at rest [rad or m].
-    longest: times are looked at up to this one [s]; where a motion needs more, this is what is said.
+    start: (n,) the configuration at rest at the start [rad or m].
+    longest: the longest time that is considered [s]; it is the result if a motion needs more.
     """
 
     def __init__(self, problem: Problem, start: Vector, *, longest: float) -> None:
@@ -103,7 +103,7 @@ class LeastTimes:
         self._v, self._a = limits.velocity * (1.0 + JOINTS_WITHIN), limits.acceleration * (1.0 + JOINTS_WITHIN)
         self.lower, self.upper = limits.lower - _BESIDE, limits.upper + _BESIDE
         self._hydraulics = problem.robot.hydraulics
-        self._oil: dict[int, tuple[_Side, _Side]] = {}  # of every joint with a cylinder: upwards, downwards
+        self._oil: dict[int, tuple[_Side, _Side]] = {}  # for every joint with a cylinder: upwards, downwards
         self._slow: dict[int, tuple[_Side, _Side]] = {}
         self._supplies: dict[tuple[tuple[int, ...], tuple[int, ...]], _Supply] = {}
         self._valves: dict[tuple[int, int], _Supply] = {}
@@ -113,7 +113,7 @@ class LeastTimes:
                 self._oil[joint], self._slow[joint] = self._tables(self._hydraulics, joint)
 
     def to_boxes(self, lower: Matrix, upper: Matrix) -> Vector:
-        """(B,) no motion gets from the start to rest in the box `lower` .. `upper` (B, n) in less time [s]."""
+        """(B,) lower bound of the time from the start to rest in the box `lower` .. `upper` (B, n) [s]."""
         gap = np.maximum(np.maximum(lower - self.start, self.start - upper), 0.0)
         found = self._alone(gap).max(axis=1)
         if self._oil:
@@ -123,7 +123,7 @@ class LeastTimes:
         return np.asarray(np.minimum(found, self.longest))
 
     def _by_valves(self, found: Vector, side: Indices, gap: Matrix) -> None:
-        """Raise the times `found` (B,) to what the valves allow each joint by itself."""
+        """Raise the times `found` (B,) to those that the valves allow each joint by itself."""
         for joint, sides in self._slow.items():
             for way in (0, 1):
                 rows = np.flatnonzero(side[:, joint] == way)
@@ -131,7 +131,7 @@ class LeastTimes:
                 found[rows] = np.maximum(found[rows], self._valve(joint, way).duration(need))
 
     def _by_pump(self, found: Vector, side: Indices, gap: Matrix) -> None:
-        """Raise the times `found` (B,) to what the pump allows the joints together."""
+        """Raise the times `found` (B,) to those that the pump allows the joints together."""
         needs = {
             joint: np.where(side[:, joint] == 0, up.at(gap[:, joint]), down.at(gap[:, joint]))
             for joint, (up, down) in self._oil.items()
@@ -146,7 +146,7 @@ class LeastTimes:
                 found[rows] = np.maximum(found[rows], supply.duration(need[rows]))
 
     def _together(self, side: Indices) -> Iterator[tuple[tuple[int, ...], Flags]]:
-        """Which joints are looked at together, and (B,) of which boxes, in which all of these move."""
+        """The joints that are considered together, and (B,) the boxes for which all of these move."""
         joints = list(self._oil)
         moves = side[:, joints] < 2
         if len(joints) <= _MOST_TOGETHER:
@@ -159,7 +159,7 @@ class LeastTimes:
             yield from ((some, rows) for some in _combinations(moving))
 
     def reach(self, duration: Vector) -> tuple[Matrix, Matrix]:
-        """(K, n), (K, n) how far each joint can get downwards and upwards, and stop, in `duration` (K,) [rad or m]."""
+        """(K, n), (K, n) how far each joint can move down and up, and stop, in `duration` (K,) [rad or m]."""
         peak = np.minimum(self._v, 0.5 * self._a * (duration[:, None] + SAMPLE_PERIOD))
         with np.errstate(divide="ignore", invalid="ignore"):
             ramp = np.where(peak > 0.0, peak / self._a, 0.0)
@@ -186,7 +186,7 @@ class LeastTimes:
         return np.asarray(np.where(way > 0.0, np.maximum(found - SAMPLE_PERIOD, 0.0), 0.0))
 
     def _tables(self, hydraulics: Hydraulics, joint: int) -> tuple[tuple[_Side, _Side], tuple[_Side, _Side]]:
-        """What a joint needs of the oil, and of the time at the valves' greatest speed, upwards and downwards."""
+        """A joint's need of oil, and of time at the valves' greatest speed, each upwards and downwards."""
         most = (self._v[joint] + 1e-3) * (self.longest + SAMPLE_PERIOD)
         ends = [min(most, max(room, 0.0)) for room in (self.upper[joint] - self.start[joint],
                                                       self.start[joint] - self.lower[joint])]  # fmt: skip
@@ -206,7 +206,7 @@ class LeastTimes:
                 slow[way].append(np.nan_to_num(1.0 / ((1.0 + DRIVE_TOLERANCE) * speed)))
         found = []
         for upwards, downwards in (swept, slow):
-            # upwards over what is above, downwards over what is below; the greatest over all of the range
+            # integrate upwards above the start, downwards below it; the greatest value is over the whole range
             most = [_ABOVE * max(float(np.max(part)) for part in way) for way in (upwards, downwards)]
             found.append((
                 _Side(offsets[0], _integral(offsets[0], upwards[0]), most[0]),
@@ -215,14 +215,14 @@ class LeastTimes:
         return found[0], found[1]
 
     def _supply(self, joints: tuple[int, ...], ways: tuple[int, ...]) -> _Supply:
-        """The oil that these `joints`, each moving its way, can take."""
+        """The oil that these `joints` can take, each moving in its direction in `ways`."""
         if (joints, ways) not in self._supplies:
             most = [self._oil[joint][way].most for joint, way in zip(joints, ways, strict=True)]
             self._supplies[joints, ways] = self._table_of(self._flow, list(joints), most)
         return self._supplies[joints, ways]
 
     def _valve(self, joint: int, way: int) -> _Supply:
-        """The time at the valves' greatest speed that a joint can have: it grows no faster than time itself."""
+        """The time at the valves' greatest speed that a joint can have; it grows no faster than time itself."""
         if (joint, way) not in self._valves:
             self._valves[joint, way] = self._table_of(1.0, [joint], [self._slow[joint][way].most])
         return self._valves[joint, way]
@@ -233,12 +233,12 @@ class LeastTimes:
         for joint, per_joint in zip(joints, most, strict=True):
             rate += per_joint * np.minimum(self._v[joint], self._a[joint] * (time + _LATE))
         rate = np.minimum(rate, limit)
-        # the rate grows, so that the greater of each two is never too little
+        # the rate grows, so that the later of two neighbouring rates is never too low
         return _Supply(time, np.append(0.0, np.cumsum(rate[1:] * np.diff(time))))
 
 
 def _integral(x: Vector, density: Vector) -> Vector:
-    """(K,) at least so much has been needed up to each x (K,), where `density` (K,) is needed per rad or m."""
+    """(K,) lower bound of the need up to each x (K,), if `density` (K,) is needed per rad or m."""
     step = x[1] - x[0]
     if step == 0.0:
         return np.zeros(len(x))
@@ -260,7 +260,7 @@ def _greatest_beside(values: Vector, reach: int) -> Vector:
 
 
 def _combinations(joints: list[int]) -> Iterator[tuple[int, ...]]:
-    """Which joints are looked at together."""
+    """The sets of joints that are considered together."""
     if len(joints) > _MOST_TOGETHER:
         yield from ((joint,) for joint in joints)
         yield tuple(joints)

@@ -1,17 +1,17 @@
-"""A lower bound of the work of every motion to a goal: what it lifts.
+"""A lower bound of the work of every motion to a goal: the gain in potential energy.
 
 From rest to rest the joints give the machine and its payload at least the gain in potential
-energy, and nothing is given back. The gain is least over the postures on the goal, found by branch
+energy, and no energy is recovered. The least gain over the configurations on the goal is found by branch
 and bound over boxes as in `least_duration`, with the potential energy to second order:
 
     U(q) = U(c) + grad U . d + d^T H d / 2 + R,    d = q - c,
 
-from the first moments of what each joint carries, as of one point (`goal_features`).
+from the first moments of what each joint carries, treated as one point (`goal_features`).
 
-What a motion costs is summed up over its samples, where v is the mean of the segments beside
-them, and 0 at the ends. With the period S of `SAMPLE_PERIOD` the first and the last segment are
-no faster than a S, so that half of each, a S^2 / 2, and the kinetic energy of the first, are not
-counted. That is taken off.
+The work of a motion is summed up over its samples, at which v is the mean of the adjacent segments,
+and 0 at the ends. With the period S of `SAMPLE_PERIOD` the first and the last segment are
+no faster than a S, so half of each, a S^2 / 2, and the kinetic energy of the first are not
+counted. The bound is lowered by that.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from backhoe_planner.proof.box_tests import DirectionTest, Quadratic, bends, bes
 from backhoe_planner.proof.goal_features import GoalRegion, cross, goal_regions, vector_terms
 from backhoe_planner.proof.limits import JOINTS_WITHIN
 
-_NEAR = 0.01  # part of the gain to a known posture: a bound nearer to it is near enough; chosen
+_NEAR = 0.01  # part of the gain to a known configuration: a bound nearer to it than this is near enough; chosen
 _SAMPLED = 0.99  # of the bound: between the ends the work of the samples is that of the motion to within a thousandth
 _BESIDE = 1e-6  # rad or m by which the certificate lets a joint be outside of its range
 _AT_ONCE = 64  # boxes that are halved together; chosen, as in `least_duration`
@@ -34,12 +34,12 @@ _AT_ONCE = 64  # boxes that are halved together; chosen, as in `least_duration`
 def least_work(problem: Problem, start: Vector, *, end: Vector, boxes: int) -> float | None:
     """A lower bound of the work of every motion from rest at `start` to rest on the goal [J]; None in soil.
 
-    0 where the goal may be as low as the start.
+    It is 0 if the goal may be as low as the start.
 
     Parameters
     ----------
-    start, end: (n,) where the joints are at rest, and one posture on the goal [rad or m].
-    boxes: how many may be looked at.
+    start, end: (n,) the configuration at rest at the start, and one on the goal [rad or m].
+    boxes: the greatest number of boxes to examine.
     """
     if problem.scene.soil is not None:
         return None
@@ -49,7 +49,7 @@ def least_work(problem: Problem, start: Vector, *, end: Vector, boxes: int) -> f
         if least <= 0.0:
             return 0.0
         limits, middle = problem.limits, start if given.q is None else given.q
-        # a turn more or less is the same height
+        # one turn more or less gives the same height
         lower = np.where(np.isfinite(limits.lower), limits.lower, middle - np.pi) - _BESIDE
         upper = np.where(np.isfinite(limits.upper), limits.upper, middle + np.pi) + _BESIDE
         base = energy.at(start)
@@ -58,7 +58,7 @@ def least_work(problem: Problem, start: Vector, *, end: Vector, boxes: int) -> f
 
 
 class _PotentialEnergy:
-    """Of a problem's machine with its payload [J], up to a constant."""
+    """The potential energy of a problem's machine with its payload [J], up to a constant."""
 
     def __init__(self, problem: Problem) -> None:
         robot = problem.robot
@@ -73,11 +73,11 @@ class _PotentialEnergy:
         return GRAVITY * float((self._moments(at.rotations, at.origins)[0, :, 2]).sum())
 
     def least(self, lower: Matrix, upper: Matrix) -> Vector:
-        """(B,) it is nowhere below this in the boxes `lower` .. `upper` (B, n)."""
+        """(B,) a lower bound in the boxes `lower` .. `upper` (B, n)."""
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         at = self._kinematics.at(middle)
         own = self._moments(at.rotations, at.origins)
-        # what a joint moves: its own body and all that are further out
+        # a joint moves its own body and all bodies further out
         mass = np.cumsum(self._mass[::-1])[::-1]
         moment = np.cumsum(own[:, ::-1], axis=1)[:, ::-1]
         turning = cross(at.axes, moment - mass[:, None] * at.origins)
@@ -87,14 +87,14 @@ class _PotentialEnergy:
         return np.asarray(GRAVITY * (own[:, :, 2].sum(axis=1) - lift - terms.rest))
 
     def unsampled(self, problem: Problem, start: Vector) -> float:
-        """What the samples of a motion from `start` (n,) may leave out at its ends [J]."""
+        """The work that the samples of a motion from `start` (n,) may leave out at its ends [J]."""
         limits, model = problem.limits, problem.robot.model
         speed = np.minimum(limits.velocity, limits.acceleration * SAMPLE_PERIOD) * (1.0 + JOINTS_WITHIN)
         offset = np.array([float(np.linalg.norm(model.jointPlacements[k + 1].translation)) for k in range(len(start))])
         slide = np.where(self._hinge > 0.0, 0.0, np.maximum(np.abs(limits.lower), np.abs(limits.upper)))
         before = np.cumsum(offset) + np.cumsum(slide)  # from the base to each joint's frame, at most
         away = np.linalg.norm(self._centre, axis=1) + before
-        # how much the potential energy changes at most with each joint [J/rad or N]
+        # the greatest derivative of the potential energy by each joint [J/rad or N]
         arm = np.where(self._hinge[:, None] > 0.0, away - before[:, None], 1.0)
         load = GRAVITY * np.triu(arm * self._mass).sum(axis=1)
         inertia = np.abs(self._dynamics.mass_matrices(start[None])[0])

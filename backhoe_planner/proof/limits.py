@@ -1,4 +1,4 @@
-"""How much of each limit of the machine a whole motion uses at most."""
+"""The greatest use of each limit of the machine over a whole motion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
 JOINTS_WITHIN = 1e-6  # part of a limit of the joints: rounding
-# part of the asked speed; chosen for motions from elsewhere: plans are timed to within 0.1 %
+# part of the required speed; chosen for motions from other programs: plans are timed to within 0.1 %
 _TIP_SPEED_WITHIN = 0.03
 _WITHIN = {
     "position": JOINTS_WITHIN,
@@ -23,7 +23,7 @@ _WITHIN = {
 
 @dataclass(frozen=True)
 class LimitUse:
-    """How much of a limit a motion uses, where it uses most.
+    """The greatest use of a limit over a motion.
 
     Limits of the drive may be exceeded by 1 %, because torques depend on accelerations, which
     the samples give only to second order in the time between them; the tip's speed by 3 %;
@@ -34,10 +34,10 @@ class LimitUse:
     kind: ``position``, ``velocity``, ``acceleration``, ``torque``, ``rod speed``,
         ``pump flow``, ``engine power``, ``tip speed`` or ``duration``.
     joint: name of the joint; empty for the last four.
-    ratio: use over limit. For position, 1 plus the excess [rad or m] where outside.
-    time: when [s].
-    needed, available: use and limit, in `unit`; `available` is 0 where there is no limit.
-    at_rest: for a torque, the part of `ratio` that holding still takes; 0 for other kinds.
+    ratio: use over limit. For a position outside its range, 1 plus the excess [rad or m].
+    time: time of the greatest use [s].
+    needed, available: use and limit, in `unit`; `available` is 0 if there is no limit.
+    at_rest: for a torque, the part of `ratio` that is needed to hold still; 0 for other kinds.
     """
 
     kind: str
@@ -55,7 +55,7 @@ class LimitUse:
         return self.ratio <= 1.0 + _WITHIN.get(self.kind, DRIVE_TOLERANCE)
 
     def describe(self) -> str:
-        """The sentence that says that the limit does not hold."""
+        """The sentence about a limit that does not hold."""
         when, much = f"at {self.time:.2f} s", describe_ratio(self.ratio)
         if self.kind == "position":
             return f"{self.joint} exceeds its position limit {when} ({self.ratio - 1.0:.3g} {self.unit} outside)"
@@ -102,7 +102,7 @@ def position_use(problem: Problem, trajectory: Trajectory) -> LimitUse:
 def machine_uses(
     problem: Problem, trajectory: Trajectory
 ) -> tuple[LimitUse, LimitUse, LimitUse | None, LimitUse | None]:
-    """Use of velocities, accelerations, torques, and hydraulics; None for what the machine does not limit."""
+    """Use of velocities, accelerations, torques, and hydraulics; None for a limit that the machine does not have."""
     usage = limit_usage(problem, trajectory, tip_speed=False)
     kinds = {kind for kind, _ in usage.limits}
     return (
@@ -114,7 +114,7 @@ def machine_uses(
 
 
 def tip_speed_use(problem: Problem, trajectory: Trajectory, tracking: Tracking) -> LimitUse | None:
-    """Use of the tip's speed on the followed parts of a path, or on the whole way to a goal; None where it is free."""
+    """Use of the tip's speed on the followed parts of a path, or on the whole motion to a goal; None if it is free."""
     if problem.tip_speed is not None:
         time, speed = _fastest_tip(problem, trajectory)
         return LimitUse("tip speed", "", speed / problem.tip_speed, time, speed, problem.tip_speed, "m/s")
@@ -134,7 +134,7 @@ def duration_use(problem: Problem, trajectory: Trajectory) -> LimitUse | None:
 
 
 def _fastest_tip(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
-    """When the tip is fastest [s], and how fast it is [m/s]."""
+    """The time at which the tip is fastest [s], and its speed then [m/s]."""
     moments = trajectory.moments()
     if len(moments.time) < 2:
         return 0.0, 0.0
@@ -175,5 +175,5 @@ def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
 
 
 def _finite(value: float) -> float:
-    """A limit, or 0 where there is none (infinity)."""
+    """A limit, or 0 if there is none (infinity)."""
     return float(value) if np.isfinite(value) else 0.0

@@ -1,9 +1,9 @@
-"""Lower bounds of all distances at the samples of a motion; what may be too near is measured.
+"""Lower bounds of all distances at the samples of a motion; pairs that may be too near are measured.
 
-A distance is at least what balls around the pieces leave (`Proximity.bounds_unchecked`), and what it was at the sample
-before, less the way from there (`Proximity.ways_unchecked`). Where d_a and d_b are so bounded, and the way between them
-is B, the distance on the motion is at least (d_a + d_b - B) / 2: it is measured where its bound is less than what is to
-be proven and half of the longer way to either side.
+A distance is at least the distance of balls around the pieces (`Proximity.bounds_unchecked`), and at least the distance
+at the sample before, less the travel since then (`Proximity.ways_unchecked`). If d_a and d_b are such bounds, and B is
+the travel between the samples, the distance during the motion is at least (d_a + d_b - B) / 2. A pair is therefore
+measured if its bound is less than what is to be proven plus half of the longer travel to either side.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.site import Proximity
 
-_TOGETHER = 64  # samples; chosen: what is known of them takes a few MB where there are thousands of pairs
+_TOGETHER = 64  # samples; chosen: with thousands of pairs their bounds take a few MB
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """What was found at K samples that follow each other; the last one is the first of the next stretch.
+    """The margins at K consecutive samples; the last sample is also the first of the next stretch.
 
     Attributes
     ----------
     first: the number of the first sample.
-    margins: (K, P) of all pairs there, or lower bounds [m]; infinite where an obstacle does not count.
-    measured: (K, P) which of these are margins.
-    ways: (K - 1, P) how much each margin changes at most from a sample to the next [m].
+    margins: (K, P) margins of all pairs, or lower bounds of them [m]; infinite where an obstacle does not count.
+    measured: (K, P) which of these were measured.
+    ways: (K - 1, P) the greatest change of each margin from a sample to the next [m].
     """
 
     first: int
@@ -41,16 +41,16 @@ def bound_samples(
     proximity: Proximity, time: Vector, q: Matrix, enough: Vector,
     note: Callable[[int, Indices, Vector], Vector | None], *, until: Vector,
 ) -> Iterator[Stretch]:  # fmt: skip
-    """The margins of all pairs at samples, where they are not known to be enough.
+    """The margins of all pairs at the samples; a pair is measured only if its bound is not enough.
 
     Parameters
     ----------
     proximity: of the machine and the obstacles; it covers the samples.
-    time, q: (T,) and (T, n) of the samples [s], and where the joints are [rad or m].
+    time, q: (T,) times [s] and (T, n) joint positions [rad or m] of the samples.
     enough: (P,) the margins that are to be proven at the samples and between them [m].
-    note: called with a sample, pairs (K,) that were measured there and their margins (K,) [m]; its answer is what is
-        `enough` from then on, or None to end this.
-    until: (T,) at a sample an obstacle does not count that has not appeared by then [s].
+    note: called with a sample, the pairs (K,) measured there and their margins (K,) [m]; it returns what is
+        `enough` from then on, or None to stop.
+    until: (T,) for each sample the time by which an obstacle must have appeared to count [s].
     """
     last, count, clusters = len(time) - 1, len(proximity.pairs), slice(proximity.plain, None)
     some_appear = bool(np.any(proximity.appears_at > until[0]))
@@ -92,7 +92,7 @@ def bound_samples(
 def measure_below(proximity: Proximity, q: Vector, time: float, lower: Vector, floor: Vector) -> Indices:
     """The pairs that were measured at q (n,) and `time` [s]: all that are not known to be at least `floor` (P,) apart.
 
-    What is known is `lower` (P,), in which the distances are entered, and better bounds of others [m].
+    `lower` (P,) are the known lower bounds [m]; the measured distances, and better bounds of others, are written there.
     """
     if not len(proximity.clusters):
         pairs: Indices = (lower < floor).nonzero()[0]

@@ -1,6 +1,6 @@
-"""The certificate of a whole task: of one motion, or of a sequence from its legs, each on its own part.
+"""The certificate of a whole task: of one motion, or of a sequence, joined from those of its legs.
 
-Every leg is proven for itself, with its own load, limits, obstacles and conditions, from the samples at
+Every leg is proven by itself, with its own load, limits, obstacles and conditions, between the samples at
 which it begins and ends. The sample at which two legs meet belongs to both.
 """
 
@@ -27,7 +27,7 @@ def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
     Parameters
     ----------
     robot, scene: the machine and its task; they need not have been checked against each other.
-    trajectory: the motion; where the task is a sequence, `Trajectory.begins` says where its legs begin.
+    trajectory: the motion; for a sequence, `Trajectory.begins` tells where its legs begin.
 
     Raises
     ------
@@ -53,11 +53,11 @@ def _certified(part: LegPart) -> LegCertificate:
 
 
 def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] = ()) -> Certificate:
-    """The certificate of a sequence, the tightest over its legs.
+    """The certificate of a sequence: the tightest figures over its legs.
 
     Parameters
     ----------
-    legs: what was proven of each, in their order; at least one.
+    legs: the certificates of the legs in their order; at least one.
     missing: names of the legs that the motion does not begin.
     """
     legs, missing = tuple(legs), tuple(missing)
@@ -97,12 +97,12 @@ def _place(leg: LegCertificate) -> str:
 
 
 def _later(found: _Use, leg: LegCertificate) -> _Use:
-    """The same on the clock of the whole motion."""
+    """`found` with its time on the clock of the whole motion."""
     return replace(found, time=found.time + leg.begins)
 
 
 def _most(legs: tuple[LegCertificate, ...], key: str) -> LimitUse | None:
-    """The greatest use of a limit over all legs; None where no leg has it."""
+    """The greatest use of a limit over all legs; None if no leg has it."""
     uses: list[tuple[LimitUse, LegCertificate]] = [
         (use, leg) for leg in legs if (use := getattr(leg.certificate, key)) is not None
     ]
