@@ -1,6 +1,6 @@
-"""What a mesh contains: its bodies whose surfaces close, whichever way their triangles face.
+"""The closed bodies of a mesh, whichever way their triangles face, and which points are inside them.
 
-A point is inside where the surface winds around it (Jacobson et al. 2013, "Robust Inside-Outside
+A point is inside if the surface winds around it (Jacobson et al. 2013, "Robust Inside-Outside
 Segmentation using Generalized Winding Numbers", eq. 5): w = sum of solid angles / (4 pi). Bodies
 may overlap, and some of a file's bodies may be open.
 """
@@ -11,19 +11,19 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 
-_MOST_HOLLOWS = 50  # bodies that are examined for being a hollow of another; of more, all are solid; chosen
-_WOUND = 0.5  # of a turn, from where on a point counts as inside: between 0 and 1
+_MOST_HOLLOWS = 50  # bodies that are examined for being a hollow of another; if there are more, all are solid; chosen
+_WOUND = 0.5  # winding number from which on a point counts as inside: between 0 and 1
 
 
 class ClosedBodies:
-    """The bodies of a mesh that close.
+    """The closed bodies of a mesh.
 
-    A body that faces the other way than the largest and lies within others is a hollow in them. Any other that
-    faces the other way is solid all the same.
+    A body that faces the other way than most of the mesh and is inside others is a hollow in them. Any other
+    body that faces the other way is still solid.
 
     Parameters
     ----------
-    vertices: (k, 3) [m]. faces: (m, 3), with vertices that are shared.
+    vertices: (k, 3) [m]. faces: (m, 3), with shared vertices.
     """
 
     def __init__(self, vertices: Matrix, faces: Indices) -> None:
@@ -37,11 +37,11 @@ class ClosedBodies:
         return len(self.triangles)
 
     def contain(self, points: Matrix) -> Flags:
-        """(k,) whether they contain points (k, 3) [m] that are not on their surface."""
+        """(k,) which of the points (k, 3) [m] are inside the bodies; none may be on their surface."""
         return np.array([abs(winding(point, self.triangles)) > _WOUND for point in points], dtype=bool)
 
     def _face_outwards(self, body: Indices) -> None:
-        """Let all triangles face outwards, and those of hollows inwards; `body` (m,) says whose they are."""
+        """Make all triangles face outwards, and those of hollows inwards; `body` (m,) is the body of each."""
         if not len(body):
             return
         middle = self.triangles.reshape(-1, 3).mean(axis=0)
@@ -61,12 +61,12 @@ class ClosedBodies:
         self._turn(hollow[body])
 
     def _turn(self, those: Flags) -> None:
-        """Let triangles face the other way."""
+        """Make triangles face the other way."""
         self.triangles = np.where(those[:, None, None], self.triangles[:, ::-1], self.triangles)
 
 
 def _edges(faces: Indices) -> tuple[Indices, Indices, Indices]:
-    """Of the 3 m edges of `faces` (m, 3): the number (3 m,) of each, its face, and 1 where it runs upwards, else 0."""
+    """The numbers (3 m,) of the edges of `faces` (m, 3), the face of each, and 1 if it runs upwards, otherwise 0."""
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     low, high = ends.min(axis=1), ends.max(axis=1)
     number = np.unique(low * (int(faces.max(initial=0)) + 1) + high, return_inverse=True)[1].reshape(-1)
@@ -74,10 +74,10 @@ def _edges(faces: Indices) -> tuple[Indices, Indices, Indices]:
 
 
 def find_closed(faces: Indices) -> tuple[Indices, bool]:
-    """The faces (c, 3) of those bodies of `faces` (m, 3) that close, and whether these are all bodies.
+    """The faces (c, 3) of the closed bodies of `faces` (m, 3), and whether all bodies are closed.
 
-    In a body that closes every edge belongs to an even number of faces. A face that is given with both of its sides
-    counts once; where that leaves a body open, it counts as two, of bodies that touch there, and both are left out.
+    In a closed body every edge belongs to an even number of faces. A face that is given with both of its sides
+    counts once. If that leaves a body open, it counts as two faces of bodies that touch there, and both are left out.
     """
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
@@ -87,12 +87,12 @@ def find_closed(faces: Indices) -> tuple[Indices, bool]:
     outer = np.flatnonzero(~closed & (count % 2 == 1))
     touching = _parts(faces[outer])
     closes = ~np.isin(touching, touching[_has_open_edge(faces[outer])])
-    is_open = np.setdiff1d(part[~closed], part[outer])  # nothing is left of such a body
+    is_open = np.setdiff1d(part[~closed], part[outer])  # bodies of which nothing is left
     return np.vstack((faces[closed], faces[outer[closes]])), bool(closes.all()) and not len(is_open)
 
 
 def _parts(faces: Indices) -> Indices:
-    """(m,) to which connected part each of `faces` (m, 3) belongs."""
+    """(m,) the connected part to which each of `faces` (m, 3) belongs."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -102,18 +102,18 @@ def _parts(faces: Indices) -> Indices:
 
 
 def _has_open_edge(faces: Indices) -> Flags:
-    """(m,) which of `faces` (m, 3) have an edge that is open; see `open_edges`."""
+    """(m,) which of `faces` (m, 3) have an open edge; see `open_edges`."""
     return np.asarray(open_edges(faces).reshape(-1, 3).any(axis=1))
 
 
 def open_edges(faces: Indices) -> Flags:
-    """(3 m,) which edges of `faces` (m, 3), three of each, belong to an odd number of them."""
+    """(3 m,) which edges of `faces` (m, 3), three for each, belong to an odd number of faces."""
     number, _, _ = _edges(faces)
     return np.asarray((np.bincount(number) % 2 == 1)[number])
 
 
 def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:
-    """Which faces (m,) are to be turned round so that neighbours face alike, and the body that each belongs to."""
+    """(m,) which faces must be flipped so that neighbours face alike, and (m,) the body of each face."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -124,7 +124,7 @@ def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:
     first = first[np.bincount(number) == 2]
     one, other = order[first], order[first + 1]
     differ = (way[one] == way[other]).astype(np.intp)  # neighbours that face alike run along their edge both ways
-    # every face twice, as it is and turned round, each joined to what faces alike
+    # every face is there twice, as it is and flipped, and each is joined to the neighbours that face alike
     a, b = face[one], face[other]
     start, end = np.concatenate((a, a + count)), np.concatenate((b + count * differ, b + count * (1 - differ)))
     graph = coo_array((np.ones(len(start), dtype=bool), (start, end)), shape=(2 * count, 2 * count))
@@ -137,7 +137,7 @@ def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:
 
 
 def winding(point: Vector, triangles: Array) -> float:
-    """How often `triangles` (m, 3, 3) that close wind around a point (3,) [m]."""
+    """The winding number of closed `triangles` (m, 3, 3) around a point (3,) [m]."""
     away = triangles - point
     size = np.sqrt((away * away).sum(axis=2))
     a, b, c = away[:, 0], away[:, 1], away[:, 2]

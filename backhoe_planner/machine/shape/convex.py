@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 
 Cells = NDArray[np.int64]
 Block = tuple[int, int, int, int]
-"""Of a height map: first and last row, first and last column."""
+"""A block of a height map: first and last row, first and last column."""
 
 _FORMATS = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf", ".3mf")
-"""Suffixes of mesh files whose vertices can be looked at as they stand in the file: trimesh drops triangles at NaN."""
+"""Suffixes of mesh files whose vertices can be checked as they are in the file: trimesh drops triangles at NaN."""
 
 SPLIT_FORMATS = (".gltf",)
-"""Those whose mesh may lie in other files."""
+"""Those whose mesh may be in other files."""
 
-_RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
-_CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them
-_EXCESS = 1.08  # volumes of a mesh that its hull may have; chosen
-_HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side with which a point is compared; chosen: wider ones are few
-_SAME_VOLUME = 1.001  # of a mesh, up to which its hull is the mesh; STL files round a convex mesh by far less
-_SAME_PLACE = 8  # decimals in which vertices agree that lie at the same place; that of trimesh, which merges others
+_RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: for a cube, 2.5 % of its edge
+_CORNERS = 48  # of one piece at most; chosen: the time to measure a distance grows with them
+_EXCESS = 1.08  # greatest volume of a hull over that of its mesh; chosen
+_HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side at which a point is compared; chosen: wider hollows are rare
+_SAME_VOLUME = 1.001  # volume of a hull over the mesh's up to which they are the same; STL rounds a mesh by far less
+_SAME_PLACE = 8  # decimals in which vertices at the same place agree; as in trimesh, which merges vertices, too
 _FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 
 
@@ -63,7 +63,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise InputError("is not a mesh that can be read", file=path, found=found, allowed=", ".join(_FORMATS))
     try:
         check_whole(path)
-        with np.errstate(all="ignore"):  # the coordinates are looked at below
+        with np.errstate(all="ignore"):  # the coordinates are checked below
             scene = trimesh.load_scene(path, process=False)
             parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]
             for part in parts:
@@ -72,13 +72,13 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
                 _check_collada(path)
             for part in parts:
                 part.process()
-                part.faces = _welded(part)  # bodies that close stay apart from others that they touch
+                part.faces = _welded(part)  # closed bodies stay separate from others that they touch
             mesh = scene.to_mesh()
             if len(scene.graph.nodes_geometry) > 1:
                 mesh.faces = _welded(mesh)
     except InputError:
         raise
-    except Exception as error:  # trimesh raises whatever its format readers run into
+    except Exception as error:  # trimesh lets through any exception of its format readers
         raise InputError(f"is not a mesh that can be read: {error}", file=path) from error
     if len(mesh.faces) == 0:
         raise InputError("holds no triangles", file=path)
@@ -87,10 +87,10 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def _welded(mesh: trimesh.Trimesh) -> Cells:
-    """Faces (m, 3) of a mesh, whose open edges share their vertices where these lie at the same place.
+    """Faces (m, 3) of a mesh, with vertices of open edges merged if they are at the same place.
 
-    A file gives a vertex once for each normal, each place in a texture and each material, so that a surface that
-    closes is torn there.
+    A file repeats a vertex for each normal, each texture coordinate and each material, so that a closed surface
+    is torn there.
     """
     faces = np.asarray(mesh.faces, dtype=np.int64)
     torn = np.unique(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)[open_edges(faces)])
@@ -104,20 +104,20 @@ def _welded(mesh: trimesh.Trimesh) -> Cells:
 
 
 def is_closed(mesh: trimesh.Trimesh) -> bool:
-    """Whether the surface of a mesh closes everywhere; see `find_closed`."""
+    """Whether the surface of a mesh is closed everywhere; see `find_closed`."""
     return find_closed(np.asarray(mesh.faces, dtype=np.intp))[1]
 
 
 def _check_part(part: trimesh.Trimesh, path: Path) -> None:
     coordinates = np.asarray(part.vertices, dtype=float).ravel()
-    if path.suffix.lower() == ".obj" and not np.isfinite(coordinates).all():  # whose reader numbers vertices anew
+    if path.suffix.lower() == ".obj" and not np.isfinite(coordinates).all():  # the OBJ reader renumbers vertices
         lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
         _check_finite(np.array([words[1:4] for words in lines if words[:1] == ["v"]], dtype=float).ravel(), path)
     _check_finite(coordinates, path)
 
 
 def _check_finite(coordinates: Vector, path: Path) -> None:
-    """InputError that names the first of a file's `coordinates` (3 n,) that is not finite."""
+    """Raise an InputError that names the first of a file's `coordinates` (3 n,) that is not finite, if there is one."""
     wrong = np.flatnonzero(~np.isfinite(coordinates))
     if len(wrong):
         vertex, coordinate = divmod(int(wrong[0]), 3)
@@ -148,7 +148,7 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EX
     ----------
     mesh: any triangle mesh, closed or not [m].
     pieces: the greatest number of pieces in the decomposition.
-    excess: a mesh whose convex hull has at most so many times its volume becomes one piece, its hull.
+    excess: a mesh whose convex hull has at most `excess` times its volume becomes one piece, its hull.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EX
 
     Raises
     ------
-    InputError: the mesh reaches further than 1e7 m from its origin.
+    InputError: the mesh extends further than 1e7 m from its origin.
     """
     return [corners for corners, _ in cover_with_surface(mesh, pieces=pieces, excess=excess)]
 
@@ -165,7 +165,7 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EX
 def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> list[tuple[Matrix, Matrix | None]]:
     """The pieces of `convex_cover`, each with those triangles (m, 3, 3) of the mesh that it was grown over [m].
 
-    Every triangle is with one piece. None instead of triangles where the piece is the mesh.
+    Every triangle belongs to one piece. The triangles are None if the piece is the mesh.
     """
     vertices = np.asarray(mesh.vertices, dtype=float)
     faces = np.asarray(mesh.faces)
@@ -195,7 +195,7 @@ def is_nearly_convex(mesh: trimesh.Trimesh, *, excess: float = _EXCESS) -> bool:
 
 
 def _extent(mesh: trimesh.Trimesh) -> tuple[Matrix, ConvexHull, float]:
-    """(k, 3) vertices that triangles use [m], their hull, and the volume that the triangles enclose [m^3]."""
+    """(k, 3) vertices used by triangles [m], their hull, and the volume that the triangles enclose [m^3]."""
     points = np.asarray(mesh.vertices, dtype=float)[np.unique(mesh.faces)]
     furthest = float(np.max(np.abs(points)))
     if furthest > _FURTHEST:
@@ -205,12 +205,12 @@ def _extent(mesh: trimesh.Trimesh) -> tuple[Matrix, ConvexHull, float]:
             allowed=f"up to {_FURTHEST:.0e} m",
             hint="its scale takes the units of the file to metres",
         )
-    with np.errstate(all="ignore"):  # trimesh divides by the volume for the centre of mass, also where it is 0
+    with np.errstate(all="ignore"):  # trimesh divides by the volume for the centre of mass, even if it is 0
         return points, hull(points), abs(float(mesh.volume))
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[tuple[Matrix, Matrix | None]]:
-    """Corners (k, 3) of each hull after it took in the `triangles` (m, 3, 3) that stick out of it least; and these."""
+    """Corners (k, 3) of each hull, grown over those `triangles` (m, 3, 3) that stick out of it least; and these."""
     outside = np.stack(
         [np.max(triangles @ part.equations[:, :3].T + part.equations[:, 3], axis=(1, 2)) for part in hulls]
     )
@@ -224,7 +224,7 @@ def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[tu
 
 
 def voxel_boxes(points: Matrix, resolution: float, *, most: int | None = None) -> list[tuple[Matrix, Matrix]]:
-    """Boxes that together are exactly the voxels in which a point lies.
+    """Boxes that together are exactly the voxels that contain a point.
 
     Neighbouring voxels are merged into larger boxes, first along x, then y, then z.
 
@@ -261,7 +261,7 @@ def _too_fine(count: str, most: int) -> InputError:
 
 
 def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells]:
-    """Boxes of cells (N, 3), after joining those that continue each other along an axis."""
+    """Boxes of cells (N, 3), after joining adjacent ones of equal cross-section along an axis."""
     across = np.column_stack([values[:, i] for values in (corner, extent) for i in range(3) if i != axis])
     order = np.lexsort((corner[:, axis], *across.T))
     corner, extent, across = corner[order], extent[order], across[order]
@@ -278,7 +278,7 @@ def terrain_columns(
 ) -> list[Matrix]:
     """Corners (k, 3) of convex columns that together fill the ground under a height map [m].
 
-    Blocks of cells become one column where the hull of their surface points rises at most
+    A block of cells becomes one column if the hull of its surface points rises at most
     `tolerance` above the surface at every grid point.
 
     Parameters
@@ -286,14 +286,14 @@ def terrain_columns(
     heights: (rows, columns) [m]; rows run along y, columns along x, both ascending,
         and the map is centred on the origin.
     size: extent in x and y [m].
-    tolerance: how deep a hollow may be filled up [m].
+    tolerance: the greatest depth of a hollow that may be filled up [m].
     depth: how far below the lowest point the columns reach [m].
     most: the greatest number of columns; any number by default.
 
     Raises
     ------
-    InputError: it takes more than `most`. On ground that is hollow everywhere this is known
-        before any hull is built.
+    InputError: more than `most` columns are needed. On ground with hollows everywhere this is
+        found before any hull is built.
     """
     rows, columns = heights.shape
     x = np.linspace(-size[0] / 2.0, size[0] / 2.0, columns)
@@ -319,10 +319,10 @@ def terrain_columns(
 
 
 def _split_hollow_blocks(heights: Matrix, tolerance: float, most: int | None) -> list[Block]:
-    """The blocks that are left after halving all in which a grid point lies low between two others.
+    """The blocks that remain after halving all blocks in which a grid point is low between two others.
 
-    A hull rises above the middle of three points in a row by at least as much as it lies below
-    the line between the others, so that no block that was halved could have been one column.
+    A hull rises above the middle of three points in a row by at least as much as this point is below
+    the line between the others, so that no halved block could have been one column.
     """
     rows, columns = heights.shape
     lows = [(step, *_low_points(heights, tolerance, step)) for step in _HOLLOWS if 2 * step < max(rows, columns)]
@@ -343,9 +343,9 @@ def _split_hollow_blocks(heights: Matrix, tolerance: float, most: int | None) ->
 
 
 def _low_points(heights: Matrix, tolerance: float, step: int) -> tuple[Cells, Cells]:
-    """How many points lie more than `tolerance` below the middle of those `step` to both sides, along x and along y.
+    """How many points are more than `tolerance` below the mean of those `step` to both sides, along x and along y.
 
-    Each (rows + 1, columns + 1): the sums over all rows and columns before.
+    Each result is (rows + 1, columns + 1): the counts over all rows and columns before.
     """
     low = np.zeros((2, *heights.shape), dtype=bool)
     low[0, :, step:-step] = (
@@ -358,7 +358,7 @@ def _low_points(heights: Matrix, tolerance: float, step: int) -> tuple[Cells, Ce
 
 
 def _any_in(sums: Cells, r0: int, r1: int, c0: int, c1: int) -> bool:
-    """Whether any point is counted from row r0 to r1 and column c0 to c1, both included."""
+    """Whether any point is counted in rows r0 to r1 and columns c0 to c1, all included."""
     if r1 < r0 or c1 < c0:
         return False
     return bool(sums[r1 + 1, c1 + 1] - sums[r0, c1 + 1] - sums[r1 + 1, c0] + sums[r0, c0])

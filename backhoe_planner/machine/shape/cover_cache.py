@@ -1,7 +1,7 @@
-"""Convex pieces of mesh files, kept in the user's cache folder, since dividing a mesh takes seconds.
+"""Convex pieces of mesh files, kept in the user's cache folder because dividing a mesh takes seconds.
 
-An entry belongs to the bytes of a mesh file, to its scale and the bounds it was divided with, to
-the code that divides meshes and to the versions of the libraries that it calls.
+The key of an entry covers the bytes of a mesh file, its scale, the settings of the division, the
+code that divides meshes, and the versions of the libraries that the code calls.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Cover:
 
     Attributes
     ----------
-    pieces: corners (k, 3) of each [m], see `convex_cover`.
-    surfaces: of each piece those triangles (m, 3, 3) of the mesh that it was grown over [m]; None where the
+    pieces: corners (k, 3) of each piece [m], see `convex_cover`.
+    surfaces: for each piece those triangles (m, 3, 3) of the mesh that it was grown over [m]; None if the
         piece is the mesh.
-    cached: whether they came from the cache folder.
+    cached: whether the pieces came from the cache folder.
     """
 
     pieces: list[Matrix]
@@ -41,17 +41,17 @@ class Cover:
 
 
 def cache_folder() -> Path:
-    """Where the pieces of meshes are kept, whether or not it exists yet."""
+    """The folder for the pieces of meshes, whether or not it exists yet."""
     return caches() / "convex_pieces"
 
 
 def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: float = 1.08) -> Cover:
-    """The convex pieces of a mesh file, from the cache folder where they are there, and else into it.
+    """The convex pieces of a mesh file; they are read from the cache folder, or computed and written there.
 
     Parameters
     ----------
     path: of the mesh.
-    scale: of the file's units to metres, one number or (3,).
+    scale: from the file's units to metres, one number or (3,).
     pieces, excess: see `convex_cover`.
 
     Raises
@@ -60,7 +60,7 @@ def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: f
     """
     entry, key = None, b""
     if path.suffix.lower() not in SPLIT_FORMATS:
-        with contextlib.suppress(OSError, RuntimeError, ImportError):  # `load_mesh` says what is wrong; or no home
+        with contextlib.suppress(OSError, RuntimeError, ImportError):  # `load_mesh` reports it; or there is no home
             key = _key(path.read_bytes(), scale, pieces, excess)
             entry = cache_folder() / f"{key.hex()}.pieces"
             kept = _read(entry, key)
@@ -82,12 +82,12 @@ def _key(mesh: bytes, scale: float | Vector, pieces: int, excess: float) -> byte
 
 @cache
 def _maker() -> bytes:
-    """Of the code that divides meshes."""
+    """A digest of the code that divides meshes."""
     return maker_digest(Path(__file__).parent, _MAKERS, _LIBRARIES)
 
 
 def _read(entry: Path, key: bytes) -> tuple[list[Matrix], list[Matrix | None]] | None:
-    """The pieces of an entry with their surfaces; None where there is none, or a damaged one."""
+    """The pieces of an entry with their surfaces; None if there is no entry, or it is damaged."""
     body = read_entry(entry, key)
     if body is None:
         return None

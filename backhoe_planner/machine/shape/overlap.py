@@ -1,8 +1,8 @@
-"""What two convex pieces have in common: the corners of their overlap.
+"""The corners of the overlap of two convex pieces.
 
-A corner of the overlap of two polytopes lies where an edge of the one enters or leaves the
-other, or is a corner of the one inside the other: an end of an edge of the one, cut off by the
-faces of the other. The furthest point of the overlap from a line or a point is such a corner.
+A corner of the overlap of two polytopes is where an edge of one enters or leaves the
+other, or is a corner of one inside the other: in both cases an end of an edge of one, cut off by
+the faces of the other. The furthest point of the overlap from a line or a point is such a corner.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.machine.shape.shapes import Piece, hull
 
-_BALL = 100  # corners of the polytope in a ball; its faces are no nearer to the middle than 0.96 radii
-_DIGITS = 9  # to which the planes of triangles on one face are equal
+_BALL = 100  # corners of the polytope in a ball; its faces are no nearer to the centre than 0.96 radii
+_DIGITS = 9  # to which the planes of triangles of one face agree
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Faces:
     Attributes
     ----------
     corners: (k, 3) [m].
-    edges: (E, 2) which corners they join; lines across a face may be among them.
+    edges: (E, 2) the corners that they join; lines across a face may be among them.
     planes: (F, 4) outward normal and offset of the faces: n . x + d <= 0 inside.
     """
 
@@ -36,7 +36,7 @@ class Faces:
 
 
 def faces_of(piece: Piece) -> Faces:
-    """A piece as a polytope; where it is round, as one inside of it, with 0.96 of its radius at least."""
+    """A piece as a polytope; a round piece as a polytope inside it, with at least 0.96 of its radius."""
     points = piece.hull
     if piece.prism:
         return _faces_of_prism(points)
@@ -48,7 +48,7 @@ def faces_of(piece: Piece) -> Faces:
 
 
 def _faces_of_prism(corners: Matrix) -> Faces:
-    """The one of a right prism from the `corners` (2 k, 3) [m] of its rims."""
+    """The polytope of a right prism from the `corners` (2 k, 3) [m] of its rims."""
     low = np.arange(len(corners) // 2)
     following, high = np.roll(low, -1), low + len(low)
     edges = [np.column_stack(ends) for ends in ((low, following), (high, high[following]), (low, high))]
@@ -61,7 +61,7 @@ def _faces_of_prism(corners: Matrix) -> Faces:
 
 @cache
 def _on_unit_ball() -> Matrix:
-    """(100, 3) points spread evenly over the unit ball: on a spiral, at heights that are evenly spaced."""
+    """(100, 3) points spread evenly over the unit sphere: on a spiral, at evenly spaced heights."""
     number = np.arange(_BALL) + 0.5
     height, angle = 1.0 - 2.0 * number / _BALL, np.pi * (1.0 + np.sqrt(5.0)) * number
     around = np.sqrt(1.0 - height**2)
@@ -69,11 +69,11 @@ def _on_unit_ball() -> Matrix:
 
 
 def overlap_corners(first: Faces, second: Faces, rotation: Matrix, translation: Matrix) -> Matrix:
-    """(m, 3) the corners of the overlap, in the frame of `first` [m]; (0, 3) where there is none.
+    """(m, 3) the corners of the overlap, in the frame of `first` [m]; (0, 3) if there is none.
 
     Parameters
     ----------
-    rotation, translation: (3, 3) and (3,) place `second` in the frame of `first`.
+    rotation, translation: (3, 3) and (3,) the placement of `second` in the frame of `first`.
     """
     placed = second.corners @ rotation.T + translation
     normals = second.planes[:, :3] @ rotation.T
@@ -82,13 +82,13 @@ def overlap_corners(first: Faces, second: Faces, rotation: Matrix, translation: 
 
 
 def _cut(corners: Matrix, edges: Array, planes: Matrix) -> Matrix:
-    """(m, 3) the ends of the edges, after what lies outside of the planes is cut off."""
+    """(m, 3) the ends of the edges after cutting off what is outside the planes."""
     height = corners @ planes[:, :3].T + planes[:, 3]
     outside = height > 0.0
     edges = edges[~np.any(outside[edges[:, 0]] & outside[edges[:, 1]], axis=1)]
     start, end = height[edges[:, 0]], height[edges[:, 1]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = start / (start - end)  # the part of the edge at which it goes through each plane
+        crossing = start / (start - end)  # the fraction of the edge at which it crosses each plane
     enters = np.where((start > 0.0) & (end <= 0.0), crossing, 0.0).max(axis=1)
     leaves = np.where((start <= 0.0) & (end > 0.0), crossing, 1.0).min(axis=1)
     inside = enters <= leaves

@@ -1,12 +1,12 @@
-"""What coal found of many pairs, read at once.
+"""Coal's results for many pairs, read at once.
 
-A geometry's data holds one result per pair, one after the other in memory: the distance, the normal and
-both nearest points are ten numbers in a row. Python asks for each of them by a call of its own, four for a
-pair, and for a dozen pairs that takes longer than to measure them. The normal of a result is handed
-out as a view of that memory, so that one array over all results shows the same numbers.
+A geometry's data has one result per pair, one after another in memory: the distance, the normal and
+both nearest points are ten numbers in a row. Python reads them with separate calls, four for a
+pair, and for a dozen pairs that takes longer than measuring them. The normal of a result is
+returned as a view of that memory, so that one array over all results shows the same numbers.
 
-Where the numbers stand is up to coal's version. It is found out once, on a few pairs whose numbers are all
-different, and where they do not stand as said here, results are read one by one.
+The memory layout depends on coal's version. It is determined once, on a few pairs whose numbers are all
+different. If it is not as described here, results are read one by one.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _DISTANCE, _NORMAL, _FIRST, _SECOND = 0, slice(1, 4), slice(4, 7), slice(7, 10)
 
 
 class ResultTable:
-    """The results of all P pairs of one geometry, which must get no further pairs.
+    """The results of all P pairs of one geometry, to which no further pairs may be added.
 
-    Where the memory cannot be read at once it gives the same numbers, more slowly.
+    If the memory cannot be read at once, it gives the same numbers more slowly.
 
     Parameters
     ----------
-    model, data: Pinocchio's; their pairs are measured at the placements that `data` has.
+    model, data: Pinocchio's; their pairs are measured at the placements in `data`.
 
     Attributes
     ----------
@@ -47,9 +47,10 @@ class ResultTable:
         self._numbers = _numbers_of(data)
 
     def measure(self, pairs: Indices) -> Matrix:
-        """(K, 10) what is found of `pairs` (K,), world.
+        """(K, 10) the results of measuring `pairs` (K,), world.
 
-        Distance, normal from the first piece to the second (3), and nearest points of both (3, 3) [m].
+        They are the distance, the normal from the first piece to the second (3), and the nearest points of both
+        (3, 3) [m].
         """
         model, data, compute = self._model, self._data, pin.computeDistance
         for pair in pairs.tolist():
@@ -82,13 +83,13 @@ class ResultTable:
 
 @compiled
 def read_results(numbers: Matrix, pairs: Indices, contact: float, /) -> tuple[Matrix, bool]:
-    """(K, 10) a copy of the rows `pairs` (K,) of `numbers` (P, 10), and whether one begins with `contact` or less."""
+    """(K, 10) a copy of the rows `pairs` (K,) of `numbers` (P, 10), and whether a distance is `contact` or less."""
     found = np.asarray(numbers[pairs])  # `take` would copy all of them first
     return found, len(found) > 0 and not found[found[:, _DISTANCE].argmin(), _DISTANCE] > contact
 
 
 def _read_each(data: pin.GeometryData, pairs: Indices) -> Matrix:
-    """(K, 10) the results of `pairs` (K,), as the library says them one by one."""
+    """(K, 10) the results of `pairs` (K,), read one by one from the library."""
     found = np.empty((len(pairs), _NUMBERS))
     results = data.distanceResults
     for row, pair in enumerate(pairs.tolist()):
@@ -99,7 +100,7 @@ def _read_each(data: pin.GeometryData, pairs: Indices) -> Matrix:
 
 
 def _numbers_of(data: pin.GeometryData) -> Matrix | None:
-    """(P, 10) a view of all results, or None where they cannot be seen at once."""
+    """(P, 10) a view of all results, or None if they cannot be read at once."""
     step = _bytes_of_a_result()
     results = data.distanceResults
     if step is None or len(results) == 0:
@@ -112,7 +113,7 @@ def _numbers_of(data: pin.GeometryData) -> Matrix | None:
 
 @cache
 def _bytes_of_a_result() -> int | None:
-    """How far apart two results stand in memory; None where their numbers do not stand as this module has them."""
+    """The distance of two results in memory [bytes]; None if the layout is not as described in this module."""
     model, robot = pin.GeometryModel(), pin.Model()
     for radius, place in ((0.25, (0.1, 0.2, 0.4)), (0.75, (3.0, -1.7, 2.3)), (0.5, (-2.9, 5.1, 1.3))):
         ball = sphere(radius, pin.SE3(np.eye(3), np.array(place)))
@@ -129,23 +130,23 @@ def _bytes_of_a_result() -> int | None:
         return None
     if step < _NUMBERS * _BYTES or step % _BYTES:
         return None
-    # all but the last, so that nothing beyond the results is looked at before it is known where they end
+    # all but the last, so that nothing beyond the results is read before their size is known
     seen, said = _view(normals[0], len(normals) - 1, step), _read_each(data, np.arange(len(normals) - 1))
     return step if np.array_equal(seen, said) else None
 
 
 def _view(normal: Vector, count: int, step: int) -> Matrix:
-    """(count, 10) the numbers of `count` results, `step` bytes from each other; the first has this normal (3,)."""
+    """(count, 10) the numbers of `count` results, `step` bytes apart; the first has this `normal` (3,)."""
     return np.asarray(_Memory(normal, (count, _NUMBERS), (step, _BYTES)))
 
 
 class _Memory:
-    """Memory around an array as numpy asks for it; it holds what the array is a view of."""
+    """Memory around an array, by numpy's interface; it keeps alive what the array is a view of."""
 
     def __init__(self, normal: Vector, shape: tuple[int, int], strides: tuple[int, int]) -> None:
         self._holds = normal
         self.__array_interface__ = {
-            "data": (_address(normal) - _BYTES, True),  # the distance stands before the normal
+            "data": (_address(normal) - _BYTES, True),  # the distance is before the normal
             "shape": shape,
             "strides": strides,
             "typestr": "<f8",

@@ -1,7 +1,7 @@
-"""Convex collision shapes: the one place where coal is called to make them (trees of many are in `trees`).
+"""Convex collision shapes: the only place where coal is called to make them (trees of many are in `trees`).
 
-A `Piece` is a convex shape at a place on a body. It knows points and a radius that
-bound it, so that how far it can travel is computed without asking coal.
+A `Piece` is a convex shape at a placement on a body. It has points and a radius that
+bound it, so that how far it can travel is computed without coal.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
 
 _SIDES = 32  # of the prism around a cylinder: its corners are 1 / cos(pi / 32) = 1.0049 radii from the axis
-_FLAT = 1e-6  # m, or part of the largest extent where that is more: Qhull cannot build hulls of thinner points
-_THICKNESS = 1e-3  # m given to flat points; chosen, small beside any clearance
-_THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more: ten times `_FLAT`
-_FAR = 1e3  # largest extents from the origin: beyond, too few digits are left for the shape
-_DEEP = 1e5  # m: beyond any site, and so little that a place at the surface keeps 1e-11 m
+_FLAT = 1e-6  # m, or part of the largest extent if that is more: Qhull cannot build hulls of thinner points
+_THICKNESS = 1e-3  # m given to flat points; chosen, small compared with any clearance
+_THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, if that is more: ten times `_FLAT`
+_FAR = 1e3  # largest extents from the origin: further away, too few digits are left for the shape
+_DEEP = 1e5  # m: beyond any site, and small enough that a point at the surface is exact to 1e-11 m
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
 CONTACT = 1e-9  # m: distances below this are measured again, see `measure_again`
 _TOLERANCE = 1e-12  # m, of coal's iterations: tests compare gradients with differences over 1e-6 rad
-LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn where the first answer is in doubt
+LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn if the first result is in doubt
 _ITERATIONS = 256  # at most: twice coal's default, for that tolerance
-_NEIGHBOURS = 254  # of a corner: coal counts them in one byte, of which it keeps one value
-_EXCESS = 1e-3  # of the distance from the centroid; chosen: a fifth of what the prism around a cylinder has
+_NEIGHBOURS = 254  # of a corner: coal counts them in one byte, and reserves one of its values
+_EXCESS = 1e-3  # part of the distance from the centroid; chosen: a fifth of that of the prism around a cylinder
 _Result = TypeVar("_Result", bound=Any)
 
 
@@ -47,11 +47,11 @@ class Piece:
     shape: coal's object.
     placement: T_body_shape.
     hull: (k, 3) points [m] in the body's frame; the piece lies within `radius` of
-        their convex hull. Empty for a half-space, which has no bound.
+        their convex hull. Empty for a half-space, which is unbounded.
     radius: [m].
-    prism: whether `hull` is the one rim of a right prism, counter-clockwise as seen from the other, and then
-        the other.
-    make_inner: makes `inner`; None where that is the shape itself.
+    prism: whether `hull` is one rim of a right prism, counter-clockwise as seen from the other rim, followed by
+        the other rim.
+    make_inner: makes `inner`; None if that is the shape itself.
     """
 
     shape: coal.CollisionGeometry
@@ -63,15 +63,15 @@ class Piece:
 
     @cached_property
     def pose(self) -> tuple[Matrix, Vector]:
-        """(3, 3) and (3,) the placement as arrays [m], which take Pinocchio long to make."""
+        """(3, 3) and (3,) the placement as arrays [m]; kept because Pinocchio takes long to make them."""
         return np.array(self.placement.rotation), np.array(self.placement.translation)
 
     @cached_property
     def inner(self) -> coal.CollisionGeometry | None:
-        """A shape at the same place that is nowhere larger than what the piece contains as it is written.
+        """A shape at the same place that is nowhere larger than the shape as written, which the piece contains.
 
-        Of a mesh that is not convex it is the surface alone: what is inside of it does not touch it. None where
-        no triangle of it lies in the piece.
+        For a mesh that is not convex it is the surface alone: something wholly inside does not touch it. None if
+        no triangle of the mesh belongs to the piece.
         """
         return self.shape if self.make_inner is None else self.make_inner()
 
@@ -98,14 +98,14 @@ def box(size: Vector, placement: pin.SE3) -> Piece:
 
 
 class LateBox(Piece):
-    """A box whose coal object is made when it is first asked for; of most boxes around cells none ever is.
+    """A box whose coal object is made at its first use, because most boxes around cells never need one.
 
-    edges, R, t and hull are as `box` has them.
+    edges, R, t and hull are as for `box`.
 
     Parameters
     ----------
     edges: (3,) its edge lengths [m]; R, t: (3, 3), (3,) T_body_box [m].
-    hull: (8, 3) its corners in the body's frame, as those of `box` [m].
+    hull: (8, 3) its corners in the body's frame, in the order of `box` [m].
     """
 
     edges: Vector
@@ -139,8 +139,8 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
     """A cylinder of `radius` [m] and `length` [m] along z, centred at `placement` T_body_cylinder.
 
     It is measured as the regular prism of 32 sides around it, which is larger by at most
-    0.49 % of the radius. On a round rim coal's iterations stop short of the precision that
-    gradients need, and in penetration they may not converge; on a polytope they end.
+    0.49 % of the radius. On a round rim coal's iterations do not reach the precision that
+    gradients need, and in penetration they may not converge; on a polytope they terminate.
     """
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     around = radius / np.cos(np.pi / _SIDES)
@@ -163,13 +163,13 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
 def convex(points: Matrix, placement: pin.SE3, *, surface: Matrix | None = None) -> Piece:
     """The convex hull of `points` (k, 3) [m] in the frame at `placement` T_body_hull; flat ones are thickened.
 
-    Where a corner has more neighbours than coal can count, as the tip of a cone of 300 sides, it
-    is a polytope with fewer faces around the hull, which sticks out of it by at most 0.1 % of the
+    If a corner has more neighbours than coal can count, such as the tip of a cone of 300 sides, the piece
+    is a polytope with fewer faces around the hull, which sticks out of the hull by at most 0.1 % of the
     distance from the centroid.
 
     Parameters
     ----------
-    surface: (m, 3, 3) triangles in that frame [m], where the hull is larger than what it contains; may be none.
+    surface: (m, 3, 3) triangles in that frame [m], if the hull is larger than what it contains; may be empty.
     """
     points = np.asarray(points, dtype=float)
     centre = points.mean(axis=0)
@@ -186,7 +186,7 @@ def convex(points: Matrix, placement: pin.SE3, *, surface: Matrix | None = None)
     edges = around.points[around.simplices[:, 1:]] - around.points[around.simplices[:, :1]]
     inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), around.equations[:, :3]) < 0.0
     triangles = numbers[np.where(inward[:, None], around.simplices[:, ::-1], around.simplices)]
-    # coal could build the hull itself, but ends the process where Qhull reports an error
+    # coal could build the hull itself, but ends the process if Qhull reports an error
     return _piece(_polytope(around.points[around.vertices], triangles), placement, around.points, make_inner=inner)
 
 
@@ -201,13 +201,13 @@ def _polytope(points: Matrix, triangles: Array) -> coal.Convex:
 
 
 def surface_of(piece: Piece) -> Matrix | None:
-    """(m, 3, 3) the triangles of a mesh that a piece was made around, in its shape's frame; None of any other [m]."""
+    """(m, 3, 3) the triangles of the mesh around which a piece was made, in its shape's frame [m]; otherwise None."""
     make = piece.make_inner
     return make.args[0] if isinstance(make, partial) and make.func is _surface else None
 
 
 def _surface(triangles: Matrix) -> coal.CollisionGeometry | None:
-    """Coal's shape of triangles (m, 3, 3) [m] with nothing inside; None of none."""
+    """Coal's shape of triangles (m, 3, 3) [m] with nothing inside; None without triangles."""
     if not len(triangles):
         return None
     found = coal.BVHModelOBBRSS()
@@ -220,7 +220,7 @@ def _surface(triangles: Matrix) -> coal.CollisionGeometry | None:
 
 
 def _countable(around: ConvexHull) -> ConvexHull:
-    """A hull, or where a corner has too many neighbours, one with fewer faces that contains it."""
+    """A hull, or, if a corner has too many neighbours, one with fewer faces that contains it."""
     found, excess = around, _EXCESS
     while len(found.vertices) > _NEIGHBOURS and most_neighbours(found) > _NEIGHBOURS:
         found = hull(enclosing_corners(around, excess))
@@ -234,7 +234,7 @@ def cube(edge: float) -> coal.CollisionGeometry:
 
 
 def thin_triangle(corners: Matrix) -> coal.CollisionGeometry:
-    """Coal's object of a triangle with `corners` (3, 3) [m]; as they are made by the thousands, no hull is built."""
+    """Coal's object of a triangle with `corners` (3, 3) [m]; no hull is built, because thousands of them are made."""
     points = coal.StdVec_Vec3s()
     for point in corners:
         points.append(point)
@@ -247,7 +247,7 @@ _BOTH_SIDES.append(coal.Triangle(0, 2, 1))
 
 
 def is_flat(points: Matrix) -> bool:
-    """Whether `points` (k, 3) [m] lie so nearly in one plane, line or point that no hull can be built of them."""
+    """Whether `points` (k, 3) [m] are so nearly in one plane, line or point that no hull can be built of them."""
     extents = np.ptp(points @ _axes(points).T, axis=0)
     return len(points) < 4 or bool(np.min(extents) < flatness(float(np.max(extents))))
 
@@ -260,8 +260,8 @@ def flatness(extent: float) -> float:
 def thicken(points: Matrix, *, thickness: float = _THICKNESS) -> Matrix:
     """(c, 3) corners of the flat prism, or of the thin box, around flat `points` (k, 3) [m].
 
-    In each direction in which the points are flat, it has a `thickness` [m], one millimetre if none is given, or
-    1e-5 of their largest extent, where that is more.
+    In each direction in which the points are flat, it has a `thickness` [m], by default one millimetre, or
+    1e-5 of their largest extent if that is more.
     """
     axes = _axes(points)
     along = points @ axes.T
@@ -284,7 +284,7 @@ def _axes(points: Matrix) -> Matrix:
 
 
 def _outline(points: Matrix) -> Matrix | None:
-    """(c, 2) corners of the convex hull of points (k, 2) in order; None where it cannot be built."""
+    """(c, 2) corners of the convex hull of points (k, 2) in order; None if it cannot be built."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -297,7 +297,7 @@ def _box_corners(low: Vector, high: Vector) -> Matrix:
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
 
 
-# of a cube with half edges of 1, as `Piece.prism` has them
+# corners of a cube with half edges of 1, in the order of `Piece.prism`
 _CORNERS_OF_PRISM = _box_corners(-np.ones(3), np.ones(3))[[0, 4, 6, 2, 1, 5, 7, 3]]
 
 
@@ -321,7 +321,7 @@ def hull(points: Matrix) -> ConvexHull:
 
 
 def moved(piece: Piece, T: pin.SE3) -> Piece:
-    """The same piece in another frame, of which `T` maps the piece's frame into it."""
+    """The same piece in another frame; `T` maps the piece's frame into it."""
     hull = piece.hull @ T.rotation.T + T.translation
     return replace(piece, placement=T * piece.placement, hull=hull)
 
@@ -354,9 +354,9 @@ def within(first: Piece, T_first: pin.SE3, second: Piece, T_second: pin.SE3, mar
 
 
 def faces_of(piece: Piece) -> Vector:
-    """(15,) the axes (3, 3) of a piece that is a box, its middle and half edges (3,) each, in the body's frame [m].
+    """(15,) the axes (3, 3) of a piece that is a box, its middle (3,) and half edges (3,), in the body's frame [m].
 
-    A half-space is a box that goes on beyond any site. Numbers that are none for pieces of other shapes.
+    A half-space is a box that extends beyond any site. For pieces of other shapes the numbers are nan.
     """
     shape = piece.shape
     if isinstance(shape, coal.Halfspace):
@@ -371,7 +371,7 @@ def faces_of(piece: Piece) -> Vector:
 
 
 def in_doubt(distance: Any) -> Any:
-    """Whether to measure again what coal gave as a `distance` [m], a number or an array: 0, absurdly deep, or nan."""
+    """Whether to measure a `distance` [m] again, a number or an array: it is near 0, absurdly deep, or nan."""
     return (abs(distance) <= CONTACT) | (distance <= _NONSENSE) | (distance != distance)
 
 
@@ -404,15 +404,15 @@ def measure_distances(model: pin.GeometryModel, geometry: pin.GeometryData, pair
 
 
 def measure_pair_again(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:
-    """The same at looser tolerances, where the first answer is in doubt; see `measure_again`."""
+    """Coal's result for one pair at looser tolerances, if the first result is in doubt; see `measure_again`."""
     return measure_again(geometry.distanceRequests[index], lambda: pin.computeDistance(model, geometry, index))
 
 
 def measure_again(request: coal.DistanceRequest, measure: Callable[[], _Result]) -> _Result:
     """The result of `measure`, which calls coal with `request`, at looser tolerances.
 
-    Where faces are flush to within the tolerance, coal's iterations can end early: with a
-    depth of infinity, or with a distance of 1e-12 m between boxes that are half a metre
+    If faces are flush to within the tolerance, coal's iterations can end early: with an
+    infinite depth, or with a distance of 1e-12 m between boxes that are half a metre
     inside each other. If looser tolerances give no depth either, the shapes touch to within
     rounding, and the distance is 0.
     """

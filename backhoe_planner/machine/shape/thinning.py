@@ -1,10 +1,10 @@
-"""Around a convex hull, another one with fewer faces.
+"""A polytope with fewer faces around a convex hull.
 
-With its centroid as the origin a polytope is P = {x: a_i . x <= 1}. Of these half-spaces some
+With its centroid as the origin a polytope is P = {x: a_i . x <= 1}. Some of these half-spaces
 are kept, S = {x: a_i . x <= 1 for the i that are kept}, so that S contains P. The points a_i
 span the dual of P, and the kept ones that of S. Each face m . a <= c of the dual of S is the
-corner m / c of S, and P has to be enlarged m . a_i / c times to reach this corner across its
-face i. Wherever that is more than 1 + excess, the a_i with the largest m . a_i is kept too.
+corner m / c of S, and P has to be enlarged by m . a_i / c to reach this corner across its
+face i. Wherever that is more than 1 + excess, the a_i with the largest m . a_i is kept, too.
 At the end S contains P, and P enlarged by 1 + excess about the centroid contains S.
 """
 
@@ -19,7 +19,7 @@ from backhoe_planner.arrays import Matrix, Vector
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
 
-_ROUNDING = 1e-9  # by which S is enlarged at the end, so that rounding cuts nothing off
+_ROUNDING = 1e-9  # S is enlarged by this part at the end, so that rounding cuts nothing off
 _WAYS = np.array([way for way in np.ndindex(3, 3, 3) if way != (1, 1, 1)], dtype=float) - 1.0  # along axes, diagonals
 
 
@@ -32,12 +32,12 @@ def most_neighbours(hull: ConvexHull) -> int:
 def enclosing_corners(hull: ConvexHull, excess: float) -> Matrix:
     """(k, 3) corners [m] of a polytope that contains `hull` and lies within it enlarged by 1 + `excess`.
 
-    Enlarged about its centroid: no point sticks out by more than `excess` times its distance from there.
+    The hull is enlarged about its centroid: no point sticks out by more than `excess` times its distance from there.
     """
     from scipy.spatial import ConvexHull
 
     corners, centre = hull.points[hull.vertices], _centroid(hull)
-    # along its principal axes all sizes are made equal: corners and excess stay the same, numbers become alike
+    # scale all sizes along the principal axes to 1: corners and excess stay the same, and numbers become similar
     axes = np.linalg.svd(corners - centre, full_matrices=False)[2]
     sizes = np.ptp(corners @ axes.T, axis=0)
     planes = np.unique(hull.equations, axis=0)
@@ -58,7 +58,7 @@ def enclosing_corners(hull: ConvexHull, excess: float) -> Matrix:
 
 
 def _centroid(hull: ConvexHull) -> Vector:
-    """(3,) of the volume [m]."""
+    """(3,) centroid of the volume [m]."""
     inside = hull.points[hull.vertices].mean(axis=0)
     legs = hull.points[hull.simplices] - inside
     volumes = np.abs(np.linalg.det(legs))
