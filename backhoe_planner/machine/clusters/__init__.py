@@ -1,1 +1,1 @@
-"""Scans, terrains and fine meshes: many cells, one obstacle, measured through a tree."""
+"""Scans, terrains and fine meshes: one obstacle of many cells, measured through a tree."""

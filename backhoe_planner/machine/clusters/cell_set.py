@@ -19,7 +19,7 @@ _ROOT3 = 3.0**0.5
 
 @dataclass(frozen=True)
 class CellSet:
-    """K cubes, then T triangles. Coordinates are rows, so that what is done with each of them runs along memory.
+    """K cubes, then T triangles. Each coordinate is a row, so that operations on it run along memory.
 
     Attributes
     ----------
@@ -33,19 +33,19 @@ class CellSet:
 
     @staticmethod
     def of_triangles(corners: Array) -> CellSet:
-        """Triangles (3, 3, T) alone, as `corners` [m]."""
+        """A set of triangles only, with `corners` (3, 3, T) [m]."""
         return CellSet(_NONE, _NONE[0], corners)
 
     @staticmethod
     def of_cubes(middle: Matrix, half: float) -> CellSet:
-        """Cubes with middles (3, K) alone, all of one half edge [m]."""
+        """A set of cubes only, with middles (3, K) and the same half edge [m]."""
         return CellSet(middle, np.full(middle.shape[1], half), _NO_TRIANGLES)
 
     def __len__(self) -> int:
         return len(self.half) + int(self.corners.shape[2])
 
     def together(self, other: CellSet) -> CellSet:
-        """The cells of both; of the triangles, those of both follow the cubes of both."""
+        """The cells of both sets: the cubes of both, then the triangles of both."""
         if not len(other):
             return self
         return CellSet(
@@ -83,22 +83,22 @@ class CellSet:
         return _least_along(n, self.middle, self.half, self.corners)
 
     def extent(self, axes: Matrix) -> tuple[Vector, Vector]:
-        """(3,), (3,) how far all of them reach along the columns of `axes` (3, 3) [m]."""
+        """(3,), (3,) the least and greatest coordinates of all cells along the columns of `axes` (3, 3) [m]."""
         return extent_along(axes, self.middle, self.half, self.corners)
 
     def split(self, n: Vector, nearest: int, slack: float) -> tuple[Indices, Indices, float]:
-        """Which cells lie behind the plane across `n` (3,) before the `nearest` cell, or within `slack` [m] before it.
+        """The cells behind the plane across `n` (3,) in front of the `nearest` cell, or at most `slack` [m] before it.
 
-        These, the others, and how much nearer than the plane the nearest of these is [m], not positive.
+        Returns these cells, the others, and the position of the nearest of these relative to the plane [m], at most 0.
         """
         return split_by_plane(n, nearest, slack, self.middle, self.half, self.corners)
 
     def is_cell(self, index: int, finest: float) -> bool:
-        """Whether one of them is no larger cube that stands for some with the edge `finest` [m]."""
+        """Whether the cell is an original one, not a larger cube that replaces cells with the edge `finest` [m]."""
         return index >= len(self.half) or bool(self.half[index] < 0.75 * finest)
 
     def measure(self, index: int, gauge: Gauge, shape: object, T: object) -> tuple[float, Vector, Vector, Vector]:
-        """The distance of one of them from a convex `shape` at `T`, as `Gauge.measure` gives it."""
+        """The distance of a cell from a convex `shape` at `T`, as from `Gauge.measure`."""
         if index < len(self.half):
             own, there = cube(2.0 * float(self.half[index])), transform(_AXES, self.middle[:, index])
         else:
@@ -120,7 +120,7 @@ def _least_along(n: Vector, middle: Matrix, half: Vector, corners: Array) -> Vec
 def split_by_plane(
     n: Vector, nearest: int, slack: float, middle: Matrix, half: Vector, corners: Array, /
 ) -> tuple[Indices, Indices, float]:
-    """See `CellSet.split`; `middle`, `half` and `corners` are those of the set."""
+    """`CellSet.split` for the `middle`, `half` and `corners` of a set."""
     along = _least_along(n, middle, half, corners)
     plane = float(along[nearest])
     behind = along >= plane - slack
@@ -130,7 +130,7 @@ def split_by_plane(
 
 @compiled
 def extent_along(axes: Matrix, middle: Matrix, half: Vector, corners: Array, /) -> tuple[Vector, Vector]:
-    """See `CellSet.extent`; `middle`, `half` and `corners` are those of the set."""
+    """`CellSet.extent` for the `middle`, `half` and `corners` of a set."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     if len(half):
         at, more = axes.T @ middle, np.multiply.outer(np.add.reduce(np.abs(axes), axis=0), half)
@@ -162,7 +162,7 @@ class CoarseCells:
     Attributes
     ----------
     step: as above.
-    regions: (4, 3) corners of the region and of that box [m].
+    regions: (4, 3) corners of the region and of the box around the solid [m].
     """
 
     def __init__(self, low: Matrix, step: float, region: tuple[Vector, Vector], bounds: Matrix) -> None:
@@ -173,17 +173,17 @@ class CoarseCells:
 
     @cached_property
     def cubes(self) -> tuple[Any, ...] | None:
-        """What `boxes_of_voxels` has to know of them, from `coarse` on; None where there are none."""
+        """The arguments of `boxes_of_voxels` about the cubes, from `coarse` on; None if there are no cubes."""
         return None if self._tiles is None else (self._middle, *self._tiles.arrays)
 
     def hold(self, low: Vector, high: Vector) -> bool:
-        """Whether they hold all of the solid that is in the box from `low` to `high` (3,) [m]."""
+        """Whether the cubes contain all of the solid's surface in the box from `low` to `high` (3,) [m]."""
         first, last, *bounds = self.regions
         low, high = np.maximum(low, bounds[0]), np.minimum(high, bounds[1])
         return bool((high < low).any() or ((low >= first) & (high <= last)).all())
 
     def near(self, low: Vector, high: Vector, link: LinkReach) -> Matrix:
-        """(3, k) middles of the cubes that may touch a box within reach of a link, and of some others [m]."""
+        """(3, k) middles of the cubes that may touch a box within reach of a link, and of some other cubes [m]."""
         if self._tiles is None:
             return self._middle
         return self._middle.take(self._tiles.near(low, high, link), axis=1)

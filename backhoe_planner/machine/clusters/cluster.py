@@ -1,11 +1,11 @@
-"""An obstacle of thousands of cells that is measured as one: a scan, a terrain or a fine mesh where it stands.
+"""An obstacle of thousands of cells that is measured as one: a scan, a terrain or a fine mesh at its placement.
 
-Three questions are answered, each by what answers it fastest:
+It answers three questions, each in the fastest way:
 
-- How far away is it at least, of many points at once: a grid of lower bounds, one look-up each, or for
-  ground its heights around them.
-- How far away is it exactly, within a reach: trees of coal, which descend only where it matters.
-- What of it stands around a link, as few convex pieces: `Cluster.around`.
+- How far is it from many points at least? A grid of lower bounds takes one look-up for each point; for
+  ground the heights around the point are used.
+- How far is it exactly, within a reach? Trees of coal descend only where it matters.
+- Which parts of it are around a link, as few convex pieces? See `Cluster.around`.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.convex import voxel_boxes
 from backhoe_planner.machine.shape.shapes import Gauge, Piece, box, transform
 
-_AROUND = 1.5  # m around the solid that its grid covers; chosen, beyond the box around it is near enough
-_FINE_WITHIN = 2.5  # coarse edges from a link, 0.25 m or more, within which cells are looked at one by one; chosen
-_HALF_DIAGONAL = 0.5 * 3.0**0.5  # of a cube's edge
-_COARSE = 0.1  # m, edge of the cells beyond it; chosen
-_FINE_AT_MOST = 0.6  # m from a link, within which cells are looked at one by one on demand; chosen
-_BEYOND = 1e-9  # m by which a cell may reach across a plane that it counts as behind
+_AROUND = 1.5  # m around the solid that its grid covers; chosen, further away the box around it is exact enough
+_FINE_WITHIN = 2.5  # coarse edges from a link, 0.25 m or more, within which single cells are used; chosen
+_HALF_DIAGONAL = 0.5 * 3.0**0.5  # of a cube, in edges
+_COARSE = 0.1  # m, edge of the cells that are used further away; chosen
+_FINE_AT_MOST = 0.6  # m from a link within which single cells are used on demand; chosen
+_BEYOND = 1e-9  # m by which a cell that counts as behind a plane may reach across it
 
 
 class Cluster:
-    """A solid of many cells at its place in the world.
+    """A solid of many cells at its placement in the world.
 
     Parameters
     ----------
@@ -51,17 +51,17 @@ class Cluster:
         self._is_upright = bool((np.eye(3) == self._R).all())
         self._bounds: dict[bytes, tuple[DistanceGrid | None, HeightBounds | None]] = {}
         self._coarser: dict[bytes, CoarseCells] = {}
-        self._coarse_of: tuple[object, CoarseCells | None] = None, None  # asked for last
+        self._coarse_of: tuple[object, CoarseCells | None] = None, None  # the latest ball and its cells
 
     def __len__(self) -> int:
         return len(self.solid)
 
     def shifted(self, by: Vector) -> Cluster:
-        """The same, `by` (3,) from where it stands [m]."""
+        """The same cluster, shifted `by` (3,) [m]."""
         return Cluster(self.solid, pin.SE3(self._R, self._t + by))
 
     def moved_to(self, placement: pin.SE3) -> Cluster:
-        """The same solid elsewhere, with what was built to measure it."""
+        """The same solid at another placement, with the structures that were built to measure it."""
         found = Cluster(self.solid, placement)
         found._bounds.update(self._bounds)
         found._coarser.update(self._coarser)
@@ -78,7 +78,7 @@ class Cluster:
     # --- bounds --------------------------------------------------------------------------
 
     def grid(self, centre: Vector, radius: float) -> Distances:
-        """Lower bounds of the distance, finest within `radius` [m] of `centre` (3,), world. Kept for the next time."""
+        """Lower bounds of the distance, finest within `radius` [m] of `centre` (3,), world; kept for later calls."""
         middle = (centre - self._t) @ self._R
         low = np.maximum(middle - radius, self.solid.bounds[0] - _AROUND)
         high = np.minimum(middle + radius, self.solid.bounds[1] + _AROUND)
@@ -90,7 +90,7 @@ class Cluster:
         return Distances(self._R, self._t, *self._bounds[key], self.solid.bounds, self._is_upright)
 
     def _make_bounds(self, low: Vector, high: Vector) -> tuple[DistanceGrid | None, HeightBounds | None]:
-        """Bounds in the box from `low` to `high` (3,) [m]: from the heights of ground, from a grid of all else."""
+        """Bounds in the box from `low` to `high` (3,) [m]: from the heights for ground, otherwise from a grid."""
         heights = self.solid.height_bounds(low, high)
         if heights is not None:
             return None, heights
@@ -98,14 +98,14 @@ class Cluster:
         return DistanceGrid(frame, self.solid.taken(frame), self.solid.bounds), None
 
     def prepare(self, centre: Vector, radius: float) -> None:
-        """Build what answers questions within `radius` [m] of `centre` (3,), world, before the first is asked."""
+        """Build in advance what is needed to measure within `radius` [m] of `centre` (3,), world."""
         self.grid(centre, radius)
         away = (centre - self._t) @ self._R
         if (np.maximum(self.solid.bounds[0] - away, away - self.solid.bounds[1]) < radius).all():
             self.solid.prepare()
 
     def prepare_boxes(self, ball: tuple[Vector, float]) -> None:
-        """Build what `around` needs for links within a ball, centre (3,) and radius [m], world, and the bounds."""
+        """Build in advance what `grid` and `around` need for links within a ball, centre (3,) and radius [m], world."""
         self.grid(*ball)
         self._coarse(ball)
         self.solid.prepare_near()
@@ -119,15 +119,15 @@ class Cluster:
     def measure(
         self, piece: Piece, T_world_body: pin.SE3, reach: float = np.inf, *, shift: Vector | None = None
     ) -> Reading | None:
-        """The signed distance from a convex piece of a body; None where it is not less than `reach` [m].
+        """The signed distance from a convex piece of a body; None if it is not less than `reach` [m].
 
-        Inside, the distance is that to the deepest cell. Of what is solid between cells too, the ground and
-        a closed mesh, what touches no cell is as deep as the nearest one is away; in the ground it is as deep as
-        its lowest corner is under the surface where that is more. The true depth is not less.
+        For a piece that touches cells it is minus the depth in the deepest cell. The ground and a closed mesh are
+        solid between their cells, too: a piece inside that touches no cell is as deep as the nearest cell is away. In
+        the ground, the depth of its lowest corner under the surface counts if it is more. The true depth is not less.
 
         Parameters
         ----------
-        T_world_body: where the body stands.
+        T_world_body: placement of the body.
         shift: (3,) how far the cluster has moved [m].
         """
         shift = _NO_SHIFT if shift is None else shift
@@ -150,21 +150,22 @@ class Cluster:
     ) -> Around:  # fmt: skip
         """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
 
-        The nearest cell and the piece leave a gap between two planes. All cells that lie wholly behind the
-        plane at the cell, or nearly so, go into one box, with a face on that plane. The nearest of those that
-        are left takes the next, and so on. The boxes contain all the cells, so that distances from them are
-        not more than from the cells. Where the piece is now, they are not less than 1 - `slack` of it within
-        `_FINE_WITHIN` edges of a coarse cell, and further away by no more than the edge of a coarse cell less.
+        Between the piece and its nearest cell is a gap with parallel planes on both sides. All cells that are
+        wholly behind the plane at the cell, or nearly so, go into one box, with a face on that plane. The nearest
+        cell of those that are left gives the next box, and so on. The boxes contain all the cells, so that distances
+        from the boxes are not more than those from the cells. At the present placement of the piece they are at least
+        1 - `slack` times those within `_FINE_WITHIN` edges of a coarse cell; further away they are less by at most the
+        edge of a coarse cell.
 
         Parameters
         ----------
         T_world_body, shift: as in `measure`.
-        exact: distance up to which, too, cells are looked at one by one: no cube further off comes nearer [m].
-        ball: centre (3,) and radius [m] of where the machine can be, world.
-        ground: from `ground_under` for the same reach. What is behind its face is in it, and in no other box.
-        slack: part of the distance by which a plane may be nearer, so that it has more cells behind it; with less of
-            it there are more boxes.
-        most: the greatest number of boxes. Where it takes more, what is left is further away than `covered` [m].
+        exact: distance up to which single cells are used, too, so that no coarse cube comes nearer than this [m].
+        ball: centre (3,) and radius [m] of the region that the machine can reach, world.
+        ground: from `ground_under` for the same reach. Cells behind its face are in it, and in no other box.
+        slack: part of the distance by which a plane may be nearer, so that it has more cells behind it; with a smaller
+            slack there are more boxes.
+        most: the greatest number of boxes. If more are needed, the cells left are further away than `covered` [m].
         """
         *_, found = self.around_bit_by_bit(
             piece, T_world_body, reach,
@@ -177,9 +178,9 @@ class Cluster:
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
         slack: float, shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
     ) -> Iterator[Around | None]:  # fmt: skip
-        """The same in bits of work of some 50 to 100 us, None after each of them, and what was found at last.
+        """`around` in steps of some 50 to 100 us: yields None after each step, and the result at the end.
 
-        It takes two or three, and one for each box where `boxes_of_cells` leaves them to coal.
+        It takes two or three steps, and one for each box if `boxes_of_cells` leaves them to coal.
         """
         shift = _NO_SHIFT if shift is None else shift
         quick = None
@@ -212,7 +213,7 @@ class Cluster:
         self, piece: Piece, T_world_body: pin.SE3, reach: float, coarse: CoarseCells, most: int, slack: float,
         shift: Vector, exact: float,
     ) -> tuple[list[Part], CellSet, Vector] | None:  # fmt: skip
-        """The boxes around voxels, the cells in none of them, and how far these are off; None where it takes coal."""
+        """The boxes around voxels, the cells in none of them, and the distances of these; None if coal is needed."""
         cubes, voxels = coarse.cubes, self.solid.voxels
         if cubes is None or voxels is None:
             return None
@@ -229,9 +230,9 @@ class Cluster:
     def _boxes_of(
         self, cells: CellSet, off: Vector, link: Placed, most: int, slack: float, shift: Vector
     ) -> Generator[None, None, tuple[list[Part], CellSet, Vector]]:
-        """The boxes around cells, those that are in none of them, and how far these are `off`.
+        """The boxes around cells, the cells that are in none of them, and the distances `off` of these.
 
-        None is yielded between bits of the work.
+        None is yielded between steps of the work.
         """
         quick = boxes_of_cells(
             link.hull, link.R, cells.middle, cells.half, cells.corners, off, most,
@@ -255,14 +256,14 @@ class Cluster:
         return parts, cells, off
 
     def _box(self, cells: CellSet, axes: Matrix, shift: Vector) -> Piece:
-        """The box along `axes` (3, 3) of the solid's frame around cells, in the world."""
+        """The box around cells along `axes` (3, 3) of the solid's frame, in the world."""
         start, end = cells.extent(axes)
         end = np.maximum(end, start + self.solid.finest)
         R = axes if self._is_upright else self._R @ axes
         return box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t + shift))
 
     def _placed(self, reading: Reading, shift: Vector) -> Reading:
-        """What was measured in the frame of the solid, in the world."""
+        """A reading in the frame of the solid, transformed to the world."""
         base, (distance, n, x_link, x_cell) = self._t + shift, reading
         if self._is_upright:
             return Reading(distance, n, x_link + base, x_cell + base)
@@ -271,9 +272,9 @@ class Cluster:
     def _cells_around(
         self, link: Placed, reach: float, ball: tuple[Vector, float], exact: float
     ) -> Generator[None, None, tuple[CellSet, Vector]]:
-        """The cells within a reach of a link, and how far their middles are off; further off, cubes with them.
+        """The cells within a reach of a link, with coarse cubes further away, and the distances of their middles.
 
-        None is yielded between bits of the work.
+        None is yielded between steps of the work.
         """
         coarse, around = self._coarse(ball), LinkBox.around(link.hull, link.R, link.radius)
         fine_within = _fine_within(coarse.step, exact)
@@ -285,7 +286,7 @@ class Cluster:
         cubes = coarse.near(*box, LinkReach(around, reach + coarse.step))
         away = around.off(cubes)
         outer = ((away > fine_within) & (away <= reach + coarse.step)).nonzero()[0]
-        # what is in none of these cubes is in one whose middle is nearer
+        # cells in none of these cubes are in a cube whose middle is nearer
         fine = fine_within + _HALF_DIAGONAL * coarse.step
         if not (away <= fine_within).any():
             return CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step), away.take(outer)
@@ -304,9 +305,9 @@ class Cluster:
     ) -> Part | None:
         """For a piece of a body that is in the ground: a box that contains the ground under and beside it.
 
-        Its face is level with the surface over the piece, so that the way out is up. From below, or within it,
-        single cells of the surface would show the way down or aside. It contains all cells within `reach` [m] that
-        are not above that face. None for a piece that is not in the ground, and of what is no ground.
+        Its face is level with the surface over the piece, so that the direction out is up. From below the surface,
+        or within it, single cells would push the piece down or aside. The box contains all cells within `reach` [m]
+        that are not above that face. None for a piece that is not in the ground, or if the solid is not ground.
         """
         shift = _NO_SHIFT if shift is None else shift
         link = self._local(piece, T_world_body, shift)
@@ -352,7 +353,7 @@ class Cluster:
     def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
         """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.
 
-        The box ends where the nearest cell is. None for a piece that is not inside.
+        The box ends at the nearest cell. None for a piece that is not inside.
         """
         link = self._local(piece, T_world_body, _NO_SHIFT)
         found = self.solid.measure(link, 0.0)
@@ -397,7 +398,7 @@ class Cluster:
         return self._coarser[key]
 
     def boxes(self, cells: int) -> tuple[Piece, ...]:
-        """Boxes that contain it, of about so many cells of a grid around it, merged where they continue each other."""
+        """Boxes that contain the cluster, merged from the cells of a grid around it with about `cells` cells."""
         low, high = self.solid.bounds
         size = np.maximum(high - low, self.solid.finest)
         frame = GridFrame(low, high, least_step=max(float(np.prod(size) / cells) ** (1.0 / 3.0), self.solid.finest))
@@ -415,11 +416,11 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Around:
-    """What stands around a link: parts, which contain all cells that are within `covered` [m] of it.
+    """The cells around a link: `parts` contain all cells that are within `covered` [m] of it.
 
     Attributes
     ----------
-    rest: what else is within the reach that was asked for; None where all is in the parts.
+    rest: a box around the other cells within the requested reach; None if the parts contain all.
     """
 
     parts: tuple[Part, ...]
@@ -429,7 +430,7 @@ class Around:
 
 @dataclass(frozen=True)
 class Distances:
-    """Lower bounds of the distance from a cluster that stands at R (3, 3), t (3,) [m]; upright where R is no turn."""
+    """Lower bounds of the distance from a cluster at R (3, 3), t (3,) [m]; upright if R is the identity."""
 
     R: Matrix
     t: Vector
@@ -441,7 +442,7 @@ class Distances:
     def lower(self, points: Matrix, shift: Matrix | None = None) -> Vector:
         """(k,) lower bounds of the distance of points (3, k), world [m]; 0 where nothing is known.
 
-        shift: (3, k) how far the cluster has moved, for each of them [m].
+        shift: (3, k) how far the cluster has moved, for each point [m].
         """
         own = points - self.t[:, None]
         if shift is not None:
@@ -454,7 +455,7 @@ class Distances:
 
 
 def _fine_within(step: float, exact: float) -> float:
-    """Distance from a link within which cells are looked at one by one, beside coarse ones with an edge `step` [m]."""
+    """Distance from a link within which single cells are used; beyond it, coarse ones with an edge `step` [m]."""
     return max(_FINE_WITHIN * step, min(exact + 2.0 * _HALF_DIAGONAL * step, _FINE_AT_MOST))
 
 
@@ -464,7 +465,7 @@ _HERE = transform(np.eye(3), np.zeros(3))
 
 
 def _within(cells: CellSet, link: LinkBox, reach: float) -> tuple[CellSet, Vector]:
-    """Those of some cells that are within a reach of a link [m], and how far their middles are off."""
+    """The cells that are within `reach` of a link [m], and the distances of their middles."""
     middle, radius = cells.around()
     off = link.off(middle)
     near = (off - radius <= reach).nonzero()[0]
@@ -472,7 +473,7 @@ def _within(cells: CellSet, link: LinkBox, reach: float) -> tuple[CellSet, Vecto
 
 
 def _frame_along(n: Vector, R: Matrix) -> Matrix:
-    """(3, 3) axes, the first along `n`, the second across it and as near as can be to one of those of `R`."""
+    """(3, 3) axes: the first is along `n`, the second across it and as near as possible to one of those of `R`."""
     x, y, z = n.tolist()
     best, second = -1.0, (0.0, 0.0, 0.0)
     for a, b, c in R.T.tolist():

@@ -1,4 +1,4 @@
-"""Balls that cover a convex piece: their distances from anything bound that of the piece."""
+"""Balls that cover a convex piece: their distances from an object bound the piece's distance from it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.shape.shapes import Piece
 
 _SMALL = 0.02  # m, half edge of a part that needs no smaller balls; chosen
-_MOST_BALLS = 24  # that cover one piece; chosen: more are tighter, and take longer
+_MOST_BALLS = 24  # balls for one piece; chosen: more give tighter bounds, and take longer
 
 
 def covering_balls(piece: Piece, *, most: int = _MOST_BALLS) -> tuple[Matrix, float]:

@@ -1,9 +1,9 @@
 """Lower bounds of the distance from a solid, on a grid around it: one look-up for any number of points.
 
-A cell of the grid counts as taken where the solid may touch it. The centres of two cells are
-d apart, so that a point of the one and a point of the other are at least d - sqrt(3) steps
-apart; d to the nearest cell that is taken comes from a distance transform. So the bound falls
-short of the true distance by at most twice that.
+A cell of the grid counts as taken if the solid may touch it. If the centres of two cells are
+d apart, a point of one and a point of the other are at least d - sqrt(3) steps
+apart; d to the nearest taken cell comes from a distance transform. So the bound is less than
+the true distance by at most 2 sqrt(3) steps.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ _ROUNDING = 1e-5  # steps by which a solid may reach into a cell that does not c
 _CELLS = 2_000_000  # of one grid; chosen: 8 MB, and some 0.4 s to fill
 
 
-_SHORT = np.float32(np.sqrt(3.0) + 10.0 * _ROUNDING)  # steps by which two centres are further apart than two points
+_SHORT = np.float32(np.sqrt(3.0) + 10.0 * _ROUNDING)  # steps by which two centres may be further apart than two points
 
 
 class GridFrame:
-    """Where the cells of a grid are: between two corners, all alike.
+    """The cells of a grid between two corners, all of the same size.
 
     Attributes
     ----------
-    low: (3,) its lowest corner [m].
+    low: (3,) the grid's lowest corner [m].
     step: edge of a cell [m].
     counts: cells along each axis.
     """
 
     def __init__(self, low: Vector, high: Vector, *, least_step: float) -> None:
-        """Of the box from `low` to `high` (3,) [m]; cells are at least `least_step` wide [m]."""
+        """Divide the box from `low` to `high` (3,) [m] into cells that are at least `least_step` wide [m]."""
         size = np.maximum(high - low, least_step)
         self.low = np.asarray(low, dtype=float)
         self.step = max(least_step, float(np.prod(size) / _CELLS) ** (1.0 / 3.0), float(size.max()) / _CELLS)
@@ -40,7 +40,7 @@ class GridFrame:
 
     @property
     def high(self) -> Vector:
-        """(3,) its highest corner [m]."""
+        """(3,) the grid's highest corner [m]."""
         return np.asarray(self.low + self.step * self.counts)
 
     def taken_by_boxes(self, low: Matrix, high: Matrix) -> Flags:
@@ -51,7 +51,7 @@ class GridFrame:
         inside = ((last >= 0) & (first < self.counts)).all(axis=1)
         first = np.maximum(first[inside], 0)
         extent = np.minimum(last[inside], self.counts - 1) - first + 1
-        # boxes that span equally many cells are entered at once
+        # boxes that span equally many cells are entered together
         spans, group = np.unique(extent, axis=0, return_inverse=True)
         group = group.reshape(-1)
         for number, span in enumerate(spans.tolist()):
@@ -72,7 +72,7 @@ class DistanceGrid:
     ----------
     frame: of the grid.
     taken: (frame.counts) which cells the solid may touch.
-    bounds: (2, 3) box around the whole solid [m]; some of it may lie outside of the grid.
+    bounds: (2, 3) box around the whole solid [m]; parts of the solid may be outside of the grid.
     """
 
     def __init__(self, frame: GridFrame, taken: Flags, bounds: Matrix) -> None:
@@ -95,12 +95,12 @@ class DistanceGrid:
 def lower_on_grid(
     points: Matrix, low: Vector, per_step: float, counts: Indices, values: NDArray[np.float32], bounds: Matrix, /
 ) -> Vector:
-    """(k,) the values of a grid at points (3, k), and outside of it how far they are off the box `bounds` (2, 3) [m].
+    """(k,) the values of a grid at points (3, k); for points outside of it, the distance from `bounds` (2, 3) [m].
 
     Parameters
     ----------
-    low, per_step, counts: (3,) the grid's lowest corner [m], cells in a metre, and (3,) how many there are each way.
-    values: of all cells, the last axis first [m].
+    low, per_step, counts: (3,) the grid's lowest corner [m], cells per metre, and (3,) cells along each axis.
+    values: of all cells, the last axis varying fastest [m].
     """
     at = points - low[:, None]
     at *= per_step
@@ -121,11 +121,11 @@ def off_box(points: Matrix, bounds: Matrix) -> Vector:
 
 
 def _bounds_of(steps: NDArray[np.float32], frame: GridFrame, bounds: Matrix) -> NDArray[np.float32]:
-    """Lower bounds [m] in all cells, from the steps between centres, in place."""
+    """Lower bounds [m] in all cells, from the distances between centres in steps; changes `steps` in place."""
     found, step = steps, frame.step
     found -= _SHORT
     found *= np.float32(step)
-    # what lies outside of the grid is no nearer than the side of it that it lies beyond
+    # a part of the solid outside of the grid is no nearer than the side of the grid that it is beyond
     for axis in range(3):
         cells = np.arange(found.shape[axis], dtype=np.float32)
         shape = [-1 if k == axis else 1 for k in range(3)]

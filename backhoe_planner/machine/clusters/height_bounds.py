@@ -1,8 +1,8 @@
-"""Lower bounds of the distance from the ground: the highest of it in squares around a point, in each ring of them.
+"""Lower bounds of the distance from the ground, from its highest points in nested squares around a point.
 
-Ground that is between two squares around a point is to the side by at least half the edge of the inner
-one, and below by at least the height of the point over the highest ground in the outer one. On even
-ground that is the true distance, where a grid of cells falls short by up to three of its edges.
+Ground between two squares around a point is to the side by at least half the edge of the inner
+square, and below by at least the height of the point over the highest ground in the outer square. On level
+ground that is the true distance, whereas a grid of cells is short by up to three of its edges.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from backhoe_planner.machine.clusters.distance_grid import off_box
 from backhoe_planner.native import compiled
 
 _RINGS = (0, 1, 2, 3, 4, 6, 8, 12, 17, 24, 34)  # cells from that of the point to the ends of each square; chosen
-REACH = _RINGS[-1]  # cells around a region that are looked at
-_ROUNDING = 1e-9  # m by which a point may lie beyond the cell in which it is counted
+REACH = _RINGS[-1]  # cells around a region that are considered
+_ROUNDING = 1e-9  # m by which a point may be outside the cell in which it is counted
 
 
 # the arguments of `lower_over_heights` from `low` to `furthest`
@@ -24,18 +24,18 @@ Rings = tuple[Vector, Vector, Indices, NDArray[np.float32], Vector, float]
 
 
 class HeightBounds:
-    """Lower bounds of the distance from ground that lies over a region of cells.
+    """Lower bounds of the distance from the ground, over a region of cells.
 
     Parameters
     ----------
-    tops: (I + 2 REACH, J + 2 REACH) the highest of the ground in each cell, along x and y, of the region and
-        `REACH` cells around it [m]; minus infinity where there is none.
+    tops: (I + 2 REACH, J + 2 REACH) the highest point of the ground in each cell, along x and y, of the region and
+        `REACH` cells around it [m]; minus infinity where there is no ground.
     low: (2,) lowest corner of the region [m].
     cell: (2,) edges of a cell [m].
 
     Attributes
     ----------
-    rings: what they are worked out from.
+    rings: the data for the bounds.
     """
 
     def __init__(self, tops: Matrix, low: Vector, cell: Vector) -> None:
@@ -50,7 +50,7 @@ class HeightBounds:
             1.0 / cell,
             np.array(rings[0].shape),
             np.ascontiguousarray(np.stack(rings, axis=2).reshape(-1, len(_RINGS))),
-            # ground that is in a square and not in the one before is that far to the side at least
+            # ground that is in a square and not in the one before is at least this far to the side
             np.concatenate(([0.0], aside[:-1] ** 2)),
             float(aside[-1]),
         )
@@ -58,7 +58,7 @@ class HeightBounds:
     def lower(self, points: Matrix, bounds: Matrix) -> Vector:
         """(k,) lower bounds of the distance from points (3, k) to the ground in the box `bounds` (2, 3) [m].
 
-        Beside the region it is known only how far they are off that box.
+        For points beside the region the bound is only their distance from that box.
         """
         return lower_over_heights(points, *self.rings, bounds)
 
@@ -72,10 +72,10 @@ def lower_over_heights(
 
     Parameters
     ----------
-    low, per_cell, counts: (2,) the region's lowest corner [m], cells in a metre, and how many there are each way.
-    highest: (cells, R) of the ground in the rings around each cell of the region, the second axis first [m].
-    squared_aside: (R,) how far ground that is in a ring and in none before is to the side at least [m^2].
-    furthest: the largest of the bounds [m].
+    low, per_cell, counts: (2,) the region's lowest corner [m], cells per metre, and the number of cells on each axis.
+    highest: (cells, R) highest ground in the rings around each cell of the region, the second axis varying fastest [m].
+    squared_aside: (R,) squared least distance to the side of ground that is in a ring and in none before [m^2].
+    furthest: the largest possible bound [m].
     """
     at = points[:2] - low[:, None]
     at *= per_cell[:, None]
@@ -83,7 +83,7 @@ def lower_over_heights(
     x, y = np.minimum(np.maximum(at, 0.0, out=at), counts[:, None] - 1, out=at).astype(np.intp)
     x *= int(counts[1])
     x += y
-    # squares run along the first axis, in which numpy is quick
+    # the rings run along the first axis, so that numpy is fast
     above = np.empty((len(squared_aside), len(x)))
     np.subtract(points[2], highest.take(x, axis=0).T, out=above)
     np.maximum(above, 0.0, out=above)

@@ -1,4 +1,4 @@
-"""A fine mesh as a solid: its triangles in one tree, and what a closed one contains."""
+"""A fine mesh as a solid: its triangles in one tree, and the inside if it is closed."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
 if TYPE_CHECKING:
     import trimesh
 
-_TILE = 6.0  # mean edges of the triangles along the edge of a tile; chosen
-_SIDE_CELLS = 64  # of the grid that knows inside from outside, along the longest axis; chosen
-_MOST_PARTS = 400_000  # into which large triangles are cut for a grid; chosen: some 30 ms
-_MOST_HOLLOWS = 200  # connected parts of that grid whose side is found; the smaller ones count as surface
+_TILE = 6.0  # edge of a tile, in mean edges of the triangles; chosen
+_SIDE_CELLS = 64  # cells along the longest axis of the grid that tells inside from outside; chosen
+_MOST_PARTS = 400_000  # parts into which large triangles are cut for a grid; chosen: some 30 ms
+_MOST_HOLLOWS = 200  # connected parts of that grid that are sorted into inside and outside; smaller ones are surface
 _OUTSIDE, _INSIDE, _SURFACE = 0, 1, 2
 
 
 class MeshSolid:
-    """The triangles of a mesh and, where they close, all between them, in its own frame; see `Solid`.
+    """The triangles of a mesh and everything inside if they close, in its own frame; see `Solid`.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class MeshSolid:
 
     Raises
     ------
-    InputError: it has more.
+    InputError: it has more triangles than `most`.
     """
 
     ground = None
@@ -68,20 +68,20 @@ class MeshSolid:
 
     @cached_property
     def _tiles(self) -> tuple[Tiles, Array]:
-        """Its triangles by tiles, and (3, 3, m) their corners in the tiles' order."""
+        """The tiles of its triangles, and (3, 3, m) the triangles' corners in the tiles' order."""
         tiles = Tiles(self._corners.min(axis=1), self._corners.max(axis=1), _TILE * self.finest)
         return tiles, np.ascontiguousarray(self._corners[tiles.order].transpose(1, 2, 0))
 
     def prepare(self) -> None:
-        """Build its tree."""
+        """Build the tree."""
         self._tree  # noqa: B018
 
     def prepare_near(self) -> None:
-        """Sort its triangles into tiles, and find what is inside."""
+        """Sort the triangles into tiles, and find what is inside."""
         self._tiles, self._sides  # noqa: B018
 
     def taken(self, frame: GridFrame) -> Flags:
-        """(frame.counts) which cells of a grid it may touch."""
+        """(frame.counts) which cells of a grid the mesh may touch."""
         return np.asarray(self._sides_in(frame) != _OUTSIDE)
 
     def _taken_by_surface(self, frame: GridFrame) -> Flags:
@@ -102,14 +102,14 @@ class MeshSolid:
 
     @cached_property
     def _sides(self) -> tuple[GridFrame, Array]:
-        """A grid around the mesh, and what is in each of its cells."""
+        """A grid around the mesh, and the side of each of its cells: outside, inside or surface."""
         low, high = self.bounds
         size = float((high - low).max())
         frame = GridFrame(low - 0.02 * size, high + 0.02 * size, least_step=size / _SIDE_CELLS)
         return frame, self._sides_in(frame)
 
     def _sides_in(self, frame: GridFrame) -> Array:
-        """(frame.counts) what is in each cell of a grid; what is not known counts as surface."""
+        """(frame.counts) the side of each cell of a grid: outside, inside or surface; an unknown one is surface."""
         surface = self._taken_by_surface(frame)
         if not self.is_full:
             return np.where(surface, _SURFACE, _OUTSIDE)
@@ -128,12 +128,12 @@ class MeshSolid:
         return np.asarray(side[parts])
 
     def _is_inside(self, points: Matrix) -> bool:
-        """Whether a shape that touches no triangle, with these points (k, 3), is within the mesh."""
+        """Whether a shape that touches no triangle, and contains `points` (k, 3), is inside the mesh."""
         if not self.is_full:
             return False
         near = points[((points > self.bounds[0]) & (points < self.bounds[1])).all(axis=1)]
         if len(near) < len(points):
-            return False  # one of its points is outside, and so are all
+            return False  # one of its points is outside, so all are
         frame, side = self._sides
         cell = np.floor((points - frame.low) / frame.step).astype(int)
         found = side[cell[:, 0], cell[:, 1], cell[:, 2]]
@@ -141,12 +141,12 @@ class MeshSolid:
         return bool(clear[0] == _INSIDE if len(clear) else self._bodies.contain(points[:1])[0])
 
     def height_bounds(self, low: Vector, high: Vector) -> None:
-        """None: it is no ground."""
+        """None, because a mesh is not ground."""
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
-        """The signed distance from a convex shape where it is less than `reach` [m].
+        """The signed distance from a convex shape if it is less than `reach` [m], otherwise None.
 
-        Inside of a closed mesh, where nothing touches a triangle, it is how far away the nearest one is.
+        For a shape inside a closed mesh that touches no triangle, it is minus the distance to the nearest one.
         """
         T = link.shifted(np.zeros(3))
         found = self._tree.measure(link.shape, T, reach)
@@ -161,14 +161,14 @@ class MeshSolid:
         return Reading(-found.distance, -found.normal, found.point, found.other_point)
 
     def deeper(self, link: Placed, found: Reading) -> Reading:
-        """What was found: nothing more is looked at."""
+        """The reading `found`: nothing deeper is looked for."""
         return found
 
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
-        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
+        """The triangles that may touch the box from `low` to `high` (3,) [m], and some other ones; see `Solid`."""
         tiles, ordered = self._tiles
         return CellSet.of_triangles(ordered.take(tiles.near(low, high, link), axis=2))
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
-        """Vertices (k, 3) [m] and triangles (m, 3), fewer where there are more than `most`."""
+        """Vertices (k, 3) [m] and triangles (m, 3), reduced if there are more than `most`."""
         return clustered(self._vertices, self._faces, most)

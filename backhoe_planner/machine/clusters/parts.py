@@ -1,4 +1,4 @@
-"""A part of a cluster beside a link: a box that contains its cells there; and the compiled search for such boxes."""
+"""A part of a cluster near a link: a box that contains its cells there; and the compiled search for such boxes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from backhoe_planner.native import compiled
 
 
 class Part:
-    """A part of a cluster beside a link: a box that contains it, and the distance from the link as it is there.
+    """A part of a cluster near a link: a box that contains it, and the distance from the link's placement then.
 
     Parameters
     ----------
-    numbers: (50,) of it, see `boxes_of_cells`.
+    numbers: (50,) the numbers that describe it, see `boxes_of_cells`.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Part:
 
     @staticmethod
     def of(box: Piece, reading: Reading, *, at_cell: bool = False) -> Part:
-        """A box (8 corners) at its distance."""
+        """The part of a box (8 corners) with the reading of its distance."""
         (R, t), hull = box.pose, box.hull
         edges = np.sqrt(((hull[[1, 3, 4]] - hull[0]) ** 2).sum(axis=1))
         return Part(
@@ -42,13 +42,13 @@ class Part:
 
     @property
     def reading(self) -> Reading:
-        """The distance, and between which points it is."""
+        """The distance, and the points between which it is."""
         numbers = self.numbers
         return Reading(float(numbers[0]), numbers[1:4], numbers[4:7], numbers[7:10])
 
     @property
     def at_cell(self) -> bool:
-        """Whether the witness point is on one of the cells, and not on what stands for several of them."""
+        """Whether the witness point is on an original cell, and not on a cube that replaces several cells."""
         return bool(self.numbers[49] > 0.0)
 
 
@@ -59,7 +59,7 @@ def boxes_of_cells(
 ) -> tuple[Matrix, Indices] | None:  # fmt: skip
     """The boxes of `Cluster.around` around all cells of a set, one row of numbers each, and the cells in none of them.
 
-    None where it takes coal: where the link touches a cell or nearly so, and always in plain Python.
+    None if coal is needed: if the link touches or nearly touches a cell, and always in plain Python.
 
     The numbers are the distance from the link; the normal, the critical point and the witness point (3,) each; the
     axes (3, 3), the middle (3,), the edges (3,) and the corners (8, 3) of the box; and 1 if the witness point is on
@@ -68,10 +68,10 @@ def boxes_of_cells(
     Parameters
     ----------
     hull, R: (k, 3) the link's points, and (3, 3) its axes, in the frame of the solid.
-    middle, half, corners: of a `CellSet`; off: (K + T,) how far its cells' middles are off the link [m].
+    middle, half, corners: of a `CellSet`; off: (K + T,) distances of its cells' middles from the link [m].
     most: the greatest number of boxes.
     rules: the link's radius [m], `slack` of `Cluster.around`, `Solid.finest` [m] and `_BEYOND`.
-    T_R, T_t: (3, 3), (3,) where the solid stands [m].
+    T_R, T_t: (3, 3), (3,) placement of the solid [m].
     """
     return None
 
@@ -84,19 +84,19 @@ def boxes_of_voxels(
     coarse_size: Vector, keys: Array, base: Vector, edge: float, origin: Vector, spread: Vector, tile: float,
     counts: Indices, number: Indices, start: Indices, middle: Matrix, size: Vector, /,
 ) -> tuple[Matrix, Matrix, Vector, Vector] | None:  # fmt: skip
-    """The same of the voxels around a link, beyond some distance of coarse cubes.
+    """The boxes of `Cluster.around` around voxels near a link and, beyond some distance, around coarse cubes.
 
-    Returns the numbers of the boxes, and of the cells in none of them the middles (3, k), half edges (k,) and how far
-    they are off (k,) [m]. None as for `boxes_of_cells`.
+    Returns the numbers of the boxes, and the middles (3, k), half edges (k,) and distances (k,) [m] of the cells in
+    none of them. None as for `boxes_of_cells`.
 
     Parameters
     ----------
     hull: (k, 3) the link's points in the frame of its body [m]; axes: (3, 3) of its shape there.
-    R, t: (3, 3), (3,) where its body is [m].
-    T_R, T_t: (3, 3), (3,) where the solid stands [m].
-    regions: (4, 3) lowest and highest corner of where there are coarse cubes, and of the solid [m].
+    R, t: (3, 3), (3,) placement of the body [m].
+    T_R, T_t: (3, 3), (3,) placement of the solid [m].
+    regions: (4, 3) lowest and highest corner of the region with coarse cubes, and of the solid [m].
     rules: of `boxes_of_cells`, then reach, the distance within which voxels count, and the edge of coarse cubes [m].
-    coarse: (3, n) middles of coarse cubes, tile after tile [m]; what follows is of their tiles, see `cells_of_tiles`.
-    keys: (3, m) whole numbers of voxels, tile after tile, with middles `edge` (keys + `base`) [m].
+    coarse: (3, n) middles of coarse cubes, by tiles [m]; the next arguments are their tiles, see `cells_of_tiles`.
+    keys: (3, m) integer keys of voxels, by tiles, with middles `edge` (keys + `base`) [m].
     """
     return None

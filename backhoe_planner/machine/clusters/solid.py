@@ -1,4 +1,4 @@
-"""What every solid of thousands of cells can say: a scan, a terrain, a fine mesh."""
+"""The interface of every solid of thousands of cells: a scan, a terrain, a fine mesh."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Placed:
     ----------
     shape: coal's object.
     R, t: (3, 3) and (3,) T_solid_shape [m].
-    radius: the shape lies within it of the convex hull of `hull` [m].
+    radius: the shape is within `radius` of the convex hull of `hull` [m].
     """
 
     def __init__(self, piece: Piece, R_body: Matrix, t_body: Vector) -> None:
@@ -40,15 +40,15 @@ class Placed:
 
     @cached_property
     def hull(self) -> Matrix:
-        """(k, 3) points [m]; who only asks a tree does without."""
+        """(k, 3) points [m]; computed on demand, because a measurement by a tree does not need them."""
         return np.asarray(self._own.dot(self._R_body.T) + self._t_body)
 
     def shifted(self, by: Vector) -> Any:
-        """Coal's transform, after a shift `by` (3,) [m]."""
+        """Coal's transform after a shift `by` (3,) [m]."""
         return transform(self.R, self.t + by)
 
     def box(self, reach: float) -> tuple[Vector, Vector]:
-        """(3,), (3,) lowest and highest corner of the box around all that is within `reach` [m]."""
+        """(3,), (3,) lowest and highest corner of the box around all points within `reach` [m]."""
         more = self.radius + reach
         return np.minimum.reduce(self.hull) - more, np.maximum.reduce(self.hull) + more
 
@@ -60,8 +60,8 @@ class HeightMap:
     Attributes
     ----------
     heights: (rows, columns) [m].
-    x, y: (columns,) and (rows,) where they are, at even distances [m].
-    floor, top: how far down the ground reaches, and how far up [m].
+    x, y: (columns,) and (rows,) their coordinates, evenly spaced [m].
+    floor, top: the lowest and highest z of the ground [m].
     """
 
     heights: Matrix
@@ -77,8 +77,8 @@ class Solid(Protocol):
     Attributes
     ----------
     bounds: (2, 3) box around it [m].
-    finest: edge of its cells, about [m].
-    is_full: whether more is solid than its cells: what is below the ground or within a closed mesh.
+    finest: approximate edge of its cells [m].
+    is_full: whether more than its cells is solid: everything below the surface of ground or inside a closed mesh.
     """
 
     bounds: Matrix
@@ -87,45 +87,45 @@ class Solid(Protocol):
 
     @property
     def ground(self) -> HeightMap | None:
-        """Its heights, where all that is below them is solid; None of what is no ground."""
+        """Its heights, if everything below them is solid; None if it is not ground."""
 
     @property
     def voxels(self) -> tuple[Any, ...] | None:
-        """Its cells, where they are voxels, as `boxes_of_voxels` takes them from `keys` on; None of other cells."""
+        """Its cells as arguments of `boxes_of_voxels` from `keys` on, if they are voxels; otherwise None."""
 
     def __len__(self) -> int:
-        """How many cells it has."""
+        """The number of its cells."""
 
     def prepare(self) -> None:
-        """Build what it is measured with."""
+        """Build what `measure` needs."""
 
     def prepare_near(self) -> None:
-        """Build what `near` needs, and what says whether a shape that touches no cell is inside."""
+        """Build what `near` needs, and what tells whether a shape that touches no cell is inside."""
 
     def taken(self, frame: GridFrame) -> Flags:
-        """(frame.counts) which cells of a grid it may touch."""
+        """(frame.counts) which cells of a grid the solid may touch."""
 
     def height_bounds(self, low: Vector, high: Vector) -> HeightBounds | None:
-        """Bounds of the distance for points in the box from `low` to `high` (3,) [m]; None of what is no ground."""
+        """Bounds of the distance for points in the box from `low` to `high` (3,) [m]; None if it is not ground."""
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
-        """The signed distance from a convex shape, where it is less than `reach` [m]; None where it is not."""
+        """The signed distance from a convex shape if it is less than `reach` [m]; otherwise None."""
 
     def deeper(self, link: Placed, found: Reading) -> Reading:
-        """What was found of a shape that is inside, or what says that it is deeper, where more than cells is solid."""
+        """The reading `found` of a shape that is inside, or a deeper one if more than the cells is solid."""
 
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
-        """The cells of its surface that may touch the box from `low` to `high` (3,) [m], and some others.
+        """The cells of its surface that may touch the box from `low` to `high` (3,) [m], and some other ones.
 
-        link: cells out of its reach are not needed either.
+        link: cells out of its reach are not needed.
         """
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
-        """Vertices (k, 3) [m] and triangles (m, 3) of its surface, about `most` at most."""
+        """Vertices (k, 3) [m] and triangles (m, 3) of its surface, at most about `most`."""
 
 
 def clustered(vertices: Matrix, triangles: Indices, most: int) -> tuple[Matrix, Indices]:
-    """A surface with at most `most` triangles, by moving vertices that are near each other into one, for pictures."""
+    """A surface with at most `most` triangles, for pictures, made by merging vertices that are near each other."""
     points, left = vertices, triangles
     extent = float(np.ptp(vertices, axis=0).max())
     step = extent * np.sqrt(2.0 / most) / 2.0

@@ -1,11 +1,11 @@
-"""A terrain as a solid: all that lies below a height map, cell by cell.
+"""A terrain as a solid: everything below a height map, cell by cell.
 
-Over each cell the surface is the upper hull of its four corners, which is one of the two ways
-to cut the cell into triangles: the one that is the higher. What does not touch it is compared with the
-cells one by one, in a compiled call. Else, and without a compiler, coal holds the triangles in trees,
-one for each tile of 32 x 32 cells, which is built when something first comes near. A tree of
-triangles knows no inside. What touches no triangle is on one side of the surface with all of
-its points, so that one of them tells on which.
+Over each cell the surface is the upper hull of its four corners: of the two ways to cut the cell
+into triangles it is the higher one. A shape that does not touch the surface is compared with the
+cells one by one, in a compiled call. Otherwise, and without the compiled functions, coal has the
+triangles in trees, one for each tile of 32 x 32 cells, which is built when a shape first comes near.
+A tree of triangles has no inside. A shape that touches no triangle is on one side of the surface
+with all of its points, so that one of them tells on which side.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from backhoe_planner.machine.shape.shapes import sphere
 from backhoe_planner.native import compiled
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
-_MOST_TREES = 256  # that are kept; chosen: some 330 MB
-_LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
-_MOST_PARTS = 500_000  # into which they are divided then; chosen: 22 MB
-_FINE = 0.05  # m, edge up to which cells are divided to bound distances; chosen
+_MOST_TREES = 256  # trees that are kept; chosen: some 330 MB
+_LOWERED = 0.5  # part of the depth by which the lowest point may approach the floor before the floor is lowered; chosen
+_MOST_PARTS = 500_000  # parts into which cells are divided to bound distances; chosen: 22 MB
+_FINE = 0.05  # m, edge down to which cells are divided to bound distances; chosen
 _SKIRT = (-1, -1)  # the tile of the walls and the floor
 
 
@@ -49,7 +49,7 @@ class TerrainSolid:
 
     Raises
     ------
-    InputError: it has more.
+    InputError: it has more cells than `most`.
     """
 
     is_full = True
@@ -82,7 +82,7 @@ class TerrainSolid:
 
     @cached_property
     def ground(self) -> HeightMap:
-        """Its heights."""
+        """The height map."""
         return HeightMap(self._heights, self._x, self._y, self._floor, float(self.bounds[1, 2]))
 
     def is_over(self, heights: Matrix, size: tuple[float, float]) -> bool:
@@ -92,7 +92,7 @@ class TerrainSolid:
     def with_heights(self, heights: Matrix) -> TerrainSolid:
         """The ground with other heights (rows, columns) [m] at the same places.
 
-        Trees of tiles in which no height is another are taken over.
+        The trees of tiles in which no height changes are reused.
         """
         found = TerrainSolid(heights, self._size, depth=self._depth, most=self._most)
         found._floor = min(self._floor, found._floor + _LOWERED * self._depth)
@@ -111,13 +111,13 @@ class TerrainSolid:
         return found
 
     def prepare(self) -> None:
-        """Nothing: trees of its tiles are built when something comes near."""
+        """Do nothing: the trees of the tiles are built when a shape comes near."""
 
     def prepare_near(self) -> None:
-        """Nothing: its cells are found by their numbers."""
+        """Do nothing: the cells are found by their numbers."""
 
     def taken(self, frame: GridFrame) -> Flags:
-        """(frame.counts) which cells of a grid it may touch."""
+        """(frame.counts) which cells of a grid the ground may touch."""
         taken = np.zeros(frame.counts, dtype=bool)
         spans = []
         for axis, places in ((0, self._x), (1, self._y)):
@@ -153,9 +153,9 @@ class TerrainSolid:
         return HeightBounds(tops, self._low + self._cell * first, self._cell / parts)
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
-        """The signed distance from a convex shape where it is less than `reach` [m].
+        """The signed distance from a convex shape if it is less than `reach` [m], otherwise None.
 
-        Below the surface, where nothing touches it, it is how far away the surface is.
+        For a shape below the surface that does not touch it, it is minus the distance to the surface.
         """
         reach = max(reach, LEAST_REACH)
         low, high = link.box(0.0)
@@ -171,9 +171,9 @@ class TerrainSolid:
         return Reading(-found.distance, -found.normal, found.point, found.other_point)
 
     def deeper(self, link: Placed, found: Reading) -> Reading:
-        """What was found of a shape that is in the ground, or how far its lowest corner is under the surface.
+        """The reading `found` of a shape in the ground, or the depth of its lowest corner if that is more.
 
-        The shape is out of the ground no sooner than that corner. A triangle is left sooner, aside or down.
+        The shape is not out of the ground before that corner is. It can leave a single triangle earlier, aside or down.
         """
         points = link.hull[link.hull[:, 2] >= self._floor]
         height, _ = surface_under(points, self._heights, self._x, self._y)
@@ -191,7 +191,7 @@ class TerrainSolid:
         return Reading(-under.distance - link.radius, out, corner + link.radius * out, under.other_point)
 
     def _from_surface(self, link: Placed, low: Vector, high: Vector, reach: float) -> Reading | None:
-        """The distance from triangles alone, of a shape in the box from `low` to `high` (3,) [m]."""
+        """The distance from the triangles only, for a shape in the box from `low` to `high` (3,) [m]."""
         (x, y, z), (u, v, w) = low.tolist(), high.tolist()
         (least_x, least_y, _), (most_x, most_y, top) = self.bounds.tolist()
         if z - top >= reach:
@@ -220,7 +220,7 @@ class TerrainSolid:
         return best
 
     def _from_cells(self, link: Placed, low: Vector, high: Vector, reach: float) -> tuple[bool, Reading | None]:
-        """Whether the cells alone tell, and then the same."""
+        """Whether the cells alone give the distance from the surface, and the distance if so."""
         counts = len(self._x) - 1, len(self._y) - 1
         first = np.maximum((low[:2] - reach - self._low) // self._cell, 0.0).astype(int)
         last = np.minimum((high[:2] + reach - self._low) // self._cell, counts).astype(int) + 1
@@ -234,7 +234,7 @@ class TerrainSolid:
         return True, Reading(float(numbers[0]), numbers[1:4], numbers[4:7], numbers[7:])
 
     def _tiles_in(self, low: tuple[float, float], high: tuple[float, float]) -> Iterator[tuple[int, int]]:
-        """The tiles, by their numbers along x and y, in a rectangle [m]."""
+        """The numbers along x and y of the tiles in a rectangle [m]."""
         spans = []
         for start, end, first, cell, count in zip(low, high, *self._tile_places, strict=True):
             edge = _TILE * cell
@@ -265,13 +265,13 @@ class TerrainSolid:
             found = _tree_of(self._skirt().transpose(1, 2, 0) if tile == _SKIRT else self._triangles(*self._span(tile)))
             if len(self._trees) >= _MOST_TREES:
                 del self._trees[next(iter(self._trees))]
-        self._trees[tile] = found  # the last used last
+        self._trees[tile] = found  # the latest one used is last
         return found
 
     def _triangles(self, r0: int, r1: int, c0: int, c1: int, *, low: float = -np.inf, high: float = np.inf) -> Array:
         """(3, 3, m) corners, each by coordinates, of the surface between rows and columns of points [m].
 
-        Rows and columns are both included. Cells that are wholly below `low` or above `high` are left out [m].
+        The last row and column are included. Cells that are wholly below `low` or above `high` [m] are left out.
         """
         z = self._heights[r0 : r1 + 1, c0 : c1 + 1]
         a, b, c, d = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
@@ -285,13 +285,13 @@ class TerrainSolid:
         a, b, c, d = z[row, column], z[row, column + 1], z[row + 1, column], z[row + 1, column + 1]
         x_a, x_b, y_a, y_c = x[column], x[column + 1], y[row], y[row + 1]
         main = a + d >= b + c
-        # either along a d, or along b c
+        # the cell is cut either along a d, or along b c
         first = (x_a, y_a, a), (x_b, y_a, b), (np.where(main, x_b, x_a), y_c, np.where(main, d, c))
         second = (np.where(main, x_a, x_b), y_a, np.where(main, a, b)), (x_b, y_c, d), (x_a, y_c, c)
         return np.concatenate((first, second), axis=2)
 
     def _skirt(self) -> Array:
-        """(m, 3, 3) corners of the walls around the map, and of its floor [m]."""
+        """(m, 3, 3) corners of the triangles of the walls around the map, and of its floor [m]."""
         walls = []
         x, y, h = self._x, self._y, self._heights
         for line in (
@@ -326,7 +326,7 @@ class TerrainSolid:
         return bool(z <= top)
 
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
-        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
+        """The triangles that may touch the box from `low` to `high` (3,) [m], and some other ones; see `Solid`."""
         found = []
         if (high[:2] >= self._low).all() and (low[:2] <= -self._low).all():
             last = np.array([len(self._x) - 1, len(self._y) - 1])
@@ -340,7 +340,7 @@ class TerrainSolid:
         return CellSet.of_triangles(np.concatenate(found, axis=2) if found else np.zeros((3, 3, 0)))
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
-        """Vertices (k, 3) [m] and triangles (m, 3) of the surface; of every other point where there are too many."""
+        """Vertices (k, 3) [m] and triangles (m, 3) of the surface, from fewer points if there are too many."""
         stride = max(int(np.ceil(np.sqrt(2.0 * len(self) / most))), 1)
         rows = np.unique(np.append(np.arange(0, len(self._y), stride), len(self._y) - 1))
         columns = np.unique(np.append(np.arange(0, len(self._x), stride), len(self._x) - 1))
@@ -359,14 +359,15 @@ _POINT = sphere(0.0, pin.SE3.Identity())
 def nearest_on_ground(
     hull: Matrix, radius: float, heights: Matrix, x: Vector, y: Vector, reach: float, /
 ) -> tuple[()] | tuple[Vector] | None:
-    """How near a convex shape is to the surface of a height map, from its cells one by one.
+    """The distance of a convex shape from the surface of a height map, from its cells one by one.
 
-    A `Reading` as (10,) numbers; None where it is not less than `reach` [m]; nothing where that is not known, as where
-    they touch. Here it never is: the compiled version alone is quicker than the trees of tiles.
+    Returns a `Reading` as (10,) numbers; None if the distance is not less than `reach` [m]; an empty tuple if it is not
+    known, such as when they touch. This plain version never knows: only the compiled one is faster than the trees of
+    tiles.
 
     Parameters
     ----------
-    hull: (k, 3) points within `radius` [m] of whose convex hull the shape lies.
+    hull: (k, 3) points; the shape is within `radius` [m] of their convex hull.
     heights: (rows, columns) [m] at y (rows,) and x (columns,).
     """
     return ()
@@ -379,9 +380,9 @@ def _tree_of(triangles: Array) -> Tree:
 
 
 def _tops(heights: Matrix, parts: int) -> Matrix:
-    """(parts rows, parts columns) the highest of the surface over each part of the cells between `heights` [m].
+    """(parts rows, parts columns) the highest point of the surface over each part of the cells between `heights` [m].
 
-    Along the cut of a cell into triangles it runs from corner to corner of parts: all are highest at a corner.
+    The cut of a cell into triangles runs from corner to corner of parts, so each part is highest at a corner.
     """
     a, b, c, d = (h[:, None, :, None] for h in (heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]))
     v, u = (np.linspace(0.0, 1.0, parts + 1).reshape(shape) for shape in ((1, -1, 1, 1), (1, 1, 1, -1)))
@@ -391,9 +392,9 @@ def _tops(heights: Matrix, parts: int) -> Matrix:
 
 
 def surface_under(points: Matrix, heights: Matrix, x: Vector, y: Vector) -> tuple[Vector, Matrix]:
-    """(k,) how high a height map is straight under points (k, 3), or above [m], and (k, 2) its slopes along x and y.
+    """(k,) the height of a height map straight below or above points (k, 3) [m], and (k, 2) its slopes along x and y.
 
-    Minus infinity beside the map.
+    The height is minus infinity beside the map.
 
     Parameters
     ----------
@@ -414,21 +415,21 @@ def surface_under(points: Matrix, heights: Matrix, x: Vector, y: Vector) -> tupl
 
 
 def _planes(a: Array, b: Array, c: Array, d: Array, u: Array, v: Array) -> tuple[Array, Array]:
-    """The heights of a cell's two triangles, or beside them of their planes, at u along x and v along y [m].
+    """The heights of the planes of a cell's two triangles, at u along x and v along y [m].
 
-    The surface is at the lower one. The cell's corners are at the heights a and b, then c and d; u and v are parts of
+    The surface is the lower one. The cell's corners have the heights a and b, then c and d; u and v are fractions of
     its edges.
     """
-    main = a + d >= b + c  # cut along a d, else along b c
+    main = a + d >= b + c  # cut along a d, otherwise along b c
     first = a + u * (b - a) + v * np.where(main, d - b, c - a)
     return first, np.where(main, a + v * (c - a) + u * (d - c), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d))
 
 
 def _most_in(values: Matrix, first: Indices, last: Indices, count: int) -> Matrix:
-    """(rows, count) the largest of `values` (rows, n), each of which lies in the places `first` to `last` (n,)."""
+    """(rows, count) the largest of `values` (rows, n) at each place; a value covers places `first` to `last` (n,)."""
     found = np.full((len(values), count), -np.inf)
     for place in range(max(int(first.min()), 0), min(int(last.max()) + 1, count)):
-        # places ascend, so that those which touch one place follow each other
+        # `first` and `last` ascend, so that the values that cover a place are consecutive
         start, end = np.searchsorted(last, place), np.searchsorted(first, place, side="right")
         if end > start:
             found[:, place] = values[:, start:end].max(axis=1)

@@ -1,4 +1,4 @@
-"""Which of many cells are near a box, or a link: cells sorted by the tile in which their middle lies."""
+"""Cells sorted by the tile of their middle, to find those near a box or a link."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Tiles:
     Parameters
     ----------
     low, high: (n, 3) box around each cell [m].
-    edge: of a tile [m]; tiles are wider where there would be too many.
+    edge: of a tile [m]; tiles are larger if there would be too many.
 
     Attributes
     ----------
-    order: (n,) the cells, tile after tile. Who keeps them in this order reads those of a tile one after the other.
+    order: (n,) the cells, sorted by tiles. If they are stored in this order, those of a tile are consecutive.
     """
 
     def __init__(self, low: Matrix, high: Matrix, edge: float) -> None:
@@ -33,7 +33,7 @@ class Tiles:
         self._counts = tile.max(axis=0) + 1
         number = (tile[:, 0] * self._counts[1] + tile[:, 1]) * self._counts[2] + tile[:, 2]
         self.order: Indices = np.argsort(number, kind="stable")
-        # of each of the M tiles that hold any: its number, its first place in the order, and the box around its cells
+        # for each of the M tiles that are not empty: its number, its first place in the order, and its cells' box
         self._number, first = np.unique(number[self.order], return_index=True)
         self._start = np.append(first, len(number))
         lowest = np.minimum.reduceat(low[self.order], first, axis=0)
@@ -43,15 +43,15 @@ class Tiles:
 
     @property
     def arrays(self) -> tuple[Vector, Vector, float, Indices, Indices, Indices, Matrix, Vector]:
-        """What `cells_of_tiles` has to know of them, from `origin` on."""
+        """The arguments of `cells_of_tiles` about the tiles, from `origin` on."""
         return (
             self._low, self._spread, self._edge, self._counts, self._number, self._start, self._middle, self._radius
         )  # fmt: skip
 
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> Indices:
-        """(k,) places in `order` of the cells that may touch the box from `low` to `high` (3,) [m], and some others.
+        """(k,) places in `order` of the cells that may touch the box from `low` to `high` (3,) [m], and of some others.
 
-        link: cells out of its reach are not needed either.
+        link: cells out of its reach are not needed.
         """
         box, reach = ANYWHERE if link is None else link
         return cells_of_tiles(low, high, *self.arrays, box.R, box.middle, box.half, box.radius, reach)
@@ -67,10 +67,10 @@ def cells_of_tiles(
 
     Parameters
     ----------
-    origin, spread: (3,), (3,) the lowest corner of the first tile, and how far cells reach out of theirs [m].
-    edge, counts: of a tile [m], and (3,) how many there are along each axis.
-    number, start: (M,) of those that hold any, ascending, and (M + 1,) their first places and the last one's end.
-    middle, size: (3, M), (M,) of balls around their cells [m].
+    origin, spread: (3,), (3,) the lowest corner of the first tile, and how far cells may extend out of their tile [m].
+    edge, counts: of a tile [m], and (3,) the number of tiles on each axis.
+    number, start: (M,) numbers of the tiles that are not empty, ascending; (M + 1,) their first places and the end.
+    middle, size: (3, M), (M,) centres and radii of balls around the cells of each tile [m].
     R, of_link, half, radius, reach: of the link's box, see `off_turned_box`, and how far from it tiles count [m].
     """
     first = np.floor((low - spread - origin) / edge).astype(np.int64)
@@ -89,7 +89,7 @@ def cells_of_tiles(
 
 
 def _spans(starts: Indices, ends: Indices) -> Indices:
-    """The numbers from each start on to before its end, one span after the other."""
+    """The numbers from each start to just before its end, one span after another."""
     counts = ends - starts
     until = counts.cumsum()
     found = np.arange(until[-1] if len(until) else 0)

@@ -1,14 +1,14 @@
-"""Trees of coal that hold thousands of cells: the distance of a convex shape from all of them at once.
+"""Trees of coal with thousands of cells: the distance of a convex shape from all of them at once.
 
-A tree is asked with a reach, beyond which nothing is looked at: near by, it decides in tens
-of microseconds. What coal answers of a tree is not all right as it comes, and put right here:
+A tree is queried with a reach, beyond which it does not search: nearby it takes tens
+of microseconds. Some of coal's results for trees need correction, which is done here:
 
-- The descent ends early only where `min_distance` of the result is set before.
+- The descent ends early only if `min_distance` of the result is set before.
 - Normal and witness points run from the tree to the shape, whatever the order of the arguments.
-- Around a shape it takes an upright box in the frame of the question, which is large around a long link that
-  stands askew. So trees of cubes are asked in the frame of the shape, where the box is as small as can be.
-- Where the shape touches a cell, `distance` gives the depth in the first cell it meets. All
-  cells that are touched come from `collide`; the depth here is that of the deepest.
+- Coal puts an upright box around the shape in the frame of the query, which is large for a long link that
+  is askew. So trees of cubes are queried in the frame of the shape, in which the box is as small as possible.
+- If the shape touches a cell, `distance` gives the depth in the first cell it finds. All
+  touched cells come from `collide`; the depth here is that of the deepest.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from backhoe_planner.machine.shape.shapes import LOOSER, in_doubt, prepare
 
 _MOST_CONTACTS = 1_000_000  # cells that a shape touches at once; beyond any tree
 _HERE = coal.Transform3s(np.eye(3), np.zeros(3))
-LEAST_REACH = 1e-6  # m: so that what touches is found at any reach
+LEAST_REACH = 1e-6  # m: so that contact is found at any reach
 _DEEPEST = -1e7  # m: no two shapes are this deep inside each other
 
 
 class Reading(NamedTuple):
-    """A distance that was measured.
+    """A measured distance.
 
     Attributes
     ----------
     distance: signed [m].
-    normal: (3,) unit vector from the first body to the second, inside too.
-    point, other_point: (3,) the critical point of the first, and its witness on the second [m].
+    normal: (3,) unit vector from the first body to the second, also in penetration.
+    point, other_point: (3,) the critical point of the first body, and its witness point on the second [m].
     """
 
     distance: float
@@ -48,16 +48,16 @@ class Tree:
 
     Parameters
     ----------
-    of_cubes: whether it holds cubes, which coal compares with an upright box around a shape.
+    of_cubes: whether its cells are cubes, which coal compares with an upright box around a shape.
     """
 
     def __init__(self, tree: coal.CollisionGeometry, *, of_cubes: bool = False) -> None:
         self._tree, self._of_cubes = tree, of_cubes
 
     def measure(self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s, reach: float) -> Reading | None:
-        """The distance from `shape` to the cells, where it is less than `reach` [m]; None where it is not.
+        """The distance from `shape` to the cells if it is less than `reach` [m]; otherwise None.
 
-        The result is in the frame of the tree, its normal from the shape to the nearest cell.
+        The result is in the frame of the tree, with its normal from the shape to the nearest cell.
         """
         reach = max(reach, LEAST_REACH)
         result = self._distance(shape, T_tree_shape, reach)
@@ -76,7 +76,7 @@ class Tree:
             if depth > _DEEPEST and (deepest is None or depth < deepest.penetration_depth):
                 deepest = contact
         if deepest is None and not contacts.isCollision():
-            # nothing touches, but the iterations broke down, as on a slender triangle of a wall
+            # nothing touches, but the iterations broke down, such as on a slender triangle of a wall
             for tolerance in LOOSER:
                 result = self._distance(shape, T_tree_shape, reach, tolerance)
                 if result.min_distance >= reach:
@@ -98,7 +98,7 @@ class Tree:
         )
 
     def _read(self, result: coal.DistanceResult, T_tree_shape: coal.Transform3s, distance: float) -> Reading:
-        """What coal found, in the frame of the tree, with that `distance` [m]."""
+        """The result of coal in the frame of the tree, with `distance` [m]."""
         normal, point, other_point = (
             np.array(found) for found in (-result.normal, result.getNearestPoint2(), result.getNearestPoint1())
         )
@@ -111,8 +111,8 @@ class Tree:
         self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s, reach: float,
         tolerance: float | None = None,
     ) -> coal.DistanceResult:  # fmt: skip
-        """What coal finds within a reach [m], to its `tolerance` or the usual one [m]."""
-        # not shared: obstacles, and the trees in them, are used by several threads
+        """The result of coal within a reach [m], to `tolerance` or the usual one [m]."""
+        # not shared, because several threads use the same obstacles and the trees in them
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         prepare(request)
         if tolerance is not None:
@@ -126,12 +126,12 @@ class Tree:
 
 
 def voxel_tree(centres: Matrix, edge: float) -> Tree:
-    """Cubes with an `edge` [m] around `centres` (n, 3), which are half an edge off a multiple of it on each axis."""
+    """A tree of cubes with an `edge` [m] around `centres` (n, 3), odd multiples of half an edge on each axis."""
     return Tree(coal.makeOctree(centres, edge), of_cubes=True)
 
 
 def surface_tree(vertices: Matrix, triangles: Indices) -> Tree:
-    """Triangles (m, 3) between `vertices` (k, 3) [m]; nothing is solid between them."""
+    """A tree of triangles (m, 3) between `vertices` (k, 3) [m]; nothing is solid between them."""
     tree = coal.BVHModelOBBRSS()
     tree.beginModel(len(triangles), len(vertices))
     tree.addVertices(np.ascontiguousarray(vertices, dtype=float))

@@ -1,4 +1,4 @@
-"""A scan as a solid: every voxel in which one of its points lies."""
+"""A scan as a solid: every voxel that contains one of its points."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, voxel_tree
 
 Keys = NDArray[np.int64]
-"""(n, 3) which multiples of its edge the lowest corner of each voxel is."""
+"""(n, 3) the lowest corner of each voxel, in multiples of its edge."""
 
 _WIDEST = 65_000  # voxels along an axis: coal numbers them with 16 bits
-_TILE = 4  # voxels along the edge of a tile; chosen, larger ones hold more that is out of reach
-# part of the voxels that touch no other, from which on a scan has gaps; chosen: of flat ground it then covers a sixth
+_TILE = 4  # voxels along the edge of a tile; chosen, larger ones contain more voxels out of reach
+# part of voxels without neighbours from which on a scan has gaps; chosen: it then covers a sixth of flat ground
 _LONE = 0.2
-_LOOKED_AT = 4_000  # voxels, of which that is seen
+_LOOKED_AT = 4_000  # voxels from which that part is estimated
 
 
 def voxel_keys(points: Matrix, resolution: float) -> Keys:
-    """The voxels with an edge of `resolution` [m] in which `points` (n, 3) [m] lie, each once, in order."""
+    """The voxels with an edge of `resolution` [m] that contain `points` (n, 3) [m], each once, in order."""
     keys = np.floor(points / resolution).astype(np.int64)
     low = keys.min(axis=0)
     counts = [int(count) for count in keys.max(axis=0) - low + 1]
-    if counts[0] * counts[1] * counts[2] >= 2**62:  # no number for each
+    if counts[0] * counts[1] * counts[2] >= 2**62:  # too many to number them
         return np.unique(keys, axis=0)
     keys -= low
     number, z = np.divmod(np.unique((keys[:, 0] * counts[1] + keys[:, 1]) * counts[2] + keys[:, 2]), counts[2])
@@ -42,7 +42,7 @@ def voxel_keys(points: Matrix, resolution: float) -> Keys:
 
 
 def lone_part(keys: Keys) -> float:
-    """The part of voxels (n, 3), in order, that touch no other with face, edge or corner; seen from some thousand."""
+    """The part of voxels (n, 3), in order, that touch no other by face, edge or corner; estimated from a sample."""
     low = keys.min(axis=0) - 1
     spans = keys.max(axis=0) - low + 2
 
@@ -71,7 +71,7 @@ class VoxelSolid:
 
     Raises
     ------
-    InputError: there are more, or more than 65,000 along an axis.
+    InputError: there are more than `most`, or more than 65,000 along an axis.
     """
 
     is_full = False
@@ -98,9 +98,9 @@ class VoxelSolid:
         return len(self._keys)
 
     def closed_edge(self) -> float:
-        """The edge with which nearly all voxels touch others: this one, or the least that is it 2, 4, 8, ... times [m].
+        """The edge with which most voxels touch others: the present one, or the least of 2, 4, 8, ... times it [m].
 
-        Between voxels that touch no other there is nothing, though what was scanned is mostly whole.
+        Between voxels that touch no other nothing is solid, although the scanned surface is usually continuous.
         """
         times, keys = 1, self._keys
         while len(keys) > 1 and lone_part(keys) > _LONE:
@@ -118,29 +118,29 @@ class VoxelSolid:
 
     @cached_property
     def _tiles(self) -> tuple[Tiles, NDArray[np.int32]]:
-        """Its voxels by tiles, and (3, n) their keys from its middle in the tiles' order."""
+        """The tiles of its voxels, and (3, n) the voxels' keys relative to its middle, in the tiles' order."""
         low = self._low()
         tiles = Tiles(low, low + self._edge, _TILE * self._edge)
         return tiles, np.ascontiguousarray((self._keys[tiles.order] - self._base).T, dtype=np.int32)
 
     def prepare(self) -> None:
-        """Build its tree."""
+        """Build the tree."""
         self._tree  # noqa: B018
 
     def prepare_near(self) -> None:
-        """Sort its voxels into tiles."""
+        """Sort the voxels into tiles."""
         self._tiles  # noqa: B018
 
     def taken(self, frame: GridFrame) -> Flags:
-        """(frame.counts) which cells of a grid it may touch."""
+        """(frame.counts) which cells of a grid the voxels may touch."""
         low = self._low()
         return frame.taken_by_boxes(low, low + self._edge)
 
     def height_bounds(self, low: Vector, high: Vector) -> None:
-        """None: it is no ground."""
+        """None, because voxels are not ground."""
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
-        """The signed distance from a convex shape where it is less than `reach` [m]."""
+        """The signed distance from a convex shape if it is less than `reach` [m], otherwise None."""
         base = self._edge * self._base
         found = self._tree.measure(link.shape, link.shifted(-base), reach)
         if found is None:
@@ -148,11 +148,11 @@ class VoxelSolid:
         return Reading(found.distance, found.normal, found.point + base, found.other_point + base)
 
     def deeper(self, link: Placed, found: Reading) -> Reading:
-        """What was found: nothing more is looked at."""
+        """The reading `found`: voxels have nothing deeper."""
         return found
 
     def near(self, low: Vector, high: Vector, link: LinkReach | None = None) -> CellSet:
-        """The voxels that may touch the box from `low` to `high` (3,) [m], and some others; see `Solid`."""
+        """The voxels that may touch the box from `low` to `high` (3,) [m], and some other ones; see `Solid`."""
         tiles, ordered = self._tiles
         middle = ordered.take(tiles.near(low, high, link), axis=1).astype(float)
         middle += (self._base + 0.5)[:, None]
@@ -161,12 +161,12 @@ class VoxelSolid:
 
     @cached_property
     def voxels(self) -> tuple[Any, ...]:
-        """What `boxes_of_voxels` has to know of them, from `keys` on."""
+        """The arguments of `boxes_of_voxels` about the voxels, from `keys` on."""
         tiles, ordered = self._tiles
         return ordered, self._base + 0.5, self._edge, *tiles.arrays
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
-        """Vertices (k, 3) [m] and triangles (m, 3) of its surface, of larger voxels where there are too many."""
+        """Vertices (k, 3) [m] and triangles (m, 3) of its surface, from larger voxels if there are too many."""
         edge, keys = self._edge, self._keys
         while True:
             sides = _open_sides(keys)
@@ -180,7 +180,7 @@ class VoxelSolid:
 
 
 _WAYS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=np.int64)
-_SIDES = np.array(  # corners of a voxel's side in each of these ways, counterclockwise as seen from outside
+_SIDES = np.array(  # corners of a voxel's side in each of these directions, counterclockwise as seen from outside
     [
         [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
         [(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)],
@@ -194,7 +194,7 @@ _SIDES = np.array(  # corners of a voxel's side in each of these ways, countercl
 
 
 def _open_sides(keys: Keys) -> list[Indices]:
-    """For each of the six ways the voxels that have no neighbour there."""
+    """For each of the six directions the voxels that have no neighbour there."""
     low = keys.min(axis=0) - 1
     counts = keys.max(axis=0) - low + 2
     weights = np.array([counts[1] * counts[2], counts[2], 1], dtype=np.int64)
