@@ -134,7 +134,7 @@ def check_kind(value: Any, kind: type[_Kind], *, key: str) -> _Kind:
 
     Raises
     ------
-    InputError: it is something else; names it by `key`.
+    InputError: it is something else; the message names it by `key`.
     """
     if isinstance(value, kind):
         return value
@@ -146,7 +146,7 @@ def check_flag(value: Any, *, key: str) -> bool:
 
     Raises
     ------
-    InputError: it is something else; names it by `key`.
+    InputError: it is something else; the message names it by `key`.
     """
     if type(value).__name__ in ("bool", "bool_"):  # numpy's too, without importing it here
         return bool(value)
@@ -158,7 +158,7 @@ def check_path(value: Any, *, key: str) -> Path:
 
     Raises
     ------
-    InputError: it is neither text nor a path; names it by `key`.
+    InputError: it is neither text nor a path; the message names it by `key`.
     """
     if isinstance(value, (str, os.PathLike)) and "\0" not in str(value):
         return Path(value)

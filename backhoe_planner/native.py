@@ -62,7 +62,7 @@ def plain_versions() -> dict[str, Callable[..., Any]]:
 
 def native_version() -> str | None:
     """The version of the compiled functions that are in use; None if everything runs in plain Python."""
-    import importlib.metadata  # takes long to load
+    import importlib.metadata  # imported here because it takes long to load
 
     if find_compiled() is None:
         return None

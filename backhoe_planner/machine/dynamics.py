@@ -1,4 +1,4 @@
-"""Joint torques by inverse dynamics, and what a motion costs.
+"""Joint torques by inverse dynamics, and the power and energy of a motion.
 
     tau = M(q) a + C(q, v) v + g(q) - J_tip^T F
 

@@ -56,7 +56,7 @@ class FinerPiece:
 
 @dataclass(frozen=True)
 class FinerPairs:
-    """What some pairs of a machine's own pieces are divided into.
+    """The division of some pairs of a machine's own pieces into pairs of smaller pieces.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class _Division:
         return found
 
     def result(self) -> FinerPairs:
-        """What was divided."""
+        """The pairs that were divided, and their smaller pieces."""
         finer = tuple(
             FinerPiece(part.index, tuple((x, y, z) for x, y, z in part.corners.tolist())) for part in self._numbers
         )

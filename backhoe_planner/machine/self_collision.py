@@ -46,7 +46,7 @@ from backhoe_planner.machine.shape.overlap import faces_of, overlap_corners
 
 # part of random configurations in which convex pieces touch; the links as written must then touch in `_THROUGHOUT`
 _BY_CONSTRUCTION = 0.85
-_POSTURES = (20, 100, 1000, 10_000)  # numbers of configurations tried until it is decided; the last is sure to 0.004
+_POSTURES = (20, 100, 1000, 10_000)  # configurations tried in turn until decided; the last give the share to 0.004
 _POSTURES_AS_WRITTEN = _POSTURES[:-1]  # 4 standard deviations of their share are 0.04, less than 0.9 minus 0.85
 _SURE = 4.0  # standard deviations from the limit at which fewer configurations decide
 _THROUGHOUT = 0.9  # part of the joint's range, or of configurations: 0.85 plus the possible error of 41 places
@@ -432,7 +432,7 @@ class _Sweep:
         return all(self._any_within(rows, place, _PLAY) for place in (*apart, *unseen))
 
     def overlap_always(self, rows: list[int]) -> list[int]:
-        """As few of some pairs as possible of which, as written, one touches at each place; [] if that cannot be."""
+        """As few of some pairs as possible, so that at each place one of them touches as written; [] if impossible."""
         at = {row: {place for place in range(_PLACES) if self._any_within([row], place, 0.0)} for row in rows}
         without, found = set(range(_PLACES)), []
         while without:
@@ -557,7 +557,7 @@ class _Sweep:
         return proven_apart(self._robot, (outer, inner), ends[0], ends[1])
 
     def _keeps_apart_elsewhere(self, row: int) -> bool:
-        """Whether a pair is proven to keep apart between all neighbouring places at neither of which it touches."""
+        """Whether a pair is proven to keep apart between all neighbouring places, except where it touches at one."""
         places, distance = self._places, self.distance[:, row]
         ends = zip(places, places[1:], distance, distance[1:], strict=False)
         return all(self._apart(row, *end) for end in ends if min(end[2:]) > _TOUCH)

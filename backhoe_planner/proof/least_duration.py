@@ -254,7 +254,7 @@ class _Search:
         missed = np.minimum((bound / self._target * _LEVELS).astype(np.intp), _LEVELS - 1)
         test = DirectionTest(features, best_directions(features, *ends(missed + 1)))
         level = np.full(len(bound), _LEVELS)
-        reached = level + 1  # where it is not known to miss
+        reached = level + 1  # the lowest level at which a box is not known to miss
         while (reached - missed > 1).any():
             going = reached - missed > 1
             misses = test.misses(*ends(level))

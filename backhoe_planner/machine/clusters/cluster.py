@@ -142,7 +142,7 @@ class Cluster:
             found.distance, self._R @ found.normal, self._R @ found.point + base, self._R @ found.other_point + base
         )
 
-    # --- what stands around a link ----------------------------------------------------------
+    # --- cells around a link ----------------------------------------------------------------
 
     def around(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,

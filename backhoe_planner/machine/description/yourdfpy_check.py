@@ -26,7 +26,7 @@ def check_by_yourdfpy(root: etree._Element) -> None:
     ValueError: it is not valid according to yourdfpy.
     """
     entry, key = None, b""
-    with contextlib.suppress(OSError, RuntimeError, ImportError):  # `_ask` says what is missing; or no home
+    with contextlib.suppress(OSError, RuntimeError, ImportError):  # `_ask` reports it; or there is no home
         maker = maker_digest(Path(__file__).parent, [Path(__file__).name], ["yourdfpy"])
         key = hashlib.sha256(maker + etree.tostring(root)).digest()
         entry = caches() / "read_by_yourdfpy" / f"{key.hex()}.urdf"
@@ -49,7 +49,7 @@ def _ask(root: etree._Element) -> None:
             robot=yourdfpy.URDF._parse_robot(xml_element=root), build_scene_graph=False, load_meshes=False
         )
         valid, errors = read.validate(), read.errors
-    except Exception as error:  # yourdfpy raises whatever its parsing runs into
+    except Exception as error:  # yourdfpy lets through any exception of its parsing
         raise ValueError(str(error)) from error
     finally:
         quiet.setLevel(level)
