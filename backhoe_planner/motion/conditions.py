@@ -1,25 +1,25 @@
 """Conditions on a whole motion: a band of the pitch, a height of the tip, a cone of its orientation.
 
 Each condition has a margin at every configuration, 0 or more where it holds, and a lower bound
-of it on a straight motion of the joints between two configurations with the margins m_a, m_b.
+of that margin on a straight motion of the joints between two configurations with margins m_a, m_b.
 
 Pitch. The axis of the last joint is horizontal in every posture (`Robot.has_pitch`). A hinge
 turns everything beyond it about its own axis, so every hinge is either parallel to the last
-one (else its turning would tip the last axis) or vertical. The pitch is therefore linear in
+one or vertical (otherwise its turning would tip the last axis). The pitch is therefore linear in
 the joints, c . q + c0 with c_j = 1, -1 or 0, and on a straight motion the bound min(m_a, m_b)
 is exact, as long as the pitch does not go round the other way.
 
-Height. The tip is nowhere further than r . b / 8 from the chord (`bend_weights`), so its height
-is nowhere lower than min(m_a, m_b) - r . b / 8. Vertical hinges between the base and the first
-joint of another kind do not change a height: they do not count.
+Height. The tip is nowhere further than r . b / 8 from the chord (`bend_weights`), so the margin
+of its height is nowhere lower than min(m_a, m_b) - r . b / 8. Vertical hinges between the base and
+the first joint of another kind do not change a height, so they do not count.
 
-Orientation. The tip turns by at most L = sum_j |dq_j| over the hinges, so with the angles e_a,
-e_b from what is asked the angle is nowhere more than (e_a + e_b + L) / 2. For short motions
-there is a better bound: its angular velocity sum_j dq_j a_j changes by at most
+Orientation. The tip turns by at most L = sum_j |dq_j| over the hinges, so if its ends are at the
+angles e_a, e_b from the required orientation, the angle is nowhere more than (e_a + e_b + L) / 2.
+There is a better bound for short motions. The angular velocity sum_j dq_j a_j changes by at most
 K = sum_{i<j} |dq_i| |dq_j|, so the orientation is nowhere further than K / 8 from a turn about
-a fixed axis, and neither are its ends. On that turn, which is a geodesic shorter than half a
-turn, the angle from what is asked is nowhere more than at the ends, where these are less than a
-quarter turn (balls of that radius are convex). So it is at most max(e_a, e_b) + K / 4.
+a fixed axis, and neither are its ends. That turn is a geodesic shorter than half a turn. On it
+the angle from the required orientation is nowhere more than at the ends, if these are less than a
+quarter turn away (balls of that radius are convex). So it is at most max(e_a, e_b) + K / 4.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from backhoe_planner.machine import (
     wrap_angle,
 )
 
-_NOT_ROUND = 1e-3  # rad: chosen, two ways from one pitch to another differ by whole turns
+_NOT_ROUND = 1e-3  # rad: chosen; two motions from one pitch to another differ by whole turns
 _UPRIGHT = 1e-9  # tilt of an axis that counts as vertical, as in `Robot.has_pitch`
 
 
 @runtime_checkable
 class Condition(Protocol):
-    """One of the things to be kept.
+    """One condition to be kept.
 
     Attributes
     ----------
     name: ``pitch``, ``above``, ``below`` or ``rotation``, as in the scene file.
     unit: of its margin.
-    room: what the machine's tracking error can take of the margin [unit].
+    room: how much of the margin the machine's tracking error can use up [unit].
     """
 
     name: str
@@ -61,7 +61,7 @@ class Condition(Protocol):
 
     @abstractmethod
     def values(self, q: Matrix) -> Vector:
-        """(B,) what is limited, at the joints `q` (B, n) [unit]."""
+        """(B,) the limited quantity at the joints `q` (B, n) [unit]."""
 
     @abstractmethod
     def margins(self, values: Vector) -> Vector:
@@ -80,11 +80,11 @@ class Condition(Protocol):
 
     @abstractmethod
     def lever(self, travel: Vector) -> Vector:
-        """(n,) by how much the values change at most with each joint [unit per rad or m]; `travel` as above."""
+        """(n,) the most that the values change with each joint [unit per rad or m]; `travel` as above."""
 
     @abstractmethod
     def rows(self, q: Vector) -> tuple[Vector, Matrix]:
-        """(K,) margins that are smooth in the joints `q` (n,), the least of them its margin, and (K, n) gradients."""
+        """(K,) margins smooth in the joints `q` (n,), the least of which is the margin, and their (K, n) gradients."""
 
     def absolute(self, value: float) -> float:
         """A value as people count it [unit]."""
@@ -92,7 +92,7 @@ class Condition(Protocol):
 
     @abstractmethod
     def widened(self, robot: Robot, by: float) -> Condition:
-        """The same with `by` more allowed [unit]."""
+        """The same condition with `by` more allowed [unit]."""
 
     @property
     @abstractmethod
@@ -101,16 +101,16 @@ class Condition(Protocol):
 
     @abstractmethod
     def describe(self, value: float, when: str = "") -> str:
-        """What is and what is allowed, in words; `when` stands between them."""
+        """The value and what is allowed, in words, with `when` between them."""
 
 
 class PitchBand(Condition):
-    """The pitch within [low, high] [rad]; its values are counted from the middle of that range.
+    """The pitch stays within [low, high] [rad]; its values are counted from the middle of that range.
 
     Attributes
     ----------
     row: (n,) c, the derivative of the pitch, the same in every posture [rad/rad].
-    half: half of the range, less the room for the tracking error [rad]; negative where that leaves nothing.
+    half: half of the range, less the room for the tracking error [rad]; negative if that leaves nothing.
     """
 
     name = "pitch"
@@ -125,15 +125,15 @@ class PitchBand(Condition):
         self.half = 0.5 * (high - low) - self.room
 
     def unwrapped(self, q: Matrix) -> Vector:
-        """(...) from the middle of the band, whole turns counted, at the joints `q` (..., n) [rad]: linear in them."""
+        """(...) pitch from the middle of the band, with whole turns, at the joints `q` (..., n) [rad]: linear in q."""
         return np.asarray(q @ self.row + self._offset)
 
     def values(self, q: Matrix) -> Vector:
-        """(B,) from the middle of the band [rad], in [-pi, pi)."""
+        """(B,) pitch from the middle of the band [rad], in [-pi, pi)."""
         return np.asarray(wrap_angle(self.unwrapped(q)))
 
     def counted(self, pitch: Vector) -> Vector:
-        """(B,) pitches above the horizontal [rad] as values, from the middle of the band."""
+        """(B,) pitches above the horizontal [rad], converted to values from the middle of the band."""
         return np.asarray(wrap_angle(pitch - 0.5 * (self.low + self.high)))
 
     def margins(self, values: Vector) -> Vector:
@@ -141,7 +141,7 @@ class PitchBand(Condition):
         return np.asarray(self.half - np.abs(values))
 
     def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
-        """(B,) exact: the pitch is linear; -pi at least where it goes round the other way [rad]."""
+        """(B,) [rad] exact, because the pitch is linear; at least -pi if it goes round the other way."""
         found = np.minimum(self.margins(before), self.margins(after))
         round_ = np.abs(before + delta @ self.row - after) > _NOT_ROUND
         return np.asarray(np.where(round_, self.margins(np.full(len(found), np.pi)), found))
@@ -151,7 +151,7 @@ class PitchBand(Condition):
         return np.abs(self.row)
 
     def rows(self, q: Vector) -> tuple[Vector, Matrix]:
-        """From below and from above."""
+        """The margins from below and from above."""
         off = float(self.values(q[None, :])[0])
         return np.array([self.half + off, self.half - off]), np.array([self.row, -self.row])
 
@@ -160,7 +160,7 @@ class PitchBand(Condition):
         return value + 0.5 * (self.low + self.high)
 
     def widened(self, robot: Robot, by: float) -> PitchBand:
-        """To both sides: the same middle."""
+        """Widened on both sides, with the same middle."""
         return PitchBand(robot, self.low - by, self.high + by)
 
     @property
@@ -174,7 +174,7 @@ class PitchBand(Condition):
 
 
 class HeightBound(Condition):
-    """The tip's height z [m] not below (`sense` 1) or not above (-1) a `limit` [m]."""
+    """The tip's height z [m] is not below (`sense` 1) or not above (-1) a `limit` [m]."""
 
     unit = "m"
 
@@ -207,12 +207,12 @@ class HeightBound(Condition):
         return np.asarray(travel * self._lifting)
 
     def rows(self, q: Vector) -> tuple[Vector, Matrix]:
-        """One."""
+        """One margin."""
         at = self._batch.at(q[None, :])
         return self.margins(at.tip_position[:, 2]), self.sense * at.position_jacobian()[:, 2]
 
     def widened(self, robot: Robot, by: float) -> HeightBound:
-        """The limit moved outward [m]."""
+        """The same bound with its limit moved outward [m]."""
         return HeightBound(robot, self.limit - self.sense * by, self.sense)
 
     @property
@@ -226,7 +226,7 @@ class HeightBound(Condition):
 
 
 class RotationCone(Condition):
-    """The tip turned by at most `tolerance` [rad] from `rotation` (3, 3)."""
+    """The tip is turned by at most `tolerance` [rad] from `rotation` (3, 3)."""
 
     name = "rotation"
     unit = "rad"
@@ -262,7 +262,7 @@ class RotationCone(Condition):
         return self._turning
 
     def rows(self, q: Vector) -> tuple[Vector, Matrix]:
-        """One; its gradient is 0 where the tip is not turned at all."""
+        """One margin; its gradient is 0 if the tip is not turned at all."""
         at = self._batch.at(q[None, :])
         turn = np.asarray(pin.log3(self.rotation @ at.tip_rotation[0].T))
         angle = float(np.linalg.norm(turn))
@@ -287,7 +287,7 @@ class RotationCone(Condition):
 
 
 def _less(condition: Condition) -> str:
-    """What the tracking error takes of what is allowed, as the end of a sentence."""
+    """How much the tracking error reduces the allowed range, as the end of a sentence."""
     if condition.room <= 0.0:
         return ""
     much = f"{np.degrees(condition.room):.2g} deg" if condition.unit == "rad" else f"{condition.room:.3f} m"

@@ -1,11 +1,11 @@
-"""What a motion costs: step by step along a bucket path, and as a whole, over its samples.
+"""The cost of a motion: step by step along a bucket path, and as a whole over its samples.
 
 On a step from joints q_a to q_b over the arc length h the tip is assumed to move at a
 constant speed u, slower only where a joint or a rod cannot follow:
 
     dt = max(h / u, |dq_j| / v_j)        dq = q_b - q_a
 
-u is the scene's speed, or a nominal one where it gives none. The classes of `objectives`
+u is the scene's speed, or a nominal one if the scene gives none. The classes of `objectives`
 define the cost of a step. The sums approximate what `trajectory_costs` reports of a finished
 plan by the trapezoidal rule, without torques of inertia. `work` and `hydraulic` do not depend
 on u.
@@ -13,15 +13,15 @@ on u.
 All costs are in one unit, that of the turning of a joint [rad], so that they can be weighed
 against the turning of the joints on a detour.
 
-Some objectives do not hold every motion back: where loads drive the joints, work is 0 however
-they move. In the search these get further terms, which are not part of their reported value:
+Some objectives do not penalise every motion: where loads drive the joints, work is 0 however
+they move. The search adds terms to these, which are not part of their reported value:
 
     a small part of |dq|^2 / dt,
     a price on the time that is lost where a joint cannot follow u, and where rates
     change, max_j |v_j' - v_j| / a_j from step to step,
     and the objective's own overhead.
 
-`time` counts only the time that is lost.
+`time` counts only the lost time.
 """
 
 from __future__ import annotations
@@ -53,18 +53,18 @@ from backhoe_planner.site import SoilReaction
 WIDEST_STEP = 0.7  # rad or m that one joint may move in a step; chosen, 40 degrees
 _SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added; chosen: decides between motions that cost nothing
 _TYPICAL = 64  # seeded postures over which loads are averaged; chosen
-_SHORTEST = 1e-9  # s: a step takes no less, so that rates are finite
+_SHORTEST = 1e-9  # s: the least duration of a step, so that rates are finite
 _UNLIMITED = 1e6  # rad/s and rad/s^2, in place of infinity
-_MANY_NEAR = 0.5  # part of all pairs of nodes; chosen: where fewer are near, they alone are looked at
+_MANY_NEAR = 0.5  # part of all pairs of nodes; chosen: if fewer are near, only those are evaluated
 _PORTION = 20_000  # pairs of nodes at once; chosen: their mass matrices take some megabytes
 _PART = 0.025  # rad or m that a joint moves between two moments of a long segment: 0.1 % of the work of a lift
 _MOST_PARTS = 20_000  # of one motion; chosen, so that a very long one takes seconds
-_APPROACH_PARTS = 8  # steps of a way to the path; chosen: its loads are within 1 % of what they are with 64
-_STILL = 1e-6  # m between neighbours on a path: where it is less, the tip stands
+_APPROACH_PARTS = 8  # steps of a motion to the path; chosen: its loads are within 1 % of those with 64 steps
+_STILL = 1e-6  # m between neighbours on a path: below this the tip stands still
 
 
 class PathCost:
-    """What motions along a path cost by one objective.
+    """The cost of motions along a path by one objective.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ class PathCost:
 
     Attributes
     ----------
-    objective: by which the cost is counted.
-    speed: u, the tip's speed [m/s]; infinite for `time` where the scene gives none.
+    objective: the objective that defines the cost.
+    speed: u, the tip's speed [m/s]; infinite for `time` if the scene gives none.
     per_radian: value of the objective that counts as 1 rad of cost, such as the J of work.
 
     Raises
@@ -107,7 +107,7 @@ class PathCost:
         if not self.per_radian > 0.0:  # a machine without mass costs nothing, whatever it does
             self.per_radian, self._smoothing = 1.0, 1.0
 
-    # --- what it costs ----------------------------------------------------------------
+    # --- costs ------------------------------------------------------------------------
 
     def step_costs(self, a: Array, b: Array, span: float) -> Array:
         """(A, B) cost of the steps from each of a (A, n) to each of b (B, n) over `span` of the path [m], in rad.
@@ -116,7 +116,7 @@ class PathCost:
         """
         if not len(a) or not len(b):
             return np.zeros((len(a), len(b)))
-        # the tip of all of a is at one place, and that of all of b
+        # the tip is at the same place for all of a, and for all of b
         velocity = None if self._machine.soil is None else self._tip_velocity(np.vstack((a[:1], b[:1])))
         before, after = self.nodes(a, (None, velocity)), self.nodes(b, (velocity, None))
         widest = np.zeros((len(a), len(b)))
@@ -162,22 +162,22 @@ class PathCost:
         return float(np.sum(self.between(nodes[:-1], nodes[1:], np.diff(stations), as_reported=as_reported)))
 
     def nodes(self, q: Array, tip: TipVelocities) -> Nodes:
-        """Configurations q (B, n) with what the objective needs of them, see `Objective.nodes`."""
+        """Configurations q (B, n) with what the objective needs to know of them, see `Objective.nodes`."""
         found: Nodes = self.objective.nodes(q, self._machine, tip)
         return found
 
     def between(self, a: Nodes, b: Nodes, span: Array, *, as_reported: bool = False) -> Array:
         """(...) cost of the steps from a to b over `span` (...) [m], all broadcast, in rad.
 
-        With `as_reported`, without the terms that the search adds.
+        If `as_reported`, the terms that the search adds are left out.
         """
         dq, dt = self._joint_steps(a.q, b.q, span)
         return self._of_steps(a, b, dq, dt, span, as_reported=as_reported)
 
     def of_approaches(self, start: Array, q: Array) -> Array:
-        """(N,) cost of the straight ways from rest at `start` (n,) to rest at each of q (N, n), in rad.
+        """(N,) cost of the straight motions from rest at `start` (n,) to rest at each of q (N, n), in rad.
 
-        Each at an even pace, in the least time in which the joints, at their rates and accelerations, go that far.
+        Each has an even pace and takes the least time that the limits of the joints' rates and accelerations allow.
         """
         part = np.linspace(0.0, 1.0, _APPROACH_PARTS + 1)[:, None, None]
         change = np.stack(self._changes(start, q), axis=-1)
@@ -188,7 +188,7 @@ class PathCost:
         fastest = np.max(np.abs(change) / self._velocity, axis=1) / _APPROACH_PARTS
         dt = np.maximum(self.objective.duration(np.broadcast_to(fastest, dq[0].shape), before, after, self._machine),
                         _SHORTEST)  # fmt: skip
-        # at full rates for T s and speeding up for D / T s, with D = max |dq_j| / a_j: least at T^2 = D
+        # T s at full rates and D / T s of speeding up, with D = max |dq_j| / a_j: the sum is least at T^2 = D
         full, speeding_up = np.sum(dt, axis=0), np.max(np.abs(change) / self._acceleration, axis=1)
         even = np.maximum(full, np.sqrt(speeding_up))
         dt = dt * (even + speeding_up / even) / full
@@ -214,23 +214,23 @@ class PathCost:
         lost = dt if np.isinf(self.speed) else np.maximum(dt - span / self.speed, 0.0)
         held = self._time_price * lost + self.objective.overhead(step, self._machine, self.per_radian)
         held = self._smoothing / self._rate * squared / dt + held
-        if self.objective.is_time:  # of which only what is lost can be had
+        if self.objective.is_time:  # only the lost time can be saved
             return np.asarray(held)
         return np.asarray(self.objective.of_step(step, self._machine) / self.per_radian + held)
 
     # --- changes of rates ----------------------------------------------------------------
 
     def rates(self, a: Array, b: Array, span: Array) -> Array:
-        """(n, ...) rates of the joints on the steps from a to b (..., n) over `span` (...) [m].
+        """(n, ...) rates of the joints on the steps from a to b (..., n) over `span` (...) [m], in seconds.
 
-        In seconds of their acceleration limits: how long each takes to reach its rate from rest.
+        Each is divided by the joint's acceleration limit: the time that the joint takes to reach it from rest.
         """
         dq, dt = self._joint_steps(a, b, span)
         dt = np.maximum(dt, _SHORTEST)
         return np.array([change / (dt * limit) for change, limit in zip(dq, self._acceleration, strict=True)])
 
     def _joint_steps(self, a: Array, b: Array, span: Array) -> tuple[list[Array], Array]:
-        """How far each joint goes from a to b (..., n), as n of (...) [rad or m], and (...) the time it takes [s]."""
+        """How far each joint moves from a to b (..., n), as n of (...) [rad or m], and (...) the step's time [s]."""
         dq = self._changes(a, b)
         dt = np.zeros(dq[0].shape)
         if np.isfinite(self.speed):
@@ -258,21 +258,21 @@ class PathCost:
     # --- how the tip moves --------------------------------------------------------------
 
     def _tip_velocity(self, q: Array) -> Array:
-        """(K - 1, 3) the tip's velocity between neighbours of q (K, n) at the speed u [m/s]; 0 where it stands."""
+        """(K - 1, 3) the tip's velocity between neighbours of q (K, n) at the speed u [m/s]; 0 where it is still."""
         change = np.diff(self._kinematics.at(q).tip_position, axis=0)
         length = np.linalg.norm(change, axis=-1, keepdims=True)
         speed = self.speed if np.isfinite(self.speed) else 1.0
         return np.asarray(speed * np.where(length > _STILL, change / np.maximum(length, _STILL), 0.0))
 
     def tip_velocities(self, q: Array) -> TipVelocities:
-        """(K, 3), (K, 3) the tip's velocity before and after each of q (K, n) [m/s]; None without soil."""
+        """(K, 3), (K, 3) the tip's velocities before and after each of q (K, n) [m/s]; None, None without soil."""
         if self._machine.soil is None:
             return None, None
         velocity = self._tip_velocity(q)
         return np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
 
     def _typical(self, problem: Problem, asked: float | None) -> tuple[float, Usual]:
-        """A nominal tip speed [m/s], and what is usual for this machine at the speed that is `asked` [m/s]."""
+        """A nominal tip speed [m/s], and the usual figures of this machine at the `asked` speed [m/s]."""
         rng = np.random.default_rng(0)
         q = np.array([problem.robot.random_q(rng) for _ in range(_TYPICAL)])
         J = self._kinematics.at(q).position_jacobian()
@@ -289,17 +289,17 @@ class PathCost:
 
 @dataclass(frozen=True, eq=False)
 class _Inside:
-    """What R moments inside the long segments of a motion count for in an integral over time.
+    """R moments inside the long segments of a motion, with their weights in an integral over time.
 
-    `Trajectory.v` is the mean of the velocities beside a sample, and at the ends it is 0. On samples no
-    further apart than `SAMPLE_PERIOD` the trapezium rule has small errors with that; on a hand-written
+    `Trajectory.v` is the mean of the velocities beside a sample, and 0 at the ends. If samples are no
+    further apart than `SAMPLE_PERIOD`, the trapezoidal rule has small errors with it; on a hand-written
     motion it would leave out half of the first and of the last segment. So a longer segment
-    counts with its own velocity, and at each corner, rounded off within `SAMPLE_PERIOD`, with the torques
-    that change it: potential and kinetic energy add up. Up to twice the period, one rule goes over into the other.
+    counts with its own velocity, and each corner, rounded off within `SAMPLE_PERIOD`, with the torques
+    that change that velocity: potential and kinetic energy add up. Up to twice the period, the two rules blend.
 
     Attributes
     ----------
-    time: (R,) [s]; q, v, a: (R, n); weight: (R,) [s], all of a segment's add up to its duration.
+    time: (R,) [s]; q, v, a: (R, n); weight: (R,) [s], those of one segment add up to its duration.
     segment: (R,) index of the segment, ascending.
     """
 
@@ -314,7 +314,7 @@ class _Inside:
     def of(cls, motion: Trajectory) -> _Inside:
         steps, n = np.diff(motion.time), motion.q.shape[1]
         long = np.flatnonzero(steps > SAMPLE_PERIOD * (1.0 + 1e-6))
-        half = 0.5 * np.minimum(steps, SAMPLE_PERIOD)  # of what a corner takes of each segment beside it
+        half = 0.5 * np.minimum(steps, SAMPLE_PERIOD)  # how much of each segment beside it a corner uses
         if not len(long):
             none = np.zeros((0, n))
             return cls(np.zeros(0), none, none, none, np.zeros(0), long)
@@ -348,7 +348,7 @@ class _Inside:
         return cls(time, motion.at(time), v, a, weight, segment)
 
     def integral(self, time: Array, at_samples: Array, inside: Array) -> Array:
-        """(T,) the integral up to each `time` (T,) of a rate that is given `at_samples` (T,) and `inside` (R,)."""
+        """(T,) the integral up to each `time` (T,) of a rate given `at_samples` (T,) and `inside` (R,)."""
         parts = 0.5 * np.diff(time) * (at_samples[1:] + at_samples[:-1])
         parts[self.segment] = 0.0
         np.add.at(parts, self.segment, self.weight * inside)
@@ -358,8 +358,8 @@ class _Inside:
 def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
     """Torque, power and energy over the samples of a motion, with payload and soil.
 
-    Between samples far apart `work` and `hydraulic` also count what the samples alone do not show. Where two
-    legs of a sequence meet, the sample is that of the later one; the potential energy counts from its beginning.
+    Between samples that are far apart, `work` and `hydraulic` also count what the samples alone do not show. Where
+    two legs of a sequence meet, the sample is that of the later leg; potential energy counts from its beginning.
     """
     parts = leg_parts(problem, trajectory)
     found = [_whole_energy(part.problem, part.motion, _Inside.of(part.motion))[0] for part in parts]
@@ -380,7 +380,7 @@ def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
 
 
 def _whole_energy(problem: Problem, motion: Trajectory, more: _Inside) -> tuple[MotionEnergy, MotionEnergy]:
-    """The energy over the samples of a motion, and that of the moments inside its long segments."""
+    """The energy over the samples of a motion, and over the moments inside its long segments."""
     energy = _energy(problem, motion.time, motion.q, motion.v, motion.accelerations())
     inside = _energy(problem, more.time, more.q, more.v, more.a)
     work = more.integral(motion.time, energy.power, inside.power)
@@ -391,12 +391,12 @@ def _whole_energy(problem: Problem, motion: Trajectory, more: _Inside) -> tuple[
 
 
 def cost_rate(problem: Problem, q: Array, v: Array, a: Array) -> Array:
-    """(K,) what moments with joints at q, v, a (K, n) cost by the problem's objective, in its unit per second."""
+    """(K,) cost rate of moments with joints at q, v, a (K, n) by the problem's objective, in its unit per second."""
     return problem.objective.rate(v, _energy(problem, np.arange(len(q), dtype=float), q, v, a))
 
 
 def motion_cost(problem: Problem, trajectory: Trajectory) -> float:
-    """What a motion costs by the problem's objective, in its unit."""
+    """The cost of a motion by the problem's objective, in its unit."""
     if problem.objective.is_time:
         return trajectory.duration
     if problem.legs:
@@ -405,7 +405,7 @@ def motion_cost(problem: Problem, trajectory: Trajectory) -> float:
 
 
 def _costs(problem: Problem, motion: Trajectory, objectives: Sequence[Objective[Any]]) -> list[float]:
-    """What a motion costs by each of `objectives`: the integral of its rate, in its unit."""
+    """The cost of a motion by each of `objectives`: the integral of its rate, in its unit."""
     more = _Inside.of(motion)
     energy, inside = _whole_energy(problem, motion, more)
     return [
@@ -423,9 +423,9 @@ def _energy(problem: Problem, time: Array, q: Array, v: Array, a: Array) -> Moti
 
 
 def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:
-    """What a motion costs by each objective that suits the machine, by name, in its unit.
+    """The cost of a motion by each objective that suits the machine, by name, in its unit.
 
-    By full inverse dynamics, with payload and soil.
+    It is computed by full inverse dynamics, with payload and soil.
     """
     found = {name: objective for name, objective in OBJECTIVES.items() if objective.suits(problem.robot)}
     costs = [_costs(part.problem, part.motion, list(found.values())) for part in leg_parts(problem, trajectory)]

@@ -1,8 +1,7 @@
 """Where a motion may end: the tip at a pose, or the joints at a posture.
 
-What a planner needs of a goal is the same for both: how far a configuration is from it
-(`error`, with its Jacobian), and where its posture is fixed (`q`) or a tip's pose is to be
-solved for (`search_target`).
+A planner needs the same of both: how far a configuration is from the goal (`error`, with its
+Jacobian), and either the fixed posture (`q`) or the tip pose to solve for (`search_target`).
 """
 
 from __future__ import annotations
@@ -16,28 +15,28 @@ from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Configuration, TipTarget
 
 GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a machine's control can do
-ANGLE_TOLERANCE = 1e-2  # rad at which an asked angle is reached; chosen, half a degree
-JOINT_TOLERANCE = 1e-3  # rad or m at which an asked joint is reached; chosen, at the end of a 10 m arm a centimetre
-_SEARCHED = 0.9  # part of an asked rotation tolerance that a search uses; chosen, so that rounding never breaks it
+ANGLE_TOLERANCE = 1e-2  # rad at which a required angle is reached; chosen, half a degree
+JOINT_TOLERANCE = 1e-3  # rad or m at which a joint is at its goal; chosen, a centimetre at the end of a 10 m arm
+_SEARCHED = 0.9  # part of a rotation tolerance that a search uses; chosen, so that rounding never exceeds it
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """One end of a motion that will do. Of a problem's goals any will do, and each is one of these.
+    """One permitted end of a motion. A problem may have several; reaching any of them is enough.
 
     Attributes
     ----------
-    target: the tip's pose as it is asked for; of a goal given by joints its pose there.
-    q: (n,) the only posture that will do [rad or m]; None where the tip's pose is asked for.
-    name: in sentences: ``goal``, or ``goal 2`` where there are several, counted from 1.
-    rotation_tolerance: how far the tip may be turned from the asked orientation [rad]; None
-        where the scene does not say. Then 0.01 rad will do for a motion, and a search is exact.
-    tolerance: how far the tip may be off the asked position [m]; None where the scene does not say. Then 1 mm
-        will do. A search is exact.
+    target: the required pose of the tip; for a goal given by joints, the tip's pose there.
+    q: (n,) the only permitted posture [rad or m]; None if a tip pose is required.
+    name: in sentences: ``goal``, or ``goal 2`` if there are several, counted from 1.
+    rotation_tolerance: how far the tip may be turned from the required orientation [rad]; None
+        if the scene does not say. Then 0.01 rad is enough for a motion, and a search is exact.
+    tolerance: how far the tip may be from the required position [m]; None if the scene does not say. Then 1 mm
+        is enough. A search is exact.
 
     Raises
     ------
-    InputError: one of them is not of its kind.
+    InputError: an attribute has the wrong type or value.
     """
 
     target: TipTarget
@@ -58,16 +57,16 @@ class Goal:
 
     @property
     def search_target(self) -> TipTarget:
-        """What inverse kinematics is to look for: the pose, with most of its rotation tolerance to be used freely."""
+        """The target for inverse kinematics: the pose, with most of its rotation tolerance free to use."""
         if self.q is not None or self.rotation_tolerance is None:
             return self.target
         return replace(self.target, rotation_tolerance=_SEARCHED * self.rotation_tolerance)
 
     def error(self, at: Configuration) -> Vector:
-        """(m,) what is missing at a configuration; all 0 on the goal.
+        """(m,) the difference between the goal and a configuration; all 0 on the goal.
 
-        Rows: of the `search_target` those of `TipTarget.error`, position [m] and angles [rad];
-        of a posture `q` minus the joints (n,) [rad or m].
+        Rows: for a tip pose, `TipTarget.error` of the `search_target`, position [m] and angles [rad];
+        for a posture, `q` minus the joints (n,) [rad or m].
         """
         if self.q is None:
             return self.search_target.error(at)
@@ -75,16 +74,16 @@ class Goal:
         return as_vector(self.q, len(at.q), key="q") - at.q
 
     def jacobian(self, at: Configuration) -> Matrix:
-        """(m, n) of `error`: to first order, a step dq reduces the error by jacobian @ dq."""
+        """(m, n) Jacobian of `error`: to first order, a step dq reduces the error by jacobian @ dq."""
         check_kind(at, Configuration, key="at")
         return self.search_target.jacobian(at) if self.q is None else np.eye(len(self.q))
 
     def distances(self, at: Configuration) -> tuple[float, float]:
-        """How far the tip is from its pose [m] and turned from it [rad], both 0 or more, no tolerance deducted."""
+        """How far the tip is from its pose [m] and turned from it [rad], both 0 or more, with no tolerance deducted."""
         return self.target.distances(at)
 
     def shortfall(self, at: Configuration) -> str:
-        """What is missing at the end of a motion, in words; empty where the goal is reached."""
+        """How the end of a motion misses the goal, in words; empty if the goal is reached."""
         robot = check_kind(at, Configuration, key="at").robot
         if self.q is not None:
             off = np.abs(at.q - self.q)

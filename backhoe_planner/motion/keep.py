@@ -1,4 +1,4 @@
-"""What is to be kept along a whole motion, such as the pitch of a full bucket."""
+"""Conditions to be kept along a whole motion, such as the pitch of a full bucket."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
 
 KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
-_NEWTON = 20  # steps of a projection; chosen: it doubles the digits with each, once it is near
-_INTO = 1e-4  # rad or m into the allowed range to which is projected; chosen, above what a step misses near it
-_DAMPED = 1e-9  # rad^2 or m^2; chosen: far below what any joint does
-_LONGEST_STEP = 0.5  # rad or m of a joint in one of them; chosen: further the gradient says little
-_MOST_PARTS = 256  # of one straight motion; chosen: what is undecided then is too tight to be worth more
+_NEWTON = 20  # steps of a projection; chosen: near the solution, each step doubles the correct digits
+_INTO = 1e-4  # rad or m inside the allowed range that a projection aims for; chosen, more than a step misses near it
+_DAMPED = 1e-9  # damping of a projection, rad^2 or m^2; chosen: far below the effect of any joint
+_LONGEST_STEP = 0.5  # rad or m of a joint in one step of a projection; chosen: beyond it the gradient says little
+_MOST_PARTS = 256  # parts of one straight motion; chosen: a motion still undecided is too tight to be worth more
 
 
 class Keep:
-    """All that is to be kept along a motion.
+    """All conditions to be kept along a motion.
 
     Parameters
     ----------
@@ -33,10 +33,10 @@ class Keep:
     Attributes
     ----------
     conditions: all of them.
-    band: the one of the pitch, None where the pitch is free.
+    band: the condition on the pitch, None if the pitch is free.
 
     A planner needs `margins` and `gradients` of a configuration, `segment_holds` of a straight
-    motion of the joints, and `narrowed` of what inverse kinematics is to look for.
+    motion of the joints, and `narrowed` for the target of inverse kinematics.
     """
 
     def __init__(self, robot: Robot, conditions: Sequence[Condition]) -> None:
@@ -53,16 +53,16 @@ class Keep:
 
     @property
     def has_cone(self) -> bool:
-        """Whether an orientation is to be kept within a cone."""
+        """Whether an orientation must stay within a cone."""
         return any(isinstance(one, RotationCone) for one in self.conditions)
 
     def margins(self, q: Vector) -> Vector:
-        """(K,) of every condition at the joints `q` (n,), 0 or more where it holds [rad or m]; smooth in `q`."""
+        """(K,) margins of all conditions at the joints `q` (n,), 0 or more if they hold [rad or m]; smooth in `q`."""
         q = self.robot.check_q(q)
         return np.concatenate([condition.rows(q)[0] for condition in self.conditions])
 
     def gradients(self, q: Vector) -> Matrix:
-        """(K, n) of `margins` with respect to the joints."""
+        """(K, n) gradients of `margins` with respect to the joints."""
         q = self.robot.check_q(q)
         return np.vstack([condition.rows(q)[1] for condition in self.conditions])
 
@@ -76,7 +76,7 @@ class Keep:
         return np.asarray(np.all([one.margins(one.values(q)) >= -KEPT_TO for one in self.conditions], axis=0))
 
     def broken(self, q: Vector) -> str:
-        """What is not kept at the joints `q` (n,), in words; empty where all is."""
+        """The conditions that do not hold at the joints `q` (n,), in words; empty if all hold."""
         found = []
         at = self.robot.check_q(q)[None, :]
         for condition in self.conditions:
@@ -86,21 +86,21 @@ class Keep:
         return " and ".join(found)
 
     def segment_holds(self, q_a: Vector, q_b: Vector) -> bool:
-        """Whether all is proven to be kept on the straight motion from `q_a` (n,) to `q_b` (n,)."""
+        """Whether all conditions are proven to hold on the straight motion from `q_a` (n,) to `q_b` (n,)."""
         q_a, q_b = self.robot.check_q(q_a, what="q_a"), self.robot.check_q(q_b, what="q_b")
         return all(self._holds_between(condition, q_a, q_b) for condition in self.conditions)
 
     def motion_holds(self, q: Matrix) -> bool:
-        """Whether all is proven to be kept on straight motions through `q` (T, n)."""
+        """Whether all conditions are proven to hold on straight motions through `q` (T, n)."""
         q = as_array(q, None, self.robot.n, key="q")
         return self.holds(q[0]) and all(self.segment_holds(a, b) for a, b in pairwise(q))
 
     def corner_holds(self, q_a: Vector, corner: Vector, q_b: Vector, *, sagitta: Vector) -> bool:
-        """Whether all is proven to be kept on the parabola from `q_a` to `q_b` with its tangents meeting at `corner`.
+        """Whether all is proven to hold on the parabola from `q_a` to `q_b` whose end tangents meet at `corner`.
 
         Parameters
         ----------
-        sagitta: (n,) by which the joints may be off the parabola [rad or m].
+        sagitta: (n,) how far the joints may be off the parabola [rad or m].
         """
         check_q = self.robot.check_q
         q_a, q_b, corner = check_q(q_a, what="q_a"), check_q(q_b, what="q_b"), check_q(corner, what="corner")
@@ -114,7 +114,7 @@ class Keep:
         )
 
     def widened(self, q: Vector) -> Keep:
-        """The same, with as much more allowed of each condition as the joints `q` (n,) miss it by, and no more."""
+        """The same conditions, each widened by as much as the joints `q` (n,) miss it, and no more."""
         at = self.robot.check_q(q)[None, :]
         missed = [max(-float(one.margins(one.values(at))[0]), 0.0) for one in self.conditions]
         return Keep(
@@ -126,9 +126,9 @@ class Keep:
         )
 
     def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
-        """A configuration (n,) near `q` (n,) at which all is kept, within `lower` and `upper` (n,); None if not found.
+        """A configuration (n,) near `q` (n,) where all conditions hold, within `lower` and `upper` (n,), or None.
 
-        Newton's steps of least length on the conditions that do not hold, a little into the allowed range.
+        Takes Newton steps of least length on the conditions that do not hold, to a little inside the allowed range.
         """
         lower, upper = as_vector(lower, self.robot.n, key="lower"), as_vector(upper, self.robot.n, key="upper")
         found = np.clip(self.robot.check_q(q), lower, upper)
@@ -144,7 +144,7 @@ class Keep:
         return found if self.holds(found) else None
 
     def narrowed(self, target: TipTarget) -> TipTarget | None:
-        """The target and what is to be kept, as far as a target can say it; None where they exclude each other."""
+        """The target combined with the conditions, as far as a target can express them; None if they contradict."""
         check_kind(target, TipTarget, key="target")
         for condition in self.conditions:
             if isinstance(condition, PitchBand) and target.rotation is None:
@@ -170,7 +170,7 @@ class Keep:
             if not open_.any():
                 return True
             if isinstance(condition, PitchBand) or len(places) > _MOST_PARTS:
-                return False  # exact: halves would say the same
+                return False  # the bound of a pitch is exact: halving would not change it
             middles = 0.5 * (places[:-1] + places[1:])[open_]
             measured = condition.values(q_a + middles[:, None] * delta)
             if float(np.min(condition.margins(measured))) < -KEPT_TO:
@@ -199,7 +199,7 @@ class Keep:
 
 
 def _common(asked: tuple[float, float] | None, kept: tuple[float, float]) -> tuple[float, float] | None:
-    """The part of the asked range of pitches that may be kept [rad]; None where there is none. Ranges go round."""
+    """The part of the `asked` range of pitches within the `kept` one [rad]; None if there is none. Pitches wrap."""
     low, high = kept
     if low > high:
         return None

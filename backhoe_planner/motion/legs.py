@@ -15,10 +15,10 @@ class LegPart:
 
     Attributes
     ----------
-    name: of the leg; empty where the whole problem is no sequence.
+    name: of the leg; empty if the problem is not a sequence.
     first, last: its samples in the whole motion; the last is the first of the next leg.
-    begins: when [s].
-    problem: of the leg, with the joints where it begins, on its own clock.
+    begins: when it begins [s].
+    problem: of the leg, with the start at the joints where it begins, on its own clock.
     motion: its part of the whole motion, on that clock.
     """
 
@@ -31,11 +31,11 @@ class LegPart:
 
 
 def leg_parts(problem: Problem, trajectory: Trajectory) -> tuple[LegPart, ...]:
-    """The part of every leg that a motion has begun; the one whole where the problem is no sequence.
+    """The part of every leg that a motion has begun; the whole motion if the problem is not a sequence.
 
     Raises
     ------
-    InputError: the motion says of more or fewer legs where they begin than the sequence can have.
+    InputError: the motion has the beginnings of more or fewer legs than the sequence can have.
     """
     begins = trajectory.begins
     if not problem.legs:

@@ -1,9 +1,9 @@
-"""What a plan can minimise: one class per objective, and the list of them all.
+"""The objectives that a plan can minimise: one class each, and the list of them all.
 
 A new objective is a new class here, an entry in `OBJECTIVES`, and a name in the scene file's
-schema (`Scene.objective`), which stands below this room and cannot look it up.
+schema (`Scene.objective`), which is below this package and cannot look it up.
 
-On a step from joints q_a to q_b, dq = q_b - q_a, in the time dt. Torques tau and rod
+A step goes from joints q_a to q_b, dq = q_b - q_a, in the time dt. Torques tau and rod
 forces are those that hold the machine still against gravity, payload and soil, the mean
 of both ends. Torques of inertia are left out: they depend on three neighbouring samples
 and on how the motion speeds up.
@@ -24,7 +24,7 @@ from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Dynamics, Hydraulics, MotionEnergy, Robot
 from backhoe_planner.site import SoilReaction
 
-# (B, 3) or (3,) of the tip on the step that ends at a node and on the one that begins there [m/s], None for at rest
+# (B, 3) or (3,) of the tip on the step that ends at a node and on the one that begins there [m/s], None if at rest
 TipVelocities = tuple[Array | None, Array | None]
 Parts = TypeVar("Parts", bound="Nodes")
 
@@ -37,8 +37,8 @@ class LoadedMachine:
 
     Attributes
     ----------
-    dynamics: with the payload.
-    soil, hydraulics: None where there is none.
+    dynamics: including the payload.
+    soil, hydraulics: None if there is none.
     """
 
     dynamics: Dynamics
@@ -46,13 +46,13 @@ class LoadedMachine:
     hydraulics: Hydraulics | None
 
     def holding_torques(self, q: Array, tip: TipVelocities) -> tuple[Array, Array]:
-        """(B, n), (B, n) torques that hold the machine still at q (B, n), before and after [N m or N]."""
+        """(B, n), (B, n) torques that hold the machine at q (B, n) [N m or N], on the steps before and after."""
         held = self.dynamics.gravity_torques(q)
         before, after = (held if self.soil is None or v is None else held - self.soil.torques_at(q, v) for v in tip)
         return before, after
 
     def rods(self, a: _Rods, b: _Rods) -> Iterator[tuple[Array, Array]]:
-        """For each cylinder, on the steps from a to b: how far it moves [m], and the area that takes oil [m^2]."""
+        """For each cylinder on the steps from a to b, how far it moves [m], and the area that takes oil [m^2]."""
         for c, cylinder in enumerate(() if self.hydraulics is None else self.hydraulics.cylinders):
             change = b.lengths[..., c] - a.lengths[..., c]
             yield change, np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area)
@@ -64,11 +64,11 @@ class LoadedMachine:
 
 @dataclass(frozen=True)
 class Usual:
-    """What is usual for one machine, the mean over seeded postures.
+    """Usual figures of one machine: means over seeded postures.
 
     Attributes
     ----------
-    rate: of the joints [rad/s]; load: torque that holds it [N m]; inertia: trace of its mass matrix [kg m^2].
+    rate: of the joints [rad/s]; load: torque that holds the machine [N m]; inertia: trace of its mass matrix [kg m^2].
     """
 
     rate: float
@@ -78,7 +78,7 @@ class Usual:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Configurations, and what an objective has to know of each; over any leading shape.
+    """Configurations, and what an objective needs to know of each, in any leading shape.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Step(Generic[Parts]):
     Attributes
     ----------
     a, b: the nodes.
-    dq: n of (...) how far each joint goes [rad or m]; squared: (...) the sum of their squares.
+    dq: n of (...) how far each joint moves [rad or m]; squared: (...) the sum of their squares.
     dt: (...) [s].
     """
 
@@ -139,18 +139,18 @@ class Step(Generic[Parts]):
 
 
 class Objective(ABC, Generic[Parts]):
-    """An objective: what a step and a finished motion cost by it.
+    """An objective defines the cost of a step and of a finished motion.
 
     Attributes
     ----------
     name, unit: of its value.
     needs_hydraulics: whether it is defined only for a machine with a hydraulic description.
     is_time: whether it is the duration itself.
-    is_positive_power: whether its rate is the sum of the joints' powers, of each of which only what is positive counts.
-    lifts: whether what is lifted is a part of it, so that it is at least the gain of potential energy.
-    is_quadratic: whether it grows with the squared rates, and so holds every motion back.
-    jumps: whether its rate jumps where a rod begins to move, so that what lowers it is seen in no small step.
-    time_share: for one that is not quadratic, the price of a lost second, as a part of the
+    is_positive_power: whether its rate is the sum of the positive powers of the joints.
+    lifts: whether lifting counts, so that its value is at least the gain of potential energy.
+    is_quadratic: whether it grows with the squared rates, and so penalises every motion.
+    jumps: whether its rate jumps when a rod begins to move, so that no small step shows how to lower it.
+    time_share: if it is not quadratic, the price of a lost second, as a part of the
         usual load at the usual rate.
     """
 
@@ -170,7 +170,7 @@ class Objective(ABC, Generic[Parts]):
 
     @abstractmethod
     def per_radian(self, usual: Usual) -> float:
-        """What the turning of a joint by 1 rad usually costs, in `unit`."""
+        """The usual cost of turning a joint by 1 rad, in `unit`."""
 
     @abstractmethod
     def nodes(self, q: Array, machine: LoadedMachine, tip: TipVelocities) -> Parts:
@@ -178,7 +178,7 @@ class Objective(ABC, Generic[Parts]):
 
         Parameters
         ----------
-        tip: its velocities before and after; they matter in soil only.
+        tip: its velocities before and after; they matter only in soil.
         """
 
     @abstractmethod
@@ -187,7 +187,7 @@ class Objective(ABC, Generic[Parts]):
 
     @abstractmethod
     def rate(self, v: Array, energy: MotionEnergy) -> Array:
-        """(T,) what each moment costs, in `unit` per second, by full inverse dynamics.
+        """(T,) cost rate at each moment, in `unit` per second, by full inverse dynamics.
 
         Parameters
         ----------
@@ -195,11 +195,11 @@ class Objective(ABC, Generic[Parts]):
         """
 
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
-        """(...) duration of the steps from a to b [s], of which tip and joints need `dt` (...) [s]."""
+        """(...) duration of the steps from a to b [s], given that tip and joints need `dt` (...) [s]."""
         return dt
 
     def overhead(self, step: Step[Parts], machine: LoadedMachine, per_radian: float) -> Array | float:
-        """(...) what the search adds so that joints do not go to and fro [rad]."""
+        """(...) the cost that the search adds so that joints do not go to and fro [rad]."""
         return 0.0
 
 
@@ -286,9 +286,9 @@ class Hydraulic(Objective[_Forces]):
     """max_c p_c sum_c A_c |dl_c|: the work of a load-sensing pump, the highest pressure times all flow.
 
     Only rods that move count, so two rods cost less one after the other than both at once.
-    Changing between them costs nothing here: alone, this objective would have the joints go
-    to and fro. So in the search a lost second costs as much as the usual load, and all oil
-    costs the margin by which the pump's pressure exceeds the highest load.
+    Changing between them costs nothing here, so this objective alone would make the joints go
+    to and fro. In the search, therefore, a lost second costs as much as the usual load, and all
+    oil costs the margin by which the pump's pressure exceeds the highest load.
     """
 
     name, unit, needs_hydraulics, lifts, jumps, time_share = "hydraulic", "J", True, True, True, 1.0
@@ -308,7 +308,7 @@ class Hydraulic(Objective[_Forces]):
         highest = np.zeros_like(step.dt)
         for c, (change, area) in enumerate(machine.rods(step.a, step.b)):
             force = 0.5 * (step.a.after[..., c] + step.b.before[..., c])
-            # a rod works against its load where it pushes and extends, or pulls and retracts
+            # a rod works against its load if it pushes and extends, or pulls and retracts
             np.maximum(highest, np.where(force * change > 0.0, np.abs(force) / area, 0.0), out=highest)
         return np.asarray(highest * machine.oil(step.a, step.b))
 
@@ -354,7 +354,7 @@ OBJECTIVES: Mapping[str, Objective[Any]] = {
 
 
 def find_objective(name: str, robot: Robot, *, file: Path | None = None) -> Objective[Any]:
-    """The objective of that name for a machine.
+    """The objective of the given name for a machine.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Paths: one of the tip, straight from waypoint to waypoint; one of the joints, with round corners.
 
-At a corner the joints' way leaves the leg at a distance d before the corner and joins the next
+At a corner the joint path leaves the leg at a distance d before the corner and joins the next
 leg at d behind it, on the parabola that has both legs as tangents. So the corner needs no
 stop. With the length s along the legs as the parameter, dq/ds turns linearly from one leg's
-direction to the other's: the way is C1, and d2q/ds2 is piecewise constant.
+direction to the other's: the path is C1, and d2q/ds2 is piecewise constant.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Configuration, TargetBatch, TipTarget, rotation_matrices, wrap_angle
 from backhoe_planner.site import Waypoint
 
-# m per rad: what a turn of the tip counts as. Chosen: a leg keeps its arc length unless it turns by more than 4 rad
-# for each metre, 23 deg in 10 cm, which bucket paths do not
+# m per rad: the length that a turn of the tip counts as. Chosen: a leg keeps its arc length unless it turns by more
+# than 4 rad for each metre, 23 deg in 10 cm, which bucket paths do not
 TURN_LEVER = 0.25
-_JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion goes on where the tip stands; chosen
-_NO_LENGTH = 1e-9  # m: a shorter leg has none
-_STANDING = 1e-6  # m: on a leg that is shorter the tip counts as standing; chosen
-_EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more of it is one angle
-_ANGLE_ROUNDING = 1e-6  # rad: an angle that is found from its cosine is off by less
+_JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion advances while the tip stands still; chosen
+_NO_LENGTH = 1e-9  # m: a shorter leg counts as having no length
+_STANDING = 1e-6  # m: on a shorter leg the tip counts as standing still; chosen
+_EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more than this part is one angle
+_ANGLE_ROUNDING = 1e-6  # rad: an angle found from its cosine is off by less
 _NO_METRES, _NO_DEGREES = 0.005, 0.05  # what is printed as 0
 _BESIDE = 1e-6  # m before and behind a waypoint, where the direction of travel is taken
 
 
 def step_lengths(stations: Vector, q: Matrix, *, least: float) -> Vector:
-    """(K-1,) lengths of the steps along a path [m]: the tip's way, and 0.1 m for each radian of the joints.
+    """(K-1,) lengths of the steps along a path [m]: the tip's distance, plus 0.1 m for each radian of the joints.
 
     Parameters
     ----------
@@ -51,13 +51,13 @@ class TipPath:
     """A path of the tip, evaluated by one measure s of progress over position and orientation.
 
     A leg from waypoint to waypoint is max(|dp|, 0.25 m/rad * angle) long: s is the arc length of
-    the tip, but where the tip turns by more than 4 rad for each metre it is the turn that
-    counts. So a turn on the spot is a leg like any other.
+    the tip, but where the tip turns by more than 4 rad for each metre, the turn counts
+    instead. So a turn on the spot is a leg like any other.
 
     Parameters
     ----------
     waypoints: W of them, at least two.
-    numbers: (W,) by which messages call them; by default from 1.
+    numbers: (W,) numbers of the waypoints in messages; by default from 1.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class TipPath:
 
     Raises
     ------
-    InputError: there are fewer than two waypoints, or one is something else; as many numbers are needed.
+    InputError: there are fewer than two waypoints, one is no `Waypoint`, or there are not as many numbers.
     """
 
     def __init__(self, waypoints: Sequence[Waypoint], *, numbers: Sequence[int] = ()) -> None:
@@ -96,17 +96,17 @@ class TipPath:
 
     @property
     def length(self) -> float:
-        """Of the whole path, by its measure [m]."""
+        """Length of the whole path, by its measure s [m]."""
         return float(self.stations[-1])
 
     @property
     def turns(self) -> bool:
-        """Whether s counts a turn anywhere; where not, s is the arc length of the tip."""
+        """Whether s counts a turn anywhere; if not, s is the arc length of the tip."""
         return bool(self.turning.any())
 
     @property
     def stands(self) -> bool:
-        """Whether the tip stands on a leg while the bucket turns, so that its arc length does not say where it is."""
+        """Whether the tip stands still on some leg while the bucket turns, so that arc length does not locate it."""
         return self.turns or bool(np.any(np.diff(self._arcs) < _STANDING))
 
     @property
@@ -129,7 +129,7 @@ class TipPath:
         """The target of the tip at `s` [m].
 
         Between a waypoint with a pitch and one without, the range widens until any pitch is
-        allowed. Of waypoints at one s, the first that asks for an orientation counts.
+        allowed. If several waypoints have the same s, the first with an orientation counts.
         """
         for index in np.flatnonzero(self.stations == s).tolist() if self._has_doubles else ():
             if self._targets[index].rotation is not None or self._targets[index].pitch is not None:
@@ -138,9 +138,9 @@ class TipPath:
 
     @cached_property
     def _legs(self) -> tuple[TargetBatch, Matrix] | None:
-        """The waypoints' targets, and (W - 1, 3) by which rotation vector each leg turns the tip, in the tip's axes.
+        """The waypoints' targets, and the (W - 1, 3) rotation vectors by which the legs turn the tip, in its axes.
 
-        None where that does not say all: two waypoints are at one s, or some ask for a pitch and some for more.
+        None if that is incomplete: two waypoints have the same s, or some have a pitch and some a rotation.
         """
         rotations = [target.rotation for target in self._targets]
         pitches = [target.pitch for target in self._targets]
@@ -151,7 +151,7 @@ class TipPath:
 
     @cached_property
     def _pitch_turns(self) -> Vector:
-        """(W - 1,) from the middle of the range at one end of each leg to that at the other [rad]; 0 without."""
+        """(W - 1,) turn between the middles of the pitch ranges at the ends of each leg [rad]; 0 without both."""
         pitches = [target.pitch for target in self._targets]
         return np.array([0.0 if a is None or b is None else _pitch_turn(a, b) for a, b in pairwise(pitches)])
 
@@ -165,7 +165,7 @@ class TipPath:
         return TipTarget(position=position, pitch=self._pitch(leg, part), rotation=rotation)
 
     def nearest(self, point: Vector, *, low: float = 0.0, high: float | None = None) -> tuple[float, float]:
-        """Where the path's point nearest to `point` (3,) [m] is, s [m], and its distance [m]; no angles are compared.
+        """The s [m] of the path's point nearest to `point` (3,) [m], and its distance [m]; angles do not count.
 
         Parameters
         ----------
@@ -192,13 +192,13 @@ class TipPath:
         return best
 
     def place(self, at: Configuration, *, low: float, high: float, slack: float) -> tuple[float, float, float]:
-        """Where on the path the tip is, by its position and its orientation: s [m], and how far off it is [m], [rad].
+        """Where on the path the tip is, by position and orientation: s [m], and how far off the path [m], [rad].
 
         Parameters
         ----------
         low, high: the part of the path that is searched, by s [m].
-        slack: an earlier leg is preferred that is at most this much worse [m], a radian as 0.25 m:
-            where a path turns to and fro, the tip is on its way to, not yet on its way back.
+        slack: an earlier leg is preferred if it is at most this much worse [m], a radian counted as 0.25 m:
+            where a path turns there and back, the tip counts as still on the way there.
         """
         check_kind(at, Configuration, key="at")
         low, high = as_number(low, key="low"), as_number(high, key="high")
@@ -219,14 +219,14 @@ class TipPath:
         return next(found[leg] for leg in sorted(found) if _cost(found[leg]) <= least + slack)
 
     def turn(self, a: float, b: float) -> float:
-        """How far the asked orientation turns from `a` to `b` [m of s], [rad]; 0 where none is asked."""
+        """How far the required orientation turns from `a` to `b` [m of s], [rad]; 0 where none is required."""
         return self.target(as_number(a, key="a")).turn_to(self.target(as_number(b, key="b")))
 
     def corners(self, angle: float) -> Vector:
         """(C,) s [m] at which the path bends by more than `angle` [rad].
 
-        Where a leg beside turns, the bend is that of position and orientation together: two turns
-        in a row about one axis are no corner, a turn on the spot behind a straight leg is one.
+        If a leg beside it turns, the bend is that of position and orientation together: two turns
+        in a row about one axis are no corner, but a turn on the spot behind a straight leg is one.
         """
         angle = as_number(angle, key="angle", least=0.0)
         found = []
@@ -241,12 +241,12 @@ class TipPath:
 
     @property
     def turned_waypoints(self) -> NDArray[np.intp]:
-        """Indices of the waypoints whose own angle counts: at an end of a turn, or at the same place as another."""
+        """Indices of the waypoints whose own angle counts: at an end of a turn, or at the same position as another."""
         return _ends_of(self.turning | self._standing)
 
     @property
     def standing_waypoints(self) -> NDArray[np.intp]:
-        """Of these, the ones at which the tip stands: no detour may leave them out."""
+        """Indices of the waypoints at which the tip stands still: no detour may leave them out."""
         return _ends_of(self._standing)
 
     @property
@@ -257,12 +257,12 @@ class TipPath:
     # --- for people ---------------------------------------------------------------
 
     def arc(self, s: float) -> float:
-        """How far the tip has moved at `s` [m]: turns do not count."""
+        """How far the tip has moved at `s` [m], without turns."""
         s = as_number(s, key="s")
         return float(np.interp(s, self.stations, self._arcs)) if self.turns else s
 
     def number(self, index: int) -> int:
-        """By which messages call a waypoint."""
+        """The number of a waypoint in messages."""
         if as_count(index, key="index") >= len(self._numbers):
             allowed = f"less than {len(self._numbers)}"
             raise InputError("there is no such waypoint", key="index", found=index, allowed=allowed)
@@ -286,7 +286,7 @@ class TipPath:
         return f"{words} behind waypoint {self._numbers[leg]}"
 
     def describe_end(self) -> str:
-        """Of how much: ``3.40 m``, or the last waypoint's number on a path that turns."""
+        """The end of the path: ``3.40 m``, or the last waypoint's number on a path that turns."""
         return str(self._numbers[-1]) if self.turns else f"{self.length:.2f} m"
 
     # --- legs ---------------------------------------------------------------------
@@ -313,7 +313,7 @@ class TipPath:
         along = float((at.tip_position - self.points[leg]) @ step) / square if square > 0.0 else high
         if self.turning[leg]:
             first, last = _turned_parts(self._targets[leg], self._targets[leg + 1], at, low, high)
-            if last - first > _EXACT:  # the pitch may have a range: anything within it will do
+            if last - first > _EXACT:  # the pitch may have a range: any pitch within it is enough
                 along = float(np.clip(along, first, last))
             else:
                 weight = (TURN_LEVER * float(self._angles[leg])) ** 2
@@ -322,31 +322,31 @@ class TipPath:
 
     @cached_property
     def _leg_steps(self) -> tuple[Matrix, Vector]:
-        """(W - 1, 3) from one end of each leg to the other [m], and (W - 1,) its square, not 0 [m^2]."""
+        """(W - 1, 3) vectors from one end of each leg to the other [m], and (W - 1,) their squares, not 0 [m^2]."""
         steps = np.diff(self.points, axis=0)
         return steps, np.maximum(np.einsum("ki,ki->k", steps, steps), _NO_LENGTH**2)
 
     def _distances_to_legs(self, tip: Vector, first: int, behind: int) -> Vector:
-        """(behind - first,) distance [m] of the tip (3,) from each leg of these."""
+        """(behind - first,) distance [m] of the tip (3,) from each of the legs from `first` to before `behind`."""
         legs, (steps, squares) = slice(first, behind), self._leg_steps
         off, along = tip - self.points[:-1][legs], steps[legs]
         part = np.clip(np.einsum("ki,ki->k", off, along) / squares[legs], 0.0, 1.0)
         return np.asarray(np.linalg.norm(off - part[:, None] * along, axis=1))
 
     def _least_costs(self, at: Configuration) -> Vector:
-        """(W - 1,) how far the tip is off each leg at least [m], a radian as 0.25 m."""
+        """(W - 1,) a lower bound on how far the tip is off each leg [m], a radian counted as 0.25 m."""
         away, (rotations, turning) = self._distances_to_legs(at.tip_position, 0, len(self.points) - 1), self._rotations
         if not turning.any():
             return away
         traces = np.einsum("wij,ij->w", rotations, at.tip_rotation)
         angles = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
-        # what lies an angle t behind the first end is off by angles[0] - t at least, and as far before the other end
+        # at an angle t behind its first end, a leg is at least angles[0] - t off; likewise from its other end
         least = 0.5 * (angles[:-1] + angles[1:] - self._angles) - _ANGLE_ROUNDING
         return np.hypot(away, TURN_LEVER * np.where(turning, np.maximum(least, 0.0), 0.0))
 
     @cached_property
     def _rotations(self) -> tuple[Array, Flags]:
-        """(W, 3, 3) the asked orientations, and (W - 1,) whether both ends of a leg ask for one."""
+        """(W, 3, 3) the required orientations, and (W - 1,) whether both ends of a leg have one."""
         asked = np.array([target.rotation is not None for target in self._targets])
         rotations = [np.eye(3) if target.rotation is None else target.rotation for target in self._targets]
         return np.array(rotations), asked[:-1] & asked[1:]
@@ -410,19 +410,19 @@ def _ends_of(legs: Flags) -> NDArray[np.intp]:
 
 
 def _cost(place: tuple[float, float, float]) -> float:
-    """[m]"""
+    """How far off the path a place is [m], a radian counted as 0.25 m."""
     return float(np.hypot(place[1], TURN_LEVER * place[2]))
 
 
 def _pitch_turn(before: tuple[float, float], after: tuple[float, float]) -> float:
-    """[rad] from the middle of one range to that of the other, the short way; half a turn as it is written."""
+    """Turn from the middle of one range to that of the other, the short way [rad]; half a turn as it is written."""
     written = 0.5 * sum(after) - 0.5 * sum(before)
     turn = wrap_angle(written)
     return float(abs(turn) * np.sign(written)) if abs(abs(turn) - np.pi) < _EXACT else turn
 
 
 def _leg_angle(before: TipTarget, after: TipTarget) -> float:
-    """How far the asked orientation, or either end of the pitch's range, turns from one waypoint to the next [rad]."""
+    """How far the orientation, or at most an end of the pitch's range, turns from one waypoint to the next [rad]."""
     if before.pitch is None or after.pitch is None:
         return before.turn_to(after)
     wider = 0.5 * (after.pitch[1] - after.pitch[0]) - 0.5 * (before.pitch[1] - before.pitch[0])
@@ -432,7 +432,7 @@ def _leg_angle(before: TipTarget, after: TipTarget) -> float:
 def _turned_parts(
     before: TipTarget, after: TipTarget, at: Configuration, low: float, high: float
 ) -> tuple[float, float]:
-    """The parts of a leg, from which to which, at which its orientation is the tip's; of none, the nearest, twice."""
+    """First and last part of a leg at which its orientation is the tip's; if there is none, the nearest, twice."""
     if before.rotation is not None and after.rotation is not None:
         turn = pin.log3(before.rotation.T @ after.rotation)
         angle = float(np.linalg.norm(turn))
@@ -468,7 +468,7 @@ class SmoothWay:
 
     Attributes
     ----------
-    corners: (K, n) where the legs meet; the way passes by those that are cut.
+    corners: (K, n) where the legs meet; the path does not pass through those that are cut.
     stations: (K,) length along the legs up to each corner [s of joint time].
     cuts: (K,) d of each corner; 0 at the ends and at corners that are not cut, where a motion
         must stop.
@@ -494,11 +494,11 @@ class SmoothWay:
 
     @property
     def stops(self) -> Vector:
-        """Every s at which a motion along the way must be at rest: the ends, and corners that are not cut."""
+        """Every s at which a motion along the path must be at rest: the ends, and corners that are not cut."""
         return np.array(self.stations[self.cuts == 0.0])
 
     def __call__(self, s: float | Vector, order: int = 0) -> Matrix:
-        """(n,) or (k, n) derivative of that order (0, 1 or 2) with respect to s, from the right."""
+        """(n,) or (k, n) derivative of the given order (0, 1 or 2) with respect to s, from the right."""
         at = np.atleast_1d(np.asarray(s, dtype=float))
         legs = np.diff(self.corners, axis=0)
         steps = np.diff(self.stations)

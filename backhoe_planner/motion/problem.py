@@ -1,4 +1,4 @@
-"""Machine and scene brought together and checked against each other."""
+"""A machine and a scene, brought together and checked against each other."""
 
 from __future__ import annotations
 
@@ -39,29 +39,29 @@ from backhoe_planner.site import (
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is to be planned.
+    """A planning problem.
 
     Attributes
     ----------
     robot: the machine, with the scene's tip.
     scene: as it was given.
     limits: the machine's limits within the scene.
-    objective: what the motion is to make small; of a sequence that of its legs, where all that move have the same.
+    objective: what the motion minimises; for a sequence, that of its moving legs if they all have the same.
     obstacles: the site, as convex pieces.
-    start_q: (n,) where the joints stand; None where the start is given by the tip, or
+    start_q: (n,) joints at the start; None if the start is given by the tip, or
         left to the planner.
-    start_target: the tip's pose at the start, where that is how it is given.
-    goals: where the motion may end, any of them; none where a path is followed.
-    path: what the tip is to follow, or None.
-    keep: what is to hold along the whole motion, or None.
+    start_target: the tip's pose at the start, if the start is given by it.
+    goals: where the motion may end; any of them is enough. Empty if a path is followed.
+    path: the path that the tip follows, or None.
+    keep: the conditions along the whole motion, or None.
     joint_steps: (n,) how far a joint may move from waypoint to waypoint of the path [rad or m],
-        infinite where it may freely; None where all may.
-    ground: where the scene's soil is; None where it is level at the soil's `surface`.
+        infinite for a joint without this limit; None if no joint has one.
+    ground: where the scene's soil is; None if it is level at the soil's `surface`.
     name: of the leg of a sequence; empty for a task of its own.
-    wait: of a leg that waits, how long [s]; None elsewhere.
-    tip_speed: the greatest speed of the tip on the whole way to a goal [m/s]; None where nothing is asked.
-    max_duration: how long the motion to a goal may take [s]; infinite where nothing is asked.
-    legs: of a sequence, each a problem of its own, of which only the first has a start; see `beginning`.
+    wait: how long a waiting leg waits [s]; None for any other.
+    tip_speed: the greatest speed of the tip on the whole motion to a goal [m/s]; None if there is no such limit.
+    max_duration: the longest time that the motion to a goal may take [s]; infinite if there is no such limit.
+    legs: of a sequence, each a problem of its own. Only the first has a start; see `beginning`.
         A sequence has neither goals nor a path, and its obstacles are those of all legs.
     """
 
@@ -84,7 +84,7 @@ class Problem:
     legs: tuple[Problem, ...] = ()
 
     def beginning(self, q: Vector, time: float = 0.0) -> Problem:
-        """The same, with the joints at `q` (n,) [rad or m] at the start, on a clock that begins at `time` [s]."""
+        """The same problem with the start at the joints `q` (n,) [rad or m], on a clock that begins at `time` [s]."""
         q, time, goals = as_vector(q, self.robot.n, key="q"), as_number(time, key="time"), self.goals
         if self.wait is not None:
             at = Kinematics(self.robot).at(q)
@@ -156,7 +156,7 @@ def _legs(whole: Problem) -> tuple[Problem, ...]:
 
 
 def _in_leg(error: SceneError, scene: Scene, index: int) -> SceneError:
-    """What is wrong in a leg, by its key in the sequence."""
+    """The error of a leg, with its key in the sequence."""
     leg, key = leg_of(scene, index), error.key or ""
     first, _, rest = key.partition(".")
     if first == "task":
@@ -215,9 +215,9 @@ def _joint_steps(robot: Robot, scene: Scene) -> Vector | None:
 
 
 def _without_repeats(waypoints: Sequence[Waypoint]) -> list[int]:
-    """The numbers, from 1, of the waypoints that ask for something new: at least two.
+    """The numbers, from 1, of the waypoints that add something: at least two.
 
-    One that is repeated adds nothing, nor does one without an angle between two with one at its place.
+    A repeated waypoint adds nothing, nor does one without an angle between two with an angle at the same position.
     """
     turns = [waypoint.pitch is not None or waypoint.rotation is not None for waypoint in waypoints]
     kept = [0]
@@ -233,7 +233,7 @@ def _without_repeats(waypoints: Sequence[Waypoint]) -> list[int]:
 
 
 def angles_in_degrees(problem: Problem, q: Vector) -> Vector:
-    """(n,) angles [rad] where `q` (n,) seems to be in degrees: beyond a turn, then within limits; else nan."""
+    """(n,) `q` (n,) in rad where it seems to be in degrees (beyond a turn as rad, within limits as deg); else nan."""
     limits = problem.limits
     turned = np.where(problem.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
     return np.where((turned >= limits.lower) & (turned <= limits.upper), turned, np.nan)
@@ -273,7 +273,7 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
 
 
 def keep_of(robot: Robot, scene: Scene) -> Keep | None:
-    """What is to hold along the whole motion."""
+    """The conditions that hold along the whole motion."""
     asked = scene.task.kept
     if asked is None:
         return None
@@ -300,7 +300,7 @@ def _target(robot: Robot, scene: Scene, pose: Pose, key: str) -> TipTarget:
 
 
 def _check_pitch(robot: Robot, scene: Scene, key: str, allowed: str) -> None:
-    """SceneError where pitch is not defined for the machine."""
+    """Raise a SceneError if pitch is not defined for the machine."""
     if not robot.has_pitch:
         raise SceneError(
             "pitch is not defined for this arm: the axis of its last joint does not stay horizontal",

@@ -26,9 +26,9 @@ class Moments:
     time: (M,) [s].
     q, v, a: (M, n); inside a segment v is constant and a is 0, at a sample a is that of
         `Trajectory.corner_accelerations`.
-    before, after: (M, n) the velocities between which a corner changes; v where the samples are
+    before, after: (M, n) the velocities before and after a corner; v where the samples are
         those of a smooth motion.
-    segment: (M,) index of the segment that begins or goes on there; for the last sample, the sample's own index.
+    segment: (M,) index of the segment that begins or continues there; for the last sample, the sample's own index.
     """
 
     time: Vector
@@ -56,7 +56,7 @@ class Beside:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of a motion; between them the joints move linearly in time.
+    """Samples of a motion, between which the joints move linearly in time.
 
     Attributes
     ----------
@@ -64,8 +64,8 @@ class Trajectory:
     q: (T, n) joint positions [rad or m].
     v: (T, n) joint velocities at the samples [rad/s or m/s]: the mean of the
         velocities before and after, 0 at both ends of a motion from rest to rest.
-    begins: of the motion of a sequence, the first sample of each leg that it has begun, from 0; else empty.
-    before, after: of a part of a motion, the segments beside it; None where it begins or ends at rest.
+    begins: for a sequence, the first sample of each leg that the motion has begun, from 0; otherwise empty.
+    before, after: for a part of a motion, the segments beside it; None if the part begins or ends at rest.
     """
 
     time: Vector
@@ -112,7 +112,7 @@ class Trajectory:
 
     @classmethod
     def from_steps(cls, time: Vector, q: Matrix, *, begins: tuple[int, ...] = ()) -> Trajectory:
-        """The motion through samples `q` (T, n) at `time` (T,), from rest to rest; `begins` see `Trajectory`."""
+        """The motion through samples `q` (T, n) at `time` (T,), from rest to rest; for `begins` see `Trajectory`."""
         time = np.array(as_array(time, None, key="trajectory.time"))
         q = np.array(as_array(q, None, None, key="trajectory.q"))
         v = np.zeros_like(q)
@@ -148,12 +148,12 @@ class Trajectory:
         return np.asarray(found)
 
     def _velocity(self, beside: Beside | None) -> Vector:
-        """(n,) that of a segment beside the motion; 0 at rest."""
+        """(n,) velocity of a segment beside the motion; 0 at rest."""
         return np.zeros(self.q.shape[1]) if beside is None else beside.velocity
 
     @property
     def duration(self) -> float:
-        """From the first to the last sample [s]."""
+        """Time from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0])
 
     def __len__(self) -> int:
@@ -162,7 +162,7 @@ class Trajectory:
     def at(self, time: float | Vector) -> Matrix:
         """(n,) joint positions at `time` [s], or (k, n) at (k,) times.
 
-        At rest before the start and after the end.
+        The joints are at rest before the start and after the end.
         """
         if not isinstance(time, float) or time != time:
             time = as_array(time, key="time", finite=False)
@@ -173,9 +173,9 @@ class Trajectory:
         return np.asarray(np.diff(self.q, axis=0) / np.diff(self.time)[:, None])
 
     def moments(self, *, longest: float = _LONG) -> Moments:
-        """The samples, and further moments between them where these are far apart.
+        """The samples, and further moments between samples that are far apart.
 
-        So the use of a limit does not depend on how few samples there are. Most planned
+        These make the use of a limit independent of how few samples there are. Most planned
         motions need no further moments.
 
         Parameters
@@ -224,26 +224,26 @@ class Trajectory:
         return np.asarray(self.velocity_changes() / self._spans()[:, None]) if len(self) > 1 else np.zeros_like(self.q)
 
     def corner_accelerations(self) -> Matrix:
-        """(T, n) the same with every change of velocity taking at most `SAMPLE_PERIOD`: what limits are held against.
+        """(T, n) accelerations if every change of velocity takes at most `SAMPLE_PERIOD`; limits apply to these.
 
         Between samples the joints move linearly, so every sample is a corner at which the
-        velocity jumps by some dv. What is to follow the motion rounds a corner off: with the
-        change spread over a time T the acceleration is dv / T, and the joint leaves the corner
-        by dv T / 8. Samples no further apart than `SAMPLE_PERIOD` are those of a smooth motion. Of
-        others it is not known that they are, however slowly they follow each other; rounded
-        off within `SAMPLE_PERIOD`, they are left by no more than `chord_sagitta`.
+        velocity jumps by some dv. A machine that follows the motion rounds the corner off: if the
+        change is spread over a time T, the acceleration is dv / T, and the joint misses the corner
+        by dv T / 8. Samples no further apart than `SAMPLE_PERIOD` are those of a smooth motion. Samples
+        further apart may not be, however slowly they follow each other; if their corners are rounded
+        off within `SAMPLE_PERIOD`, the joints miss them by no more than `chord_sagitta`.
         """
         if len(self) < 2:
             return np.zeros_like(self.q)
         return np.asarray(self.velocity_changes() / np.minimum(self._spans(), SAMPLE_PERIOD)[:, None])
 
     def velocity_changes(self) -> Matrix:
-        """(T, n) by how much the velocity jumps at each sample, from and to rest at the ends of a whole motion."""
+        """(T, n) the jump of the velocity at each sample, from and to rest at the ends of a whole motion."""
         around = (self._velocity(self.before), self.segment_velocities(), self._velocity(self.after))
         return np.asarray(np.diff(np.vstack(around), axis=0))
 
     def _spans(self) -> Vector:
-        """(T,) the half segments beside each sample, at the ends a whole one [s]."""
+        """(T,) duration of the half segments beside each sample, of a whole segment at the ends [s]."""
         step = np.diff(self.time)
         before = step[0] if self.before is None else self.before.span
         after = step[-1] if self.after is None else self.after.span
@@ -258,6 +258,6 @@ def chord_sagitta(limits: JointLimits) -> Vector:
 
     Parameters
     ----------
-    limits: of which the accelerations count.
+    limits: only their accelerations matter.
     """
     return np.asarray(limits.acceleration * SAMPLE_PERIOD**2 / 8.0)

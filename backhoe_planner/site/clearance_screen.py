@@ -1,9 +1,8 @@
 """Which of many configurations keep every clearance: yes or no, without the distances.
 
-Compiled, nearly all are told at once (`CertainlyClear`). Of the others, and of all without a compiler, Pinocchio's
-broad phase asks coal only about pairs whose boxes meet, all pairs of a configuration in one call. Each pair has its
-clearance as the margin within which it counts as touching. Clusters are asked afterwards, where their lower bounds do
-not decide.
+Compiled code decides nearly all at once (`CertainlyClear`). For the others, and for all without a compiler,
+Pinocchio's broad phase calls coal only for pairs whose boxes meet, all pairs of a configuration in one call. A pair
+counts as touching within its clearance. Clusters are measured afterwards, if their lower bounds do not decide.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.pairs.certainly_clear import CertainlyClear
 from backhoe_planner.site.proximity import Proximity
 
-_MOST_PAIRS = 3_000  # that are looked at one by one before coal is asked; chosen
-# configurations that are looked at pair by pair first, and pairs in doubt in one of them at most; measured: a broad
-# phase takes 1 ms to be made, and then 30 us less for each
+_MOST_PAIRS = 3_000  # pairs that are examined one by one before coal is called; chosen
+# configurations that are examined pair by pair first, and the most pairs in doubt in one of them; measured: a broad
+# phase takes 1 ms to build, and then 30 us less for each
 _FIRST, _FEW_PAIRS = 20, 12
-_ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
+_ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other; beyond it they are sorted first
 
 
 class _Part:
-    """A broad phase for some of the pairs, with those left out that are not asked for."""
+    """A broad phase for those of some pairs for which `asked` is true."""
 
     def __init__(
         self, proximity: Proximity, model: pin.GeometryModel, pairs: Indices, asked: Flags, least: Vector, time: float
@@ -46,7 +45,7 @@ class _Part:
         for request, margin in zip(self._geometry.collisionRequests, least[pairs[here]].tolist(), strict=True):
             shapes.prepare(request)
             request.security_margin = margin
-        # the trees that pinocchio offers as well miss contacts with half-spaces
+        # Pinocchio also has tree managers, but they miss contacts with half-spaces
         few = self._model.ngeoms <= _ALL_AGAINST_ALL
         broad_phase = pin.BroadPhaseManager_NaiveCollisionManager if few else pin.BroadPhaseManager_SSaPCollisionManager
         self.manager = broad_phase(proximity.robot.model, self._model, self._geometry)
@@ -59,8 +58,8 @@ class ClearanceScreen:
 
     Parameters
     ----------
-    time: the obstacles stand where they are at this time [s]; those that appear later are left out.
-    spare: kept beyond every clearance [m], one number or (P,) of the pairs of `proximity`.
+    time: the obstacles are where they are at this time [s]; those that appear later are left out.
+    spare: distance kept beyond every clearance [m], one number or (P,) of the pairs of `proximity`.
     """
 
     def __init__(self, proximity: Proximity, *, time: float = 0.0, spare: float | Vector = 0.0) -> None:
@@ -70,10 +69,10 @@ class ClearanceScreen:
         present = proximity.appears_at <= time
         least = np.where(present, proximity.clearance + spare, -np.inf)
         self._least = least[proximity.plain :]
-        # what no posture brings near enough needs no look
+        # pairs that no posture brings near enough need no check
         asked = least[: proximity.plain] > proximity.floor[: proximity.plain]
         self._proximity, self._asked, self._plain_least = proximity, asked, least
-        self._looked_at = 0  # configurations, pair by pair
+        self._looked_at = 0  # configurations examined pair by pair
 
     @cached_property
     def _parts(self) -> list[_Part]:
@@ -85,7 +84,7 @@ class ClearanceScreen:
 
     @cached_property
     def _certainly(self) -> CertainlyClear | None:
-        """None where there are no pairs, or too many to look at each of them."""
+        """None if there are no pairs, or too many to examine each of them."""
         proximity, asked = self._proximity, np.flatnonzero(self._asked)
         if not 0 < len(asked) <= _MOST_PAIRS:
             return None
@@ -116,15 +115,15 @@ class ClearanceScreen:
 
     @property
     def has_clusters(self) -> bool:
-        """Whether there are any, so that many configurations are asked about sooner than each."""
+        """Whether there are clusters, so that one query for many configurations is faster than one for each."""
         return len(self._clusters) > 0
 
     def keeps_all_unchecked(self, q: Matrix) -> bool:
-        """Whether all of `q` (N, n) do; for callers in a loop, whose arguments are right as they are made."""
+        """Whether all of `q` (N, n) keep every clearance, without checks of arguments, for callers in a loop."""
         return self.first_not_kept_unchecked(q) == len(q)
 
     def first_not_kept_unchecked(self, q: Matrix) -> int:
-        """The first of `q` (N, n) that does not, N where there is none; for such callers."""
+        """The first of `q` (N, n) that does not keep every clearance, N if there is none; for such callers."""
         first = len(q)
         for row, nearer in self._plain_not_apart(q):
             if nearer or not self._keeps_plain(q[row]):
@@ -144,7 +143,7 @@ class ClearanceScreen:
         return np.concatenate((asked, clusters[self._least > -np.inf]))
 
     def keeps_unchecked(self, q: Vector) -> bool:
-        """Whether one configuration (n,) does, for such callers."""
+        """Whether one configuration (n,) keeps every clearance, for such callers."""
         if not all(not nearer and self._keeps_plain(q) for _, nearer in self._plain_not_apart(q[None])):
             return False
         if not len(self._clusters):
@@ -153,9 +152,9 @@ class ClearanceScreen:
         return self._clusters.keep(self._least, self._data, self._time, q=q)
 
     def _plain_not_apart(self, q: Matrix) -> Iterator[tuple[int, bool]]:
-        """The rows of `q` (N, n) that do not certainly keep their clearances from all that is no cluster.
+        """The rows of `q` (N, n) that do not certainly keep their clearances, clusters left out.
 
-        Of each, whether it certainly does not.
+        For each, whether it certainly does not.
         """
         if self._certainly is None:
             yield from ((row, False) for row in range(len(q)))
@@ -169,7 +168,7 @@ class ClearanceScreen:
             row += 1
 
     def _keeps_plain(self, q: Vector) -> bool:
-        """Whether one configuration (n,) keeps its clearances from all that is no cluster."""
+        """Whether one configuration (n,) keeps its clearances, clusters left out."""
         if self._looked_at < _FIRST and self._certainly is not None:
             pairs = np.flatnonzero(self._asked)[self._certainly.pairs_not_apart(q)]
             if len(pairs) <= _FEW_PAIRS:

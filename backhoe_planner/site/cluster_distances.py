@@ -18,9 +18,9 @@ from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
 _MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
 _TOGETHER = 2_000  # links that are bounded more finely at once; chosen to bound the memory
-AHEAD = 0.02  # m beyond what is needed that distances are asked for; chosen, halves the questions of a swing post
-_FIRST_REACH = 0.25  # m beyond what is known already, within which a cluster is first looked for; chosen
-_LEAST_REACH = 1e-3  # m: chosen, within which a cell is looked for also where only an overlap is asked about
+AHEAD = 0.02  # m that distances are measured beyond what is needed; chosen, halves the queries of a swing post
+_FIRST_REACH = 0.25  # m beyond the known lower bound, within which a cluster is first searched; chosen
+_LEAST_REACH = 1e-3  # m within which a cell is always searched, even if only an overlap matters; chosen
 _REMEMBERED = 16_000  # distances that were measured; chosen to bound the memory: some 16 MB
 
 
@@ -47,13 +47,13 @@ class ClusterDistances:
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in sorted(set(self.owner.tolist()))]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
-        # bounds of the configurations that are expected, and what was needed of them
+        # bounds of the configurations that are expected, and the bounds that were needed
         self._expected: dict[tuple[bytes, float], tuple[Vector, Vector]] = {}
-        # and what was measured of them, with how far it was looked for
+        # measurements in these configurations, and how far was searched
         self._ahead: dict[tuple[int, bytes], tuple[Reading | None, float]] = {}
-        # what was measured of a pair with its joint at a place, and how far it was looked for
+        # the measurement of a pair with its joint at a place, and how far was searched
         self._measured: dict[tuple[int, bytes, float], tuple[Reading | None, float]] = {}
-        # ground that stands, of which many questions are answered at once
+        # ground that does not move, for which many queries are answered at once
         self._on_ground = [
             (index, those)
             for index, those in self._rows
@@ -71,7 +71,7 @@ class ClusterDistances:
         return len(self.owner)
 
     def with_own_memory(self) -> ClusterDistances:
-        """The same with working memory of its own; what was built to bound distances is shared."""
+        """A copy with its own working memory; the data built to bound distances are shared."""
         other = copy.copy(self)
         other._expected, other._ahead, other._measured = {}, {}, {}
         if len(self):
@@ -81,9 +81,9 @@ class ClusterDistances:
     def lower(self, data: pin.Data, time: float, *, q: Vector | None = None, needed: float | Vector = np.inf) -> Vector:
         """(K,) lower bounds of the distances [m] where the joints of `data` are, or minus infinity.
 
-        One that is at least `needed`, a number or (K,), may fall far short of the distance.
+        A bound that is at least `needed`, a number or (K,), may be far below the distance.
 
-        q: (n,) where that is, if it is known; then it may have been expected.
+        q: (n,) where the joints are, if known; then it may have been expected.
         """
         assert self._balls is not None
         known = None if q is None else self._expected.get((q.tobytes(), time if self._moving else 0.0))
@@ -95,9 +95,9 @@ class ClusterDistances:
         return np.asarray(self._lower(self._balls.poses_at(data), own, np.array([time]), needed)[0])
 
     def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix, sunk: bool = False) -> None:
-        """Find the same for each of `q` (N, n) at once, as `lower_each`; kept for `lower` until others are expected.
+        """Find the bounds of `lower_each` for all `q` (N, n) at once, kept for `lower` until others are expected.
 
-        So are distances from ground that may be less than what is needed, for `nearest`; `sunk` as for
+        Distances from ground that may be less than needed are kept likewise, for `nearest`; `sunk` as for
         `OverGround.measure`.
         """
         if not len(self) or not len(q):
@@ -117,13 +117,13 @@ class ClusterDistances:
         self._expected = {(at.tobytes(), moment): (found, enough) for at, moment, found, enough in rows}
 
     def forget_expected(self) -> None:
-        """Keep nothing of what was expected: depths that are taken as roughly as a descent does are for it alone."""
+        """Forget what was expected: depths measured as roughly as for a descent are for that descent alone."""
         self._expected, self._ahead = {}, {}
 
     def _measure_ahead(
         self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array, *, sunk: bool
     ) -> None:  # fmt: skip
-        """Measure what may be nearer to ground than is needed, and raise the bounds (N, K) of it."""
+        """Measure pairs that may be nearer to ground than needed, and raise their bounds (N, K)."""
         needed, names = np.broadcast_to(needed, bounds.shape), [at.tobytes() for at in q]
         for over, _, cluster, rows, those in self._asked_of_ground((bounds < needed) & (needed <= EXACT_WITHIN)):
             reach = needed[rows, those] + AHEAD
@@ -135,7 +135,7 @@ class ClusterDistances:
                     self._ahead[pair, names[row]], bounds[row, pair] = (None, within), within
 
     def _asked_of_ground(self, asked: Flags) -> Iterator[tuple[OverGround, int, Cluster, Indices, Indices]]:
-        """Of each ground that stands its number, and the configurations and pairs (M,) of it that are asked (N, K)."""
+        """Each ground that does not move, its number, and its configurations and pairs (M,) that are `asked` (N, K)."""
         for index, pairs in self._on_ground:
             rows, which = asked[:, pairs].nonzero()
             cluster = self._obstacles[index].cluster
@@ -143,7 +143,7 @@ class ClusterDistances:
                 yield self._over_ground, index, cluster, rows, pairs.take(which)
 
     def lower_each(self, q: Matrix, time: float | Vector, *, needed: float | Array = np.inf) -> Matrix:
-        """(N, K) the same for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""
+        """(N, K) `lower` for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""
         assert self._balls is not None
         if not len(q):
             return np.zeros((0, len(self)))
@@ -153,7 +153,7 @@ class ClusterDistances:
         self, poses: Poses, q: Matrix | None, time: Vector, needed: float | Array,
         *, judged: Callable[[Matrix], None] | None = None, measured: Callable[[Matrix], None] | None = None,
     ) -> Matrix:  # fmt: skip
-        """(N, K) as `lower_each`. `judged` raises bounds at first, and `measured` before it is looked at more balls."""
+        """(N, K) as `lower_each`. `judged` raises bounds first, and `measured` before finer balls are used."""
         assert self._balls is not None
         first, *finer = self._balls.levels
         found = np.full((len(poses), len(self)), -np.inf)
@@ -177,7 +177,7 @@ class ClusterDistances:
             grid, shift = self._grid(index), self._shifts(index, time)
             for level in finer:
                 self._refine(level, grid, pairs, shift, poses, needed, found)
-        # where a ball may touch it, nothing is known of how deep the piece is inside
+        # where a ball may touch the cluster, nothing is known of how deep the piece is inside
         found[found <= 0.0] = -np.inf
         return found
 
@@ -185,7 +185,7 @@ class ClusterDistances:
         self, level: BallLevel, grid: Distances, pairs: Indices, shift: Matrix | None, poses: Poses, needed: Matrix,
         found: Matrix,
     ) -> None:  # fmt: skip
-        """Raise the bounds in `found` (N, K) of some pairs with one cluster that are below what is needed (N, K)."""
+        """Raise the bounds in `found` (N, K) of some pairs with one cluster that are below those needed (N, K)."""
         rows, which = (found[:, pairs] < needed[:, pairs]).nonzero()
         for start in range(0, len(rows), _TOGETHER):
             few, those = rows[start : start + _TOGETHER], pairs.take(which[start : start + _TOGETHER])
@@ -195,7 +195,7 @@ class ClusterDistances:
             found[few, those] = np.maximum(found[few, those], level.least_of(away, counts, pieces))
 
     def measure(self, pair: int, data: pin.Data, time: float, reach: float) -> Reading | None:
-        """The distance of a pair where the joints of `data` are; None where it is not less than `reach` [m]."""
+        """The distance of a pair where the joints of `data` are; None if it is not less than `reach` [m]."""
         index, piece = int(self.owner[pair]), self._robot.pieces[self.piece[pair]]
         cluster = self._obstacles[index].cluster
         assert cluster is not None
@@ -204,11 +204,11 @@ class ClusterDistances:
     def nearest(
         self, pair: int, data: pin.Data, time: float, *, lower: float, reach: float, q: Vector | None = None
     ) -> Reading | None:  # fmt: skip
-        """The same, looked for further and further away; what it is known to be at least is `lower` [m].
+        """The same as `measure`, searched further and further away from its known lower bound `lower` [m].
 
-        What was measured lately is not measured again.
+        Recent measurements are not repeated.
 
-        q: (n,) where the joints are, if it is known; then it may have been expected.
+        q: (n,) where the joints are, if known; then it may have been expected.
         """
         if q is not None and self._ahead:
             found, within = self._ahead.get((pair, q.tobytes()), (None, -np.inf))
@@ -231,8 +231,8 @@ class ClusterDistances:
         return found if found is not None and found.distance < reach else None
 
     def _distance_in(self, pair: int, q: Vector) -> float:
-        """The distance of a pair with what stands in a posture (n,), or less where it is beyond `EXACT_WITHIN` [m]."""
-        data = self._robot.model.createData()  # not that of `self`: others with their own memory ask, too
+        """The distance of a pair with a fixed obstacle in a posture (n,), or less if beyond `EXACT_WITHIN` [m]."""
+        data = self._robot.model.createData()  # not that of `self`: copies with their own memory call this too
         pin.forwardKinematics(self._robot.model, data, q)
         found = self.measure(pair, data, 0.0, EXACT_WITHIN)
         return EXACT_WITHIN if found is None else found.distance
@@ -255,7 +255,7 @@ class ClusterDistances:
         return not nearer and self._keep(least, lower[0], data, time)
 
     def keep_each(self, least: Vector, q: Matrix, time: float) -> Iterator[bool]:
-        """Whether they are, at each of `q` (N, n), one after the other; the bounds of all of them are found at once."""
+        """As `keep` at each of `q` (N, n), one after the other; the bounds of all are found at once."""
         assert self._balls is not None
         if not len(q):
             return
@@ -270,9 +270,9 @@ class ClusterDistances:
             yield not is_doubtful or self._keep(least, lower[row], self._data, time)
 
     def _judged(self, poses: Poses, q: Matrix | None, time: Vector, least: Vector) -> tuple[Matrix, set[int]]:
-        """(N, K) lower bounds, and the configurations in which a piece is nearer to ground than `least` (K,) says.
+        """(N, K) lower bounds, and the configurations in which a piece is nearer to ground than `least` (K,) [m].
 
-        Of these the bounds are infinite.
+        The bounds of these configurations are infinite.
         """
         nearer: set[int] = set()
         lower = self._lower(
@@ -281,7 +281,7 @@ class ClusterDistances:
         return lower, nearer
 
     def _judge_ground(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
-        """The configurations in which a piece is nearer to ground than `least` (K,) says; raise bounds (N, K)."""
+        """The configurations in which a piece is nearer to ground than `least` (K,) [m]; raises bounds (N, K)."""
         nearer: set[int] = set()
         for over, index, cluster, rows, those in self._asked_of_ground(lower < least):
             verdict = over.keep(cluster, poses, rows, self._column.take(those), least.take(those), self._grid(index))
@@ -292,7 +292,7 @@ class ClusterDistances:
         return nearer
 
     def _keep(self, least: Vector, lower: Vector, data: pin.Data, time: float) -> bool:
-        """Whether all distances are at least `least` (K,) where the joints of `data` are; they are at least `lower`."""
+        """Whether all distances, known to be at least `lower`, are at least `least` (K,) where the joints are."""
         doubtful = np.flatnonzero(lower < least)
         order = doubtful[np.argsort((lower - least)[doubtful], kind="stable")]
         return all(self.is_at_least(pair, data, time, float(least[pair])) for pair in order.tolist())
@@ -303,7 +303,7 @@ class ClusterDistances:
         return found is None or found.distance >= least
 
     def _shift(self, index: int, time: float) -> Vector | None:
-        """(3,) how far an obstacle has moved [m]; None where it has not."""
+        """(3,) how far an obstacle has moved [m]; None if it does not move."""
         if index not in self._moving:
             return None
         return offset_at(self._obstacles[index], time)

@@ -1,8 +1,8 @@
-"""The parts of a machine that do not move, and what stands in their way on a site; and in that of the arm at its start.
+"""Obstacles in the way of the machine's parts that do not move, and of the arm at its start.
 
-The ground that carries the machine touches it and is not in its way. What is, is still there where the
-machine is lifted a little: an obstacle counts where a part is too near to it both as it stands and
-lifted. So nothing has to say which obstacles are ground: height maps, scans and half-spaces may be both.
+The ground that carries the machine touches it but is not in its way. An obstacle in the way still is if the
+machine is lifted a little, so an obstacle counts only if a part is too near to it both as the machine stands and
+lifted. Thus the scene need not say which obstacles are ground: height maps, scans and half-spaces may be both.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.scene_file import Scene
 
-_LIFT = 0.25  # m: what is lower passes under a machine; chosen, loaders have 0.28 to 0.35 m below the chassis
+_LIFT = 0.25  # m: anything lower passes under a machine; chosen, loaders have 0.28 to 0.35 m below the chassis
 _OVERLAP = 1e-3  # m: less is touching
 
 
@@ -42,14 +42,14 @@ class InTheWay:
 def stands_in(
     robot: Robot, obstacles: Sequence[Obstacle], *, base: Base | None = None, with_clearance: bool = False
 ) -> InTheWay | None:
-    """The first part of a machine that does not move and overlaps an obstacle, where the machine stands; None for none.
+    """The first part of a machine that does not move and overlaps an obstacle where the machine stands, or None.
 
-    Obstacles that move or come later, and those that hold for some links only, are left out; so are zones, which
-    are about how the arm moves.
+    Obstacles that move or appear later, and those for some links only, are left out; so are zones, which
+    only limit how the arm moves.
 
     Parameters
     ----------
-    base: where it stands; by default where it does, see `Robot.with_base`.
+    base: where the machine stands; by default the robot's own base, see `Robot.with_base`.
     with_clearance: whether a part must keep the obstacle's clearance too.
     """
     moved = pin.SE3.Identity() if base is None else base.placement * robot.base.placement.inverse()
@@ -65,9 +65,9 @@ def stands_in(
 
 
 def starts_in(robot: Robot, obstacles: Sequence[Obstacle], q: Vector, *, base: Base) -> InTheWay | None:
-    """The first part that moves and is within the clearance of an obstacle, with the joints `q` (n,); None for none.
+    """The first moving part that is within the clearance of an obstacle, with the joints at `q` (n,); None for none.
 
-    Obstacles that move or come later are left out.
+    Obstacles that move or appear later are left out.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def starts_in(robot: Robot, obstacles: Sequence[Obstacle], q: Vector, *, base: B
 
 
 def check_standing(robot: Robot, scene: Scene, obstacles: Sequence[Obstacle]) -> None:
-    """Check that a machine that a scene puts somewhere does not stand in an obstacle.
+    """Check that the place that a scene gives its machine does not overlap an obstacle.
 
     Raises
     ------
@@ -106,11 +106,11 @@ def check_standing(robot: Robot, scene: Scene, obstacles: Sequence[Obstacle]) ->
 
 
 def _too_near(robot: Robot, obstacle: Obstacle, margin: float, moved: pin.SE3, lift: float) -> str:
-    """The first link that does not move and is within `margin` [m] of an obstacle; empty where none is.
+    """The first link that does not move and is within `margin` [m] of an obstacle; empty if none is.
 
     Parameters
     ----------
-    moved: from where the machine stands to where it is looked at; and by how much it is lifted there [m].
+    moved, lift: from where the machine stands to the place to check; how much it is lifted there [m].
     """
     raised, gauge = pin.SE3(np.eye(3), np.array([0.0, 0.0, lift])) * moved, shapes.Gauge()
     there = [(one.shape, _transform(one.placement)) for one in obstacle.pieces]

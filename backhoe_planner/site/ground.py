@@ -1,4 +1,4 @@
-"""The ground that the teeth meet: how deep they are in it, how it slopes there, and what the bucket holds."""
+"""The ground at the teeth: how deep they are in it, how it slopes there, and the soil in the bucket."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from backhoe_planner.arrays import Array, Vector
 
 @dataclass(frozen=True, eq=False)
 class GroundContact:
-    """How the teeth stand in the ground, at places of any shape (...).
+    """The contact of the teeth with the ground, at places of any shape (...).
 
     Attributes
     ----------
-    depth: (...) of the teeth below the ground, upright [m]; negative above it.
-    gradient: (..., 2) dz/dx and dz/dy of the ground; None where it is level.
+    depth: (...) vertical depth of the teeth below the ground [m]; negative above it.
+    gradient: (..., 2) dz/dx and dz/dy of the ground; None if it is level.
     surcharge: (...) load on the ground beside the blade [Pa], besides the soil's own; None for none.
     held: (...) mass of the soil in the bucket [kg]; None for none.
     """
@@ -29,19 +29,19 @@ class GroundContact:
 
 
 class Ground(Protocol):
-    """What the soil's force on the teeth depends on, besides the soil."""
+    """What the soil's force on the teeth depends on besides the soil."""
 
     @property
     def held_at(self) -> Vector | None:
         """(3,) centre of the soil in the bucket, in the frame of the last joint [m]; None for the tip."""
 
     def contact(self, tip_position: Array) -> GroundContact:
-        """How teeth at (..., 3) [m], world, stand in the ground."""
+        """The contact of teeth at (..., 3) [m], world, with the ground."""
 
 
 @dataclass(frozen=True)
 class LevelGround:
-    """Ground that is level and has no end; the bucket holds nothing.
+    """Ground that is level and unbounded; the bucket holds nothing.
 
     Attributes
     ----------
@@ -56,5 +56,5 @@ class LevelGround:
         return None
 
     def contact(self, tip_position: Array) -> GroundContact:
-        """How teeth at (..., 3) [m], world, stand in the ground."""
+        """The contact of teeth at (..., 3) [m], world, with the ground."""
         return GroundContact(depth=self.height - np.asarray(tip_position, dtype=float)[..., 2])

@@ -1,4 +1,4 @@
-"""Joints that a scene names: there must be such a joint, and it must move."""
+"""Joints that a scene names: each must exist and move."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Robot
 from backhoe_planner.site.scene_file import Scene
 
-_SAME = 1e-6  # rad, m: where a held joint stands, as a person or a file writes it
+_SAME = 1e-6  # rad, m: the rounding of a held joint's position as a person or a file writes it
 
 
 def check_joint_names(robot: Robot, scene: Scene, names: Iterable[str], *, key: str) -> None:
@@ -35,13 +35,13 @@ def check_joint_names(robot: Robot, scene: Scene, names: Iterable[str], *, key: 
 
 
 def joint_positions(robot: Robot, scene: Scene, joints: Mapping[str, float], *, key: str) -> Vector:
-    """(n,) the position of every joint [rad or m], as a scene has them at `key`.
+    """(n,) the position of every joint [rad or m], as a scene gives them at `key`.
 
     A joint that stands still may be named too, with the position at which it stands.
 
     Raises
     ------
-    SceneError: a joint is missing, is none of the machine's, or stands still somewhere else.
+    SceneError: a joint is missing, is none of the machine's, or stands still at another position.
     """
     standing = {joint.name: joint.position for joint in robot.held}
     for name, position in joints.items():

@@ -1,4 +1,4 @@
-"""Scans, terrains and fine meshes that are in use already, by what their files hold."""
+"""Scans, terrains and fine meshes that are already in use, by the content of their files."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from backhoe_planner.machine import SPLIT_FORMATS, Cluster
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.schema import obstacle_shapes
 
-# what else an obstacle's record says of it, which its solid does not depend on
+# keys of an obstacle's record on which its solid does not depend
 _BESIDE = {"name", "clearance", "links", "legs", "appears_at"}
 
 _KNOWN: WeakValueDictionary[tuple[str, bytes], Cluster] = WeakValueDictionary()
 
 
 def body_of(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece] | Cluster:
-    """What an obstacle is made of: of the same file, with the same record, the solid that is in use.
+    """The pieces or the cluster of an obstacle; a cluster in use with the same file and record is shared.
 
-    To take in a scan of a million points takes some seconds, and a program plans to many goals on one site. What nobody
-    uses any more is forgotten.
+    Reading a scan of a million points takes some seconds, and a program plans to many goals on one site. A cluster
+    that is no longer in use is forgotten.
 
     Raises
     ------
-    InputError: its file is missing, empty or malformed, or takes too many pieces.
+    InputError: its file is missing, empty or malformed, or needs too many pieces.
     """
     key = _key(spec, folder)
     known = None if key is None else _KNOWN.get(key)
     found = spec.body(folder) if known is None else known.moved_to(known.placement)
     if key is None or not isinstance(found, Cluster):
         return found
-    if known is not None or key == _key(spec, folder):  # else the file was written meanwhile
-        _KNOWN[key] = found  # the newest is used for longest
+    if known is not None or key == _key(spec, folder):  # otherwise the file was written meanwhile
+        _KNOWN[key] = found  # the newest will be in use for longest
     return found
 
 
 def _key(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> tuple[str, bytes] | None:
-    """What the solid depends on; None where there is no file, or none that can be read."""
+    """What the solid depends on; None if there is no file, or none that can be read."""
     name = getattr(spec, "file", None)
     if name is None or name.lower().endswith(SPLIT_FORMATS):
         return None
     try:
         content = (folder / name).read_bytes()
-    except (OSError, ValueError):  # told by who reads it in full
+    except (OSError, ValueError):  # reported by the function that reads it in full
         return None
     return spec.model_dump_json(exclude=_BESIDE), hashlib.sha256(content).digest()

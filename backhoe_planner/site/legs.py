@@ -1,4 +1,4 @@
-"""The legs of a sequence, each as a scene of its own: its task, its load, and the obstacles that are there for it."""
+"""The legs of a sequence, each as a scene of its own: its task, its load, and the obstacles present in it."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def leg_of(scene: Scene, index: int) -> Leg:
 
 
 def leg_key(scene: Scene, index: int) -> str:
-    """Where a leg stands in the scene, for a message: ``task.sequence[1] (swing)``."""
+    """The key of a leg in the scene, for a message: ``task.sequence[1] (swing)``."""
     return f"task.sequence[{index}] ({leg_of(scene, index).name})"
 
 
 def leg_scene(scene: Scene, index: int) -> Scene:
-    """One leg as a scene of its own. It has a start only where it is the first.
+    """One leg as a scene of its own. It has a start only if it is the first.
 
     Parameters
     ----------
-    scene: of which the task is a sequence.
+    scene: one whose task is a sequence.
     index: of the leg, from 0.
     """
     leg = leg_of(check_kind(scene, Scene, key="scene"), index)
@@ -44,11 +44,11 @@ def leg_scene(scene: Scene, index: int) -> Scene:
 
 
 def with_carried(robot: Robot, scene: Scene, index: int) -> Robot:
-    """The machine with what it carries in a leg as a part of its shape; itself where that is nothing.
+    """The machine with the load that it carries in a leg as part of its shape; unchanged if there is none.
 
     Raises
     ------
-    SceneError: the file of what is carried cannot be used, or a link has its name.
+    SceneError: the load's file cannot be used, or a link has the load's name.
     """
     spec = leg_of(scene, index).carries
     if spec is None:

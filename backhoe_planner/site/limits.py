@@ -1,4 +1,4 @@
-"""The machine within one scene: which of its joints move, and within which limits."""
+"""The machine within a scene: which of its joints move, and within which limits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from backhoe_planner.site.schema.zone_kinds import SwingSector
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
-    """The machine's limits after the scene's own, its velocity scale and swing sectors.
+    """The machine's limits, narrowed by the scene's own, its velocity scale and swing sectors.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
         if name in given.acceleration:
             acceleration[j] = given.acceleration[name]
         elif name in given.velocity and name not in robot.urdf.acceleration:
-            acceleration[j] *= velocity[j] / own.velocity[j]  # full rate in as long as before
+            acceleration[j] *= velocity[j] / own.velocity[j]  # full rate is reached in the same time as before
     return JointLimits(
         lower=lower,
         upper=upper,
@@ -69,7 +69,7 @@ def base_of(scene: Scene) -> Base:
 
 
 def joints_on_site(robot: Robot, scene: Scene) -> Robot:
-    """The machine with the scene's tip and held joints, where it stands in the site.
+    """The machine with the scene's tip and held joints, where it stands on the site.
 
     Raises
     ------
@@ -83,12 +83,12 @@ def joints_on_site(robot: Robot, scene: Scene) -> Robot:
 
 
 def machine_on_site(robot: Robot, scene: Scene) -> Robot:
-    """The machine as a scene has it: its place, tip and held joints, where the others may be, its tracking error.
+    """The machine as a scene has it: its place, tip and held joints, the others' ranges, its tracking error.
 
     Raises
     ------
     RobotError: see `joints_on_site`.
-    SceneError: see `joints_on_site` and `scaled_limits`; what is held puts links into each other; or the
+    SceneError: see `joints_on_site` and `scaled_limits`; held joints make links overlap; or the
         tracking error names a joint that does not move.
     """
     robot = joints_on_site(robot, scene)
@@ -107,7 +107,7 @@ def machine_on_site(robot: Robot, scene: Scene) -> Robot:
 
 
 def load_machine(source: str | os.PathLike[str], scene: Scene, *, tip: str | None = None) -> Robot:
-    """The machine of a URDF with the scene's tip, or `tip` where it gives none, held joints and place.
+    """The machine of a URDF with the scene's tip, or `tip` if the scene gives none, held joints and place.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def load_machine(source: str | os.PathLike[str], scene: Scene, *, tip: str | Non
 
 @contextlib.contextmanager
 def _errors_of(scene: Scene) -> Iterator[None]:
-    """What is wrong with the held joints is wrong in the scene, and is said so."""
+    """Turn errors about held joints into errors of the scene."""
     try:
         yield
     except RobotError:
@@ -133,7 +133,7 @@ def _errors_of(scene: Scene) -> Iterator[None]:
 
 
 def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:
-    """The swing sectors that limit the first of the machine's joints, by their keys; none where it is held.
+    """The swing sectors that limit the machine's first joint, by their keys; none if that joint is held.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:
 
 
 def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
-    """What of limits and masses neither the machine's URDF nor the scene says, and what is assumed, in words."""
+    """Warnings of limits and masses that neither the URDF nor the scene gives, and of what is assumed instead."""
     velocity, effort, position = (
         (scene.limits.velocity, scene.limits.effort, scene.limits.position) if scene is not None else ({}, {}, {})
     )
@@ -190,7 +190,7 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
 
 
 def input_warnings(robot: Robot, scene: Scene | None = None, *, with_task: bool = True) -> tuple[str, ...]:
-    """What is assumed of a machine and its site, what of them is not used or proven, in words: for every command.
+    """Warnings for every command: what is assumed of a machine and its site, and what is not used or not proven.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def input_warnings(robot: Robot, scene: Scene | None = None, *, with_task: bool 
 
 
 def _ranges(robot: Robot, scene: Scene) -> tuple[Vector, Vector]:
-    """(n,), (n,) where the joints may be, by the scene's own limits [rad or m]."""
+    """(n,), (n,) lower and upper limits of the joints, by the scene's own limits [rad or m]."""
     given = scene.limits.position
     check_joint_names(robot, scene, given, key="limits.position")
     lower, upper = robot.limits.lower.copy(), robot.limits.upper.copy()
@@ -233,7 +233,7 @@ def _ranges(robot: Robot, scene: Scene) -> tuple[Vector, Vector]:
 
 
 def _at_most(robot: Robot, scene: Scene, key: str, own: Vector) -> Vector:
-    """(n,) limits that the scene gives at `key`, else the machine's `own`."""
+    """(n,) limits that the scene gives at `key`, otherwise the machine's `own`."""
     given = getattr(scene.limits, key)
     check_joint_names(robot, scene, given, key=f"limits.{key}")
     found = own.copy()
@@ -255,7 +255,7 @@ def _at_most(robot: Robot, scene: Scene, key: str, own: Vector) -> Vector:
 
 
 def _joint_errors(robot: Robot, scene: Scene) -> Vector:
-    """(n,) of every joint, by the scene's tracking error [rad or m]."""
+    """(n,) tracking error of every joint, by the scene [rad or m]."""
     joints = 0.0 if scene.tracking is None else scene.tracking.joints
     if isinstance(joints, float):
         return np.full(robot.n, joints)

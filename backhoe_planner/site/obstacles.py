@@ -1,9 +1,9 @@
 """Obstacles as convex pieces, ready for distance queries.
 
 Every solid is a set of convex pieces that contains it: meshes by `convex_cover`,
-terrain by columns, point clouds by the voxels that hold a point. The signed distance
+terrain by columns, point clouds by the voxels that contain a point. The signed distance
 to an obstacle is the least over its pieces; inside one of several pieces the depth is
-that of the piece. Where there would be more than a few pieces, the solid is a `Cluster`,
+that of the piece. If there would be more than a few pieces, the solid is a `Cluster`,
 which is measured as one.
 """
 
@@ -26,8 +26,8 @@ from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 
 _ALONG = 1e-12  # of a cosine: a normal that leans less is along an axis
-_FAR = 50.0  # times the machine's reach, as which what stands is taken to be given in other units; chosen
-_SWEPT_BOXES = 4_000  # cells of the grid whose cells stand for a cluster that moves; chosen
+_FAR = 50.0  # times the machine's reach, beyond which an obstacle is probably given in other units; chosen
+_SWEPT_BOXES = 4_000  # cells of the grid that replaces a cluster that moves; chosen
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class Obstacle:
     Attributes
     ----------
     name: as in the scene.
-    pieces: convex, in world coordinates at the time of appearance; none where there is a cluster.
+    pieces: convex, in world coordinates at the time of appearance; none if there is a cluster.
     clearance: signed distance that must be kept [m].
     links: the only links that must keep it, or None for all.
-    appears_at: time before which it is not there [s].
+    appears_at: time at which it appears [s].
     velocity: (3,) from then on [m/s], world.
     spec: the scene's own record.
-    zone: the scene's record of the zone of which this is the solid; None for an obstacle.
-    cluster: the solid where it has thousands of cells, in world coordinates at the time of appearance.
+    zone: the scene's record of the zone whose solid this is; None for an obstacle.
+    cluster: the solid if it has thousands of cells, in world coordinates at the time of appearance.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Obstacle:
 
     @property
     def bounds(self) -> Matrix:
-        """(2, 3) lowest and highest corner of a box around it where it appears [m]; infinite where it has no end."""
+        """(2, 3) lowest and highest corner of a box around it where it appears [m]; infinite where it is unbounded."""
         if self.cluster is not None:
             return self.cluster.bounds
         ends = np.array([_bounds_of(piece) for piece in self.pieces])
@@ -87,7 +87,7 @@ class Obstacle:
 
 
 def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]:
-    """What is likely not to be meant, in words: what stands so far away as in other units, and scans with gaps."""
+    """Warnings of probable mistakes: obstacles as far away as if given in other units, and scans with gaps."""
     centre, radius = reach_ball(robot)
     found = []
     for obstacle in obstacles:
@@ -109,7 +109,7 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
 
 
 def as_obstacles(given: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
-    """Obstacles as they are handed to a public name.
+    """Check obstacles that are passed to a public function or class.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def as_obstacles(given: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
 
 
 def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
-    """Every obstacle of a scene, then every zone that is solid; `links` are checked against the machine.
+    """All obstacles of a scene, then all solid zones; `links` are checked against the machine.
 
     Raises
     ------
@@ -150,12 +150,12 @@ def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
 
 
 def check_links(robot: Robot, links: Sequence[str] | None, *, key: str, file: str | Path | None = None) -> None:
-    """Check the links for which an obstacle holds: all are the machine's, and one of them can touch it.
+    """Check the links for which an obstacle counts: all are the machine's, and one of them can touch it.
 
     Parameters
     ----------
     links: their names; None for all that have a shape.
-    key, file: where they stand, for the message.
+    key, file: where the names are given, for the message.
 
     Raises
     ------
@@ -183,13 +183,13 @@ def build_obstacle(
 
     Parameters
     ----------
-    folder: where its file is looked for.
+    folder: the folder to which the name of its file is relative.
     clearance: for an obstacle that has none of its own [m].
-    zone: of which it is the solid, if of any.
+    zone: the zone whose solid it is, if any.
 
     Raises
     ------
-    InputError: its file is missing, empty or malformed, or takes too many pieces.
+    InputError: its file is missing, empty or malformed, or needs too many pieces.
     """
     body = _body(spec, folder)
     cluster = body if isinstance(body, Cluster) else None
@@ -209,7 +209,7 @@ def build_obstacle(
 
 
 def _body(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece] | Cluster:
-    """What an obstacle is made of; errors name its file."""
+    """The pieces or the cluster of an obstacle; errors name its file."""
     try:
         return body_of(spec, folder)
     except InputError as error:
@@ -227,7 +227,7 @@ def offset_at(obstacle: Obstacle, time: float) -> Vector:
 
 
 def sweep(obstacle: Obstacle, start: float, end: float) -> Obstacle:
-    """An obstacle at rest that contains all the space `obstacle` takes up from time `start` to `end` [s].
+    """An obstacle at rest that contains all the space that `obstacle` takes up from time `start` to `end` [s].
 
     Round pieces become a little larger: a ball counts as the octahedron around it. A cluster becomes some
     larger boxes that contain it.
@@ -244,8 +244,8 @@ def sweep(obstacle: Obstacle, start: float, end: float) -> Obstacle:
 
 
 def _sweep_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piece:
-    """A convex piece that contains `piece` on its way from offset `start` to `end` (3,) [m]."""
-    if not len(piece.hull):  # a half-space: the further of the two holds both
+    """A convex piece that contains `piece` on its path from offset `start` to `end` (3,) [m]."""
+    if not len(piece.hull):  # a half-space: the further of the two contains both
         normal = np.asarray(piece.shape.n)
         further = end if float((end - start) @ normal) > 0.0 else start
         return replace(piece, placement=pin.SE3(piece.placement.rotation, piece.placement.translation + further))
@@ -257,7 +257,7 @@ def _sweep_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piec
 
 
 def _bounds_of(piece: shapes.Piece) -> Matrix:
-    """(2, 3) lowest and highest corner of a box around a piece [m]; a half-space ends only along an axis."""
+    """(2, 3) lowest and highest corner of a box around a piece [m]; a half-space is bounded only along an axis."""
     if len(piece.hull):
         return np.array([piece.hull.min(axis=0) - piece.radius, piece.hull.max(axis=0) + piece.radius])
     found = np.array([np.full(3, -np.inf), np.full(3, np.inf)])

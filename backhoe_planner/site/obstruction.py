@@ -1,4 +1,4 @@
-"""What is in the way of a motion: one record, from where it is found to where it is printed."""
+"""An obstruction of a motion: one record, from where it is found to where it is printed."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ class Obstruction:
 
     Attributes
     ----------
-    kind: ``obstacle`` of the site, ``machine`` for another link of it, ``joint`` for a joint's limit.
+    kind: ``obstacle`` of the site, ``machine`` for another link of the machine, ``joint`` for a joint's limit.
     obstacle: name of the obstacle, of that other link, or of the joint.
     link: name of the link that comes near; empty for a joint.
-    distance: signed, negative inside [m]; of a joint, to its limit [rad or m]. A certificate
+    distance: signed, negative inside [m]; for a joint, the distance to its limit [rad or m]. A certificate
         gives the proven lower bound.
-    margin: `distance` minus the clearance that must be kept [m]; of a joint, `distance`.
-    time: when [s]; 0 where nothing moves.
-    tracking: what of the distance the machine's tracking error can take; the margin leaves it out [m].
-    path_from, path_to: the part of the path that it is about [m]; None where it is about none.
+    margin: `distance` minus the clearance that must be kept [m]; for a joint, `distance`.
+    time: when [s]; 0 if nothing moves.
+    tracking: how much of the distance the machine's tracking error can use up; the margin excludes it [m].
+    path_from, path_to: the part of the path that it concerns [m]; None if it concerns none.
     """
 
     kind: ObstructionKind
@@ -40,7 +40,7 @@ class Obstruction:
 
     @classmethod
     def joint_limit(cls, joint: str, distance: float = 0.0) -> Obstruction:
-        """A joint that stands `distance` [rad or m] before its limit, or beyond it (negative)."""
+        """A joint that is `distance` [rad or m] before its limit, or beyond it (negative)."""
         return cls("joint", joint, "", distance, distance)
 
     @property
@@ -65,7 +65,7 @@ class Obstruction:
 
 
 def _metres(length: float) -> str:
-    """A length of 0 or more [m] in words, below a millimetre in hundredths of one."""
+    """A length of 0 or more [m] in words; below a millimetre, in mm with two digits."""
     return f"{length:.3f} m" if length == 0.0 or length >= 1e-3 else f"{1e3 * length:.2g} mm"
 
 
@@ -76,11 +76,11 @@ class Pair:
     Attributes
     ----------
     link: name of the link.
-    kind: ``obstacle``, or ``machine`` where the machine must not touch itself.
+    kind: ``obstacle``, or ``machine`` if both pieces are the machine's.
     obstacle: name of the obstacle, or of the machine's other link.
-    piece: index into the robot's pieces, of ``machine`` into its `self_pieces`.
-    clearance: signed distance to be kept [m], with `tracking`.
-    tracking: what of it is for the machine's tracking error [m].
+    piece: index into the robot's pieces, for ``machine`` into its `self_pieces`.
+    clearance: signed distance to be kept [m], including `tracking`.
+    tracking: the part of the clearance for the machine's tracking error [m].
     """
 
     link: str
@@ -96,6 +96,6 @@ class Pair:
         return self.at(0.0).name
 
     def at(self, distance: float, *, time: float = 0.0) -> Obstruction:
-        """The pair where it is `distance` apart [m], at `time` [s]."""
+        """The obstruction by this pair, `distance` apart [m] at `time` [s]."""
         margin = distance - self.clearance
         return Obstruction(self.kind, self.obstacle, self.link, distance, margin, time, tracking=self.tracking)

@@ -18,12 +18,12 @@ from backhoe_planner.site.obstruction import Pair
 def list_pairs(
     robot: Robot, obstacles: Sequence[Obstacle], pieces: Sequence[LinkPiece], clusters: ClusterDistances, *, own: bool
 ) -> tuple[list[Pair], list[int], list[int]]:
-    """The pairs of convex pieces, then those with clusters; of each the index of its obstacle, and of its other piece.
+    """The pairs of convex pieces, then those with clusters; the index of each one's obstacle, and of its other piece.
 
     Parameters
     ----------
     pieces: of the machine, those of `robot.pieces` first.
-    own: whether the machine's own parts are measured, too: their index of an obstacle is -1.
+    own: whether pairs of the machine's own parts are measured too; their index of an obstacle is -1.
     """
     pairs: list[Pair] = []
     owner: list[int] = []
@@ -50,7 +50,7 @@ def list_pairs(
 def with_tracking_room(
     robot: Robot, pairs: Sequence[Pair], pieces: Sequence[LinkPiece], travel: Matrix
 ) -> tuple[Pair, ...]:
-    """The pairs with clearances that are larger by what the machine's tracking error can take; see `tracking_room`."""
+    """The pairs with clearances enlarged by the machine's tracking error; see `tracking_room`."""
     if robot.tube is None:
         return tuple(pairs)
     room = tracking_room(robot, [pieces[pair.piece] for pair in pairs], travel)
@@ -62,7 +62,7 @@ def with_tracking_room(
 
 @lru_cache(maxsize=16)
 def ball_within(robot: Robot, run_out: tuple[float, ...]) -> tuple[Vector, float]:
-    """`reach_ball` while slides are run out no further than `run_out` (n): centre (3,) and radius [m], world."""
+    """`reach_ball` with slides extended no further than `run_out` (n): centre (3,) and radius [m], world."""
     centre, radius = reach_ball(robot, np.array(run_out))
     centre.setflags(write=False)
     return centre, radius
@@ -70,9 +70,9 @@ def ball_within(robot: Robot, run_out: tuple[float, ...]) -> tuple[Vector, float
 
 @lru_cache(maxsize=16)
 def travel_of_pieces(robot: Robot, run_out: tuple[float, ...]) -> Matrix:
-    """(K, n) `travel_bounds` of the K pieces of `self_pieces`, while slides are run out no further than `run_out` (n).
+    """(K, n) `travel_bounds` of the K pieces of `self_pieces`, with slides extended no further than `run_out` (n).
 
-    Infinity for a hinge stands for any angle.
+    Infinity for a hinge means any angle.
     """
     found = travel_bounds(robot, np.array(run_out), pieces=self_pieces(robot))
     found.setflags(write=False)

@@ -1,7 +1,7 @@
 """Signed distances, critical points and their gradients, of all pairs that may touch.
 
 Every pair of a piece of a link and a piece of an obstacle has one row, and so has every pair
-of the machine's own pieces that may meet. The gradient of the signed distance is
+of the machine's own pieces that may touch. The gradient of the signed distance is
 
     dd/dq = n . (J_2 - J_1)
 
@@ -10,8 +10,8 @@ J_1, J_2 of the two witness points. A normal made from the witness points would 
 sign inside.
 
 An obstacle of thousands of cells is one obstacle here, a `Cluster`: one pair with every piece of a
-link. Its distances are exact within `EXACT_WITHIN` and where one is asked for; else a lower
-bound is enough and takes a hundredth of the time.
+link. Its distances are exact within `EXACT_WITHIN`, and when one is requested singly; otherwise a
+lower bound is enough and takes a hundredth of the time.
 
 Broad phase: a pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints
 moved by dq, so pairs that are provably still out of reach are not measured again.
@@ -50,9 +50,9 @@ from backhoe_planner.site.pairs.planes import SeparatingPlanes
 from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
-_MANY = 3_000  # pairs, beyond which a look at each of them takes too much memory; chosen
+_MANY = 3_000  # pairs, beyond which examining each of them takes too much memory; chosen
 _NO_LEAD = None, None, 0.0
-_FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
+_FEW = 40  # pairs; measured: measuring this many takes as long as bounding how fast they approach
 
 
 class Proximity:
@@ -62,26 +62,26 @@ class Proximity:
 
     Parameters
     ----------
-    robot, obstacles: the machine and what stands around it.
-    self_collision: whether the machine's own parts are measured, too.
+    robot, obstacles: the machine and the obstacles around it.
+    self_collision: whether pairs of the machine's own parts are measured too.
 
     Raises
     ------
-    InputError: an argument is not of its kind, here and in every method; names it.
+    InputError: an argument has the wrong type, here and in every method; names it.
 
     Attributes
     ----------
-    pairs: the P pairs that are measured; results hold indices into them.
+    pairs: the P pairs that are measured; results have indices into them.
     clearance: (P,) of every pair [m].
-    travel: (P, n) r of every pair: travel @ |dq| bounds how much the distance changes; within the
+    travel: (P, n) r of every pair: travel @ |dq| bounds how much the distance changes; valid within the
         limits, and in every posture that was measured or given to `cover`.
     speed: (P,) of the obstacle [m/s].
     moves: (P, n) which joints move the link.
     owner: (P,) index of the obstacle, -1 for the machine itself.
     second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
     appears_at: (P,) when the obstacle appears [s]; minus infinity for the machine itself.
-    floor: (P,) no posture brings a pair nearer than that [m], as `travel`; minus infinity where that is not known.
-    plain: the first so many pairs are of two convex pieces; the others of a piece and a cluster.
+    floor: (P,) no posture brings a pair nearer than this [m], valid as `travel`; minus infinity if not known.
+    plain: this many pairs, the first, are of two convex pieces; the others of a piece and a cluster.
     measured: how many distances `at` has measured so far.
     clusters: the pairs of a piece and a cluster.
     """
@@ -114,7 +114,7 @@ class Proximity:
         self._sense = robot.support[self._other_joint] - robot.support[joint_of[first]]
         self._first, self._slides = first, bool(robot.prismatic.any())
         self._turning = (~robot.prismatic).astype(float)
-        # how far slides were run out at most; hinges do not count
+        # the furthest that slides were extended; hinges do not count
         limits = robot.limits
         self._run_out = np.where(robot.prismatic, np.maximum(np.abs(limits.lower), np.abs(limits.upper)), np.inf)
         self._take_travel()
@@ -138,18 +138,18 @@ class Proximity:
             self.clearance, self.speed, self.appears_at,
             travel=self.travel, floor=self.floor, always=len(self.clusters),
         )  # fmt: skip
-        self._near: tuple[Indices, Matrix] | None = None  # what was found of which pairs by the last measurement
+        self._near: tuple[Indices, Matrix] | None = None  # pairs of the last measurement, and their results
         self.measured = 0
 
     def cover(self, q: Matrix) -> None:
-        """Let `travel` hold in postures q (..., n) outside of the limits too, and between them and these.
+        """Make `travel` valid in postures q (..., n) outside of the limits too, and between these and the limits.
 
-        Whatever is measured is covered already; only who reads `travel` before has to ask.
+        Measured postures are covered already; call this only to read `travel` before measuring.
         """
         self.cover_unchecked(as_rows(q, self._n, key="q"))
 
     def cover_unchecked(self, q: Matrix) -> None:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`cover` without checks of its arguments, for callers in a loop."""
         if self._slides:
             run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0)
             if np.count_nonzero(run_out > self._run_out):
@@ -164,7 +164,7 @@ class Proximity:
         self.travel = np.where(shared, 0.0, travel_of_pieces(self.robot, tuple(ever.tolist()))[self._first])
 
     def _take_ball(self) -> None:
-        """Find out which pairs the machine can bring near, by the ball that it never leaves."""
+        """Find which pairs the machine can bring near, by the ball that it never leaves."""
         self._away = distances_from_ball(self._bodies, *ball_within(self.robot, tuple(self._run_out.tolist())))
         for index in self._moving:
             first = self._first_body[index]
@@ -195,7 +195,7 @@ class Proximity:
     def bounds_unchecked(self, q: Matrix) -> Iterator[Vector]:
         """(P,) lower bounds of the distances [m] for each of `q` (N, n), found together and without coal.
 
-        They hold at all times, and are minus infinity where nothing is known.
+        They are valid at all times, and minus infinity where nothing is known.
         """
         return self._balls.of(q)
 
@@ -204,8 +204,8 @@ class Proximity:
     ) -> tuple[Matrix, Indices, Indices, Vector, Matrix] | None:
         """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
 
-        Distances are `known` (N, P) to be at least so much [m]. None where obstacles are clusters, where it matters
-        when, and without the compiled functions.
+        `known` (N, P) are lower bounds of the distances [m]. None if obstacles are clusters, if the time
+        matters, or without the compiled functions.
         """
         if len(self.clusters) or self._moving or self._some_appear or not 0 < len(self.pairs) <= _MANY:
             return None
@@ -234,9 +234,9 @@ class Proximity:
         return self._geometry.whole()
 
     def geometry_parts_unchecked(self, asked: Flags) -> Iterator[tuple[Indices, pin.GeometryModel]]:
-        """Pinocchio's geometry models that together have all plain pairs for which `asked` is true, some others too.
+        """Pinocchio's geometry models that together have all plain pairs for which `asked` is true, and some others.
 
-        Each with the indices of its pairs; to be read only.
+        Each comes with the indices of its pairs; to be read only.
         """
         yield from ((part.pairs, part.model) for part in self._geometry.parts_with(asked))
 
@@ -252,7 +252,7 @@ class Proximity:
         ----------
         within: largest distance [m].
         margin: largest distance beyond the clearance to be kept, one number or (P,) [m].
-        known: (P,) what the distances are known to be at least [m].
+        known: (P,) known lower bounds of the distances [m].
         """
         q, time = self._checked(q, time)
         if not (isinstance(margin, float) and margin == margin):
@@ -270,17 +270,17 @@ class Proximity:
     ) -> Nearby:
         """The pairs that are near, and those that count because the machine moves, for callers in a loop.
 
-        The rows are those of `at`: all that are within `margin` beyond their clearance, and beyond it those of the
-        pairs that some posture brings within it (see `floor`) that would use up their margin within `stop` if they
-        came nearer as fast as they ever can, and within `longest` if they came nearer as fast as they can here
+        The rows are those of `at`. They are all pairs within `margin` beyond their clearance. Of the pairs beyond it
+        that some posture brings within it (see `floor`), they are those that would use up their margin within `stop`
+        if they approached as fast as they ever can, and within `longest` if they approached as fast as they can here
         at the velocities that are possible next.
 
         Parameters
         ----------
         margin: [m].
-        v: (n,) the joint velocities [rad/s or m/s]; what is possible next is as far from each on either side.
+        v: (n,) the joint velocities [rad/s or m/s]; those possible next are in a symmetric range around each.
         fastest: (n,) the highest speeds that are possible next [rad/s or m/s].
-        stop, longest: in which the machine stops from these, and from the greatest that it may be asked for [s].
+        stop, longest: time in which the machine stops from these, and from the greatest that may be requested [s].
         """
         self._place(q, time)
         further = stop * (float(self._known.furthest.dot(fastest)) + self._fastest)
@@ -299,9 +299,9 @@ class Proximity:
         return self._rows(*self._measure_within(some, reach, lower, q, time), margin, lead)
 
     def approach_unchecked(self, pairs: Indices, v: Vector, time: float) -> Vector:
-        """(K,) bounds of how fast `pairs` (K,) that are apart come nearer at joint velocities v (n,) [m/s].
+        """(K,) upper bounds on how fast `pairs` (K,) that are apart approach at joint velocities v (n,) [m/s].
 
-        It holds where the joints were placed last, for pairs of convex pieces.
+        They are valid at the last placement of the joints, for pairs of convex pieces.
         """
         velocity = self._velocity[pairs]
         return self._approach.at(
@@ -314,8 +314,8 @@ class Proximity:
     ) -> tuple[Indices, Matrix, Vector]:
         """Measure those of M pairs whose lower bounds (M,) are within `reach` (M,), at the present placements.
 
-        These pairs (K,), their distances, normals and nearest points (K, 10), and within which each is near (K,) [m].
-        What is known of all distances is kept.
+        Returns these pairs (K,), their distances, normals and nearest points (K, 10), and the distance within which
+        each counts as near (K,) [m]. The bounds of all distances are kept.
         """
         some_clusters = len(self.clusters) > 0
         if some_clusters:
@@ -334,12 +334,12 @@ class Proximity:
     def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[Matrix, list[int]]:
         """(K, 10) distances, normals and nearest points of `pairs` (K,) at the present placements.
 
-        And which rows are of far clusters: of their distance they have a bound that is no less than their reach.
+        Also the rows of far clusters: instead of the distance they have a lower bound, no less than their reach.
 
         Parameters
         ----------
-        reach: (K,) from which on a cluster is far [m].
-        lower: (K,) what distances are known to be at least [m], if anything is.
+        reach: (K,) distance from which on a cluster is far [m].
+        lower: (K,) known lower bounds of the distances [m], if any.
         """
         if not len(self.clusters):
             return self._geometry.measure_each(pairs), []
@@ -364,7 +364,7 @@ class Proximity:
 
     @property
     def found_unchecked(self) -> Vector:
-        """(P,) what the last call of `at` found all distances to be at least [m]; to be read only."""
+        """(P,) the lower bounds of all distances from the last call of `at` [m]; to be read only."""
         return self._known.last
 
     def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
@@ -373,14 +373,14 @@ class Proximity:
         return self.is_at_unchecked(q, time=time)
 
     def is_at_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`is_at` without checks of its arguments, for callers in a loop."""
         return self._known.is_at(q, time)
 
     def unproven_unchecked(self, q: Vector, *, time: float, spare: float = 0.0, way: Vector | None = None) -> Indices:
-        """The pairs of which the last measurement does not prove that they keep their clearance and `spare` [m].
+        """The pairs that the last measurement does not prove to keep their clearance and `spare` [m] on a motion.
 
-        That is on the straight way from there to `q` (n,), which ends at `time` [s]. By how much the distances can
-        change on it, obstacles' own motions counted in, may be known already: `way` (P,) [m].
+        The motion is the straight one from there to `q` (n,), which ends at `time` [s]. If bounds on how much the
+        distances change on it are known already, including obstacles' own motions, they are given as `way` (P,) [m].
         """
         self.cover_unchecked(q)
         return self._known.unproven(q, time, spare, way)
@@ -388,8 +388,8 @@ class Proximity:
     def stay_apart_unchecked(self, pairs: Indices, least: Vector, q: Vector, *, time: float) -> Flags:
         """(K,) whether a plane proves that the distances of `pairs` (K,) are `least` (K,) or more on a motion [m].
 
-        That is the straight one from the last measurement to `q` (n,), which ends at `time` [s]. Of pairs that `at`
-        did not find near, and of the machine with itself or with a cluster, nothing is known. See `SeparatingPlanes`.
+        The motion is the straight one from the last measurement to `q` (n,), which ends at `time` [s]. Nothing is
+        known of pairs that `at` did not find near, of the machine with itself, or of clusters. See `SeparatingPlanes`.
         """
         found = np.zeros(len(pairs), dtype=bool)
         if self._near is None:
@@ -406,18 +406,18 @@ class Proximity:
         return found
 
     def _lower_with(self, known: Vector | None, q: Vector, time: float) -> Vector:
-        """(P,) lower bounds of all distances from the last measurement [m]; some may be `known` (P,) to be more."""
+        """(P,) lower bounds of all distances from the last measurement [m], raised to those `known` (P,)."""
         lower = self._known.lower(self._known.every, q, time)
         if known is None:
             return lower
         if not isinstance(known, np.ndarray) or known.shape != lower.shape:
             known = as_array(known, len(lower), key="known", finite=False)
-        return np.asarray(np.fmax(lower, known, out=lower))  # what is nan is not known
+        return np.asarray(np.fmax(lower, known, out=lower))  # nan means not known
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears.
 
-        From a cluster further away than `EXACT_WITHIN` it is a lower bound.
+        For a cluster further away than `EXACT_WITHIN` it is a lower bound.
         """
         q, time = self._checked(q, time)
         self._place(q, time)
@@ -429,7 +429,7 @@ class Proximity:
         return found
 
     def tightest(self, q: Vector, *, time: float = 0.0) -> Obstruction | None:
-        """The pair with the least margin at `q` (n,) and `time` [s]; None where nothing can be touched."""
+        """The pair with the least margin at `q` (n,) and `time` [s]; None if there is nothing to touch."""
         q, time = self._checked(q, time)
         if not self.pairs:
             return None
@@ -452,11 +452,11 @@ class Proximity:
         ----------
         q: (n,) joint positions [rad or m]; time: of the site [s].
         floor: (P,) a lower bound above this is good enough [m].
-        known: (P,) what the distances are known to be at least [m].
+        known: (P,) known lower bounds of the distances [m].
 
         Returns
         -------
-        (P,) lower bound of each distance, equal to it where it was measured; and (P,)
+        (P,) lower bound of each distance, equal to the distance if it was measured; and (P,)
         whether it was measured.
         """
         q, time = self._checked(q, time)
@@ -482,7 +482,7 @@ class Proximity:
         return self.distance_of_unchecked(pair, q, time=time)
 
     def distance_of_unchecked(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`distance_of` without checks of its arguments, for callers in a loop."""
         self._place(q, time)
         if pair < self.plain:
             return float(self._geometry.measure(pair).min_distance)
@@ -491,16 +491,16 @@ class Proximity:
         return reading.distance
 
     def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
-        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear.
+        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also for obstacles yet to appear.
 
-        From a cluster further away than `EXACT_WITHIN` it is a lower bound.
+        For a cluster further away than `EXACT_WITHIN` it is a lower bound.
         """
         pairs = self._checked_pairs(pairs)
         q, time = self._checked(q, time)
         return self.distances_of_unchecked(pairs, q, time=time)
 
     def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """`distances_of` without checks of its arguments, for callers in a loop."""
         self._place(q, time)
         if not len(self.clusters):
             return self._geometry.distances(pairs)
@@ -511,9 +511,9 @@ class Proximity:
         return found[pairs]
 
     def distances_below_unchecked(self, pairs: Indices, floor: Vector, q: Vector, *, time: float) -> Vector:
-        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear.
+        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also for obstacles yet to appear.
 
-        Instead of one above `floor` (K,) it may be any number from there to the distance.
+        A distance above `floor` (K,) may be replaced by any number between the floor and the distance.
         """
         self._place(q, time)
         if not len(self.clusters):
@@ -523,7 +523,7 @@ class Proximity:
     # --- clusters -------------------------------------------------------------------------
 
     def _raise_by_grids(self, lower: Vector, needed: Vector) -> None:
-        """Raise the lower bounds of clusters, the last of (M,), at the present placements, if one is below `needed`."""
+        """Raise the lower bounds of clusters, the last of (M,), at the present placements, if any is below `needed`."""
         first = len(lower) - len(self.clusters)
         own, needed = lower[first:], needed[first:]
         short = own < needed
@@ -538,7 +538,7 @@ class Proximity:
             self.clusters.make_exact(found[self.plain :], pairs - self.plain, self._data, self._time)
 
     def _nearest(self, pair: int, lower: float, reach: float) -> Reading | None:
-        """The distance of a pair with a cluster, at least `lower` [m], where it is placed; None from `reach` on."""
+        """The distance of a pair with a cluster, known to be at least `lower` [m], as placed; None from `reach` on."""
         return self.clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach, q=self._q)
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
@@ -581,8 +581,8 @@ class Proximity:
     ) -> Nearby:
         """The rows of those of the `measured` pairs (K,) that are within `reach` (K,), see `_measure_within`.
 
-        With a margin all other pairs are known to be further away than that [m]; with a lead of those beyond it only
-        the ones that it says.
+        If there is a margin [m], all other pairs are known to be further away. If there is a lead, pairs beyond the
+        margin count only if the lead selects them.
         """
         v, change, longest = _NO_LEAD if lead is None else lead
         velocity = self._velocity if self._moving else None

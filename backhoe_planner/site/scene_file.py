@@ -1,4 +1,4 @@
-"""The scene file: what the machine is to do, and what stands around it.
+"""The scene file: the machine's task, and the site around it.
 
 The records below, and those of `schema`, are the schema; `scene_schema` gives it as JSON Schema,
 `load_scene` checks a file against it. A `Scene` is valid in itself; `motion.build_problem` checks
@@ -34,20 +34,20 @@ class Gains(Record):
     """Gains of equation (12), set by hand."""
 
     s_e: NonNegative = 1.0
-    """Of the primary task."""
+    """Gain of the primary task."""
     s_o: NonNegative = 0.0
-    """Of the obstacle term."""
+    """Gain of the obstacle term."""
     s_k: dict[str, NonNegative] = Field(default_factory=dict)
-    """Of the directionality term, by joint name."""
+    """Gain of the directionality term, by joint name."""
 
 
 class TrackingError(Record):
-    """How far the machine may be off its plan, at every moment: what is verified holds for all such motions."""
+    """How far the machine may be off its plan at every moment; verification covers all such motions."""
 
     joints: Positive | dict[str, NonNegative]
-    """Of every joint [rad or m], one number or by joint name; a joint that is not named is exact."""
+    """Error of every joint [rad or m], one number or by joint name; a joint that is not named is exact."""
     tip: Positive | None = None
-    """Of the tip's position [m], where that is known to be less than what the joints' errors allow."""
+    """Error of the tip's position [m], if that is known to be less than the joints' errors allow."""
 
 
 class StandingPlace(Record):
@@ -60,37 +60,37 @@ class StandingPlace(Record):
 
 
 class Scene(FileRecord):
-    """A task, and the site in which it is to be done."""
+    """A task, and the site on which it is done."""
 
     version: Literal[1]
     name: Title = ""
     tip: str | None = None
-    """The link that is moved; bucket_tip, else the only leaf frame."""
+    """The link that is moved; by default bucket_tip, or else the only leaf frame."""
     hold: dict[str, Finite] = Field(default_factory=dict)
-    """Joints of any part of the machine by name, and where they stand [rad or m]: the planner does not move them."""
+    """Joints that the planner does not move, of any part of the machine, by name with their positions [rad or m]."""
     base: StandingPlace = StandingPlace()
-    """Where the machine stands; left out, its root link has the world's axes."""
+    """Where the machine stands; if left out, its root link has the world's axes."""
     start: Start | None = None
-    """Where the machine stands; left out with a path: the planner chooses."""
+    """The machine's posture at the start; if left out with a path, the planner chooses it."""
     task: Task
     clearance: NonNegative = 0.05
-    """Distance to be kept from every obstacle that has none of its own [m]."""
+    """Distance to be kept from every obstacle that has no clearance of its own [m]."""
     influence: Positive = 0.6
-    """Within this distance an obstacle acts on the motion [m]."""
+    """Distance within which an obstacle acts on the motion [m]."""
     obstacles: tuple[ObstacleSpec, ...] = ()
     zones: tuple[ZoneSpec, ...] = ()
-    """Where the machine must not be, each with the distances at which to warn, slow down and stop."""
+    """Zones that the machine must not enter, each with the distances at which to warn, slow down and stop."""
     gains: Literal["auto"] | Gains = "auto"
     limits: Limits = Limits()
     tracking: TrackingError | None = None
     objective: ObjectiveName | None = None
-    """What a plan is to make small; left out: the time to a goal, the work along a path."""
+    """What a plan minimises; by default the time to a goal, and the work along a path."""
     payload: NonNegative = 0.0
     """Mass in the bucket [kg]."""
     payload_at: Vector3 | None = None
-    """Centre of that mass from the tip, in the tip's axes [m]; left out, at the tip."""
+    """Centre of that mass from the tip, in the tip's axes [m]; at the tip by default."""
     soil: Soil | None = None
-    """What the bucket digs in; left out, nothing resists it. Keys of it that are left out have their defaults."""
+    """The soil that the bucket digs in; if left out, nothing resists. Keys that are left out have their defaults."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
@@ -119,7 +119,7 @@ class Scene(FileRecord):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """From which it is read: the scene file, the path file, the files of obstacles."""
+        """The files from which the scene is read: the scene file, the path file, the files of obstacles."""
         named = [
             *(path.file for path in self._paths),
             *(getattr(one, "file", None) for one in self._shapes),
@@ -169,7 +169,7 @@ class Scene(FileRecord):
         return tuple(moved)
 
     def warnings(self) -> tuple[str, ...]:
-        """What of the files that the scene names is not used, in words.
+        """What is not used of the files that the scene names, in words.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class Scene(FileRecord):
         return tuple(warning for file in files for warning in read_path_file(self.folder / file).warnings)
 
     def open_meshes(self) -> dict[str, tuple[str, ...]]:
-        """Files of meshes that do not close, and what is made of each; those that cannot be read are left out."""
+        """Files of meshes that are not closed, with the obstacles made of each; unreadable files are left out."""
         found: dict[str, tuple[str, ...]] = {}
         for one in self._shapes:
             with contextlib.suppress(InputError):
@@ -193,7 +193,7 @@ class Scene(FileRecord):
 
 
 def _unknown_leg(key: str, found: str, legs: tuple[str, ...]) -> ValueError:
-    """That an obstacle is there in a leg that the task does not have."""
+    """The error for an obstacle that is present in a leg that the task does not have."""
     if not legs:
         return ValueError(f"{key}: only a sequence has legs; found {found!r}")
     near = nearest_name(found, legs)
@@ -225,7 +225,7 @@ def scene_from_dict(
     Parameters
     ----------
     content: keys and values as in a scene file.
-    folder: where files that the scene names are looked for.
+    folder: the folder to which file names in the scene are relative.
     file, lines: for messages: the file it came from, and the line of every key.
 
     Raises

@@ -1,4 +1,4 @@
-"""What the ground does to the teeth: the fundamental earthmoving equation.
+"""The force of the ground on the teeth: the fundamental earthmoving equation.
 
 A blade of width w at depth d pushes a wedge of soil ahead of it, up along a plane of
 failure at the angle beta. With gamma = rho g the soil's weight, c its cohesion, q the load
@@ -13,19 +13,19 @@ soil and on the blade, and alpha the rake (0 a blade lying flat, pi/2 upright),
 
 (A. R. Reece, The fundamental equation of earth-moving mechanics, Proc. IMechE 179, 1964;
 E. McKyes, Soil Cutting and Tillage, 1985.) The soil fails where it resists least: beta is
-the angle that makes F smallest. F lies at the angle delta to the blade's normal; in addition
+the angle that makes F smallest. F acts at the angle delta to the blade's normal; in addition
 adhesion c_a w d / sin alpha acts along the blade.
 
-Where the ground rises by sigma in the direction of the cut, d is measured across it and alpha
-from it, and the soil's weight leans against the wedge: N_gamma and N_q are times
+If the ground rises by sigma in the direction of the cut, d is measured across the ground and
+alpha from it, and the soil's weight leans against the wedge. N_gamma and N_q are then multiplied by
 
     (cos sigma + sin sigma cot(beta + phi)),
 
-as the equilibrium of the wedge along the normal of the force on its failure plane says (so
-too in O. Luengo, S. Singh, H. Cannon, Modeling and identification of soil-tool interaction in
+which follows from the equilibrium of the wedge along the normal of the force on its failure plane
+(see also O. Luengo, S. Singh, H. Cannon, Modeling and identification of soil-tool interaction in
 automated excavation, IROS 1998, whose surcharge is the weight of the soil ahead of the blade).
 
-The equation holds for a blade drawn along the ground, slowly. The side plates are left out.
+The equation is valid for a blade drawn slowly along the ground. The side plates are left out.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from backhoe_planner.site.schema.digging import Soil
 
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
 _FLATTEST = np.radians(10.0)  # rad of rake; chosen: a flatter blade slides rather than cuts
-_CREEP = 0.01  # m/s; chosen: the force fades below it, so that it is continuous where the motion turns round
+_CREEP = 0.01  # m/s; chosen: the force fades below it, so that it is continuous when the motion reverses
 _SHALLOWEST = 1e-9  # m, in place of 0: at depth 0 the terms per depth have no value, and the force is 0
 _HOLDS = 0.9  # part of the friction angle; chosen, below 1, where the longest wedge is as easily moved as any
 _STEEPEST = 0.9  # part of the rakes at which a wedge can slide up the blade; chosen, since F grows without bound at 1
@@ -54,9 +54,9 @@ def blade_force(
     Parameters
     ----------
     depth: of the blade's edge below the ground, across it [m].
-    rake: alpha from the ground [rad]; the shapes of all arrays broadcast. It is brought between 10
-        degrees and upright: in front of a blade beyond these a body of soil stands still.
-    soil: what is cut.
+    rake: alpha from the ground [rad]; the shapes of all arrays broadcast. It is clipped to between 10
+        degrees and upright: in front of a blade beyond these, a body of soil stands still.
+    soil: the soil that is cut.
     width: w [m].
     slope: sigma, by which the ground rises in the direction of the cut [rad]. Downhill it counts at most
         as 0.9 of the soil's friction angle: on steeper ground a long enough wedge slides by itself.
@@ -79,7 +79,7 @@ def failure_angle(
     depth, rake, soil, slope, surcharge: as of `blade_force`.
 
     As a function of x = 2 beta, F is a quotient of two expressions n0 + n1 cos x +
-    n2 sin x, so that dF/dx = 0 reads P sin x + Q cos x + R = 0.
+    n2 sin x, so that dF/dx = 0 becomes P sin x + Q cos x + R = 0.
     """
     depth, alpha, sigma, load = np.broadcast_arrays(
         np.maximum(depth, _SHALLOWEST), _usable(rake, soil), _holding_slope(slope, soil), surcharge
@@ -115,23 +115,23 @@ def soil_force(
 ) -> Array:
     """(..., 3) the force of the soil on the teeth [N], world.
 
-    It acts while the teeth are below the ground and move along it. Where the blade's back goes ahead, the soil
-    resists as it does a blade that leans as much the other way. It never drives the motion (F . v <= 0), and is
+    It acts while the teeth are below the ground and move along it. If the blade's back leads, the soil
+    resists as if the blade leaned as much the other way. The force never drives the motion (F . v <= 0), and is
     continuous in all arguments.
 
     Parameters
     ----------
     tip_position, tip_velocity: (..., 3) [m], [m/s], world.
-    pitch: (...) of the line bucket pin to tip [rad].
+    pitch: (...) of the line from bucket pin to tip [rad].
     forward: (..., 3) horizontal unit vector outward along the arm, world.
     soil: in which the blade moves.
     width: of the blade [m].
-    contact: how the teeth stand in the ground; by default in level ground at the soil's `surface`.
+    contact: how the teeth are in contact with the ground; by default level ground at the soil's `surface`.
     """
     velocity, forward = np.asarray(tip_velocity, dtype=float), np.asarray(forward, dtype=float)
     if contact is None:
         contact = LevelGround(soil.surface).contact(tip_position)
-    # with the back ahead the plate leans as much the other way
+    # if the back leads, the plate leans as much the other way
     tilt = np.asarray(pitch, dtype=float) - LIP
     rake = np.arccos(np.clip(-np.cos(tilt), -1.0, 1.0))
     along = np.sum(velocity * forward, axis=-1)
@@ -186,7 +186,7 @@ class SoilReaction:
         return self._over(q, v)[0]
 
     def torques(self, q: Array, v: Array) -> Array:
-        """(..., n) what the soil does to the joints [N m], at q, v (..., n): J^T F, and the weight of what is held."""
+        """(..., n) torques of the soil on the joints [N m] at q, v (..., n): J^T F, and the weight of the held soil."""
         return self._over(q, v)[1]
 
     def torques_at(self, q: Array, tip_velocity: Array) -> Array:
@@ -221,11 +221,11 @@ class SoilReaction:
         return force, torque - (GRAVITY * contact.held)[:, None] * self._lift(at, J)
 
     def _lift(self, at: ConfigurationBatch, J: Array) -> Array:
-        """(B, n) by how much each joint lifts what the bucket holds [m/rad]."""
+        """(B, n) how much each joint lifts the soil in the bucket [m/rad]."""
         if self._ground.held_at is None:
             return np.asarray(J[:, 2])
         offset = at.origins[:, -1] + at.rotations[:, -1] @ self._ground.held_at - at.tip_position
-        # a point of the same body: the tip's velocity and omega x offset, of which the z part is wanted
+        # a point of the same body moves with the tip's velocity plus omega x offset; only z is needed
         turned = at.rotation_jacobian()
         return np.asarray(J[:, 2] + turned[:, 0] * offset[:, 1, None] - turned[:, 1] * offset[:, 0, None])
 
@@ -246,7 +246,7 @@ def bucket_width(robot: Robot) -> float:
 
 
 def _slope_along(contact: GroundContact, cutting: Array) -> Array:
-    """(...) by how much the ground rises in the direction of the cut (..., 3) [rad]."""
+    """(...) the angle by which the ground rises in the direction of the cut (..., 3) [rad]."""
     if contact.gradient is None:
         return np.zeros(np.shape(contact.depth))
     return np.asarray(np.arctan(np.sum(contact.gradient * cutting[..., :2], axis=-1)))
@@ -272,7 +272,7 @@ def _per_depth(depth: Array, soil: Soil, load: Array) -> tuple[Array, float, flo
 
 
 def _holding_slope(slope: Array | float, soil: Soil) -> Array:
-    """The slope [rad], brought to where the soil does not slide by itself."""
+    """The slope [rad], limited so that the soil does not slide by itself."""
     return np.maximum(slope, -_HOLDS * soil.friction)
 
 
@@ -281,7 +281,7 @@ def _tool_friction(soil: Soil) -> float:
 
 
 def _usable(rake: Array, soil: Soil) -> Array:
-    """The rake [rad], brought to where a wedge can slide up the blade."""
+    """The rake [rad], limited so that a wedge can slide up the blade."""
     room = np.pi - soil.friction - _tool_friction(soil)
     steepest = min(0.5 * np.pi, _STEEPEST * room)
     return np.clip(rake, min(_FLATTEST, 0.5 * steepest), steepest)

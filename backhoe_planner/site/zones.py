@@ -1,7 +1,7 @@
-"""Zones: how near to them the machine came, and how much slower it must go there.
+"""Zones: how near to them the machine came, and how much slower it must move there.
 
 A zone has three distances, stop <= slow <= warn. `stop` is the clearance of an obstacle, or
-for a swing sector the distance of a joint limit. Between `slow` and `stop` the servo goes
+for a swing sector the distance to a joint limit. Between `slow` and `stop` the servo goes
 slower; within `warn` the visit is only reported.
 """
 
@@ -31,7 +31,7 @@ _Key = tuple[str, Level]
 _SLOWEST = 0.15  # part of the speed that is left at the stop distance, so that one can leave; chosen
 # m or rad: a machine at its stop distance is not beyond it; a little more than `proof.clearances.KEPT_WITHIN`
 _KEPT_WITHIN = 1.2e-4
-_LEFT_AT = 0.01  # m or rad: so far outside a distance a visit is over; chosen, above what a machine trembles
+_LEFT_AT = 0.01  # m or rad outside a distance at which a visit is over; chosen, more than a machine trembles
 _MOST_MOMENTS = 10_000  # of one motion; chosen, 200 s at the period below
 _SAMPLED_EVERY = 0.02  # s between moments: a link at 1 m/s moves by 2 cm
 
@@ -39,7 +39,7 @@ _SAMPLED_EVERY = 0.02  # s between moments: a link at 1 m/s moves by 2 cm
 def pace(margin: float, room: float) -> float:
     """The part of the wished speed that is allowed near a zone, 0.15 to 1.
 
-    It is 1 from `room` on, and falls as a cosine to 0.15 at the stop distance.
+    It is 1 from `room` on, and falls along a cosine to 0.15 at the stop distance.
 
     Parameters
     ----------
@@ -60,10 +60,10 @@ class Transgression:
     ----------
     zone, kind: name and kind of the zone.
     level: which of its distances was passed.
-    link: the link that was deepest; of a swing sector the joint.
+    link: the link that was deepest; for a swing sector the joint.
     begin, end: of the visit [s].
     time: when it was deepest [s].
-    depth: how far beyond the distance [m], of a swing sector [rad].
+    depth: how far beyond the distance [m], for a swing sector [rad].
     """
 
     zone: str
@@ -77,7 +77,7 @@ class Transgression:
 
     @property
     def unit(self) -> str:
-        """That of the depth."""
+        """Unit of the depth."""
         return "rad" if self.kind == "swing_sector" else "m"
 
     def __str__(self) -> str:
@@ -98,7 +98,7 @@ class Motion(Protocol):
 
 
 class ZoneLog:
-    """Writes down every visit to a scene's zones, sample by sample.
+    """Records every visit to a scene's zones, sample by sample.
 
     It owns its working memory: do not share one between threads.
 
@@ -129,11 +129,11 @@ class ZoneLog:
 
     @property
     def transgressions(self) -> tuple[Transgression, ...]:
-        """Every visit so far, also those that are not over, in the order in which they began."""
+        """All visits so far, including those not over yet, in the order in which they began."""
         return tuple(sorted([*self._over, *self._visits.values()], key=lambda visit: visit.begin))
 
     def note(self, time: float, q: object) -> dict[str, Level]:
-        """Take a sample.
+        """Record a sample.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class ZoneLog:
 
         Returns
         -------
-        For every zone that the machine is too near to, the innermost distance that is passed.
+        For every zone that the machine is too near to, the innermost distance that it has passed.
 
         Raises
         ------
@@ -194,7 +194,7 @@ class ZoneLog:
 
 
 def _limits(zone: ZoneSpec) -> list[tuple[Level, float]]:
-    """The zone's distances from the outermost to the innermost; of equal ones only the innermost."""
+    """The zone's distances from the outermost to the innermost; of equal distances only the innermost."""
     by_distance: dict[float, Level]
     by_distance = {zone.warn_distance: "warn", zone.slow_distance: "slow", zone.stop: "stop"}
     return [(level, distance) for distance, level in by_distance.items()]
@@ -203,7 +203,7 @@ def _limits(zone: ZoneSpec) -> list[tuple[Level, float]]:
 def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgression, ...]:
     """Every visit of a whole motion to the scene's zones.
 
-    The motion is looked at every 0.02 s, or at 10,000 even moments where it is longer than
+    The motion is checked every 0.02 s, or at 10,000 even moments if it is longer than
     200 s; and at its own samples, unless these are more than twice as many.
 
     Parameters
@@ -235,6 +235,6 @@ def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgress
 
 
 def worst_first(visits: Iterable[Transgression]) -> list[Transgression]:
-    """The innermost distances first, and of those the deepest."""
+    """Visits sorted by innermost distance first, then by depth, deepest first."""
     order = {"stop": 0, "slow": 1, "warn": 2}
     return sorted(visits, key=lambda visit: (order[visit.level], -visit.depth))

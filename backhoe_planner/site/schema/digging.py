@@ -1,4 +1,4 @@
-"""The part of the scene file that says what the bucket digs in."""
+"""The part of the scene file that describes the soil."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.quantities import LARGEST, Finite, NonNegative, Positive, Slope
 
-_LIGHTEST = 100.0  # kg/m^3: peat has 300, and nobody digs in what is lighter than new snow
+_LIGHTEST = 100.0  # kg/m^3: peat has 300, and nobody digs in anything lighter than new snow
 
 
 def _in_kilograms(density: Any) -> Any:
@@ -25,7 +25,7 @@ def _in_kilograms(density: Any) -> Any:
 
 
 class Soil(Record):
-    """What the bucket digs in (fundamental earthmoving equation).
+    """The soil that the bucket digs in (fundamental earthmoving equation).
 
     Every key may be left out: the defaults are those of a soil of medium strength.
     """
@@ -33,18 +33,18 @@ class Soil(Record):
     density: Annotated[
         float, Field(strict=True, ge=_LIGHTEST, le=LARGEST, allow_inf_nan=False), BeforeValidator(_in_kilograms)
     ] = 1700.0
-    """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
+    """Density of the soil [kg/m^3]; 1700 by default, 1300 to 2000 is usual."""
     cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
-    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
+    """Cohesion between its grains [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
     friction: Annotated[Slope, Field(gt=0.0)] = 0.55
-    """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
+    """Internal friction angle [rad]; 0.55 by default, 0.44 to 0.70 (25 to 40 degrees) is usual."""
     adhesion: NonNegative = 0.0
-    """Between soil and blade [Pa]; 0 by default."""
+    """Adhesion between soil and blade [Pa]; 0 by default."""
     tool_friction: Slope | None = None
-    """Between soil and blade [rad]; 2/3 of `friction` by default."""
+    """Friction angle between soil and blade [rad]; 2/3 of `friction` by default."""
     surface: Finite = 0.0
     """Height z of the ground, below which the soil resists [m], world; 0 by default."""
     surcharge: NonNegative = 0.0
     """Load on the ground beside the blade [Pa]; 0 by default."""
     width: Positive | None = None
-    """Of the blade [m]; that of the bucket's collision shape by default."""
+    """Width of the blade [m]; that of the bucket's collision shape by default."""

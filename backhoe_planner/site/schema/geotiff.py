@@ -1,8 +1,8 @@
-"""Heights from a GeoTIFF, with where they lie.
+"""Heights from a GeoTIFF, with their location.
 
-What is read: one band of numbers; ModelPixelScale and ModelTiepoint, or a ModelTransformation
-without turn; GDAL's tags for missing heights, and for the scale and offset of numbers; and of the
-keys whether a number stands for a point or for an area, and the units along the ground and upwards
+The following is read: one band of numbers; ModelPixelScale and ModelTiepoint, or a ModelTransformation
+without rotation; GDAL's tags for missing heights, and for the scale and offset of numbers; and the
+keys for whether a number is that of a point or of an area, and for the horizontal and vertical units
 (OGC 19-008r4, GeoTIFF Standard 1.1).
 """
 
@@ -35,8 +35,8 @@ class HeightTable(NamedTuple):
     Attributes
     ----------
     heights: (rows, columns) [m]; rows run along y, columns along x, both ascending; NaN where there is none.
-    low: (2,) x, y of the first [m]; None where the file does not say.
-    cell: between heights [m]; 0 where the file does not say.
+    low: (2,) x, y of the first height [m]; None if the file does not say.
+    cell: distance between heights [m]; 0 if the file does not say.
     """
 
     heights: Matrix
@@ -45,7 +45,7 @@ class HeightTable(NamedTuple):
 
 
 def read_geotiff(path: Path) -> HeightTable:
-    """The heights in a GeoTIFF; one without a place is taken as heights alone, its last row the one of least y.
+    """The heights in a GeoTIFF. If it has no location, it counts as heights alone; its last row has the least y.
 
     Raises
     ------
@@ -72,11 +72,11 @@ def read_geotiff(path: Path) -> HeightTable:
             raise InputError("is not a TIFF that can be read", file=path) from None
         except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
             raise InputError("is too large", file=path, hint="cut out the site") from error
-        except Exception as error:  # Pillow raises whatever its decoders run into
+        except Exception as error:  # Pillow passes on any exception of its decoders
             raise InputError(f"is not a TIFF that can be read: {error}", file=path) from error
     missing = _number(tags.get(_NO_DATA))
     if missing is not None:
-        # the tag is decimal text, heights are often floats of 32 bits
+        # the tag is decimal text, but heights are often 32-bit floats
         heights[np.isclose(heights, missing, rtol=1e-6, atol=0.0)] = np.nan
     scale, offset = _scaling(tags, path)
     heights = scale * heights + offset
@@ -91,8 +91,8 @@ def _number(text: object) -> float | None:
 
 
 def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
-    """By what the numbers of the first band are multiplied to be heights, and what is added then [m]."""
-    from xml.etree import ElementTree  # few files say so
+    """The factor that turns the numbers of the first band into heights, and the offset added then [m]."""
+    from xml.etree import ElementTree  # imported here: few files have a scale
 
     text = str(tags.get(_METADATA, "")).strip("\0 \n")
     try:
@@ -104,7 +104,7 @@ def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
 
 
 def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, float]:
-    """(2,) x, y of the height in the south-west [m], and the distance between heights [m]."""
+    """(2,) x, y of the south-western height [m], and the distance between heights [m]."""
     keys = [int(value) for value in tags.get(_KEYS, ())]
     values = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
     if values.get(_MODEL) == _GEOGRAPHIC:
@@ -133,5 +133,5 @@ def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, 
         found = f"{scale[0]:g} x {scale[1]:g} m"
         raise InputError("its cells are not square", file=path, found=found, hint="resample it")
     cell = float(scale[0])
-    middle = 0.0 if values.get(_RASTER) == _POINT else 0.5  # of a cell, from what the tags place to its height
+    middle = 0.0 if values.get(_RASTER) == _POINT else 0.5  # of a cell, from the place in the tags to the height
     return np.array([corner[0] + middle * cell, corner[1] - (rows - 1 + middle) * cell]), cell

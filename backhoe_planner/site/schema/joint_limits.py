@@ -31,15 +31,15 @@ PositionRange = Annotated[tuple[Finite, Finite], AfterValidator(_in_order)]
 
 
 class Limits(Record):
-    """What of the machine's limits is to be used, and what its URDF does not say."""
+    """How much of the machine's limits may be used, and limits that its URDF does not have."""
 
     velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0), AfterValidator(_not_too_slow)] = 1.0
     """Part of each joint's rate that may be used."""
     acceleration: dict[str, Rate] = Field(default_factory=dict)
-    """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
+    """By joint name [rad/s^2 or m/s^2]; by default the URDF's, or if it has none, full rate in 0.5 s."""
     velocity: dict[str, Rate] = Field(default_factory=dict)
-    """By joint name [rad/s or m/s]: at most the URDF's, or any where that gives none; else the URDF's, else 1."""
+    """By joint name [rad/s or m/s]: at most the URDF's, or any if it has none; by default the URDF's, or else 1."""
     effort: dict[str, Positive] = Field(default_factory=dict)
-    """By joint name [N m or N]: at most the URDF's, or any where that gives none; else the URDF's, else no limit."""
+    """By joint name [N m or N]: at most the URDF's, or any if it has none; by default the URDF's, or else no limit."""
     position: dict[str, PositionRange] = Field(default_factory=dict)
     """[low, high] by joint name, within the URDF's limits [rad or m]."""

@@ -19,12 +19,12 @@ def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: st
 
     Parameters
     ----------
-    in_use: names that others have, each with what has it: ``{"swing": "a zone"}``.
+    in_use: names already taken, each with its owner: ``{"swing": "a zone"}``.
     key: what the message calls the place.
 
     Raises
     ------
-    InputError: it is no text, blank, more than a line, in use, or begins as reports begin to speak of the machine.
+    InputError: it is no text, blank, more than a line, in use, or begins with words that reports use for the machine.
     """
     if not isinstance(name, str) or not name.strip() or not _is_printable(name) or name.startswith(_RESERVED):
         allowed = "one line of printable text that is not blank and does not begin with " + " or ".join(
@@ -37,7 +37,7 @@ def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: st
 
 
 def _is_printable(text: str) -> bool:
-    """Whether a text is one line that can be written: no control characters, no halves of characters."""
+    """Whether a text is one line that can be written: no control characters, no surrogates."""
     return not any(unicodedata.category(sign) in ("Cc", "Cs") for sign in text)
 
 
@@ -48,9 +48,9 @@ def _title(text: str) -> str:
 
 
 def _of_a_record(name: str) -> str:
-    return check_name(name, key=None)  # whoever reads the record says the place
+    return check_name(name, key=None)  # the reader of the record adds the place
 
 
 Name = Annotated[str, Field(min_length=1), AfterValidator(_of_a_record)]
 Title = Annotated[str, AfterValidator(_title)]
-"""What a scene, a job or a study is called, in reports and on pages; may be empty."""
+"""The title of a scene, a job or a study, in reports and on pages; may be empty."""

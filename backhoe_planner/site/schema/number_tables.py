@@ -1,4 +1,4 @@
-"""Tables of numbers as survey software writes them: with commas, semicolons or blanks between, quoted or not."""
+"""Tables of numbers as survey software writes them: separated by commas, semicolons or blanks, quoted or not."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 
-COMMENTS = ("#", "//")  # begin a line that says something of the table
+COMMENTS = ("#", "//")  # beginnings of comment lines
 
-# what stands in place of a height that is missing, by custom: no site lies so deep
+# customary numbers in place of a missing height: no site is so deep
 _MISSING = (-9999.0, -32767.0, -32768.0, -99999.0)
-_LARGEST_OF_32_BITS = float(np.finfo(np.float32).max)  # either way it stands for one, too
-_FEWEST_NUMBERED = 3  # rows that are counted from the first on are numbered; chosen
+_LARGEST_OF_32_BITS = float(np.finfo(np.float32).max)  # with either sign, also used for a missing height
+_FEWEST_NUMBERED = 3  # rows from which on a rising first column counts as row numbers; chosen
 
 
 def cells_of(line: str) -> list[str]:
-    """The cells between semicolons, in which a comma is a decimal point, or else between commas, or else blanks."""
+    """The cells between semicolons (a comma in them is a decimal point), otherwise between commas, or blanks."""
     if ";" in line:
         return [cell.replace(",", ".") for cell in _unquoted(line, ";")]
     if "," in line:
@@ -26,7 +26,7 @@ def cells_of(line: str) -> list[str]:
 
 
 def number_in(cell: str) -> float:
-    """The number in a cell; unlike Python's own, it has no underscores and no digits of other scripts.
+    """The number in a cell; unlike in Python, underscores and digits of other scripts are not allowed.
 
     Raises
     ------
@@ -38,9 +38,9 @@ def number_in(cell: str) -> float:
 
 
 def plain_table(text: str) -> Matrix | None:
-    """(rows, columns) of a text of nothing but numbers with commas, or with blanks, between them; None of any other.
+    """(rows, columns) of a text that has only numbers separated by commas or by blanks; None for any other text.
 
-    It takes a tenth of the time that is needed line by line, where messages say what is wrong with which.
+    This takes a tenth of the time of reading line by line, which is for messages that name the wrong line.
     """
     if not text.strip():
         return None
@@ -56,12 +56,12 @@ def plain_table(text: str) -> Matrix | None:
 
 
 def are_missing(heights: Matrix | Vector) -> Flags:
-    """Which of `heights`, of any shape, are figures that stand for a missing one."""
+    """Which of `heights`, of any shape, are numbers that mean a missing height."""
     return np.isin(heights, _MISSING) | np.isclose(np.abs(heights), _LARGEST_OF_32_BITS, rtol=1e-6, atol=0.0)
 
 
 def counts_rows(column: Vector) -> bool:
-    """Whether a column (rows,) numbers the rows: whole numbers, each as much above the last."""
+    """Whether a column (rows,) numbers the rows: whole numbers, rising by the same step."""
     steps = np.diff(column)
     return bool(
         len(column) >= _FEWEST_NUMBERED

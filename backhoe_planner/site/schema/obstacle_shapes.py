@@ -1,7 +1,7 @@
-"""The shapes of obstacles: what the scene file says of each, and the convex pieces that contain it.
+"""The shapes of obstacles: the keys of each in the scene file, and the convex pieces that contain it.
 
 A new shape is one more class here, with its keys and its `pieces`, and one more name in
-`ObstacleSpec`. The schema, the messages, distances, proofs and pictures follow from these.
+`ObstacleSpec`. The schema, messages, distances, proofs and pictures follow from these.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
-_FEW_BOXES = 32  # of a scan, measured one by one; chosen, about from where on one tree takes less time
+_FEW_BOXES = 32  # of a scan, measured one by one; chosen, about where one tree begins to take less time
 _FEW_CELLS = 100  # of a terrain, built as columns; chosen
 _FEW_TRIANGLES = 2_000  # of a mesh, covered by a few hulls; chosen
 _MOST_CELLS = 4_000_000  # of a terrain
@@ -71,11 +71,11 @@ class ObstacleRecord(Record):
     links: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """The only links for which it is an obstacle; all of them by default."""
     legs: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """The only legs of the sequence in which it is there, by name; all of them by default."""
+    """The only legs of the sequence in which it is present, by name; all of them by default."""
     appears_at: NonNegative = 0.0
-    """Time before which nobody knows of it [s]."""
+    """Time at which the obstacle appears; before that it is unknown [s]."""
     velocity: Vector3 = (0.0, 0.0, 0.0)
-    """Of the obstacle, from its appearance on [m/s], world."""
+    """Velocity of the obstacle from its appearance on [m/s], world."""
 
     @abstractmethod
     def pieces(self, folder: Path) -> list[shapes.Piece]:
@@ -83,15 +83,15 @@ class ObstacleRecord(Record):
 
         Parameters
         ----------
-        folder: where files that the record names are looked for.
+        folder: the folder to which file names in the record are relative.
 
         Raises
         ------
-        InputError: a file is missing, empty or malformed, or takes more than 20,000 pieces.
+        InputError: a file is missing, empty or malformed, or needs more than 20,000 pieces.
         """
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
-        """The pieces, or one cluster where there would be more than a few and the obstacle stands still."""
+        """The pieces, or one cluster if there would be more than a few and the obstacle does not move."""
         return self.pieces(folder)
 
 
@@ -99,7 +99,7 @@ class PlacedRecord(ObstacleRecord):
     """An obstacle with a position and an orientation."""
 
     position: Vector3 = (0.0, 0.0, 0.0)
-    """Of the shape's centre or, for files, their origin [m]."""
+    """Position of the shape's centre or, for a file, of its origin [m]."""
     rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed axes [rad]."""
     quaternion: Quaternion | None = None
@@ -121,7 +121,7 @@ class PlacedRecord(ObstacleRecord):
 
 
 class Sphere(PlacedRecord):
-    """A ball."""
+    """A sphere."""
 
     shape: Literal["sphere"]
     radius: Length
@@ -133,7 +133,7 @@ class Sphere(PlacedRecord):
 
 
 class Box(PlacedRecord):
-    """A block."""
+    """A box."""
 
     shape: Literal["box"]
     size: tuple[Length, Length, Length]
@@ -179,7 +179,7 @@ class Capsule(ObstacleRecord):
     """[m]"""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
-        """The capsule; a sphere where both ends are one point."""
+        """The capsule; a sphere if both ends are the same point."""
         start, end = np.array(self.start), np.array(self.end)
         length = float(np.linalg.norm(end - start))
         middle = 0.5 * (start + end)
@@ -194,9 +194,9 @@ class HalfSpace(ObstacleRecord):
 
     shape: Literal["halfspace"]
     point: Vector3
-    """On the plane [m]."""
+    """A point on the plane [m]."""
     normal: tuple[AnyLength, AnyLength, AnyLength]
-    """Away from the solid; any length but 0."""
+    """Normal of the plane, away from the solid; any length but 0."""
 
     _unit = field_validator("normal")(direction)
 
@@ -212,7 +212,7 @@ class Mesh(PlacedRecord):
     file: str
     """STL, OBJ, PLY, ...; relative to the scene file."""
     scale: Positive | tuple[Positive, Positive, Positive] = 1.0
-    """Of the file's units to metres."""
+    """Scale from the file's units to metres."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Hulls that cover every triangle of the mesh."""
@@ -220,7 +220,7 @@ class Mesh(PlacedRecord):
         return [shapes.convex(points, self.placement) for points in cover.pieces]
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
-        """Hulls, or the triangles of a mesh that is fine, hollowed and stands still."""
+        """Hulls, or the triangles if the mesh is fine and hollowed and does not move."""
         if any(self.velocity):
             return self.pieces(folder)
         mesh = self._loaded(folder)
@@ -229,7 +229,7 @@ class Mesh(PlacedRecord):
         return Cluster(MeshSolid(mesh, most=_MOST_TRIANGLES), self.placement)
 
     def is_open(self, folder: Path) -> bool:
-        """Whether the mesh does not close, so that what lies between its triangles may be free.
+        """Whether the mesh is not closed, so that the space between its triangles may be free.
 
         Raises
         ------
@@ -252,14 +252,14 @@ class HeightMap(PlacedRecord):
     file: str
     """CSV of heights [m] without header; rows along y, columns along x, both ascending; or a GeoTIFF."""
     size: tuple[Length, Length]
-    """From the first to the last height along x and y [m], centred on `position`."""
+    """Distance from the first to the last height along x and y [m], centred on `position`."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Columns under the ground."""
         return self._columns(read_heights(folder / self.file, size=self.size))
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
-        """Columns, or the ground cell by cell where there are many and it stands still."""
+        """Columns, or the ground cell by cell if there are many cells and it does not move."""
         heights = read_heights(folder / self.file, size=self.size)
         if (heights.shape[0] - 1) * (heights.shape[1] - 1) <= _FEW_CELLS or any(self.velocity):
             return self._columns(heights)
@@ -273,20 +273,20 @@ class HeightMap(PlacedRecord):
 
 
 class PointCloud(PlacedRecord):
-    """Points from a scan; every voxel that holds one is solid."""
+    """Points from a scan; every voxel that contains one is solid."""
 
     shape: Literal["pointcloud"]
     file: str
-    """PLY, or CSV or XYZ with x, y, z in the columns that its header names, else in the first three."""
+    """PLY, or CSV or XYZ with x, y, z in the columns that its header names, otherwise in the first three."""
     resolution: Length
     """Edge of a voxel [m]."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
-        """Boxes that fill the voxels in which a point lies."""
+        """Boxes that fill the voxels that contain a point."""
         return self._boxes(read_points(folder / self.file))
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
-        """A few boxes, or the voxels of a scan that stands still."""
+        """A few boxes, or the voxels of a scan that does not move."""
         points = read_points(folder / self.file)
         return self._boxes(points) if any(self.velocity) else scan_body(points, self.resolution, self.placement)
 
@@ -300,17 +300,17 @@ def terrain_body(heights: Matrix, size: tuple[float, float], placement: pin.SE3)
 
     Raises
     ------
-    InputError: there are too many.
+    InputError: there are too many cells.
     """
     return Cluster(TerrainSolid(heights, size, depth=_TERRAIN_DEPTH, most=_MOST_CELLS), placement)
 
 
 def scan_body(points: Matrix, resolution: float, placement: pin.SE3) -> list[shapes.Piece] | Cluster:
-    """The voxels with an edge of `resolution` [m] in which `points` (n, 3) [m] lie: a few boxes, or a cluster.
+    """The voxels with an edge of `resolution` [m] that contain `points` (n, 3) [m]: a few boxes, or a cluster.
 
     Raises
     ------
-    InputError: there are too many.
+    InputError: there are too many voxels.
     """
     keys = voxel_keys(points, resolution)
     if len(keys) <= _FEW_BOXES**2:

@@ -19,7 +19,7 @@ from backhoe_planner.site.schema.tasks import Waypoint
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 _COLUMNS = (*_POSITION, "pitch", *_QUATERNION)
 _TIME = "time"
-# orientations as others name their columns, without case and signs between
+# other names for columns of orientations, in lower case, letters and digits only
 _OTHER_ORIENTATIONS = {
     "roll", "yaw", *(stem + axis for stem in ("q", "quat", "quaternion", "orientation", "rot", "r") for axis in "wxyz"),
 }  # fmt: skip
@@ -27,7 +27,7 @@ _OTHER_ORIENTATIONS = {
 
 @dataclass(frozen=True)
 class PathFile:
-    """What stands in a path file.
+    """The content of a path file.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class PathFile:
 
 
 def read_path_file(path: Path) -> PathFile:
-    """The waypoints of a CSV with a header. Columns that mean nothing here may hold anything.
+    """The waypoints of a CSV with a header. Columns that are not used may hold anything.
 
-    Where semicolons stand between the names of the header, a comma in a cell is a decimal point.
+    If the names in the header are separated by semicolons, a comma in a cell is a decimal point.
 
     Raises
     ------
@@ -94,12 +94,12 @@ def _waypoint(path: Path, line: str, header: Sequence[str], row: Sequence[str]) 
 
 
 def _plain(column: str) -> str:
-    """The name of a column in small letters, without signs."""
+    """The name of a column in lower case, letters and digits only."""
     return "".join(filter(str.isalnum, column.lower()))
 
 
 def _not_used(column: str, path: Path) -> str:
-    """That a column is not used, in words."""
+    """A warning that a column is not used."""
     if column == _TIME:
         return f"{path}: the column {column} is not used: the scene's speed and the machine's limits time the motion"
     near = nearest_name(column, _COLUMNS)

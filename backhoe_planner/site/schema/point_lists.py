@@ -1,4 +1,4 @@
-"""Points as text: x, y, z of one in a line."""
+"""Points as text: x, y, z of one point a line."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from backhoe_planner.site.schema.number_tables import (
 
 POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
 
-_MOST_COLUMNS = 32  # of a list of points: what scanners write beside x, y, z are colour, normal, time, ...; chosen
+_MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")
-# how a header names x, y and z
+# names of x, y and z in a header
 _NAMES = (
     ("x", "east", "easting", "x[m]", "x_m"),
     ("y", "north", "northing", "y[m]", "y_m"),
@@ -33,12 +33,12 @@ _NAMES = (
 
 
 def read_point_list(path: Path) -> Matrix:
-    """(n, 3) points [m] from a text with x, y, z in the columns that its header names, or else in the first.
+    """(n, 3) points [m] from a text with x, y, z in the columns that its header names, otherwise in the first three.
 
     Raises
     ------
-    InputError: missing, not text, a cell that is not a number, fewer than three in a line, a header that names some
-        of x, y, z alone, or a first column of point numbers without a header.
+    InputError: missing, not text, a cell that is not a number, fewer than three in a line, a header that names only
+        some of x, y, z, or a first column of point numbers without a header.
     """
     text = read_text(path, what="point cloud", formats=POINT_FORMATS)
     columns, lines, first = _begin(text.splitlines(), path)
@@ -70,7 +70,7 @@ def read_point_list(path: Path) -> Matrix:
 
 
 def _begin(lines: Sequence[str], path: Path) -> tuple[tuple[int, ...] | None, Sequence[str], int]:
-    """The columns of x, y, z that a header names, or None; the lines that follow; and how many stand before them."""
+    """The columns of x, y, z that a header names, or None; the lines that follow; and how many lines precede them."""
     columns, first = None, 0
     while first < len(lines):
         line = lines[first].strip()
@@ -83,7 +83,7 @@ def _begin(lines: Sequence[str], path: Path) -> tuple[tuple[int, ...] | None, Se
 
 
 def _named(words: str, path: Path, *, of: Iterable[str]) -> tuple[int, ...] | None:
-    """Which columns of the lines `of` are x, y and z by the words above them; None where these are no names of them."""
+    """Which columns of the lines `of` are x, y and z by the words above them; None if the words do not name them."""
     cells = [cell.strip().strip('"').lower() for cell in cells_of(words)]
     found = [[index for index, cell in enumerate(cells) if cell in names] for names in _NAMES]
     if [len(each) for each in found] == [1, 1, 1]:
@@ -98,7 +98,7 @@ def _named(words: str, path: Path, *, of: Iterable[str]) -> tuple[int, ...] | No
 
 
 def _line_by_line(lines: Sequence[str], first: int, columns: tuple[int, ...] | None, path: Path) -> Matrix:
-    """(rows, columns) numbers; of columns that are not asked for 0, whatever stands there."""
+    """(rows, columns) numbers; columns that are not needed are 0, whatever they contain."""
     asked = columns or (0, 1, 2)
     rows, wider = [], True
     for number, line in enumerate(lines, start=first + 1):
@@ -138,5 +138,5 @@ def _is_header(line: str) -> bool:
 
 
 def _is_count(lines: Sequence[str]) -> bool:
-    """Whether the first line says how many follow, as in PTS files."""
+    """Whether the first line is the number of lines that follow, as in PTS files."""
     return lines[0].strip().isdecimal() and int(lines[0]) == sum(bool(line.strip()) for line in lines[1:])

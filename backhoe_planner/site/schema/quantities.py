@@ -16,7 +16,7 @@ LARGEST = 1e5  # m, kg, s, ...: no site is larger, and products of a few such nu
 Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
-_SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too near to that
+_SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too close to that
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
 Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -37,7 +37,7 @@ def _one_turn(angle: float) -> float:
     return angle
 
 
-_SURELY_DEGREES = 5.0  # of an acute angle: nobody who thinks in radians writes that
+_SURELY_DEGREES = 5.0  # for an acute angle: nobody who thinks in radians writes that
 
 
 def _slope(angle: Any) -> Any:
@@ -52,13 +52,13 @@ Turn = Annotated[Finite, AfterValidator(_one_turn)]
 Slope = Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0, allow_inf_nan=False), BeforeValidator(_slope)]
 RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
 
-_ROUNDING = 1e-14  # a length this near 1 is 1, so that what was normalised once stays as it is
+_ROUNDING = 1e-14  # a length this near 1 is 1, so that a normalised quaternion stays as it is
 _UNIT_WITHIN = 1e-3  # a quaternion is given to three decimals or more; further off it is a mistake
-_NO_LENGTH = 1e-12  # of a normal, in any unit: shorter is 0 but for rounding
+_NO_LENGTH = 1e-12  # of a normal, in any unit: a shorter one is 0 but for rounding
 
 
 def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
-    """A quaternion [w, x, y, z] brought to length 1; ValueError where it is more than 1e-3 off."""
+    """A quaternion [w, x, y, z] normalised to length 1; ValueError if its length is more than 1e-3 off."""
     if quaternion is None:
         return None
     norm = math.hypot(*quaternion)
@@ -71,7 +71,7 @@ def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
 
 
 def rotation_matrix(rpy: RollPitchYaw | None, quaternion: Quaternion | None) -> Matrix | None:
-    """(3, 3) of `rpy`, roll, pitch and yaw [rad], or of a unit `quaternion` [w, x, y, z]; None where both are None."""
+    """(3, 3) from `rpy`, roll, pitch and yaw [rad], or a unit `quaternion` [w, x, y, z]; None if both are None."""
     if quaternion is not None:
         w, x, y, z = quaternion
         return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
@@ -81,7 +81,7 @@ def rotation_matrix(rpy: RollPitchYaw | None, quaternion: Quaternion | None) -> 
 
 
 def direction(vector: Vector3) -> Vector3:
-    """A vector of any length but 0, brought to length 1; ValueError where it is shorter than 1e-12."""
+    """A vector of any length but 0, normalised to length 1; ValueError if it is shorter than 1e-12."""
     norm = math.hypot(*vector)
     if norm < _NO_LENGTH:
         raise ValueError("a normal of length 0 has no direction")

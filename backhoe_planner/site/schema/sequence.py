@@ -1,4 +1,4 @@
-"""The task of a scene: a goal, a path, or a sequence of legs that are done one after the other."""
+"""The task of a scene: a goal, a path, or a sequence of legs done one after the other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, 
 ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
 
 _CARRIED = ("box", "capsule", "cylinder", "mesh", "sphere")
-_NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that say something of what stands
+_NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that only an obstacle on the site has
 
 
 def _some_goal(goal: Any) -> Any:
@@ -32,11 +32,11 @@ def _listed(goal: Goals | None) -> tuple[Goal | JointsGoal, ...]:
 
 
 def _kept(goals: tuple[Goal | JointsGoal, ...], beside: Keep | None) -> Keep | None:
-    """What is to be kept on the way to any of `goals`: given `beside` them, or in the only one.
+    """The conditions to keep on the way to any of `goals`, given `beside` them or in the only one.
 
     Raises
     ------
-    ValueError: it is given twice, or in one of several goals: which is reached is not known on the way.
+    ValueError: they are given twice, or in one of several goals: on the way it is not known which is reached.
     """
     for index, goal in enumerate(goals):
         if goal.keep is not None and len(goals) > 1:
@@ -52,32 +52,32 @@ def _check_max_duration(asked: float | None, goals: tuple[Goal | JointsGoal, ...
 
 
 class Leg(Record):
-    """One part of a sequence: exactly one of goal, path, wait. It begins where the one before has ended."""
+    """One part of a sequence: exactly one of goal, path, wait. It begins where the previous leg ends."""
 
     name: Name
     """Unique within the sequence; appears in reports and on the page."""
     goal: Goals | None = None
     """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
     path: PathTask | None = None
-    """A path that the tip is to follow; the way to its beginning is part of the leg."""
+    """A path that the tip follows; the motion to its beginning is part of the leg."""
     wait: Positive | None = None
-    """How long the machine stands [s]."""
+    """How long the machine stands still [s]."""
     keep: Keep | None = None
-    """What holds along the whole leg."""
+    """Conditions that hold along the whole leg."""
     payload: NonNegative | None = None
     """Mass in the bucket during the leg [kg]; the scene's by default."""
     payload_at: Vector3 | None = None
-    """Centre of that mass from the tip, in the tip's axes [m]; where the scene has it by default."""
+    """Centre of that mass from the tip, in the tip's axes [m]; the scene's by default."""
     soil: Soil | None = None
-    """What the bucket digs in during the leg; the scene's by default."""
+    """The soil that the bucket digs in during the leg; the scene's by default."""
     objective: ObjectiveName | None = None
-    """What the leg is to make small; the scene's by default, else the time to a goal and the work along a path."""
+    """What the leg minimises; the scene's by default, or else the time to a goal and the work along a path."""
     speed: Positive | None = None
-    """Greatest speed of the tip [m/s]: along a path as its own `speed`, and on the whole way to a goal."""
+    """Greatest speed of the tip [m/s]: along a path like its own `speed`, and on the whole motion to a goal."""
     max_duration: Positive | None = None
-    """How long the motion to a goal may take [s]."""
+    """Longest time that the motion to a goal may take [s]."""
     carries: ObstacleSpec | None = None
-    """What hangs from the tip or lies in the bucket, in the tip's frame: part of the machine's shape in this leg."""
+    """A load hanging from the tip or in the bucket, in the tip's frame: part of the machine's shape in this leg."""
 
     _one = exactly_one("goal", "path", "wait")
     _check_goal = field_validator("goal")(_some_goal)
@@ -108,24 +108,24 @@ class Leg(Record):
 
     @property
     def goals(self) -> tuple[Goal | JointsGoal, ...]:
-        """Every goal, of which any will do; none along a path and where it waits."""
+        """All goals, of which any is enough; none for a path or a wait."""
         return _listed(self.goal)
 
     @property
     def kept(self) -> Keep | None:
-        """What holds along the whole leg, given beside the goal or in it."""
+        """The conditions along the whole leg, given beside the goal or in it."""
         return _kept(self.goals, self.keep)
 
     @property
     def followed_path(self) -> PathTask | None:
-        """The path with the leg's speed, where it has one."""
+        """The path, with the leg's speed if it has one."""
         if self.path is None or self.speed is None:
             return self.path
         return self.path.model_copy(update={"speed": self.speed})
 
 
 class Task(Record):
-    """What is to be done: exactly one of goal, path, sequence."""
+    """The task: exactly one of goal, path, sequence."""
 
     goal: Goals | None = None
     """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
@@ -133,9 +133,9 @@ class Task(Record):
     sequence: Annotated[tuple[Leg, ...], Field(min_length=1)] | None = None
     """Legs, done one after the other."""
     keep: Keep | None = None
-    """What holds along the whole way to a goal, or to a path and along it."""
+    """Conditions that hold along the whole motion to a goal, or to a path and along it."""
     max_duration: Positive | None = None
-    """How long the motion to a goal may take [s]."""
+    """Longest time that the motion to a goal may take [s]."""
 
     _one = exactly_one("goal", "path", "sequence")
     _check_goal = field_validator("goal")(_some_goal)
@@ -160,15 +160,15 @@ class Task(Record):
 
     @property
     def goals(self) -> tuple[Goal | JointsGoal, ...]:
-        """Every goal, of which any will do; none where a path or a sequence is given."""
+        """All goals, of which any is enough; none if a path or a sequence is given."""
         return _listed(self.goal)
 
     @property
     def kept(self) -> Keep | None:
-        """What holds along the whole way, given beside the goal or in it."""
+        """The conditions along the whole motion, given beside the goal or in it."""
         return _kept(self.goals, self.keep)
 
     @property
     def leg_names(self) -> tuple[str, ...]:
-        """Of the sequence; none where a goal or a path is given."""
+        """Names of the legs of the sequence; none if a goal or a path is given."""
         return tuple(leg.name for leg in self.sequence or ())

@@ -23,9 +23,9 @@ from backhoe_planner.site.schema.number_tables import (
 from backhoe_planner.site.schema.point_lists import read_point_list
 from backhoe_planner.site.schema.quantities import LARGEST
 
-_FEWEST = 2  # heights along x and along y, between which there is ground
-_FEWEST_POINTS = 9  # in a list of those at the nodes of a grid, 3 each way; chosen
-_MOST_HOLES = 1.5  # nodes of its grid for each of them at most; chosen
+_FEWEST = 2  # heights along x and along y, so that there is ground between them
+_FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen
+_MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
 _MOST_COLUMNS = 32  # of a list of points at the nodes of a grid; chosen
 
@@ -35,8 +35,8 @@ def read_heights(path: Path, *, size: tuple[float, float] | None = None) -> Matr
 
     Parameters
     ----------
-    size: from the first to the last height along x and y [m], where somebody said so; a GeoTIFF that places its
-        heights is held against it, to a cell, since some count whole cells.
+    size: from the first to the last height along x and y [m], if known; a GeoTIFF that places its
+        heights is checked against it, to within a cell, since some sizes count whole cells.
 
     Raises
     ------
@@ -55,15 +55,15 @@ def read_heights(path: Path, *, size: tuple[float, float] | None = None) -> Matr
 
 
 def read_height_grid(path: Path, *, fewest: int = _FEWEST) -> HeightTable:
-    """The same, with where they lie if the file says so, and NaN where a height is missing.
+    """The heights as in `read_heights`, with their location if the file has one, and NaN where one is missing.
 
     Parameters
     ----------
-    fewest: rows and columns.
+    fewest: the least number of rows and of columns.
 
     Raises
     ------
-    InputError: as of `read_heights`, but not for a height that is missing.
+    InputError: as `read_heights`, but not for a missing height.
     """
     return _read_heights(path, holes=True, fewest=fewest)
 
@@ -92,7 +92,7 @@ def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
     if heights is not None and min(heights.shape) >= _FEWEST:
         return heights
     rows = [cells_of(line) for line in text.splitlines() if line.strip() and not line.startswith(COMMENTS)]
-    # a comma at the end of every line ends the last cell; one at the end of some lines has a hole behind it
+    # a comma at the end of every line ends the last cell; at the end of only some lines, it precedes a hole
     ended = not any(row[-1].strip() for row in rows)
     values = [
         [
@@ -110,7 +110,7 @@ def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
 def _is_list_of_points(table: Matrix) -> bool:
     """Whether a narrow table is x, y, z, ... at the nodes of a grid, numbered or not.
 
-    There nearly every x stands beside every y, once.
+    In such a table nearly every x is paired with every y once.
     """
     if table.shape[1] > 3 and counts_rows(table[:, 0]):
         return _is_list_of_points(table[:, 1:])
@@ -151,7 +151,7 @@ def read_points(path: Path) -> Matrix:
             loaded = trimesh.load(path, process=False)
         except InputError:
             raise
-        except Exception as error:  # trimesh raises whatever its format readers run into
+        except Exception as error:  # trimesh passes on any exception of its format readers
             raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
         points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)
     else:
@@ -163,7 +163,7 @@ def read_points(path: Path) -> Matrix:
 
 
 def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *, holes: bool = False) -> None:
-    """InputError that names the first of `values` (rows, columns) that is no number of metres on a site."""
+    """Raise an InputError that names the first of `values` (rows, columns) that is no number of metres on a site."""
     wrong = ~(np.abs(values) <= LARGEST)
     if holes:
         wrong &= ~np.isnan(values)

@@ -1,4 +1,4 @@
-"""The parts of which the scene file says what is to be done: start, goals, path, what is kept."""
+"""The parts of a task in the scene file: start, goals, path, conditions to keep."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from backhoe_planner.site.schema.quantities import (
     unit_quaternion,
 )
 
-_UPRIGHT = 1e-12  # of a cosine: a frame whose z axis leans less stands upright
+_UPRIGHT = 1e-12  # of a cosine: a frame whose z axis leans less counts as upright
 SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
 
 
 class Pose(Record):
-    """A pose of the tip, as much of it as is specified."""
+    """A pose of the tip, which may be specified in part."""
 
     position: Vector3
     """x, y, z of the tip [m], world."""
     pitch: Finite | PitchRange | None = None
-    """Angle of the line bucket pin to tip above the horizontal [rad]: a number, or [low, high]."""
+    """Angle of the line from bucket pin to tip above the horizontal [rad]: a number, or [low, high]."""
     rpy: RollPitchYaw | None = None
     """Full orientation as roll, pitch, yaw about the fixed x, y, z axes [rad]."""
     quaternion: Quaternion | None = None
@@ -57,14 +57,14 @@ class Pose(Record):
 
     @property
     def pitch_range(self) -> tuple[float, float] | None:
-        """(low, high) [rad], equal for a single angle; None where free."""
+        """(low, high) [rad], equal for a single angle; None if free."""
         if self.pitch is None:
             return None
         return self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
 
     @property
     def rotation(self) -> Matrix | None:
-        """(3, 3) R_world_tip, or None where free."""
+        """(3, 3) R_world_tip, or None if free."""
         return rotation_matrix(self.rpy, self.quaternion)
 
     @property
@@ -74,7 +74,7 @@ class Pose(Record):
 
 
 class KeepRotation(Record):
-    """An orientation of the tip that is kept, within a cone."""
+    """An orientation of the tip that is kept within a cone."""
 
     rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed x, y, z axes [rad]."""
@@ -95,16 +95,16 @@ class KeepRotation(Record):
 
 
 class Keep(Record):
-    """What holds along the whole motion, so that a full bucket does not spill."""
+    """Conditions that hold along the whole motion, so that a full bucket does not spill."""
 
     pitch: PitchRange | None = None
-    """[low, high] of the angle of the line bucket pin to tip above the horizontal [rad]."""
+    """[low, high] of the angle of the line from bucket pin to tip above the horizontal [rad]."""
     above: Finite | None = None
     """Least height z of the tip [m], world."""
     below: Finite | None = None
     """Greatest height z of the tip [m], world."""
     rotation: KeepRotation | None = None
-    """Of the tip."""
+    """Orientation of the tip."""
 
     @model_validator(mode="after")
     def _something(self) -> Keep:
@@ -124,14 +124,14 @@ class Keep(Record):
 
 
 class Goal(Pose):
-    """Where the tip is to arrive."""
+    """The pose at which the tip arrives."""
 
     rotation_tolerance: Angle | None = None
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
     tolerance: Length | None = None
     """How far the tip may be off the position [m]; 0.001 by default. More lets a sequence go on without a stop."""
     keep: Keep | None = None
-    """What holds along the whole way there; the same as `keep` beside the goal, where a list of goals has it."""
+    """Conditions along the whole motion there; the same as `keep` beside the goal, which is its place for a list."""
 
     @model_validator(mode="after")
     def _something_to_be_off(self) -> Goal:
@@ -141,10 +141,10 @@ class Goal(Pose):
 
 
 class JointsGoal(Record):
-    """Where the joints are to arrive."""
+    """The posture at which the joints arrive."""
 
     joints: dict[str, Finite]
-    """Position of every joint by name [rad or m]; a joint that turns without limit turns to that very angle."""
+    """Position of every joint by name [rad or m]; a joint that turns without limit turns to exactly that angle."""
     keep: Keep | None = None
     """As for a goal of the tip."""
 
@@ -173,7 +173,7 @@ class Waypoint(Pose):
 
 
 class Start(Record):
-    """Where the machine stands at time 0: by its joints, or by its tip."""
+    """The machine's posture at time 0, given by its joints or by its tip."""
 
     joints: dict[str, Finite] | None = None
     """Position of every joint by name [rad or m]."""
@@ -184,7 +184,7 @@ class Start(Record):
 
 
 class Origin(Record):
-    """Where the frame stands in which a path is given: turned by `rpy`, then moved by `position`."""
+    """The frame in which a path is given: turned by `rpy`, then moved by `position`."""
 
     position: Vector3 = (0.0, 0.0, 0.0)
     """x, y, z of its origin [m], world."""
@@ -199,11 +199,11 @@ class Origin(Record):
 
     @property
     def is_upright(self) -> bool:
-        """Whether it turns about z alone."""
+        """Whether the frame is turned about z alone."""
         return bool(pin.rpy.rpyToMatrix(*self.rpy)[2, 2] > 1.0 - _UPRIGHT)
 
     def moved(self, waypoint: Waypoint) -> Waypoint:
-        """The waypoint, given in this frame, in the world."""
+        """A waypoint given in this frame, in the world."""
         turn = pin.rpy.rpyToMatrix(*self.rpy)
         content: dict[str, Any] = {"position": (turn @ waypoint.position + self.position).tolist()}
         if waypoint.pitch is not None:
@@ -215,26 +215,26 @@ class Origin(Record):
 
 
 class PathTask(Record):
-    """A path that the tip is to follow, straight from waypoint to waypoint."""
+    """A path that the tip follows, straight from waypoint to waypoint."""
 
     waypoints: tuple[Waypoint, ...] | None = None
     """At least two."""
     file: str | None = None
-    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz; others are passed over. Relative to the scene file."""
+    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz; other columns are ignored. Relative to the scene file."""
     origin: Origin | None = None
-    """Where the frame stands in which the waypoints are given; the world's by default."""
+    """The frame in which the waypoints are given; the world's by default."""
     speed: Positive | None = None
-    """Of the tip [m/s]; left out: as fast as the limits allow."""
+    """Speed of the tip [m/s]; by default as fast as the limits allow."""
     tolerance: Length = 0.005
     """How far the tip may be off the path where nothing is in the way [m]."""
     rotation_tolerance: Angle = 0.01
-    """How far the bucket may be turned from the angles that the waypoints ask for [rad]."""
+    """How far the bucket may be turned from the waypoints' angles [rad]."""
     detour: bool = True
     """May the tip leave the path to get around an obstacle?"""
     turn_on_the_spot: bool = True
-    """May the joints go to another posture while the tip stands, where the path itself asks for no turn there?"""
+    """May the joints go to another posture while the tip stands still, where the path itself has no turn there?"""
     max_joint_step: Positive | dict[str, Positive] | None = None
-    """How far a joint may move from waypoint to waypoint [rad or m], one number or by joint name; by default freely."""
+    """How far a joint may move from waypoint to waypoint [rad or m], one number or by joint name; default: no limit."""
 
     _one = exactly_one("waypoints", "file")
 

@@ -1,4 +1,4 @@
-"""The part of the scene file that says where the machine must not be: zones by their kind."""
+"""The part of the scene file for zones that the machine must not enter, by their kind."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from backhoe_planner.site.schema.quantities import (
     direction,
 )
 
-_ONE_POINT = 1e-6  # m: two points of a wall nearer to each other give it no direction; chosen
-_THROUGH = 1e-3  # m: a wall nearer to the machine's root runs through it; chosen
+_ONE_POINT = 1e-6  # m: two points of a wall that are closer give it no direction; chosen
+_THROUGH = 1e-3  # m: a wall closer to the machine's root counts as going through it; chosen
 
 
 class _Zone(Record):
     name: Name
     """Unique among zones and obstacles; appears in reports and in the viewer."""
     stop: NonNegative = 0.0
-    """Distance that is never undercut: the zone's clearance [m], for a swing sector [rad]."""
+    """Least distance allowed, which is the zone's clearance [m], for a swing sector [rad]."""
     slow: NonNegative | None = None
-    """Distance from which on the servo goes slower; `stop` by default [m], for a swing sector [rad]."""
+    """Distance below which the servo goes slower; `stop` by default [m], for a swing sector [rad]."""
     warn: NonNegative | None = None
-    """Distance from which on it is reported; `slow` by default [m], for a swing sector [rad]."""
+    """Distance below which the zone is reported; `slow` by default [m], for a swing sector [rad]."""
 
     @model_validator(mode="after")
     def _outward(self) -> _Zone:
@@ -46,18 +46,18 @@ class _Zone(Record):
 
     @property
     def slow_distance(self) -> float:
-        """`slow`, or what it is by default."""
+        """`slow`, or its default."""
         return self.stop if self.slow is None else self.slow
 
     @property
     def warn_distance(self) -> float:
-        """`warn`, or what it is by default."""
+        """`warn`, or its default."""
         return self.slow_distance if self.warn is None else self.warn
 
 
 class _SolidZone(_Zone):
     links: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """The only links for which it holds; all of them by default."""
+    """The only links to which it applies; all of them by default."""
 
     @abstractmethod
     def solid(self, stand: tuple[float, float]) -> HalfSpace | Box:
@@ -69,7 +69,7 @@ class _SolidZone(_Zone):
 
         Raises
         ------
-        ValueError: the zone has no side on which the machine stands.
+        ValueError: the zone is a wall on neither side of which the machine stands.
         """
 
     def _beyond(self, point: Vector3, normal: Vector3) -> HalfSpace:
@@ -79,37 +79,37 @@ class _SolidZone(_Zone):
 
 
 class Ceiling(_SolidZone):
-    """Nothing of the machine above a height."""
+    """No part of the machine may be above a height."""
 
     kind: Literal["ceiling"]
     height: Finite
     """z [m]."""
 
     def solid(self, stand: tuple[float, float]) -> HalfSpace:
-        """All that lies above the height."""
+        """The space above the height."""
         return self._beyond((0.0, 0.0, self.height), (0.0, 0.0, -1.0))
 
 
 class Floor(_SolidZone):
-    """Nothing of the machine below a height."""
+    """No part of the machine may be below a height."""
 
     kind: Literal["floor"]
     height: Finite
     """z [m]."""
 
     def solid(self, stand: tuple[float, float]) -> HalfSpace:
-        """All that lies below the height."""
+        """The space below the height."""
         return self._beyond((0.0, 0.0, self.height), (0.0, 0.0, 1.0))
 
 
 class Wall(_SolidZone):
-    """Nothing of the machine beyond a plane: `point` and `normal`, or upright through `from` and `to`."""
+    """No part of the machine may be beyond a plane: `point` and `normal`, or upright through `from` and `to`."""
 
     kind: Literal["wall"]
     point: Vector3 | None = None
-    """On the wall [m]."""
+    """A point on the wall [m]."""
     normal: tuple[AnyLength, AnyLength, AnyLength] | None = None
-    """Towards the machine's side; any length but 0."""
+    """Normal of the wall, towards the machine's side; any length but 0."""
     start: tuple[Finite, Finite] | None = Field(default=None, alias="from")
     """x, y of a point on an upright wall [m]; the machine's side is that of its root link."""
     end: tuple[Finite, Finite] | None = Field(default=None, alias="to")
@@ -140,7 +140,7 @@ class Wall(_SolidZone):
         return self
 
     def plane(self, stand: tuple[float, float]) -> tuple[Vector3, Vector3]:
-        """A point on it [m], and its unit normal towards the machine's side; see `solid`."""
+        """A point on the wall [m], and its unit normal towards the machine's side; see `solid`."""
         if self.point is not None and self.normal is not None:
             return self.point, direction(self.normal)
         assert self.start is not None
@@ -158,12 +158,12 @@ class Wall(_SolidZone):
         return (ax, ay, 0.0), (sense * x, sense * y, 0.0)
 
     def solid(self, stand: tuple[float, float]) -> HalfSpace:
-        """All that lies beyond the plane."""
+        """The space beyond the plane."""
         return self._beyond(*self.plane(stand))
 
 
 class SwingSector(_Zone):
-    """The swing, which is the first joint, only within two angles."""
+    """The swing, which is the first joint, must stay between two angles."""
 
     kind: Literal["swing_sector"]
     start: Finite = Field(alias="from")
@@ -183,18 +183,18 @@ class SwingSector(_Zone):
 
 
 class Cab(_SolidZone):
-    """A block around the operator's cab that nothing of the machine may enter."""
+    """A box around the operator's cab that no part of the machine may enter."""
 
     kind: Literal["cab"]
     size: tuple[Length, Length, Length]
     """Edge lengths along x, y, z [m]."""
     position: Vector3
-    """Of the centre [m]."""
+    """Position of the centre [m]."""
     rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed axes [rad]."""
 
     def solid(self, stand: tuple[float, float]) -> Box:
-        """The block."""
+        """The box."""
         return Box(
             name=self.name, shape="box", size=self.size, position=self.position, rpy=self.rpy,
             clearance=self.stop, links=self.links,
