@@ -1,1 +1,1 @@
-"""Bounds on the distances of many pairs, from which it is known which of them have to be measured."""
+"""Bounds on the distances of many pairs, which show which of the pairs have to be measured."""

@@ -1,14 +1,14 @@
-"""How fast pairs can come nearer to each other, before they are measured.
+"""Bounds on how fast pairs can approach each other, before they are measured.
 
-A link's piece lies within a ball about c with radius R, an obstacle's within one about c_o with radius
-r_o. Where they are apart, their distance falls at the rate n . (x' - w), with the normal n from the
+A link's piece is within a ball about c with radius R, an obstacle's within one about c_o with radius
+r_o. While they are apart, their distance falls at the rate n . (x' - w), with the normal n from the
 critical point x of the link to its witness on the obstacle, and w the obstacle's own velocity. With
 c' and the angular velocity omega of the link,
 
     n . (x' - w) <= n . (c' - w) + |omega| R
 
-and n is within asin((R + r_o) / |c_o - c|) of the line from c to c_o: the largest of the first term
-over that cone is known. A link that passes by an obstacle, or leaves it, does not approach it.
+and n is within asin((R + r_o) / |c_o - c|) of the line from c to c_o, so the largest value of the first
+term over that cone is known. A link that passes by an obstacle, or leaves it, does not approach it.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from backhoe_planner.machine import LinkPiece, joint_poses
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import compiled
 
-_NO_LENGTH = 1e-9  # m: where centres coincide there is no direction
+_NO_LENGTH = 1e-9  # m: centres closer than this have no direction between them
 _NEXT, _LAST, _ONES = np.array([1, 2, 0]), np.array([2, 0, 1]), np.ones(3)
 
 
 class ApproachBounds:
-    """Bounds of how fast pieces of a machine come nearer to convex pieces around it, and to each other.
+    """Bounds on how fast pieces of a machine approach convex pieces around it, and each other.
 
-    Of two pieces of the machine it is the motion of the one as seen from the other: what both share
+    For two pieces of the machine, the motion of one relative to the other counts: motion that both share
     does not change their distance.
 
     Parameters
     ----------
     links: the machine's pieces.
-    bodies: the pieces around, where they stand at first. They are numbered after the machine's.
+    bodies: the pieces around, at their first positions. They are numbered after the machine's.
     """
 
     def __init__(self, links: Sequence[LinkPiece], bodies: Sequence[shapes.Piece]) -> None:
         own = [_ball(link.piece) for link in links]
         balls = own + [_ball(body) for body in bodies]
         self._size = np.array([size for _, size in balls])
-        # vectors stand in columns here: numpy is several times quicker along rows that lie in memory as such
+        # vectors are columns here: numpy is several times faster along rows that are contiguous in memory
         self._centre = np.ascontiguousarray(np.reshape([centre for centre, _ in balls], (-1, 3)).T)
         self._joint = np.array([*(link.joint for link in links), *(0 for _ in bodies)], dtype=np.intp)
         self._own = np.array([(*centre, 1.0) for centre, _ in own]).reshape(-1, 4)
@@ -56,10 +56,10 @@ class ApproachBounds:
 
         Parameters
         ----------
-        data: always the same.
+        data: the same at every call.
         J: (6, n) Pinocchio's joint Jacobians there.
         v: (n,) joint velocities [rad/s or m/s].
-        piece, body: (K,) numbers of the links' pieces that come near, and of what they come near to.
+        piece, body: (K,) numbers of the links' pieces that approach, and of the pieces that they approach.
         shift: (K, 3) how far the bodies have moved [m], world; velocity: (K, 3) of the bodies [m/s].
         """
         if self._poses is None:
@@ -79,14 +79,14 @@ def approach_rates(
     Parameters
     ----------
     poses: (n + 1, 3, 4) of the joints; the first is the world's.
-    own: (L, 4) centres of the balls around the machine's pieces, in their bodies' frames, with a 1 behind each [m].
-    centre: (3, B) of all balls, the machine's first, whose columns are written anew here [m], world.
+    own: (L, 4) homogeneous centres of the balls around the machine's pieces, in their bodies' frames [m].
+    centre: (3, B) centres of all balls, the machine's first, whose columns are overwritten here [m], world.
     size, joint: (B,) radii of the balls [m], and the joints that they move with.
     J, v, piece, body, shift, velocity: see `ApproachBounds.at`.
     """
     placed = np.matmul(poses.take(joint[: len(own)], axis=0), own[:, :, None])
     centre[:, : len(own)] = placed[..., 0].T
-    motion = np.zeros((6, len(v) + 1))  # of each joint's body: velocity at the world's origin, angular velocity
+    motion = np.zeros((6, len(v) + 1))  # for each joint's body: velocity at the world's origin, angular velocity
     np.cumsum(J * v, axis=1, out=motion[:, 1:])
     here, radius = centre.take(piece, axis=1), size.take(piece)
     seen = motion.take(joint.take(piece), axis=1)
@@ -111,7 +111,7 @@ def approach_rates(
 
 
 def _ball(piece: shapes.Piece) -> tuple[Vector, float]:
-    """Centre (3,) and radius [m] of a ball around a piece, in its body's frame; without bound for a half-space."""
+    """Centre (3,) and radius [m] of a ball around a piece, in its body's frame; infinite for a half-space."""
     if not len(piece.hull):
         return np.zeros(3), np.inf
     centre = 0.5 * (piece.hull.min(axis=0) + piece.hull.max(axis=0))

@@ -1,8 +1,8 @@
-"""Lower bounds of the distances of pairs, in many configurations at once, without asking coal.
+"""Lower bounds of the distances of pairs, in many configurations at once, without calling coal.
 
-Every piece of a link lies within a few balls. What stands around lies within a box in its own axes,
-made rounder by its radius; the distance of a ball from that is exact, and of a link's piece it is at
-least the least over its balls. Of a half-space it is that of the balls from its face, of two pieces of the machine the
+Every piece of a link is within a few balls. Every piece around is within a box in its own axes, rounded by its
+radius; the distance of a ball from that is exact, and the distance of a link's piece is at least the least over its
+balls. For a half-space it is the distance of the balls from its face, for two pieces of the machine the
 least between their balls. Where balls may touch, nothing is known.
 """
 
@@ -21,8 +21,8 @@ from backhoe_planner.site.pairs.certainly_clear import box_of, covered_links
 from backhoe_planner.site.pairs.link_balls import LinkBalls
 
 _MOST_BALLS = 4  # for one piece; chosen among 2 to 24: more leave fewer pairs to be measured, and take longer
-_ROUNDING = 1e-9  # m: chosen far above what sums of a few products are off, and far below any clearance
-TOGETHER = 64  # configurations; chosen: their bounds take a few MB where there are thousands of pairs
+_ROUNDING = 1e-9  # m: chosen far above the rounding of sums of a few products, and far below any clearance
+TOGETHER = 64  # configurations; chosen: their bounds take a few MB if there are thousands of pairs
 
 
 class BallBounds:
@@ -33,7 +33,7 @@ class BallBounds:
     own: how many pieces of the machine count: the first of `self_pieces`.
     bodies: the convex pieces around, numbered after these.
     first, second: (P,) the numbers of the pieces of each pair.
-    asked: (P,) of which pairs anything is to be known.
+    asked: (P,) which pairs get bounds.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class BallBounds:
         *, first: Indices, second: Indices, asked: Flags,
     ) -> None:  # fmt: skip
         links, shift = covered_links(robot), np.zeros(3)
-        if find_compiled() is None:  # the plain version takes as long for the machine's own pairs as that saves
+        if find_compiled() is None:  # for the machine's own pairs the plain version takes as long as it saves
             asked = asked & (second >= own)
         self._columns, self._count = np.flatnonzero(asked), len(asked)
         second = second[self._columns].astype(np.intp)
@@ -53,7 +53,7 @@ class BallBounds:
         )  # fmt: skip
 
     def of(self, q: Matrix) -> Iterator[Vector]:
-        """(P,) lower bounds [m] for each of `q` (N, n), or minus infinity; obstacles stand where they did at first."""
+        """(P,) lower bounds [m] for each of `q` (N, n), or minus infinity; obstacles are at their first positions."""
         for start in range(0, len(q), TOGETHER):
             yield from self._of(q[start : start + TOGETHER])
 
@@ -70,7 +70,7 @@ class BallBounds:
 
 @lru_cache(maxsize=8)
 def balls_of(robot: Robot) -> tuple[BatchKinematics, LinkBalls]:
-    """What bounds of a machine's distances begin with, whatever stands around it; neither keeps a state."""
+    """The kinematics and the balls for bounds of a machine's distances, for any surroundings; both are stateless."""
     return BatchKinematics(robot), LinkBalls(self_pieces(robot), most=[_MOST_BALLS])
 
 
@@ -79,15 +79,15 @@ def ball_bounds(
     q: Matrix, factors: Matrix, slides: Vector, joint: Indices, starts: Indices, fine: Matrix, boxes: Matrix,
     radius: Vector, first: Indices, second: Indices, /,
 ) -> Matrix:  # fmt: skip
-    """(N, M) the least distances [m] of the balls around pieces `first` (M,) from what is around `second` (M,).
+    """(N, M) the least distances [m] of the balls around pieces `first` (M,) from the box or balls of `second` (M,).
 
     Parameters
     ----------
     q: (N, n) joint positions [rad or m]; factors, slides: see `chain_placements`.
     joint: (K,) that carries each of the machine's pieces; 0 for the base.
     starts, fine: (K + 1,), (S, 4) where the balls of each begin, and their centres and radii in the joint's frame [m].
-    boxes, radius: (B, 15), (B,) around bodies, see `first_not_apart`, and how much rounder they are than these [m].
-    second: one of the K pieces, or of the bodies, which are numbered after these.
+    boxes, radius: (B, 15), (B,) boxes around bodies, see `first_not_apart`, and the radii that round them [m].
+    second: numbers of the K pieces, or of the bodies, which are numbered after these.
     """
     balls = _placed_balls(q, factors, slides, joint, starts, fine)
     found = np.zeros((len(q), len(first)))
@@ -125,7 +125,7 @@ def _placed_balls(
 
 
 def _off_body(points: Array, box: Vector, radius: float) -> Matrix:
-    """(N, S) distances of points (3, N, S) from a body's box made rounder, or from a half-space's face [m], world."""
+    """(N, S) distances of points (3, N, S) from a body's rounded box, or from a half-space's face [m], world."""
     axes, middle, half = box[:9].reshape(3, 3), box[9:12, None, None], box[12:, None, None]
     along = np.tensordot(axes, points, axes=1) - middle
     if half[0] < 0.0:

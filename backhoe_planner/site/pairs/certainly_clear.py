@@ -1,10 +1,10 @@
-"""Which configurations keep every distance, found in one compiled call, so that coal is hardly ever asked.
+"""Which configurations keep every distance, found in one compiled call, so that coal is hardly ever needed.
 
-Every piece of a link lies within one ball, and within a few smaller ones; what stands around lies within a box in
-its own axes, or behind a face. Where no ball reaches as far as the distance that is asked for, the pair keeps it. Where
-one does, the iterations of Gilbert, Johnson and Keerthi go on until a plane between both pieces proves it, or a point
-of each that it is not so. Their first guess of the plane is across where the nearest ball is, and for two pieces of the
-machine the plane that was found last, as these mostly turn little against each other.
+Every piece of a link is within one ball, and within a few smaller ones; every piece around is within a box in its own
+axes, or behind a face. If no ball comes within the required distance, the pair keeps it. If one does, the iterations
+of Gilbert, Johnson and Keerthi (GJK) continue until a plane between the two pieces proves that the pair keeps the
+distance, or a point of each piece proves that it does not. The first guess is the plane across the direction of the
+nearest ball, and for two pieces of the machine the last plane found, as these mostly turn little against each other.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import compiled
 
 _MOST_BALLS = 4  # for one piece; chosen, with 16 of them no fewer configurations are in doubt
-_ROUNDING = 1e-9  # m: chosen far above what sums of a few products are off, and far below any clearance
+_ROUNDING = 1e-9  # m: chosen far above the rounding of sums of a few products, and far below any clearance
 _HALF_SPACE = -1.0  # in place of the half edges of a box
 
 
 class CoveredLinks(NamedTuple):
-    """The pieces of a machine, as `first_not_apart` takes them, and of each its corners and radius."""
+    """The pieces of a machine, as arguments of `first_not_apart`, and the corners and radius of each."""
 
     factors: Matrix
     slides: Vector
@@ -40,7 +40,7 @@ class CoveredLinks(NamedTuple):
 
 @lru_cache(maxsize=8)
 def covered_links(robot: Robot) -> CoveredLinks:
-    """The pieces of `self_pieces` with their balls; worked out once for a machine."""
+    """The pieces of `self_pieces` with their balls; computed once for a machine."""
     pieces = [own.piece for own in self_pieces(robot)]
     balls = [[covering_balls(piece, most=most) for piece in pieces] for most in (1, _MOST_BALLS)]
     coarse, fine = ([np.column_stack((x, np.full(len(x), radius))) for x, radius in level] for level in balls)
@@ -58,13 +58,13 @@ def _starts(parts: Sequence[Matrix]) -> Indices:
 
 
 class CertainlyClear:
-    """Says of configurations that pairs of convex pieces certainly are so far apart, or are not.
+    """Decides in which configurations pairs of convex pieces certainly keep their distances, or certainly do not.
 
     Parameters
     ----------
-    bodies: what stands around, each moved by its own row of `shifts` (B, 3) [m].
+    bodies: the pieces around, each moved by its own row of `shifts` (B, 3) [m].
     first, second: (P,) the numbers of the pieces of each pair among `self_pieces`; bodies are numbered after these.
-    least: (P,) the distance that each is to keep [m].
+    least: (P,) the distance that each must keep [m].
     """
 
     def __init__(
@@ -77,19 +77,19 @@ class CertainlyClear:
     def first_not_apart(self, q: Matrix) -> tuple[int, bool]:
         """The first of the configurations `q` (N, n) that is not known to keep all, and whether it certainly does not.
 
-        N where there is none.
+        N if there is none.
         """
         return first_not_apart(q, *self._arguments)
 
     def pairs_not_apart(self, q: Vector) -> Indices:
-        """Which of the pairs are not known to be so far apart in one configuration (n,), ascending."""
+        """The pairs that are not known to keep their distances in one configuration (n,), ascending."""
         return pairs_not_apart(q[None], *self._arguments)
 
 
 def pieces_of_pairs(
     robot: Robot, bodies: Sequence[shapes.Piece], shifts: Matrix, first: Indices, second: Indices
 ) -> tuple[Any, ...]:
-    """What `first_not_apart` takes of the machine, of `bodies` moved by `shifts` (B, 3) [m], and of pairs of these."""
+    """Arguments of `first_not_apart` for the machine, `bodies` moved by `shifts` (B, 3) [m], and pairs of these."""
     links = covered_links(robot)
     corners = links.corners + [piece.hull + shift for piece, shift in zip(bodies, shifts, strict=True)]
     return (
@@ -117,24 +117,24 @@ def first_not_apart(
     corner_starts: Indices, corners: Matrix, radius: Vector, boxes: Matrix, first: Indices, second: Indices,
     least: Vector, normals: Matrix, /,
 ) -> tuple[int, bool]:  # fmt: skip
-    """The first of `q` (N, n) in which a pair is not known to be as far apart as it is to be; N where there is none.
+    """The first of `q` (N, n) in which a pair is not known to keep its distance; N if there is none.
 
-    And whether one of its pairs certainly is nearer. Here it is the very first, and nothing is known of it: the
-    compiled version alone is quicker than asking coal.
+    Also whether one of its pairs is certainly nearer. This plain version returns the very first, with nothing
+    known of it: only the compiled version is faster than calling coal.
 
     Parameters
     ----------
     factors, slides: of the chain, see `chain_placements`.
     joint: (K,) that carries each of the machine's pieces; 0 for the base.
     coarse: (K, 4) the centre and radius of a ball around each, in the joint's frame [m].
-    starts, fine: (K + 1,), (S, 4) where the smaller balls of each begin, and these.
-    corner_starts, corners: (K + B + 1,), (3, C) the same of the corners of all pieces; of bodies in the world's frame.
-    radius: (K + B,) within which of its corners' hull a piece lies [m].
-    boxes: (B, 15) around bodies: axes, middle along them, half edges [m]; with half edges below 0 a half-space, whose
-        normal is the first axis, and its face so far along it.
+    starts, fine: (K + 1,), (S, 4) where the smaller balls of each begin, and these balls.
+    corner_starts, corners: (K + B + 1,), (3, C) the same for the corners of all pieces; bodies in the world's frame.
+    radius: (K + B,) distance from its corners' hull within which a piece is [m].
+    boxes: (B, 15) around bodies: axes, middle along them, half edges [m]; if half edges are below 0, a half-space whose
+        normal is the first axis and whose face is at the middle along it.
     first, second: (P,) the pieces of each pair.
-    least: (P,) the distance that it is to keep [m].
-    normals: (P, 3) of planes between two of the machine's pieces, in the frame of the second; 0 where none is known.
+    least: (P,) the distance that it must keep [m].
+    normals: (P, 3) of planes between two of the machine's pieces, in the frame of the second; 0 if none is known.
         Written to.
     """
     return 0, False
@@ -146,8 +146,8 @@ def pairs_not_apart(
     corner_starts: Indices, corners: Matrix, radius: Vector, boxes: Matrix, first: Indices, second: Indices,
     least: Vector, normals: Matrix, /,
 ) -> Indices:  # fmt: skip
-    """The pairs that are not known to be as far apart as they are to be in the one row of `q` (1, n), ascending.
+    """The pairs that are not known to keep their distances in the one row of `q` (1, n), ascending.
 
-    Here these are all. The other arguments are those of `first_not_apart`.
+    This plain version returns all pairs. The other arguments are those of `first_not_apart`.
     """
     return np.arange(len(least))

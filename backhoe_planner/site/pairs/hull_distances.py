@@ -1,6 +1,6 @@
 """Distances and gradients of all near pairs in many configurations at once, in one compiled call.
 
-Pairs whose balls are further apart than is asked for are not measured, of the others the hulls are compared by the
+Pairs whose balls are further apart than needed are not measured; for the others, the hulls are compared by the
 iterations of Gilbert, Johnson and Keerthi. Hulls that touch are left to coal, and so is everything without a compiler.
 """
 
@@ -22,10 +22,10 @@ class HullDistances:
 
     Parameters
     ----------
-    bodies: what stands around.
+    bodies: the pieces around.
     first, second: (P,) the numbers of the pieces of each pair among `self_pieces`; bodies are numbered after these.
     clearance: (P,) to be kept [m].
-    sense: (P, n) +1 for joints that move the other body alone, -1 for those that move the link alone, 0 else.
+    sense: (P, n) +1 for joints that move only the other body, -1 for those that move only the link, 0 otherwise.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class HullDistances:
 
         Parameters
         ----------
-        known: (N, P) what the distances are known to be at least [m].
+        known: (N, P) known lower bounds of the distances [m].
         """
         return distances_within(margin, known, self._sense, q, *self._arguments)
 
@@ -52,12 +52,12 @@ def distances_within(
     coarse: Matrix, starts: Indices, fine: Matrix, corner_starts: Indices, corners: Matrix, radius: Vector,
     boxes: Matrix, first: Indices, second: Indices, clearance: Vector, normals: Matrix, /,
 ) -> tuple[Matrix, Indices, Indices, Vector, Matrix]:  # fmt: skip
-    """What is near in each of N configurations. Here coal is to be asked: the compiled version alone is quicker.
+    """The near pairs in each of N configurations. This plain version leaves all to coal: only compiled it is faster.
 
     Returns
     -------
     lower: (N, P) lower bounds of all distances [m].
-    ends: (N,) of each configuration the end of its rows in what follows; -1 where coal is to be asked, without rows.
+    ends: (N,) for each configuration the end of its rows in the next arrays; -1 if it is left to coal, without rows.
     pair, distance, gradient: (K,), (K,), (K, n) as in `Nearby`, one configuration after the other.
 
     Parameters

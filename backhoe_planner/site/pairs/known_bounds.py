@@ -1,12 +1,12 @@
-"""What is known of the distances of all pairs from what was measured before.
+"""Lower bounds of the distances of all pairs, from earlier measurements.
 
-A pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints moved by dq, and an
-obstacle that moves takes off its own way. So a pair that is provably out of reach is not measured again.
+A pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints moved by dq, less the distance
+that an obstacle has moved. So a pair that is provably out of reach is not measured again.
 
-To work out these bounds for every pair at every step takes longer than to measure the few that are near.
-So pairs are chosen in two steps, and the others are left alone as long as one number says of all of them that
-they are too far away: those that some posture brings near (`within`), and of these, those that are near where the
-machine is now and a little further (`around`), until it has moved as far as that little.
+Computing these bounds for every pair at every step takes longer than measuring the few that are near.
+So pairs are selected in two steps: those that some posture brings near (`within`), and of these, those that are
+near where the machine is now or a little further (`around`). The others are left alone as long as a single number
+shows that all of them are too far away, until the machine has moved as far as that little.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.native import compiled
 
-_SKIN = 0.4  # m of travel after which pairs are chosen anew; chosen, some ten steps of a quick motion
+_SKIN = 0.4  # m of travel after which pairs are selected anew; chosen, some ten steps of a quick motion
 _NONE: Indices = np.zeros(0, dtype=np.intp)
-_SMALL = 400  # pairs; measured: to bound as many takes as long as to keep a choice of them
+_SMALL = 400  # pairs; measured: bounding this many takes as long as maintaining a selection of them
 
 
 class PairSelection(NamedTuple):
-    """Some of the pairs, and what is needed of them to bound their distances.
+    """Some of the pairs, with the data that bounds of their distances need.
 
     Attributes
     ----------
     margin: all other pairs stay further away than this beyond their clearance, in every posture [m].
     pairs: (M,) their numbers, ascending.
-    clearance, travel, speed, appears_at: (M,), (M, n), (M,), (M,) as in `Proximity`; `travel` column by column, as
+    clearance, travel, speed, appears_at: (M,), (M, n), (M,), (M,) as in `Proximity`; `travel` is column-major, as
         its product with a few joints' motion then takes half the time.
     reach: (M,) the distance within which a pair is within the margin [m].
     """
@@ -45,13 +45,13 @@ class PairSelection(NamedTuple):
 
 
 class _Around(NamedTuple):
-    """Those of a wider selection that were near when they were chosen.
+    """Those pairs of a wider selection that were near when they were selected.
 
     Attributes
     ----------
-    some: they.
+    some: the near pairs.
     rows: (M,) their rows in the wider selection.
-    wider, lower: that selection, and lower bounds (W,) of its distances when they were chosen [m].
+    wider, lower: that selection, and lower bounds (W,) of its distances at that moment [m].
     q, time: (n,) where and when that was [rad or m, s].
     reach: they were all pairs whose bounds were within this beyond their clearance [m].
     beyond: how much further than their clearance the nearest of all others was [m].
@@ -74,7 +74,7 @@ class KnownBounds:
     ----------
     clearance, speed, appears_at: (P,) see `Proximity`.
     travel, floor: (P, n), (P,) likewise; see `renew`.
-    always: as many pairs, the last ones, belong to every selection.
+    always: the number of pairs, the last ones, that belong to every selection.
 
     Attributes
     ----------
@@ -90,12 +90,12 @@ class KnownBounds:
         self._fastest = float(speed.max(initial=0.0))
         self._lower = np.full(len(clearance), -np.inf)
         self._q, self._time = np.zeros(travel.shape[1]), 0.0
-        # the pairs that were near then, what they have left, and what all others have at least, if that is known
+        # if known: the pairs that were near then, their margins, and the least margin of all others
         self._near: tuple[Indices, Vector, float] | None = None
         self._take(travel, floor)
 
     def renew(self, travel: Matrix, floor: Vector) -> None:
-        """From now on `travel` and `floor` hold, which are not as good as those of before; what is known stays."""
+        """Use `travel` and `floor` from now on, which are no tighter than before; what is known is kept."""
         self._lower = self._of_every(self._q, self._time)
         self._take(travel, floor)
 
@@ -106,21 +106,21 @@ class KnownBounds:
         self.every = self._select(np.arange(len(floor)), np.inf)
         self._known = self._within = self.every
         self._around: _Around | None = None
-        # how far beyond their clearance those are at least that are not among the ones measured last, for their place
+        # the least margin of the pairs that are not among those measured last, at the place of these
         self._others = np.inf
 
     @property
     def place(self) -> tuple[Vector, float]:
-        """(n,) and [s] where and when the last measurement was made."""
+        """(n,) and [s] joints and time of the last measurement."""
         return self._q, self._time
 
     @property
     def last(self) -> Vector:
-        """(M,) the lower bounds that were kept last, of the pairs that these were of [m]; to be read only."""
+        """(M,) the lower bounds that were kept last, for the pairs of that selection [m]; to be read only."""
         return self._lower
 
     def is_at(self, q: Vector, time: float) -> bool:
-        """Whether what is known was measured at q (n,) and `time`."""
+        """Whether the last measurement was made at q (n,) and `time`."""
         return self._time == time and self._q.tolist() == q.tolist()
 
     def within(self, margin: float) -> PairSelection:
@@ -130,11 +130,11 @@ class KnownBounds:
         return self._within
 
     def around(self, margin: float, reach: float, q: Vector, time: float) -> PairSelection:
-        """Of the pairs `within` the margin, some that contain all that can be near at q (n,) and `time` [s].
+        """Some of the pairs `within` the margin, including all that can be near at q (n,) and `time` [s].
 
         Parameters
         ----------
-        reach: how far beyond their clearance that is, not less than `margin` [m].
+        reach: the distance beyond the clearance that counts as near, not less than `margin` [m].
         """
         wider, known = self.within(margin), self._around
         if len(wider.pairs) <= _SMALL:
@@ -168,7 +168,7 @@ class KnownBounds:
         self._near = None
 
     def note_near(self, pairs: Indices, left: Vector, beyond: float) -> None:
-        """Where distances were kept for last, `pairs` (K,) have `left` (K,) beyond their clearance [m].
+        """Note that at the last kept place, `pairs` (K,) have the margins `left` (K,) [m].
 
         All others have at least `beyond` [m].
         """
@@ -190,10 +190,10 @@ class KnownBounds:
         return every if some is self.every else every[some.pairs]
 
     def unproven(self, q: Vector, time: float, spare: float, way: Vector | None = None) -> Indices:
-        """The pairs that are not known to keep their clearance and `spare` [m].
+        """The pairs that are not known to keep their clearance and `spare` [m] on a motion.
 
-        That is on the straight way from where they were measured last to q (n,), which ends at `time` [s]. By how much
-        all distances change on it at most may be known already: `way` (P,) [m].
+        The motion is the straight one from the last measurement to q (n,), which ends at `time` [s]. If bounds on how
+        much all distances change on it are known already, they are given as `way` (P,) [m].
         """
         some = self._known
         if way is not None and some is self.every:
@@ -225,11 +225,11 @@ class KnownBounds:
         return lower
 
     def _way(self, dq: Vector, dt: float) -> float:
-        """The most by which any distance changes while the joints move by dq (n,), not negative, in dt [s]."""
+        """The most that any distance changes while the joints move by dq (n,), not negative, in dt [s]."""
         return float(self.furthest.dot(dq)) + self._fastest * abs(dt)
 
     def _after(self, some: PairSelection, lower: Vector, q_0: Vector, time_0: float, q: Vector, time: float) -> Vector:
-        """(M,) what is left of lower bounds (M,) after the way from q_0 (n,) to q (n,)."""
+        """(M,) the lower bounds that remain of `lower` (M,) after the motion from q_0 (n,) to q (n,)."""
         lower = bounds_after(lower, some.travel, q_0, q)
         if self._fastest:
             lower -= some.speed * np.abs(age(time, some.appears_at) - age(time_0, some.appears_at))
@@ -242,13 +242,13 @@ class KnownBounds:
 
 
 def age(time: float, appears_at: Vector) -> Vector:
-    """(P,) how long obstacles have been there at `time` [s]."""
+    """(P,) how long ago obstacles appeared at `time` [s]."""
     return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)
 
 
 @compiled
 def bounds_after(lower: Vector, travel: Matrix, q_0: Vector, q: Vector, /) -> Vector:
-    """(M,) what is left of lower bounds (M,) [m] of pairs with `travel` (M, n) after a way from q_0 (n,) to q (n,)."""
+    """(M,) what remains of `lower` bounds (M,) [m] of pairs with `travel` (M, n) after a motion from q_0 to q (n,)."""
     return np.asarray(lower - travel.dot(np.abs(q - q_0)))
 
 
@@ -257,16 +257,16 @@ def unproven_of_near(
     pairs: Indices, left: Vector, beyond: float, travel: Matrix, speed: Vector, furthest: Vector, fastest: float,
     q_0: Vector, q: Vector, dt: float, spare: float, /,
 ) -> Indices | None:  # fmt: skip
-    """Which of all pairs may use up all but `spare` [m] of their margins on the way from q_0 (n,) to q (n,), in dt [s].
+    """The pairs that may use up all but `spare` [m] of their margins on the motion from q_0 (n,) to q (n,), in dt [s].
 
-    None where more must be known than of those that were near.
+    None if the pairs that were near are not enough to know.
 
     Parameters
     ----------
     pairs: (K,) those that were near; left: (K,) their margins [m].
-    beyond: all other pairs have at least that [m].
+    beyond: all other pairs have at least this margin [m].
     travel, speed: (P, n), (P,) of all pairs, as in `Proximity`.
-    furthest, fastest: (n,) and the most of these that any pair has.
+    furthest, fastest: (n,) and the greatest travel and speed of any pair.
     """
     dq = np.abs(q - q_0)
     way = float(furthest.dot(dq)) + fastest * abs(dt) + spare

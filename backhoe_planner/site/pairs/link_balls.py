@@ -14,7 +14,7 @@ from backhoe_planner.machine import ConfigurationBatch, LinkPiece, covering_ball
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the J joints that carry some pieces are in N configurations.
+    """The placements of the J joints that carry some pieces, in N configurations.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Poses:
 
 
 class LinkBalls:
-    """Balls that cover K pieces of one machine: a few for each, and more and smaller ones for each on further levels.
+    """Balls that cover K pieces of one machine: a few for each piece, and more and smaller ones on further levels.
 
     Parameters
     ----------
@@ -50,14 +50,14 @@ class LinkBalls:
         )
 
     def poses_at(self, data: pin.Data) -> Poses:
-        """Where the joints of `data` are."""
+        """The placements of the joints of `data`."""
         places = [data.oMi[joint] for joint in self._joints]
         return Poses(
             np.array([[place.rotation for place in places]]), np.array([[place.translation for place in places]])
         )
 
     def poses_of(self, at: ConfigurationBatch) -> Poses:
-        """Where the joints of some configurations are."""
+        """The placements of the joints in some configurations."""
         if self._joints[0]:
             rows = np.array(self._joints) - 1
             return Poses(at.rotations[:, rows], at.origins[:, rows])
@@ -103,7 +103,7 @@ class BallLevel:
         return np.ascontiguousarray(np.column_stack((self._centres.T, self.radii))), np.append(self.first, len(self))
 
     def centres(self, poses: Poses) -> Array:
-        """(3, N, S) of all balls [m], world."""
+        """(3, N, S) centres of all balls [m], world."""
         found = np.empty((3, len(poses), len(self)))
         for slot, balls in self._of_slots:
             at = poses.R[:, slot] @ self._centres.take(balls, axis=1)
@@ -116,9 +116,9 @@ class BallLevel:
         return np.asarray(np.minimum.reduceat(away - self.radii, self.first, axis=-1))
 
     def centres_of(self, poses: Poses, rows: Indices, pieces: Indices) -> tuple[Matrix, Indices]:
-        """(3, F) of the balls of some pieces (M,) in the configurations `rows` (M,), one after the other [m], world.
+        """(3, F) centres of the balls of `pieces` (M,) in the configurations `rows` (M,), in this order [m], world.
 
-        Also how many each of them has, (M,).
+        Also how many each of the pieces has, (M,).
         """
         counts = self._counts.take(pieces)
         ends = counts.cumsum()
@@ -132,5 +132,5 @@ class BallLevel:
         return t, counts
 
     def least_of(self, away: Vector, counts: Indices, pieces: Indices) -> Vector:
-        """(M,) the same as `least` of those pieces alone, from distances (F,) of their balls [m]."""
+        """(M,) `least` for these pieces alone, from the distances (F,) of their balls [m]."""
         return np.asarray(np.minimum.reduceat(away, counts.cumsum() - counts) - self._radius.take(pieces))

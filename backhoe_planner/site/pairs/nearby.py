@@ -12,8 +12,8 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.native import compiled
 
-# columns of what is found of a pair: a distance, a normal n, and the point p of the link; (n, p x n) is made of
-# products of the first with the second ones, the last three of which are taken off
+# columns of a pair's result: a distance, a normal n, and the point p of the link; (n, p x n) consists of
+# products of the first with the second columns, the last three of which are subtracted
 _NEXT_LAST, _LAST_NEXT = np.array([5, 6, 4, 6, 4, 5]), np.array([3, 1, 2, 2, 3, 1])
 _SUMS = np.zeros((9, 6))
 _SUMS[:6] = np.eye(6)
@@ -21,9 +21,9 @@ _SUMS[6:, 3:] = -np.eye(3)
 
 
 def distance_gradients(found: Matrix, J: Matrix) -> Matrix:
-    """(K, n) n . J_1 of what was `found` (K, 10) of pairs: by the joints, how fast the link's point moves along n.
+    """(K, n) n . J_1 for the results `found` (K, 10) of pairs: how fast each joint moves the link's point along n.
 
-    A point p has the speed n . v + (p x n) . omega along n; so has its witness, which lies along n from it.
+    A point p has the speed n . v + (p x n) . omega along n; so does its witness, which is along n from it.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ def distance_gradients(found: Matrix, J: Matrix) -> Matrix:
 
 
 class Lead(NamedTuple):
-    """Which margins count because the machine moves: those that it could use up in time.
+    """The rule for which margins count because the machine moves: those that it could use up within a time.
 
     Attributes
     ----------
-    v, change: (n,) the joint velocities, and how far from each on either side is possible next [rad/s or m/s].
+    v, change: (n,) the joint velocities, and how far they can change to either side next [rad/s or m/s].
     longest: the time [s].
     """
 
@@ -66,15 +66,15 @@ def _can_bind(margin: Vector, gradient: Matrix, drift: Vector, v: Vector, change
 def reach_of_lead(
     lower: Vector, travel: Matrix, speed: Vector, clearance: Vector, least: Vector, fastest: Vector, stop: float, /
 ) -> tuple[Vector, int]:
-    """(M,) within which pairs count because the machine moves [m], and how many of them may be that near.
+    """(M,) distance within which pairs count because the machine moves [m], and how many of them may be that near.
 
     Parameters
     ----------
     lower: (M,) lower bounds of their distances [m].
     travel, speed, clearance: (M, n), (M,), (M,) as in `Proximity`.
-    least: (M,) within which each counts in any case [m].
+    least: (M,) distance within which each counts in any case [m].
     fastest: (n,) the highest speeds that are possible next [rad/s or m/s].
-    stop: in which the machine stops from these [s].
+    stop: time in which the machine stops from these [s].
     """
     reach = travel.dot(fastest)
     reach += speed
@@ -101,16 +101,16 @@ def near_rows(
     Parameters
     ----------
     found: (K, 10) distance, normal and nearest points of each, see `distance_gradients`.
-    reach: (K,) within which each is near [m].
+    reach: (K,) distance within which each is near [m].
     clearance: (P,) of all pairs [m].
-    sense: (P, n) +1 for joints that move the other body alone, -1 for those that move the link alone, 0 else.
-    velocity: (P, 3) of the obstacles [m/s]; None where none moves.
+    sense: (P, n) +1 for joints that move only the other body, -1 for those that move only the link, 0 otherwise.
+    velocity: (P, 3) of the obstacles [m/s]; None if none moves.
     J: (6, n) Pinocchio's joint Jacobians there.
-    margin, v, change, longest: beyond that margin [m] only those count that `Lead` says; all with v None.
+    margin, v, change, longest: beyond that margin [m] only the pairs selected by `Lead` count; all if v is None.
 
     Returns
     -------
-    The near pairs, and what was found of them; of those that count the pairs, what was found of them, and the margin,
+    The near pairs and their results; then for those that count, the pairs, their results, and the margin,
     gradient and drift of `Nearby`.
     """
     rows = (found[:, 0] <= reach).nonzero()[0]

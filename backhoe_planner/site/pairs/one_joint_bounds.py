@@ -1,7 +1,7 @@
-"""Lower bounds of the distances of pieces that one joint alone moves, kept for intervals of that joint.
+"""Lower bounds of the distances of pieces that only one joint moves, kept for intervals of that joint.
 
-A swing post is close to the ground in every posture of the arm, and how close depends on the swing alone. It is
-measured in the middle of an interval; no point of it is further from there than the joint takes it.
+A swing post is close to the ground in every posture of the arm, and how close depends only on the swing. It is
+measured in the middle of an interval; no point of it moves further from there than that joint can move it.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import Robot, travel_bounds
 
-_SHORT = 0.01  # m by which a bound falls short at most; chosen: a swing of half a turn has some hundred intervals
-_ROUNDING = 1e-9  # m: chosen, far above what sums of a few products are off
+_SHORT = 0.01  # m that a bound falls short at most; chosen: a swing of half a turn has some hundred intervals
+_ROUNDING = 1e-9  # m: chosen, far above the rounding of sums of a few products
 _REMEMBERED = 20_000  # intervals; chosen to bound the memory
 
 
 class OneJointBounds:
-    """Bounds for those of K pairs of a piece and an obstacle whose piece one joint alone moves.
+    """Bounds for those of K pairs of a piece and an obstacle whose piece only one joint moves.
 
     Parameters
     ----------
     piece: (K,) row of the robot's pieces.
-    stands: (K,) whether the obstacle stands.
+    stands: (K,) whether the obstacle does not move.
     measure: the distance of a pair in a posture (n,), or less [m].
     """
 
@@ -43,7 +43,7 @@ class OneJointBounds:
     def raise_to(self, needed: Matrix, found: Matrix, q: Matrix) -> None:
         """Raise bounds `found` (N, K) in postures q (N, n) that are below what is `needed` (N, K) [m].
 
-        An interval is measured when it is asked about for the second time.
+        An interval is measured when it is needed for the second time.
         """
         for pair, joint, width in self._pairs:
             rows = (found[:, pair] < needed[:, pair]).nonzero()[0]

@@ -1,8 +1,8 @@
-"""Links over ground: whether they keep their distances in many configurations, and which these are, in one call.
+"""Links over ground: whether they keep their distances in many configurations, and these distances, in one call.
 
-A link that reaches into the ground, or whose lowest corner is too near to it straight below, needs no further look;
-of the others the cells around are looked at. What stands beside the map or reaches below its floor is left to
-coal, and so is everything without a compiler.
+A link that reaches into the ground, or whose lowest corner is too near to the ground straight below, needs no
+further check; for the others, the cells around are checked. A link that is beside the map or reaches below its floor
+is left to coal, and so is everything without a compiler.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from backhoe_planner.machine import Cluster, Distances, HeightMap, LinkPiece, Re
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
 
-KEPT, NEARER = 1, 0  # verdicts; all else is not known
-_READ, _FAR, _SUNK, _UNKNOWN = 1, 0, 2, -1  # what a distance is
+KEPT, NEARER = 1, 0  # verdicts; any other value means not known
+_READ, _FAR, _SUNK, _UNKNOWN = 1, 0, 2, -1  # states of a distance
 
 
 class OverGround:
-    """What is known of the distances between K pieces of one machine and ground.
+    """Distances between K pieces of one machine and ground.
 
     Parameters
     ----------
     pieces: K of the machine's.
-    balls: that cover them.
+    balls: those that cover them.
     """
 
     def __init__(self, pieces: Sequence[LinkPiece], balls: LinkBalls) -> None:
@@ -46,10 +46,11 @@ class OverGround:
     ) -> Indices:  # fmt: skip
         """(M,) verdicts: whether some pieces (M,) are at least `least` (M,) [m] from the ground in some configurations.
 
-        After one that is nearer no other is known of the same configuration. None is known of what is no ground.
+        After a piece that is nearer, the others of the same configuration are not known. If the cluster is no ground,
+        nothing is known.
 
         rows: (M,) the configurations, in order.
-        bounds: of the cluster.
+        bounds: those of the cluster's distances.
         """
         if cluster.solid.ground is None or bounds.heights is None:
             return np.full(len(rows), _UNKNOWN, dtype=np.intp)
@@ -62,10 +63,10 @@ class OverGround:
     ) -> list[Reading | Literal["far"] | None]:
         """M distances of some pieces (M,) in some configurations `rows` (M,) from the ground, within `reach` (M,) [m].
 
-        "far" where one is not less, None where it is not known.
+        "far" if a distance is not less than its reach, None if it is not known.
 
-        sunk: whether a piece with a corner in the ground is as deep as the lowest of these is under the plane of the
-            ground above it, instead of as deep as in the deepest triangle, which takes a hundred times as long.
+        sunk: whether the depth of a piece with corners in the ground is that of its lowest corner under the plane of
+            the ground above it, instead of that in the deepest triangle, which takes a hundred times as long.
         """
         if cluster.solid.ground is None:
             return [None] * len(rows)
@@ -94,17 +95,17 @@ def kept_over_ground(
     balls: Matrix, ball_starts: Indices, low: Vector, per_cell: Vector, counts: Indices, highest: NDArray[np.float32],
     squared_aside: Vector, furthest: float, bounds: Matrix, /,
 ) -> Indices:  # fmt: skip
-    """(M,) verdicts on pieces in configurations, see `OverGround.keep`. Here none is known: coal is to be asked.
+    """(M,) verdicts on pieces in configurations, see `OverGround.keep`. This plain version leaves all to coal.
 
     Parameters
     ----------
     R, t: (N, J, 3, 3) and (N, J, 3) T_world_joint [m].
     slot: (K,) which of the joints carries each piece.
     corners: (P, 3) points of the pieces one after the other in the frames of these joints [m]; those of piece k begin
-        at `starts[k]`, (K + 1,), and the piece lies within `radius[k]`, (K,), of their convex hull [m].
+        at `starts[k]`, (K + 1,), and the piece is within `radius[k]`, (K,), of their convex hull [m].
     row, piece, least: (M,) each.
     frame, origin: (3, 3) and (3,) T_world_ground [m].
-    heights, x, y: (rows, columns) [m] at y (rows,) and x (columns,), each at even distances.
+    heights, x, y: (rows, columns) [m] at y (rows,) and x (columns,), each evenly spaced.
     levels: how far down the ground reaches, and how far up [m].
     balls: (S, 4) centres of balls that cover the pieces, in the frames of the joints, and radii [m]; those of piece k
         begin at `ball_starts[k]`, (K + 1,). The others are arguments of `lower_over_heights`.
@@ -117,11 +118,11 @@ def read_over_ground(
     R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
     reach: Vector, frame: Matrix, origin: Vector, heights: Matrix, x: Vector, y: Vector, levels: tuple[float, float], /,
 ) -> tuple[Indices, Matrix]:  # fmt: skip
-    """(M,) what is known of distances from the ground, and (M, 10) each as a `Reading`.
+    """(M,) states of distances from the ground, and (M, 10) each distance as a `Reading`.
 
-    1 where it is read, 0 where it is not less than `reach` (M,) [m], 2 where a corner is in the ground and its depth is
-    read, -1 where it is not known. Here depths alone are read: coal is to be asked for the others. Arguments are
-    the first of `kept_over_ground`.
+    A state is 1 if the distance is read, 0 if it is not less than `reach` (M,) [m], 2 if a corner is in the ground and
+    its depth is read, -1 if it is not known. This plain version reads only depths and leaves the others to coal. The
+    arguments are the first of `kept_over_ground`.
     """
     states, found = np.full(len(row), _UNKNOWN, dtype=np.intp), np.zeros((len(row), 10))
     for k, (at, which) in enumerate(zip(row.tolist(), piece.tolist(), strict=True)):

@@ -1,8 +1,8 @@
-"""The geometry of pairs of convex pieces as Pinocchio measures them, in parts that are made when they are first needed.
+"""The geometry of pairs of convex pieces as Pinocchio measures them, in parts that are built when first needed.
 
-To add a piece to a geometry model takes the longer the more pieces it holds, and a pair takes some
-10 kB. So the pieces around a machine are divided into parts, those that are nearest to it first. A
-part of which no pair is measured is never made, and costs nothing.
+The more pieces a geometry model has, the longer it takes to add one, and a pair takes some
+10 kB. So the pieces around a machine are divided into parts, the nearest pieces first. A
+part none of whose pairs is measured is never built, and costs nothing.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class GeometryPart:
         self._all_placed = False
 
     def add_pairs(self, pairs: Indices, pieces: Sequence[tuple[int, int]]) -> None:
-        """Take in the `pairs` (k,), each of two `pieces` of the model, once and for all."""
+        """Add the `pairs` (k,), each of two `pieces` of the model; to be called once."""
         self.pairs = pairs
         for first, second in pieces:
             self.model.addCollisionPair(pin.CollisionPair(first, second))
@@ -51,12 +51,12 @@ class GeometryPart:
         self.results = ResultTable(self.model, self.data)
 
     def move(self, piece: int, placement: pin.SE3) -> None:
-        """Let a piece stand elsewhere from the next `place` on."""
+        """Move a piece to another place, from the next `place` on."""
         self.model.geometryObjects[piece].placement = placement
         self._all_placed = False
 
     def place(self, data: pin.Data) -> None:
-        """Place all pieces where the joints of `data` are; what stands still is placed once."""
+        """Place all pieces where the joints of `data` are; pieces that do not move are placed once."""
         model = self._own if self._all_placed else self.model
         pin.updateGeometryPlacements(self._robot.model, data, model, self.data)
         self._all_placed = True
@@ -69,7 +69,7 @@ class PairGeometry:
     ----------
     links: the machine's pieces.
     bodies: the convex pieces around, numbered after these.
-    distance: (B,) by which they are sorted into parts [m].
+    distance: (B,) the distances by which they are sorted into parts [m].
     data: of the robot; pairs are measured where its joints are when `place` is called.
     first, second: (P,) the numbers of the pieces of each pair.
     """
@@ -116,7 +116,7 @@ class PairGeometry:
         return self._made[number]
 
     def whole(self) -> tuple[pin.GeometryModel, pin.GeometryData]:
-        """Pinocchio's geometry model of all pairs, and its data; of thousands of pieces it takes long."""
+        """Pinocchio's geometry model of all pairs, and its data; slow for thousands of pieces."""
         if self._only is not None:
             return self._only.model, self._only.data
         part = GeometryPart(self._robot, self._own, list(zip(self._bodies, self._placements, strict=True)))
@@ -124,7 +124,7 @@ class PairGeometry:
         return part.model, part.data
 
     def move(self, body: int, placement: pin.SE3) -> None:
-        """Let one of the bodies around stand elsewhere from the next `place` on."""
+        """Move one of the bodies around to another place, from the next `place` on."""
         self._placements[body] = placement
         number = int(self._own.ngeoms) + body
         made = self._made.get(int(self._part_of_body[number]))
@@ -153,13 +153,13 @@ class PairGeometry:
         return found
 
     def distances(self, pairs: Indices) -> Vector:
-        """(K,) signed distances of `pairs` (K,) [m]; of a few pairs sooner than with all else that is found."""
+        """(K,) signed distances of `pairs` (K,) [m]; for a few pairs faster than `measure_each`."""
         if self._only is not None:
             return np.array(shapes.measure_distances(self._only.model, self._only.data, pairs.tolist()))
         return self.measure_each(pairs)[:, 0]
 
     def _by_part(self, pairs: Indices) -> Iterator[tuple[GeometryPart, Indices]]:
-        """The parts that have some of `pairs` (K,), placed, each with the rows of these."""
+        """The parts that have some of `pairs` (K,), placed, each with the rows of its pairs."""
         numbers = self._part_of[pairs]
         for number in np.unique(numbers).tolist():
             yield self._placed_part(number), (numbers == number).nonzero()[0]

@@ -1,11 +1,11 @@
 """Proof by a plane that two pieces stay apart on a short motion.
 
-All of an obstacle's piece lies behind a plane with the normal n, which points to it, at b = min n . y. A link's piece
-reaches as far as t = max n . x towards it, over its corners x. They are at least b - t apart, at the normal
-of their nearest points exactly as far as they are. While the joints move straight by dq, no corner is further than
-r . bend(dq) / 8 from the chord of its way (`bend_weights`), and an obstacle moves evenly. So on the whole motion they
-are at least as far apart as at the nearer of its ends, less that. What slides along an obstacle is proven at once,
-for which bounds by how far the link travels have to halve the motion again and again.
+An obstacle's piece is entirely behind a plane at b = min n . y, whose normal n points to it. A link's piece reaches
+as far as t = max n . x towards the plane, over its corners x. They are at least b - t apart, and exactly that far
+if n is the normal of their nearest points. While the joints move straight by dq, no corner is further than
+r . bend(dq) / 8 from the chord of its path (`bend_weights`), and an obstacle moves evenly. So on the whole motion they
+are at least as far apart as at the nearer of its ends, less that amount. A link that slides along an obstacle is
+thus proven at once, where bounds from how far the link travels have to halve the motion again and again.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Plane(NamedTuple):
 
     Attributes
     ----------
-    row, pair: which of the pairs that were asked for it is, and its number.
+    row, pair: its row among the requested pairs, and the number of the pair.
     normal: (3,) towards the obstacle.
-    most: what the link may reach along the normal [m].
+    most: how far the link may reach along the normal [m].
     """
 
     row: int
@@ -44,9 +44,9 @@ class SeparatingPlanes:
     Parameters
     ----------
     links: the machine's pieces.
-    bodies: the convex pieces around, where they stand at first.
-    data: of the robot; a link reaches as far as it does where its joints are.
-    first, second: (P,) of each pair the number of the link's piece, and of the other one, counted after `links`.
+    bodies: the convex pieces around, at their first positions.
+    data: of the robot; the reach of a link is evaluated where its joints are.
+    first, second: (P,) for each pair, the numbers of the link's piece and of the other one, counted after `links`.
     velocity, appears_at: (P, 3), (P,) of the obstacles [m/s, s].
     """
 
@@ -54,16 +54,16 @@ class SeparatingPlanes:
         self, links: Sequence[LinkPiece], bodies: Sequence[shapes.Piece], data: pin.Data,
         *, first: Indices, second: Indices, velocity: Matrix, appears_at: Vector,
     ) -> None:  # fmt: skip
-        # views of Pinocchio's own memory: they show where the joints are now
+        # views of Pinocchio's own memory: they always give the current joint placements
         poses = [(pose.rotation, pose.translation) for pose in data.oMi]
         self._links = [(link.piece.hull, link.piece.radius, *poses[link.joint]) for link in links]
-        # lists: single numbers of them are taken
+        # lists, because single numbers of them are read
         self._first, self._second = first.tolist(), (second - len(links)).tolist()
         self._bodies, self._appears_at, self._velocity = bodies, appears_at.tolist(), velocity
         self._moves: list[bool] = [bool(one.any()) for one in velocity]
 
     def end_of_link(self, pair: int, normal: Vector) -> float:
-        """The most that normal . x is over the link's piece [m], where the joints are."""
+        """The greatest normal . x over the link's piece [m], where the joints are."""
         hull, radius, R, t = self._links[self._first[pair]]
         along = hull.dot(normal.dot(R))
         most: float = along[along.argmax()] + radius + normal.dot(t)
@@ -74,12 +74,12 @@ class SeparatingPlanes:
     ) -> list[Plane]:
         """The planes of those of `pairs` (K,) whose link is `least` (K,) or more from its plane, where the joints are.
 
-        A pair whose normal is no unit vector has none: distances along it would be none.
+        A pair whose normal is no unit vector has no plane, since lengths along it would not be distances.
 
         Parameters
         ----------
         near, normals: (N,) pairs, ascending, and (N, 3) the normals at their nearest points.
-        begun, ended: when the motion does [s]; it begins where the joints are.
+        begun, ended: when the motion begins and ends [s]; it begins where the joints are.
         """
         found, rows = [], near.searchsorted(pairs).tolist()
         for index, (pair, row, needed) in enumerate(zip(pairs.tolist(), rows, least.tolist(), strict=True)):
@@ -100,9 +100,9 @@ class SeparatingPlanes:
 
     @staticmethod
     def _face(piece: shapes.Piece, normal: Vector) -> tuple[Vector, float]:
-        """A normal (3,) and the least that normal . y is over an obstacle's piece [m], where it stands at first.
+        """A normal (3,) and the least normal . y over an obstacle's piece [m], at its first position.
 
-        The normal is the given one, unless the piece is a half-space: behind any but its own face it has no end.
+        The normal is the given one, unless the piece is a half-space: that is bounded only by its own face.
         """
         if len(piece.hull):
             along = piece.hull.dot(normal)

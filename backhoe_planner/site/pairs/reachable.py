@@ -1,4 +1,4 @@
-"""Pairs that the machine can bring near at all, by a ball that none of its parts ever leaves."""
+"""Pairs that the machine can bring near at all, found by a ball that no part of it ever leaves."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from backhoe_planner.machine.shape import shapes
 def distances_from_ball(bodies: Sequence[shapes.Piece], centre: Vector, radius: float) -> Vector:
     """(B,) lower bounds of the distance of convex pieces from a ball about `centre` (3,) [m].
 
-    They are those of the boxes around the pieces, along the axes. Of a half-space it is exact. Inside the ball
-    it is minus infinity.
+    They are the distances of the axis-aligned boxes around the pieces. For a half-space the bound is exact. It is
+    minus infinity inside the ball.
     """
     found = np.full(len(bodies), -np.inf)
     bounded = [index for index, body in enumerate(bodies) if len(body.hull)]

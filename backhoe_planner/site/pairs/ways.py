@@ -1,14 +1,14 @@
 """How much the distances of pairs can change on straight motions of the joints.
 
 On the motion q + s delta, 0 <= s <= 1, no point of a link's piece moves further than sum_j |delta_j| r_j
-(`travel_bounds`), whatever the posture is. From the posture halfway more is known. There a piece moves with
-a velocity v of its balls' centres c and an angular velocity omega, in the one direction that all joints
-together give it, and no point of it faster than |v| + |omega| R. Elsewhere on the motion its velocity is
-another by at most half of the greatest |x''| (`bend_weights`):
+(`travel_bounds`), whatever the posture. The posture halfway gives a second bound. There the centres c of a
+piece's balls move with a velocity v and the piece with an angular velocity omega, the combined effect of all
+joints, and no point of the piece is faster than |v| + |omega| R. Elsewhere on the motion its velocity
+differs by at most half of the greatest |x''| (`bend_weights`):
 
     |x'| <= max over the balls (|v| + |omega| R) + 1/2 sum_j r_j b_j
 
-The lesser of the two is taken. It bounds the speed over s, so on a part of the motion that part of it.
+The smaller bound is used. It bounds the speed over s, so a part of the motion has that part of the bound.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import Robot, bend_weights
 from backhoe_planner.site.pairs.ball_bounds import TOGETHER, balls_of
 
-_ROUNDING = 1e-12  # m: chosen above what sums of a few products are off
+_ROUNDING = 1e-12  # m: chosen above the rounding of sums of a few products
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def link_ways(robot: Robot, travel: Matrix, first: Indices, around: Flags, q: Matrix) -> Iterator[Vector]:
-    """(P,) how far any point of each pair's link moves against the other body [m], on each motion of `q` (N + 1, n).
+    """(P,) bounds on how far each pair's link moves relative to the other body [m], on each motion of `q` (N + 1, n).
 
     Parameters
     ----------
     travel: (P, n) r of every pair.
     first: (P,) the number of each link's piece.
-    around: (P,) which pairs are with something that stands; of the others the first bound alone is taken.
+    around: (P,) which pairs are with a body that does not move; for the others only the first bound is used.
     """
     for start in range(0, len(q) - 1, TOGETHER):
         yield from _ways(robot, travel, first, around, q[start : start + TOGETHER + 1])
@@ -44,7 +44,7 @@ def _ways(robot: Robot, travel: Matrix, first: Indices, around: Flags, q: Matrix
     at = kinematics.at(q[:-1] + 0.5 * delta)
     hinges = ~robot.prismatic
     moments = np.where(hinges[:, None], _cross(at.origins, at.axes), at.axes)
-    # of each joint's body: its velocity at the world's origin, and its angular velocity; those of the base are 0
+    # for each joint's body, its velocity at the world's origin and its angular velocity; those of the base are 0
     motion = np.zeros((2, len(delta), robot.n + 1, 3))
     np.cumsum(delta[:, :, None] * moments, axis=1, out=motion[0, :, 1:])
     np.cumsum((delta * hinges)[:, :, None] * at.axes, axis=1, out=motion[1, :, 1:])
