@@ -33,7 +33,7 @@ class DriveUse:
     torque: (K, n) the torques [N m or N].
     effort: (K, n) torque over the greatest torque of the joint in that direction.
     rod_speed: (K, n) speed of each joint over what valves and pump allow in that direction.
-    flow, power: (K,) of all cylinders over that of pump and engine.
+    flow, power: (K,) of all cylinders over those of pump and engine.
     """
 
     torque: Array
@@ -57,8 +57,8 @@ class Drive:
     ----------
     effort: (n,) greatest torque of each joint either way [N m or N], the machine's own by
         default; infinite for no limit.
-    payload, payload_at: as of `Dynamics`.
-    soil: in which the tip moves.
+    payload, payload_at: as for `Dynamics`.
+    soil: the soil in which the tip moves.
     ground: where the soil is; by default level at the soil's `surface`.
 
     Raises
@@ -105,7 +105,7 @@ class Drive:
         return self._dynamics.torques_along(q, v, a)
 
     def rigid_torque_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """The same and (K, n, 3 n) their derivatives by q, v and a."""
+        """`rigid_torques`, and (K, n, 3 n) their derivatives with respect to q, v and a."""
         return self._dynamics.torque_slopes(q, v, a)
 
     def soil_torques(self, q: Array, v: Array) -> Array:
@@ -113,9 +113,9 @@ class Drive:
         return np.zeros(np.shape(q)) if self._soil is None else -self._soil.torques(q, v)
 
     def soil_torques_towards(self, q: Array, direction: Array) -> Array:
-        """(K, n) torques against the soil of a fast motion at q in `direction` dq/ds (K, n) [N m or N].
+        """(K, n) torques against the soil for a fast motion at q in `direction` dq/ds (K, n) [N m or N].
 
-        Those of a slower motion are a part of them.
+        For a slower motion they are a part of these.
         """
         if self._soil is None:
             return np.zeros(np.shape(q))
@@ -143,13 +143,13 @@ class Drive:
 
     @property
     def has_rigid_torques_alone(self) -> bool:
-        """Whether torques against inertia and gravity, within limits that are the same everywhere, are all it has."""
+        """Whether the drive has only torques against inertia and gravity, with limits that are the same everywhere."""
         return self.hydraulics is None and self._soil is None
 
     def rigid_effort_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """(K, n) the same at q, v, a (K, n) where `has_rigid_torques_alone`, and (K, n, 3 n) its derivatives.
+        """(K, n) `effort_use` at q, v, a (K, n) if `has_rigid_torques_alone`, and (K, n, 3 n) its derivatives.
 
-        Those by q come first along the last axis, then those by v and by a.
+        Along the last axis, derivatives with respect to q come first, then those to v and to a.
         """
         torque, slopes = self.rigid_torque_slopes(q, v, a)
         return self.effort_use(q, torque), np.asarray((np.sign(torque) / self._effort)[:, :, None] * slopes)
@@ -174,7 +174,7 @@ class Drive:
     def use_along(self, moments: Moments) -> DriveUse:
         """The use of the drive at `moments`.
 
-        Speeds and flow are also looked at halfway between them; torques and power at corners
+        Speeds and flow are also checked halfway between them; torques and power also at corners
         with the velocities on both sides.
         """
         use = self.use(moments.q, moments.v, moments.a)
@@ -199,7 +199,7 @@ class Drive:
 
 
 def _beside(between: Array) -> Array:
-    """(K + 1, ...) at K + 1 moments the greater of the values (K, ...) before and after each."""
+    """(K + 1, ...) for each of K + 1 moments, the greater of the values (K, ...) before and after it."""
     return np.maximum(np.concatenate((between[:1], between)), np.concatenate((between, between[-1:])))
 
 
@@ -248,9 +248,9 @@ class LimitUsage:
         return np.asarray(np.max(self.ratio, axis=1))
 
     def worst(self, *kinds: str) -> tuple[int, int]:
-        """Indices of the moment and of the limit where most is used, among limits of these `kinds`.
+        """Indices of the moment and of the limit with the greatest ratio, among limits of these `kinds`.
 
-        There must be one of them.
+        At least one limit must be of these kinds.
         """
         columns = [index for index, (kind, _) in enumerate(self.limits) if kind in kinds]
         row, column = np.unravel_index(int(np.argmax(self.ratio[:, columns])), (len(self.ratio), len(columns)))
@@ -262,11 +262,11 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
 
     Velocities are those of the faster of the two segments beside a sample, accelerations
     and torques those of `Trajectory.corner_accelerations`. The tip's speed counts where the tip is
-    on the path and the scene limits it.
+    on the path, if the scene limits it.
 
     Parameters
     ----------
-    tip_speed: whether to look at the tip's speed.
+    tip_speed: whether to include the tip's speed.
     """
     if problem.legs:
         return _usage_of_legs(problem, trajectory)
@@ -305,7 +305,7 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
 
 
 def _usage_of_legs(problem: Problem, trajectory: Trajectory) -> LimitUsage:
-    """That of every leg of a sequence, one after the other; the moment at which two meet stands for the later one."""
+    """The limit usage of all legs of a sequence in order; the moment at which two meet belongs to the later one."""
     parts = leg_parts(problem, trajectory)
     found = [limit_usage(part.problem, part.motion, tip_speed=False) for part in parts]
     last = len(found) - 1

@@ -1,12 +1,12 @@
-"""Two motions that go over into each other without a stop.
+"""Two motions joined without a stop.
 
-The second begins while the first still slows down: for the time tau in which both move, the joints are at
+The second begins while the first still slows down. During the time tau in which both move, the joints are at
 
     q(t) = q_1(t) + q_2(t - t_2) - q_E,        t_2 = T_1 - tau,
 
 with q_E where the first ends and the second begins. The velocities add up, and so do the accelerations;
-where the sum is more than the joints may do, the motion is slowed down there, as little as possible. The
-joints pass q_E by: the shorter tau, the nearer.
+where the sum exceeds a joint limit, the motion is slowed down, as little as possible. The
+joints do not pass through q_E: the shorter tau, the nearer they come.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.timing.time_optimal import TimeLaw
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
-_CLOSE = 0.4  # part of the time between samples; chosen: of two that are nearer to each other one is left out
+_CLOSE = 0.4  # part of the time between samples; chosen: of two samples that are closer, one is left out
 _TIGHTER = 1.01  # factor; chosen: samples show up to some percent more than the law between them
-_MOST_TIGHTER = 1.1  # the same in one round
-_ROUNDS = 12  # chosen: places at the rim of what was slowed come to light one after the other
-_ELSEWHERE = 0.999  # chosen, so that where a motion is at its limits it counts as within them
-_BESIDE = 3  # samples before and behind, in which it is slowed already; chosen
+_MOST_TIGHTER = 1.1  # the greatest such factor in one round
+_ROUNDS = 12  # chosen: excesses at the edge of the slowed part appear one after the other
+_ELSEWHERE = 0.999  # chosen, so that a motion at its limits counts as within them
+_BESIDE = 3  # samples before and behind an excess that are slowed too; chosen
 _WITHIN = 1e-7  # part of a limit: rounding
 _ROUNDING = 1e-9  # s
 
 
 def overlap(first: Trajectory, second: Trajectory, duration: float) -> tuple[Trajectory, slice]:
-    """The second motion begun `duration` [s] before the first ends, and the samples between which both move.
+    """The joined motion, the second begun `duration` [s] before the first ends, and the samples in which both move.
 
     Parameters
     ----------
-    first, second: from rest to rest, the one ending where the other begins; neither is shorter than `duration`.
+    first, second: from rest to rest; the second begins where the first ends; neither is shorter than `duration`.
     """
     begins = first.duration - duration
     before = first.time < begins
@@ -68,18 +68,18 @@ def _smooth(motion: Trajectory, time: Vector) -> Matrix:
 
 
 def slow_where_needed(motion: Trajectory, shared: slice, limits: JointLimits) -> tuple[Trajectory, slice] | None:
-    """The motion on the same way, slower where joints exceed a limit among the samples `shared`.
+    """The motion on the same joint path, slower where joints exceed a limit among the samples `shared`.
 
     Returns
     -------
-    The motion, and the samples in it that lie on the same part of the way; None where that is not found.
+    The motion, and its samples that are on the same part of the path; None if no such motion is found.
     """
     if float(np.max(_use(motion, limits))) <= 1.0 + _WITHIN:
         return motion, shared
     segment, v, a = motion.segment_velocities(), motion.v.copy(), motion.accelerations()
     v[0], v[-1] = segment[0], segment[-1]
     a[0], a[-1] = a[1], a[-2]
-    # steeper by a factor is the same as tighter limits; where the motion is at its limits it keeps its speed
+    # a slope steeper by a factor has the effect of tighter limits; a motion just at its limits keeps its speed
     factor = np.full((len(motion), 1), _ELSEWHERE)
     factor[max(shared.start - _BESIDE, 0) : shared.stop + _BESIDE] = _TIGHTER
     for _ in range(_ROUNDS):
@@ -100,14 +100,14 @@ def slow_where_needed(motion: Trajectory, shared: slice, limits: JointLimits) ->
 
 
 def _with_law(motion: Trajectory, law: TimeLaw, shared: slice) -> tuple[Trajectory, slice]:
-    """The motion with the times of a law, with new samples where it is slower."""
+    """The motion with the times of a time law, and new samples where it is slower."""
     slow = np.flatnonzero(np.diff(law.time) > np.diff(motion.time) * (1.0 + _WITHIN))
     if not len(slow):
         return motion, shared
     first, last = int(slow[0]), int(slow[-1]) + 1
     count = max(int(np.ceil((law.time[last] - law.time[first]) / SAMPLE_PERIOD)), 1)
     inner = np.linspace(law.time[first], law.time[last], count + 1)[1:-1]
-    # samples before and behind keep their distances in time, to the last digit
+    # samples before and behind keep their time steps to the last digit
     behind = law.time[last] + (motion.time[last:] - motion.time[last])
     time = np.concatenate((motion.time[: first + 1], inner, behind))
     q = np.vstack((motion.q[: first + 1], _smooth(motion, np.asarray(law.at(inner))), motion.q[last:]))

@@ -4,7 +4,7 @@ With v = q' s', a = q' s'' + q'' s'^2, u = s'' and x = s'^2 the torques are
 
     tau = (M q') u + (M q'' + C(q, q') q') x + g + lambda tau_soil,   0 <= lambda <= 1
 
-where the soil's part lambda grows with the speed to 1. Limits on speed and flow bound x;
+where the part lambda of the soil grows with the speed to 1. Limits on speed and flow bound x;
 those on acceleration and torque are rows linear in (u, x). The engine's power,
 
     sqrt(x) sum_j max(q'_j tau_j, 0) <= P,
@@ -25,17 +25,17 @@ from backhoe_planner.machine import Hydraulics, JointLimits
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 
-_SPARE = 0.9998  # part of every limit to be used; chosen: the samples of the motion may use a little more
+_SPARE = 0.9998  # part of every limit to be used; chosen: the samples of the motion may use slightly more
 _WITHIN = 5e-4  # part of a limit that may be exceeded between the points of the grid; chosen
-_CORRECTIONS = 5  # runs at most, each slower where the one before exceeded a limit; chosen
+_CORRECTIONS = 5  # runs at most, each slower where the previous one exceeded a limit; chosen
 _MOST_CORRECTED = 1.2  # factor by which one correction lowers a limit at most; chosen
-_POWER_PASSES = 8  # tangents at most, each at the speed of the run before; chosen
+_POWER_PASSES = 8  # tangents at most, each at the speed of the previous run; chosen
 _POWER_SETTLED = 1e-3  # part of the duration: the next change is far smaller, since the passes converge quadratically
 _POWER_HALVINGS = 60  # of the range of x: more than a float's digits
 _UP_TO = 1.45  # times the speed at which a load takes all power; a tangent there leaves 1.5 / 1.45 of it at rest
 _NO_CAP = 1e6  # of x, in place of infinity
-_LEAST_ROOM = 0.02  # part of a load that cannot be held: room that it gets, so that the path can be timed; chosen
-_MOST_DRIVING = 6  # joints of which every combination may drive: 2^6 - 1 = 63 rows
+_LEAST_ROOM = 0.02  # part of a load that cannot be held, left as room so that the path can be timed; chosen
+_MOST_DRIVING = 6  # joints every combination of which may drive: 2^6 - 1 = 63 rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class PathShape:
     ----------
     grid: (N + 1,) increasing values of s.
     q: (N + 1, n) joints there; slope: (N + 1, n) dq/ds.
-    bend_after: (N, n) d2q/ds2 at the begin of each interval; bend_before: (N, n) at its end.
-    tip_slope: (N + 1,) how far the tip moves per unit of s [m]; None where its speed is not limited.
+    bend_after: (N, n) d2q/ds2 at the beginning of each interval; bend_before: (N, n) at its end.
+    tip_slope: (N + 1,) how far the tip moves per unit of s [m]; None if its speed is not limited.
     """
 
     grid: Array
@@ -67,22 +67,22 @@ def time_path(
     most: float = np.inf,
     rests: bool = True,
 ) -> TimeLaw | None:
-    """The fastest run along a path within the limits of the joints and of what drives them.
+    """The fastest run along a path within the limits of the joints and of their drive.
 
-    Where a load cannot be held even at rest, the run is timed as if it just could.
+    If a load cannot be held even at rest, the run is timed as if it just could.
 
     Parameters
     ----------
     shape: the path.
     limits: of the joints.
-    drive: what moves the joints; None for no limits but those of the joints.
-    tip_speed: the greatest speed of the tip [m/s]; it needs `tip_slope`.
+    drive: of the joints; None for no limits other than those of the joints.
+    tip_speed: the greatest speed of the tip [m/s]; it requires `tip_slope`.
     most: the greatest ds/dt.
     rests: see `fastest`.
 
     Returns
     -------
-    None where there is none.
+    The run; None if there is none.
     """
     use = _Loads(shape, limits, drive)
     part = np.full(len(shape.grid) - 1, _SPARE)
@@ -94,7 +94,7 @@ def time_path(
         over = use.over_between(law)
         if not np.any(over > 1.0 + _WITHIN):
             break
-        # slower where it is over, and beside it
+        # slower where a limit is exceeded, and beside that
         wide = np.maximum(over, np.maximum(np.append(over[1:], 0.0), np.append(0.0, over[:-1])))
         part = part / np.where(wide > 1.0 + _WITHIN, np.minimum(wide, _MOST_CORRECTED) * (1.0 + 0.2 * _WITHIN), 1.0)
     return law
@@ -113,7 +113,7 @@ class _Loads:
         still = np.zeros_like(q)
         self._gravity = self._drive.rigid_torques(q, still, still)
         self._inertia = self._drive.rigid_torques(q, still, slope) - self._gravity
-        if np.array_equal(shape.bend_before[:-1], shape.bend_after[1:]):  # one bend at every point
+        if np.array_equal(shape.bend_before[:-1], shape.bend_after[1:]):  # the bend does not jump at the points
             bend = np.concatenate((shape.bend_after, shape.bend_before[-1:]))
             turning = self._drive.rigid_torques(q, slope, bend) - self._gravity
             self._turning = turning[:-1], turning[1:]
@@ -193,7 +193,7 @@ class _Loads:
     # --- acceleration and torque --------------------------------------------------
 
     def _rows(self, part: Array, end: int) -> Rows:
-        """The rows of acceleration and torque at the begin (0) or end (1) of every interval."""
+        """The rows of acceleration and torque at the beginning (0) or end (1) of every interval."""
         shape = self._shape
         here = slice(end, len(shape.grid) - 1 + end)
         slope = shape.slope[here]
@@ -218,7 +218,7 @@ class _Loads:
 
 
 class _Power:
-    """The engine's power along a path, over the joints that cylinders move, of which at most the six that move most."""
+    """The engine's power along a path, for the joints that cylinders move, but at most the six that move most."""
 
     def __init__(
         self, hydraulics: Hydraulics, shape: PathShape, inertia: Array, turning: tuple[Array, Array], loads: list[Array]
@@ -263,7 +263,7 @@ class _Power:
         return np.minimum(even, _NO_CAP), np.minimum(rest, _NO_CAP)
 
     def rows(self, part: Array, reference: Array, end: int) -> Rows:
-        """The rows of power with tangents at `reference` (N + 1,), at the begin (0) or end (1) of every interval."""
+        """The rows of power with tangents at `reference` (N + 1,), at the beginning (0) or end (1) of each interval."""
         here = slice(end, len(self._slope) - 1 + end)
         slope, r = self._slope[here], reference[here, None]
         sets = np.array(list(product((0.0, 1.0), repeat=slope.shape[1])))[1:].T  # (joints, sets)
@@ -276,7 +276,7 @@ class _Power:
 
 
 def _room(limit: Array, load: Array, part: Array) -> Array:
-    """(N, n) torque that a static load leaves of a limit; a little where it leaves none."""
+    """(N, n) torque that a static load leaves of a limit; a little if it leaves none."""
     with np.errstate(invalid="ignore"):
         left = limit - load
         spared = np.maximum(part[:, None] * limit - load, 0.2 * left)

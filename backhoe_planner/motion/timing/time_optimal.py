@@ -2,16 +2,16 @@
 
 With u = d2s/dt2, every limit on velocity bounds x, and every limit on acceleration or
 torque is a row  alpha u + beta x <= gamma.  A backward pass over the grid finds the
-greatest x from which the rest of the path can still be run, a forward pass takes the
+greatest x from which the rest of the path can still be run; a forward pass takes the
 greatest u that stays below it (H. Pham and Q.-C. Pham, A new approach to time-optimal
 path parameterization based on reachability analysis, IEEE T-RO 34, 2018). Between two
-points of the grid u is constant and x linear in s; rows hold at both ends of it.
+points of the grid u is constant and x is linear in s; rows hold at both ends of the interval.
 
 toppra solves the same rows with the same result (durations within 5e-7 of these on the six
-runs of four scenes, 300 to 1,100 points with 16 or 24 rows each), but takes 2.3 times as
+runs of four scenes, 300 to 1,100 points with 16 or 24 rows each). But it takes 2.3 times as
 long (1.2 s instead of 0.5 s), needs a constraint class for every limit, requires matplotlib,
-and reports by None and a log line that there is no run. So it checks this file in the tests
-and is not needed to plan.
+and reports that there is no run by None and a log line. So the tests check this file against
+toppra, and planning does not need it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Array
 from backhoe_planner.native import compiled
 
-_STEPS = 60  # of Newton's method at most; on a concave piecewise linear function it ends by itself
+_STEPS = 60  # of Newton's method at most; on a concave piecewise linear function it terminates by itself
 _ROUNDING = 1e-10  # relative: coefficients and room below this are rounding
 
 
@@ -50,7 +50,7 @@ class TimeLaw:
     ----------
     grid: (N + 1,) values of s, in any unit.
     x: (N + 1,) squared speed there [1/s^2 times the square of that unit].
-    time: (N + 1,) when each is reached [s].
+    time: (N + 1,) when each value of s is reached [s].
     """
 
     grid: Array
@@ -59,7 +59,7 @@ class TimeLaw:
 
     @property
     def duration(self) -> float:
-        """From the begin to the end of the grid [s]."""
+        """Time from the beginning to the end of the grid [s]."""
         return float(self.time[-1])
 
     @property
@@ -68,7 +68,7 @@ class TimeLaw:
         return np.asarray(0.5 * np.diff(self.x) / np.diff(self.grid))
 
     def at(self, time: Array) -> Array:
-        """The path parameter s at each `time` [s], of its shape."""
+        """The path parameter s at each `time` [s], in the same shape."""
         interval = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.grid) - 2)
         since = np.clip(time - self.time[interval], 0.0, None)
         s = self.grid[interval] + since * (np.sqrt(self.x[interval]) + 0.5 * since * self.u[interval])
@@ -82,12 +82,12 @@ def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool 
     ----------
     grid: (N + 1,) increasing values of s.
     caps: (N + 1,) the greatest x there, finite.
-    before, after: rows at the begin and at the end of each of the N intervals.
+    before, after: rows at the beginning and at the end of each of the N intervals.
     rests: whether the run is at rest at both ends; if not, it is as fast there as the limits allow.
 
     Returns
     -------
-    None where the path cannot be run from end to end.
+    The run; None if the path cannot be run from end to end.
     """
     found = fastest_run(
         grid, caps, before.alpha, before.beta, before.gamma, after.alpha, after.beta, after.gamma, rests
@@ -100,7 +100,7 @@ def fastest_run(
     grid: Array, caps: Array, alpha_before: Array, beta_before: Array, gamma_before: Array,
     alpha_after: Array, beta_after: Array, gamma_after: Array, rests: bool, /,
 ) -> tuple[Array, Array] | None:  # fmt: skip
-    """The squared speeds (N + 1,) and times (N + 1,) [s] of a `TimeLaw`, as `fastest`; the rows one by one."""
+    """The squared speeds (N + 1,) and times (N + 1,) [s] of a `TimeLaw`, as `fastest`, from separate row arrays."""
     steps = np.diff(grid)
     # at the end of an interval x has become x + 2 step u
     rows = Rows(
@@ -131,7 +131,7 @@ def fastest_run(
 
 
 def _flat(rows: Rows, steps: Array) -> NDArray[np.bool_]:
-    """(N, R) which rows hardly depend on u, over the u that an interval has room for."""
+    """(N, R) which rows hardly depend on u, within the range of u possible on an interval."""
     room = np.abs(rows.alpha) / steps[:, None]
     return np.asarray(room <= _ROUNDING * np.maximum(np.abs(rows.beta), 1e-9))
 
@@ -144,7 +144,7 @@ def _level_caps(rows: Rows, steps: Array) -> Array:
 
 
 def _slanted(rows: Rows, steps: Array) -> tuple[Array, Array, Array, Array]:
-    """Rows as u <= top + rise x and u >= bottom + fall x, infinite where they are none."""
+    """Rows as u <= top + rise x and u >= bottom + fall x, infinite where a row is not such a bound."""
     flat = _flat(rows, steps)
     above, below = ~flat & (rows.alpha > 0.0), ~flat & (rows.alpha < 0.0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -155,11 +155,11 @@ def _slanted(rows: Rows, steps: Array) -> tuple[Array, Array, Array, Array]:
     )  # fmt: skip
 
 
-_Bounds = tuple[float, float, float, float]  # of u at some x: the greatest and its slope over x, the least and its
+_Bounds = tuple[float, float, float, float]  # at some x: the greatest u and its slope over x, then the least u and its
 
 
 def _cells(tops: Array, rises: Array, bottoms: Array, falls: Array, highest: Array) -> list[_Cell]:
-    """The intervals, with their bounds of u at the `highest` x (N,) that caps leave, found for all of them at once."""
+    """The intervals with their bounds of u at the `highest` x (N,) within the caps, found for all of them at once."""
     top, bottom, count = tops + rises * highest[:, None], bottoms + falls * highest[:, None], np.arange(len(highest))
     high, low = top.argmin(axis=1), bottom.argmax(axis=1)
     bounds = (top[count, high], rises[count, high], bottom[count, low], falls[count, low])
@@ -168,14 +168,14 @@ def _cells(tops: Array, rises: Array, bottoms: Array, falls: Array, highest: Arr
 
 
 class _Cell:
-    """The rows of one interval, and the bounds of u at the last x that was asked for."""
+    """The rows of one interval, and the bounds of u at the x that was evaluated last."""
 
     def __init__(self, top: Array, rise: Array, bottom: Array, fall: Array, x: float, bounds: _Bounds) -> None:
         self._top, self._rise, self._bottom, self._fall = top, rise, bottom, fall
         self._x, self._bounds = x, bounds
 
     def hardest(self, x: float) -> float:
-        """The greatest u at x, or the least where rounding leaves no room."""
+        """The greatest u at x, even if rounding puts it below the least."""
         return self._bounds[0] if x == self._x else float((self._top + self._rise * x).min(initial=np.inf))
 
     def _bounds_at(self, x: float) -> _Bounds:
@@ -189,7 +189,7 @@ class _Cell:
     def greatest(self, x: float, twice: float, ahead: float) -> float | None:
         """The greatest x, at most as given, with a u so that 0 <= x + twice u <= ahead.
 
-        The room for u is concave in x: Newton's method from above meets its zero.
+        The range of u is concave in x, so Newton's method from above finds its zero.
         """
         for _ in range(_STEPS):
             top, rise, bottom, fall = self._bounds_at(x)

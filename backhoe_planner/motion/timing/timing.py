@@ -1,8 +1,8 @@
 """From joint positions along a path to a motion from rest to rest, as fast as the limits allow.
 
 The speed along a smooth curve through the positions is time-optimal, see `path_limits`. The
-samples of the motion are checked. Where they exceed a limit of the joints, the whole motion
-is slowed by one factor; where they exceed one of the drive, it is slowed there (`retime`).
+samples of the motion are checked. If they exceed a limit of the joints, the whole motion
+is slowed by one factor; where they exceed a limit of the drive, it is slowed there (`retime`).
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ _MANY = 5000  # samples, 100 s at the usual period; chosen: a longer motion is t
 _MOST = 1_000_000  # samples of a motion before it is thinned out; chosen, 80 MB for ten joints
 _LEAST_STEP = 2.5e-3  # rad or m of a joint between samples of a thinned motion: a tenth of `Trajectory.moments`
 _LEAST_CHANGE = (
-    0.01  # part of what a joint may change its velocity by in a period; chosen: a thinned motion keeps its ramps
+    0.01  # part of the velocity change allowed to a joint in a period; chosen: a thinned motion keeps its ramps
 )
 _LEAST_TIP_STEP = 5e-4  # m of the tip: a tenth of the usual tolerance
 _FEWEST = 50  # samples of a ramp; chosen
-_RAMP_ROUNDS = 4  # in which a ramp finds how many samples it needs; chosen, it settles in two where the way is smooth
+_RAMP_ROUNDS = 4  # rounds to find how many samples a ramp needs; chosen, two are enough on a smooth path
 _SPARE = 0.999  # part of every limit that a ramp uses; chosen: its samples may use a little more
-_SAME_PLACE = 1e-9  # part of a way's length: corners nearer to each other are one but for rounding
-_PER_PIECE = 12  # intervals on every leg and corner of a way; chosen, as are the next two
-_PER_WAY = 300  # intervals on a way between two stops, about; `path_limits` corrects what lies between
+_SAME_PLACE = 1e-9  # part of a path's length: corners that are closer coincide but for rounding
+_PER_PIECE = 12  # intervals on every leg and corner of a path; chosen, as are the next two
+_PER_WAY = 300  # intervals on a path between two stops, about; `path_limits` corrects excesses between the points
 _LEAST_GRID = 1000  # intervals on a path, about
 _COARSE = 1.05  # times a limit that samples of a curve may show before its grid is made denser; chosen, rarely needed
 _HALVINGS = 6  # of the first and last interval, within which a slow machine may reach its full speed; chosen
 
-# part of a limit of the drive that a sampled motion may exceed: its accelerations are differences of velocities
+# the part by which a sampled motion may exceed a limit of the drive: its accelerations are differences of velocities
 DRIVE_TOLERANCE = 0.01
 _ENOUGH = 0.5 * DRIVE_TOLERANCE
 _ROUNDING = 1e-7  # part of a limit of the joints
-_SPEED_WITHIN = 1e-3  # part of the asked speed of the tip; chosen, far below what a certificate allows
-_SPEED_ROUNDS = 3  # of slowing down where the samples show a higher speed; one is enough but for very short paths
+_SPEED_WITHIN = 1e-3  # part of the requested tip speed; chosen, far below the tolerance of a certificate
+_SPEED_ROUNDS = 3  # of slowing down where the samples show a higher speed; one is enough except for very short paths
 _SLOWEST = 50.0  # factor; chosen: a motion that even this does not help stays as it is
 
 
@@ -59,26 +59,26 @@ def time_along(
 ) -> Trajectory:
     """The fastest motion through samples of a joint path, from rest to rest.
 
-    Where a load cannot be held even at rest, it is timed as if it just could.
+    If a load cannot be held even at rest, the motion is timed as if it just could.
 
     Parameters
     ----------
-    stations: (K,) arc lengths of the tip [m], not decreasing: the tip may stand while the
+    stations: (K,) arc lengths of the tip [m], not decreasing: the tip may stand still while the
         joints turn.
     q: (K, n) joints there [rad or m].
     limits: of the joints.
     speed: the greatest speed of the tip [m/s]; None for no such limit.
-    kinematics: of the machine, which say how the tip moves; without them it is taken to be at `stations`.
+    kinematics: of the machine, from which the tip's motion follows; without it the tip is assumed at `stations`.
     period: between the samples of the result [s].
-    drive: what moves the joints; None for no limits but those of the joints.
-    intervals: about how many, at least, have their ends checked for limits.
+    drive: of the joints; None for no limits other than those of the joints.
+    intervals: the approximate least number of intervals whose ends are checked for limits.
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
     from scipy.interpolate import CubicSpline
 
     along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
-    # arc length rides along as one more coordinate, so that its rate is the tip's speed
+    # arc length is one more coordinate, so that its rate is the tip's speed
     curve = CubicSpline(
         along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
     )
@@ -101,7 +101,7 @@ def time_along(
     )
     samples = samples[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
-    # a spline may swing a little beyond a limit at which its samples stand
+    # a spline may swing slightly beyond a limit if its samples are at that limit
     motion = Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
     return _slow_to_limits(_slow_to_speed(motion, limits, speed, kinematics), limits, drive)
 
@@ -109,19 +109,19 @@ def time_along(
 def time_curve(
     curve: Callable[[Vector, int], Matrix], grid: Vector, limits: JointLimits, *, drive: Drive | None = None
 ) -> Trajectory | None:
-    """The fastest motion along a smooth curve that rests at its ends in its own parameter; None where there is none.
+    """The fastest motion along a smooth curve that is at rest at its ends in its own parameter; None if there is none.
 
     The parameter is like a time: dq/ds is 0 at both ends, so that a run at constant ds/dt is a
-    motion from rest to rest. The result is never slower than the fastest of those, but for what
-    lies between the points of the grid.
+    motion from rest to rest. The result is never slower than the fastest of those runs, except for
+    effects between the points of the grid.
 
     Parameters
     ----------
     curve: gives (K, n) the joints at (K,) values of the parameter, or their first or second
-        derivatives; the second argument says which.
+        derivatives; the second argument is the order of the derivative.
     grid: (N + 1,) increasing values of the parameter.
     limits: of the joints.
-    drive: what moves the joints; None for no limits but those of the joints.
+    drive: of the joints; None for no limits other than those of the joints.
     """
     motion = _over_curve(curve, grid, limits, drive)
     if motion is None:
@@ -139,14 +139,14 @@ def time_evenly(
     *,
     drive: Drive | None = None,
 ) -> Trajectory:
-    """The motion along a smooth curve at an even pace, slower where it exceeds a limit, there alone if that is enough.
+    """The motion along a smooth curve at an even pace, slowed if it exceeds a limit, only there if that is enough.
 
     Parameters
     ----------
     curve: gives (K, n) the joints at (K,) values of its parameter from 0 to 1; see `time_curve`.
-    duration: from its begin to its end [s].
+    duration: from its beginning to its end [s].
     limits: of the joints; None for no limits at all.
-    drive: what moves the joints; None for no limits but those of the joints.
+    drive: of the joints; None for no limits other than those of the joints.
     """
     time = _samples(duration, SAMPLE_PERIOD)
     motion = Trajectory.from_steps(time, curve(time / time[-1], 0))
@@ -156,7 +156,7 @@ def time_evenly(
     slower = _slow_to_limits(motion, limits, drive)
     if _over(motion, limits) <= 1.0 + _ROUNDING:
         return slower
-    # mostly one joint is too fast for a moment
+    # usually one joint is too fast for a moment
     local = _locally(motion, limits, None, 1.0)
     if local is None:
         return slower
@@ -181,7 +181,7 @@ def _over_curve(
 
 
 def _tip_rates(kinematics: BatchKinematics, q: Matrix, rates: Matrix) -> Vector:
-    """(K,) how fast the tip moves [m] at q (K, n) where the joints move at `rates` (K, n), per unit of the rates."""
+    """(K,) how fast the tip moves [m] at q (K, n) if the joints move at `rates` (K, n), per unit of the rates."""
     return np.asarray(np.linalg.norm(np.einsum("kin,kn->ki", kinematics.at(q).position_jacobian(), rates), axis=1))
 
 
@@ -192,7 +192,7 @@ def _tip_speeds(kinematics: BatchKinematics, trajectory: Trajectory) -> Vector:
 
 
 def slow_tip(trajectory: Trajectory, limits: JointLimits, *, speed: float, robot: Robot, drive: Drive) -> Trajectory:
-    """The motion, slower where its tip is faster than `speed` [m/s], within the limits of joints and drive."""
+    """The motion, slowed where its tip is faster than `speed` [m/s], within the limits of joints and drive."""
     return retime(_slow_to_speed(trajectory, limits, speed, BatchKinematics(robot)), limits, drive=drive)
 
 
@@ -239,9 +239,9 @@ def _slow_to_limits(trajectory: Trajectory, limits: JointLimits, drive: Drive | 
 
 
 def time_polyline(q: Matrix, limits: JointLimits) -> Trajectory:
-    """A motion straight from sample to sample of `q` (K, n), in one smooth ramp that keeps the `limits`.
+    """A motion straight from sample to sample of `q` (K, n), in one smooth ramp within the `limits`.
 
-    It passes through all samples, however they lie, and is far from time-optimal.
+    It passes through all samples, wherever they are, and is far from time-optimal.
     """
     way = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(q, axis=0)), axis=1))))
     if way[-1] < 1e-12:
@@ -258,7 +258,7 @@ def _ramp(stations: Vector, q: Matrix, limits: JointLimits) -> tuple[Vector, Mat
         samples = np.column_stack([np.interp(along, stations, column) for column in q.T])
         time = part * 10.0
         time = time * _over(Trajectory.from_steps(time, samples), limits) / _SPARE
-        # samples too far apart make corners of what is smooth
+        # samples too far apart turn a smooth motion into corners
         needed = len(_samples(float(time[-1]), SAMPLE_PERIOD))
         if needed <= count:
             break
@@ -267,28 +267,28 @@ def _ramp(stations: Vector, q: Matrix, limits: JointLimits) -> tuple[Vector, Mat
 
 
 def _over(trajectory: Trajectory, limits: JointLimits) -> float:
-    """The factor by which time must be stretched so that every limit of the joints is kept."""
+    """The factor by which time must be stretched to keep every limit of the joints."""
     velocity = float(np.max(np.abs(trajectory.segment_velocities()) / limits.velocity))
     smooth = float(np.max(np.abs(trajectory.accelerations()) / limits.acceleration))
-    # slower by f, a change of velocity is 1 / f of what it was; it takes f times as long, but no longer than counts
+    # slowed by f, a change of velocity is 1 / f as large; it takes f times as long, but at most a period counts
     sharp = float(np.max(np.abs(trajectory.velocity_changes()) / limits.acceleration)) / SAMPLE_PERIOD
     return max(velocity, float(np.sqrt(smooth)), sharp)
 
 
-# --- ways with round corners ------------------------------------------------------
+# --- paths with round corners -----------------------------------------------------
 
 
 def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None) -> Trajectory:
-    """The fastest motion along a way, at rest at its ends and wherever it stops.
+    """The fastest motion along a joint path, at rest at its ends and at its stops.
 
-    The samples lie on the way. Between two of them the motion is straight: on a leg it is
-    on the way, on a corner at most `chord_sagitta` off it. Where no time law is found, the
+    The samples are on the path. Between two of them the motion is straight: on a leg it is
+    on the path, on a corner at most `chord_sagitta` off it. If no time law is found, the
     motion goes into the corners and stops there.
 
     Parameters
     ----------
-    way, limits: where the joints go, and their limits.
-    drive: what moves the joints; None for no limits but those of the joints.
+    way, limits: the path of the joints, and their limits.
+    drive: of the joints; None for no limits other than those of the joints.
     """
     if way.length == 0.0:
         return Trajectory.from_steps(np.zeros(1), way.corners[:1])
@@ -306,7 +306,7 @@ def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None)
 def _parts(
     way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
 ) -> list[tuple[Vector, Matrix]]:
-    """Motions from rest to rest, one or several, from one stop of a way to the next."""
+    """Motions from rest to rest, one or several, from one stop of a path to the next."""
     inside = (way.stations > begin) & (way.stations < end)
     timed = _along_smooth(way, begin, end, limits, drive) if inside.any() or drive is not None else None
     if timed is not None:
@@ -338,7 +338,7 @@ def _samples(duration: float, period: float) -> Vector:
 def _thin_out(
     time: Vector, place: Callable[[Vector], Matrix], least_step: Vector, least_change: Vector
 ) -> tuple[Vector, Matrix]:
-    """Samples (T,), (T, m) of a motion; of one with very many, only those at which something has moved or changed.
+    """Samples (T,), (T, m) of a motion; if there are very many, only those at which something has moved or changed.
 
     Parameters
     ----------
@@ -362,9 +362,9 @@ def _thin_out(
 def _along_smooth(
     way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
 ) -> tuple[Vector, Matrix] | None:
-    """The fastest motion between two stops, through the round corners between them; None where there is no time law."""
+    """The fastest motion between two stops, through the round corners between them; None if there is no time law."""
     knots = way.knots
-    apart = _SAME_PLACE * way.length  # where corners share a leg, they may end in one place but for rounding
+    apart = _SAME_PLACE * way.length  # corners that share a leg may end in one place but for rounding
     knots = knots[(knots > begin + apart) & (knots < end - apart)]
     knots = np.concatenate(([begin], knots[np.diff(knots, prepend=begin) > apart], [end]))
     grid = [begin]
@@ -374,7 +374,7 @@ def _along_smooth(
     places = _denser_at_ends(np.array(grid))
     bend = way(0.5 * (places[:-1] + places[1:]), 2)  # constant between two knots
     slope = way(places, 1)
-    # at the end of the way the slope is that of the last leg
+    # at the end of the path the slope is that of the last leg
     slope[-1] = way(places[-2] + (1.0 - 1e-9) * (places[-1] - places[-2]), 1)
     law = time_path(PathShape(places, way(places), slope, bend, bend), limits, drive=drive)
     if law is None:
@@ -389,14 +389,14 @@ def _along_smooth(
     return time * max(_over(Trajectory.from_steps(time, q), limits) / _SPARE, 1.0), q
 
 
-# --- motions slowed to what the drive gives --------------------------------------------
+# --- motions slowed to the limits of the drive -----------------------------------------
 
 
 def retime(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) -> Trajectory:
-    """The motion, slower where its torques, speeds, flow or power exceed those of the `drive`.
+    """The motion, slowed where its torques, speeds, flow or power exceed those of the `drive`.
 
     Only the times of the samples change, so all distances from obstacles at rest stay the same.
-    Where a static load cannot be held, torques are not limited: slowing down does not reduce them.
+    If a static load cannot be held, torques are not limited: slowing down does not reduce them.
     """
     if drive is None or not drive.limited or len(trajectory) < 3 or _drive_use(trajectory, drive) <= 1.0 + _ENOUGH:
         return trajectory
@@ -410,7 +410,7 @@ def retime(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) 
 
 
 def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
-    """The greatest use of the drive; without torque, where a load could not be held at rest either."""
+    """The greatest use of the drive; without torque if a load could not be held even at rest."""
     use = drive.use_along(trajectory.moments(longest=np.inf))
     most, worst = float(np.max(use.speeds)), float(np.max(use.effort))
     if worst <= max(most, 1.0):
@@ -432,14 +432,14 @@ def _locally(
     tip_slope: Vector | None = None,
     tip_speed: float | None = None,
 ) -> Trajectory | None:
-    """The motion, slower where it must be and never faster; None where no such run is found.
+    """The motion, slowed where necessary and never faster; None if no such run is found.
 
     The path parameter is the old time, so that velocity and acceleration of the samples are
     the slope and the bend.
 
     Parameters
     ----------
-    part: of the speed that it had, at most.
+    part: of the old speed, at most.
     tip_slope: (T,) the tip's speed at the samples [m/s]; tip_speed: the greatest that it may have [m/s].
     """
     v, a = trajectory.v.copy(), trajectory.accelerations()
@@ -454,7 +454,7 @@ def _locally(
 
 
 def _stretched(trajectory: Trajectory, drive: Drive) -> Trajectory:
-    """The whole motion slower by one factor; unchanged where even a factor of 50 does not help."""
+    """The whole motion slowed by one factor; unchanged if even a factor of 50 does not help."""
 
     def slower(factor: float) -> Trajectory:
         return Trajectory.from_steps(trajectory.time * factor, trajectory.q)
