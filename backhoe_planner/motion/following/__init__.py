@@ -1,1 +1,1 @@
-"""How a motion follows what is asked of it: the path between samples, turns, waypoints, the goal at its end."""
+"""How a motion follows its task: the path between samples, turns, waypoints, the goal at its end."""

@@ -1,12 +1,12 @@
 """How far the tip is off a path between two samples.
 
 Between two samples the joints move evenly, and the tip leaves the chord between its two
-positions by at most a sagitta, which is made of the farthest that any point can be from
-each joint. On one leg of the path no point of the chord is further from it than the worse
-of its ends. Beside a corner its part on either side is further from that leg neither than its
-end nor than it is from the corner. Where that says too little, the error is measured between:
-with K equal parts the sagitta of each is K^2 times smaller, and of a part beside a corner both
-ends are held against the leg from which the further one is least.
+positions by at most a sagitta, which follows from the farthest that any point can be from
+each joint. On one leg of the path no point of the chord is further from the leg than the worse
+of its ends. Beside a corner, the part of the chord on either side is no further from its leg than
+the worse of its end and its distance from the corner. If that bound is too large, the error is
+measured in between: with K equal parts the sagitta of each is K^2 times smaller, and both ends of a
+part beside a corner are compared with the leg for which the further end is nearest.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ def chord_errors(
     ----------
     q: (T, n) the samples [rad or m]; station: (T,) arc lengths of the path there [m].
     error: (T,) how far the tip is off the path there [m].
-    sagitta: (T - 1,) how far it can be off its chord [m].
-    tips: (T, 3) where it is at the samples [m].
-    tolerance: where the bound is above this, and the errors are not, it is made sharper [m].
+    sagitta: (T - 1,) how far the tip can be off its chord [m].
+    tips: (T, 3) position of the tip at the samples [m].
+    tolerance: if the bound is above this but the errors are not, the bound is made tighter [m].
     """
     ends = np.maximum(error[:-1], error[1:])
     found = np.maximum(ends, _off_corners(path, station, tips)) + sagitta
@@ -63,20 +63,20 @@ def chord_errors(
 
 
 def _off_legs(path: TipPath, tips: Matrix, marks: Sequence[float]) -> tuple[float, float]:
-    """The most that straight ways from tip to tip (K, 3) are off `path` [m], and the most that these tips are.
+    """The most that straight lines from tip to tip (K, 3) are off `path` [m], and the most that these tips are.
 
     Parameters
     ----------
-    marks: the arc lengths where its legs begin and end there [m].
+    marks: the arc lengths where the path's legs begin and end there [m].
     """
     off = np.array([[path.nearest(tip, low=a, high=b)[1] for tip in tips] for a, b in pairwise(marks)])
-    # the distance from one leg is convex along a straight way
+    # the distance from one leg is convex along a straight line
     ways = np.min(np.maximum(off[:, :-1], off[:, 1:]), axis=0)
     return float(np.max(ways)), float(np.max(np.min(off, axis=0)))
 
 
 def _off_corners(path: TipPath, station: Vector, tips: Matrix) -> Vector:
-    """(T - 1,) how far the chord from sample to sample passes from the path's corners [m]; 0 where there is none."""
+    """(T - 1,) how far from the path's corners the chord between samples passes [m]; 0 if there is no corner."""
     found = np.zeros(len(station) - 1)
     for mark, corner in zip(path.stations[1:-1], path.points[1:-1], strict=True):
         for row in np.flatnonzero((station[:-1] < mark) & (station[1:] > mark)):

@@ -1,9 +1,9 @@
-"""How far the tip is turned from what a path asks for, between two samples too.
+"""How far the tip is turned from the orientation that a path requires, between samples too.
 
 Between two samples the joints move evenly, and the tip turns by at most the sum of |dq_j|
-over the hinges. If the tip's place along the path moves evenly too, what is asked turns by
-an amount V that is known. So, with L the sum of both, the error between two moments with
-the errors e_a and e_b is at most (e_a + e_b + L) / 2. Where that says too little, the error
+over the hinges. If the tip's place along the path moves evenly too, the required orientation
+turns by a known amount V. So, with L the sum of both, the error between two moments with
+the errors e_a and e_b is at most (e_a + e_b + L) / 2. If that bound is too large, the error
 is measured halfway, and so on: L halves with every step.
 """
 
@@ -17,24 +17,24 @@ from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, rotation_vectors, wrap_angle
 from backhoe_planner.motion.path import TipPath, targets_along
 
-_RESOLUTION = 1e-3  # rad that a bound may lie above the errors that were measured; chosen, 0.06 degrees
-_FINEST = 1e-5  # rad of L at which a part is not halved again; chosen, so that errors just below what is allowed pass
+_RESOLUTION = 1e-3  # rad that a bound may be above the measured errors; chosen, 0.06 degrees
+_FINEST = 1e-5  # rad of L at which a part is not halved again; chosen, so that errors just below the limit pass
 _MOST = 200_000  # measurements for one motion; chosen, some seconds
 
 
 def angle_bounds(
     path: TipPath, robot: Robot, *, q: Matrix, station: Vector, angle: Vector, segments: Flags, allowed: float
 ) -> Vector:
-    """(T - 1,) the most that the tip is turned from what `path` asks for on each of `segments` [rad].
+    """(T - 1,) bound on how far the tip is turned from the orientation of `path` on each of `segments` [rad].
 
-    Where more than `allowed` was found, that; 0 on other segments.
+    If an error above `allowed` was measured, that error; 0 on other segments.
 
     Parameters
     ----------
     q: (T, n) the samples [rad or m]; station: (T,) arc lengths of the path there [m].
     angle: (T,) the errors there [rad].
-    segments: (T - 1,) which to look at.
-    allowed: error at which a segment is not looked at further [rad].
+    segments: (T - 1,) which to check.
+    allowed: error above which a segment is not checked further [rad].
     """
     found = np.zeros(len(q) - 1)
     measure = _Measure(path, robot, q, station)
@@ -60,7 +60,7 @@ class _Parts:
     ----------
     segment: (P,)
     begin, end: (P,) 0 to 1 within the segment.
-    low, high: (P,) arc length at the begin and at the end [m], on the leg.
+    low, high: (P,) arc length at the beginning and at the end [m], on the leg.
     before, after: (P,) errors there [rad].
     turn: (P,) L, by which the error can change on the part [rad].
     """
@@ -100,7 +100,7 @@ class _Measure:
             begin, here = 0.0, low
             for mark in marks if low < high else marks[::-1]:
                 part = (mark - low) / (high - low)
-                # what is asked may jump there: it belongs to the leg that the part is on
+                # the required orientation may jump there: use that of the leg that the part is on
                 near, far = (np.nextafter(mark, -np.inf), mark) if low < high else (mark, np.nextafter(mark, -np.inf))
                 rows.append((segment, begin, part, here, float(near)))
                 begin, here = part, float(far)
@@ -117,7 +117,7 @@ class _Measure:
         )  # fmt: skip
 
     def halved(self, parts: _Parts) -> _Parts:
-        """Both halves of every part; on a leg what is asked turns evenly."""
+        """Both halves of every part; on a leg the required orientation turns evenly."""
         middle, place = 0.5 * (parts.begin + parts.end), 0.5 * (parts.low + parts.high)
         error = self._errors(parts.segment, middle, place)
         return _Parts(
@@ -129,7 +129,7 @@ class _Measure:
         )  # fmt: skip
 
     def _errors(self, segment: Indices, part: Vector, place: Vector) -> Array:
-        """(P,) at a part 0 to 1 of segments, where the path is followed to `place` [m]."""
+        """(P,) errors at a part 0 to 1 of segments, where the path is followed to `place` [m]."""
         if len(segment) == 0:
             return np.zeros(0)
         q = (1.0 - part)[:, None] * self._q[segment] + part[:, None] * self._q[segment + 1]
@@ -138,7 +138,7 @@ class _Measure:
 
 
 def _turns(a: TargetBatch, b: TargetBatch) -> Vector:
-    """(P,) how far the asked error can change from each of `a` to `b`, on one leg of a path, by what is asked [rad]."""
+    """(P,) how much the change of target from each of `a` to `b`, on one leg of a path, can change the error [rad]."""
     # any pitch is a range of half a turn to either side
     found = np.abs(np.where(a.has_pitch, a.pitch_half, np.pi) - np.where(b.has_pitch, b.pitch_half, np.pi))
     found += np.where(a.has_pitch & b.has_pitch, np.abs(wrap_angle(a.pitch_middle - b.pitch_middle)), 0.0)

@@ -1,7 +1,7 @@
-"""Whether the joints go to another posture while the tip stands on its path.
+"""Whether the joints go to another posture while the tip stands still on its path.
 
-The tip stands as long as it gets on along the path by less than a tenth of the tolerance. A turn that
-the path itself asks for is progress along it, so it is none of these.
+The tip stands still as long as it advances along the path by less than a tenth of the tolerance. A turn that
+the path itself requires is progress along it and does not count.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 
-_STANDS = 0.1  # part of the path's tolerance by which the tip gets on while it stands; chosen
+_STANDS = 0.1  # part of the path's tolerance that the tip may advance while it counts as standing still; chosen
 _LEAST = 0.1  # rad or m of a joint; chosen: planned paths move a joint by a tenth of it within such a part
 
 
 @dataclass(frozen=True)
 class SpotTurn:
-    """A posture left for another while the tip stands.
+    """A change from one posture to another while the tip stands still.
 
     Attributes
     ----------
-    joint: the index of the one that moves furthest.
+    joint: the index of the joint that moves furthest.
     size: largest position minus least [rad or m].
-    station: where on the path the tip stands, by its measure [m].
+    station: where on the path the tip is, by its measure [m].
     time: when it begins [s].
     """
 
@@ -35,9 +35,9 @@ class SpotTurn:
 
 
 def largest_spot_turn(time: Vector, q: Matrix, station: Vector, on: Flags, *, tolerance: float) -> SpotTurn | None:
-    """The largest turn on the spot; None where no joint moves by 0.1 rad or m while the tip stands.
+    """The largest turn on the spot; None if no joint moves by 0.1 rad or m while the tip stands still.
 
-    A motion that comes to the path from elsewhere may turn at its beginning: that is part of the approach.
+    A motion that comes to the path from elsewhere may turn at the path's beginning: that is part of the approach.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ def largest_spot_turn(time: Vector, q: Matrix, station: Vector, on: Flags, *, to
 
 
 def _gets_on(station: Vector, stands: float) -> int:
-    """How many of the samples, from the first on, the tip is within `stands` [m] of where it is at the first.
+    """How many samples, from the first on, have the tip within `stands` [m] of its place at the first.
 
-    Also where it goes back along the path, or comes to it from a place that is nearest to a later one.
+    Going back along the path, or coming to it from a place that is nearest to a later one, counts likewise.
     """
-    look = 64  # samples; more where the tip stands for longer
+    look = 64  # samples; more if the tip stands still for longer
     while not (away := np.abs(station[:look] - station[0]) > stands).any():
         if look >= len(station):
             return len(station)

@@ -1,8 +1,8 @@
-"""How well the tip keeps to its task, from the samples of a motion alone.
+"""How well the tip follows its task, from the samples of a motion alone.
 
 Between two samples the tip leaves the straight line between its two positions by at most a
-sagitta, see `bend_weights`. It is added to the errors at the samples; where that is more than the
-tolerance, the errors between are measured too, see `chords`. How far the tip turns between two
+sagitta, see `bend_weights`. It is added to the errors at the samples; if the sum is more than the
+tolerance, the errors in between are measured too, see `chords`. How far the tip turns between two
 samples is bounded likewise, see `orientation`.
 """
 
@@ -27,28 +27,28 @@ from backhoe_planner.site import Obstruction
 
 _BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
 _BESIDE = 10.0  # tolerances before and behind an end of a detour in which the tip swings out or in; chosen
-_SAME_PLACE = 1e-6  # m: chosen, nearer by less is rounding of a joint path
-_LEAST_SHOWN = 5e-4  # m: what is printed as less is 0.000 m
+_SAME_PLACE = 1e-6  # m: chosen, a smaller difference is rounding of a joint path
+_LEAST_SHOWN = 5e-4  # m: less is printed as 0.000 m
 _BETTER = 0.1  # part of the tolerances by which a later leg must fit better where a path turns; chosen
-_PARTS = 8  # of a segment in which the tip passes a waypoint, at least, at which its angle is looked at; chosen
-_TURN_PART = 0.25  # of the angle's tolerance by which the tip turns at most between two of them; chosen
+_PARTS = 8  # least number of parts of a segment that passes a waypoint, at which the tip's angle is checked; chosen
+_TURN_PART = 0.25  # part of the angle's tolerance that the tip turns at most between two of them; chosen
 _MOST_PARTS = 2000  # chosen to bound the work
-_MARKS = 33  # places of the path that a detour leaves out, beside its waypoints, from which its way is measured; chosen
-_LOOK_AHEAD = 0.5  # m of path within which the tip is sought while it follows; chosen
+_MARKS = 33  # places of the path that a detour leaves out, besides waypoints, measured from the detour; chosen
+_LOOK_AHEAD = 0.5  # m of path within which the tip is searched while it follows; chosen
 
 
 @dataclass(frozen=True)
 class Detour:
-    """A part of the motion that leaves the specified path and comes back to it.
+    """A part of the motion that leaves the specified path and returns to it.
 
     Attributes
     ----------
     time_from, time_to: when it begins and ends [s].
     path_from, path_to: where the tip leaves the path and where it rejoins it [m].
-    length: of the tip's way in between [m].
-    max_deviation: largest distance of the tip from the path, or of what is left out of the path from the tip's way [m].
-    max_angle: largest angle from the asked orientation [rad].
-    obstruction: what the detour goes around, where a planner knows it; a certificate does not.
+    length: distance that the tip moves in between [m].
+    max_deviation: largest distance of the tip from the path, or of the left-out part of the path from the tip [m].
+    max_angle: largest angle from the required orientation [rad].
+    obstruction: what the detour goes around, if a planner knows it; a certificate does not.
     """
 
     time_from: float
@@ -62,7 +62,7 @@ class Detour:
 
     @property
     def place(self) -> str:
-        """Of the path, for a sentence: ``from 1.20 m to 1.80 m``, or ``at 1.20 m``."""
+        """The part of the path, for a sentence: ``from 1.20 m to 1.80 m``, or ``at 1.20 m``."""
         begin, end = f"{self.path_from:.2f} m", f"{self.path_to:.2f} m"
         return f"at {begin}" if begin == end else f"from {begin} to {end}"
 
@@ -78,23 +78,23 @@ class Detour:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How well the tip kept to its task.
+    """How well the tip followed its task.
 
     Attributes
     ----------
     done: whether the goal was reached, or the path followed to its end.
-    shortfall: in words, what is missing; empty where done.
+    shortfall: what is missing, in words; empty if done.
     max_error, mean_error: of the tip's position [m]: at the goal, or over the followed parts
-        of the path, where the greatest includes the bound for what lies between samples.
-    max_angle_error: the same of its angle, the bound at most 0.001 rad above what was measured [rad].
+        of the path, where the greatest includes the bound between samples.
+    max_angle_error: the same for its angle, with a bound at most 0.001 rad above the measured error [rad].
     path_length: of the specified path [m], turns of the bucket not counted; 0 for a goal.
-    followed: part of it that was followed [m].
-    approach_time: when the tip first is on the path [s].
-    detours: where it left the path.
-    max_speed, max_speed_time: of the tip on the followed parts [m/s], and when [s];
-        10 tolerances next to a detour, where it swings out and in again, do not count.
-    joint_step: the longest of a joint from waypoint to waypoint; None where the joints may move freely.
-    spot_turn: the largest turn of the joints while the tip stands; None where there is none, or they may turn.
+    followed: length of the followed part [m].
+    approach_time: when the tip is first on the path [s].
+    detours: where the tip left the path.
+    max_speed, max_speed_time: greatest speed of the tip on the followed parts [m/s], and when [s];
+        10 tolerances next to a detour, where the tip swings out and in again, do not count.
+    joint_step: the longest step of a joint from waypoint to waypoint; None if the joints may move freely.
+    spot_turn: the largest turn of the joints while the tip stands still; None if there is none, or it is allowed.
     goal: number of the goal at which the motion ends, or of the nearest, from 1; 0 for a path.
     """
 
@@ -115,12 +115,12 @@ class Tracking:
 
     @property
     def left_out(self) -> float:
-        """How much of the path the detours leave out [m]. That something blocks it there is not proven."""
+        """How much of the path the detours leave out [m]. It is not proven that something blocks the path there."""
         return sum(detour.path_to - detour.path_from for detour in self.detours)
 
 
 def track_goals(goals: Sequence[Goal], trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
-    """How close the last sample is to the first of `goals` that is reached, else to the nearest.
+    """How close the last sample is to the first of `goals` that is reached, or else to the nearest.
 
     Parameters
     ----------
@@ -146,15 +146,15 @@ def track_path(
     joint_steps: Vector | None = None,
     may_turn: bool = True,
 ) -> Tracking:
-    """How the tip keeps to `path` at the samples, with a bound for what lies between them.
+    """How the tip follows `path` at the samples, with a bound on the errors between them.
 
     Parameters
     ----------
-    path: what the tip is to follow.
+    path: the path of the task.
     trajectory, kinematics: the motion, and the machine that makes it.
-    tolerance, angle_tolerance: within which the tip counts as on the path [m], [rad].
-    joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; None where all may freely.
-    may_turn: whether the joints may go to another posture while the tip stands.
+    tolerance, angle_tolerance: errors within which the tip counts as on the path [m], [rad].
+    joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; None if all may move freely.
+    may_turn: whether the joints may go to another posture while the tip stands still.
     """
     station, error, angle, tips, at_begin = _follow(path, tolerance, angle_tolerance, trajectory, kinematics)
     robot = kinematics.robot
@@ -264,12 +264,12 @@ def progress(
     *,
     angle_tolerance: float = ANGLE_TOLERANCE,
 ) -> float | None:
-    """Up to which s, see `TipPath`, a motion has followed `path` [m]; None where it has not begun to.
+    """The s, see `TipPath`, up to which a motion has followed `path` [m]; None if it has not begun to.
 
     Parameters
     ----------
     trajectory, kinematics: the motion, and the machine that makes it.
-    tolerance, angle_tolerance: within which the tip counts as on the path [m], [rad].
+    tolerance, angle_tolerance: errors within which the tip counts as on the path [m], [rad].
     """
     station, error, angle, _, begun = _follow(path, tolerance, angle_tolerance, trajectory, kinematics)
     if not begun.any():
@@ -282,9 +282,9 @@ def progress(
 def _follow(
     path: TipPath, tolerance: float, angle_tolerance: float, trajectory: Trajectory, kinematics: Kinematics
 ) -> tuple[Vector, Vector, Vector, Matrix, Flags]:
-    """Per sample: s on the path, distance from it, angle error, tip position, and whether the tip is at its begin.
+    """Per sample: s on the path, distance from it, angle error, tip position, and whether the tip is at its beginning.
 
-    Where the path turns, what is followed is position and orientation together.
+    If the path turns, position and orientation are followed together.
     """
     count = len(trajectory)
     station, error, angle = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -297,7 +297,7 @@ def _follow(
     slack = _BETTER * min(tolerance, TURN_LEVER * angle_tolerance)
 
     def place(low: float, high: float) -> tuple[float, float, bool]:
-        """Where between two s, the distance from the path there, and whether the tip is on it."""
+        """The tip's place between two s, its distance from the path there, and whether it is on the path."""
         if path.turns:
             s, distance, off = path.place(at, low=low, high=high, slack=slack)
             return s, distance, distance <= tolerance and off <= angle_tolerance
@@ -331,9 +331,9 @@ def _follow(
 
 
 def _beginning(path: TipPath, tolerance: float, angle_tolerance: float) -> float:
-    """The s up to which a tip at the path's begin still counts as beginning [m].
+    """The s up to which a tip at the path's beginning still counts as beginning [m].
 
-    It is less where the path itself comes back to its begin.
+    It is less if the path itself returns to its beginning.
     """
     usual = _BEGINNING * path.length
     raster = np.arange(0.0, 2.0 * usual, max(tolerance, 1e-3, usual / 5000.0))
@@ -355,12 +355,12 @@ def _missed_angles(
     kinematics: Kinematics,
     left: Sequence[tuple[float, float]],
 ) -> list[str]:
-    """The waypoints beside turns at which the tip never has the asked angle, in words.
+    """The waypoints beside turns at which the tip never has the required angle, in words.
 
     Parameters
     ----------
     left: the parts of the path that the tip is away from, from s to s [m]. A waypoint there may be
-        left out where the tip only passes, not where it stands to turn.
+        left out if the tip only passes it, but not if the tip stands still there to turn.
     """
     found = []
     rows, batch = np.flatnonzero(on), BatchKinematics(kinematics.robot)
@@ -393,7 +393,7 @@ def _close_gaps(on: Flags, first: int, last: int, station: Vector, shortest: flo
 
 
 def _gaps(on: Flags, arcs: Vector, tips: Matrix, tolerance: float) -> list[tuple[int, int]]:
-    """The samples before and behind each detour: the tip is off the path, or gets on along it by more than it moves.
+    """The samples before and behind each detour: the tip is off the path, or advances on it by more than it moves.
 
     Parameters
     ----------
@@ -420,9 +420,9 @@ def _detour(
 
 
 def _farthest_left_out(path: TipPath, begin: float, end: float, tips: Matrix) -> float:
-    """How far the path from one s to another [m] is at most from the tip's way (K, 3), at its waypoints and between.
+    """The farthest that the path from one s to another [m] is from the tip's track (K, 3), at waypoints and between.
 
-    A spike of the path may be left out by a way that is near the path everywhere.
+    A spike of the path may be left out by a track that is near the path everywhere.
     """
     stations = path.stations[(path.stations > begin) & (path.stations < end)]
     marks = np.union1d(np.linspace(begin, end, _MARKS), stations)

@@ -15,7 +15,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion.path import TipPath
 
 _SAME = 1e-9  # m: rounding of an arc length
-_KEPT_WITHIN = 1e-6  # part of what is allowed: rounding
+_KEPT_WITHIN = 1e-6  # part of the allowed step: rounding
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class WaypointStep:
 
     @property
     def ratio(self) -> float:
-        """`size` in parts of what is allowed."""
+        """`size` over the allowed step."""
         return self.size / self.allowed
 
     @property
     def kept(self) -> bool:
-        """Whether it is no further than allowed."""
+        """Whether the step is no longer than allowed."""
         return self.ratio <= 1.0 + _KEPT_WITHIN
 
 
@@ -56,13 +56,13 @@ def longest_step(
     gaps: Sequence[tuple[int, int]] = (),
     slack: float = 1e-6,
 ) -> WaypointStep | None:
-    """The step from waypoint to waypoint that is the longest in parts of what is allowed; None where none is passed.
+    """The step from waypoint to waypoint that is the longest relative to the allowed one; None if none is passed.
 
     Parameters
     ----------
     stations: (K,) arc lengths of the samples [m], not decreasing outside `gaps`.
     q: (K, n) joints there [rad or m].
-    allowed: (n,) how far a joint may move on one leg [rad or m], infinite where it may freely.
+    allowed: (n,) how far a joint may move on one leg [rad or m], infinite if it is not limited.
     gaps: the samples before and behind each detour.
     slack: a waypoint this near to the first or the last sample counts as passed there [m].
     """
@@ -96,7 +96,7 @@ def _legs(
         if first == len(rows) or (first == 0 and at[0] > mark + _SAME):
             continue
         end = int(np.searchsorted(at, mark + _SAME, side="right")) - 1
-        if end >= first:  # samples lie on it
+        if end >= first:  # samples are on the waypoint
             begin, here = int(rows[end]), q[rows[first] : rows[end] + 1]
             leave = int(rows[first])
         elif rows[first] == rows[first - 1] + 1 and not any(a == rows[first - 1] for a, _ in gaps):
