@@ -1,4 +1,4 @@
-"""The command line: words for people. It asks the library, and prints."""
+"""The command line: it calls the library and prints text for people."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
 """The program `backhoe-planner COMMAND ...`: all its commands, and its exit status.
 
-Exit status: 0 verified (or done), 1 no verified plan, 2 bad input, or an output that cannot
+Exit status: 0 verified (or done), 1 no verified plan, 2 bad input or an output that cannot
 be written, 130 interrupted.
 """
 
@@ -72,7 +72,7 @@ def main() -> NoReturn:
     _open_what_is_closed()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # the terminal may not have all letters of a name
+            stream.reconfigure(errors="backslashreplace")  # the terminal may lack some letters of a name
     try:
         status = app(standalone_mode=False)
         sys.stdout.flush()
@@ -85,7 +85,7 @@ def main() -> NoReturn:
     except SystemExit as ended:
         if not isinstance(ended.__context__, BrokenPipeError):
             raise
-        sys.exit(_output_lost(ended.__context__))  # rich and typer end without a word where nobody reads
+        sys.exit(_output_lost(ended.__context__))  # rich and typer exit silently when nobody reads the output
     except typer.Exit as done:
         sys.exit(done.exit_code)
     except OSError as error:
@@ -107,9 +107,9 @@ def main() -> NoReturn:
 
 
 def _open_what_is_closed() -> None:
-    """Give the program an output and an error stream where it was started without one.
+    """Give the program an output and an error stream if it was started without one.
 
-    The next file that is opened would get the number of the closed one, and what a library prints.
+    Otherwise the next file that is opened would get the number of the closed stream, and anything a library prints.
     """
     for name, number in (("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
@@ -121,12 +121,12 @@ def _open_what_is_closed() -> None:
 
 
 def _output_lost(error: OSError) -> int:
-    """The exit status where the output can no longer be written: nobody reads it, or the disk is full."""
+    """The exit status if the output can no longer be written: nobody reads it, or the disk is full."""
     let_go(sys.stdout)
     print_error(f"the output cannot be written: {error.strerror}")
     return BAD_INPUT
 
 
 def _is_usage_error(error: Exception) -> bool:
-    """Whether it is click's own complaint about the command line."""
+    """Whether an error is click's own complaint about the command line."""
     return hasattr(error, "format_message") and hasattr(error, "exit_code")

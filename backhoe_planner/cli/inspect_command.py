@@ -1,4 +1,4 @@
-"""`inspect` and `schema`: what a machine is and can do, and what a file may hold."""
+"""`inspect` and `schema`: what a machine is and can do, and what a file may contain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_war
 from backhoe_planner.files.output_file import check_ending, check_writable
 
 _SCHEMAS: dict[str, Callable[[], dict[str, Any]]] = {
-    "scene": lambda: bp.scene_schema(),  # each loads its part of the package
+    "scene": lambda: bp.scene_schema(),  # each loads its part of the package only when called
     "job": lambda: bp.job_schema(),
     "study": lambda: bp.study_schema(),
 }
@@ -40,8 +40,8 @@ def inspect(
 ) -> int:
     """Show what a machine is and can do.
 
-    Joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders;
-    of a scene also where its obstacles and zones stand.
+    Prints joints, limits, held joints, links, which links may touch, Denavit-Hartenberg table, envelope and
+    cylinders; with a scene, also where its obstacles and zones are.
     """
     if plot is not None:
         check_ending(plot, show.FIGURE_FORMATS, what="a figure")
@@ -76,7 +76,7 @@ def schema(
 
 
 def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Robot, bp.JointLimits]:
-    """The machine and its limits, within the scene where there is one."""
+    """The machine and its limits, within the scene if there is one."""
     if scene is None:
         robot = bp.load_robot(urdf, tip=tip)
         return robot, robot.limits
@@ -87,7 +87,7 @@ def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Rob
 
 
 def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
-    """Where every obstacle and zone stands, and of how many parts it is."""
+    """Print where every obstacle and zone is, and how many parts it has."""
     obstacles = site.build_obstacles(scene, robot)
     if not obstacles:
         OUT.print("\nsite          no obstacles")
@@ -117,7 +117,7 @@ def _parts_of(obstacle: bp.Obstacle) -> str:
 
 
 def _print_held(robot: bp.Robot) -> None:
-    """The joints that stand still, where, and why."""
+    """Print the joints that stand still, at which position, and why."""
     words = {"held": "held by the scene", "beside": "does not move the tip"}
     rows, at_zero = [], []
     for joint in robot.held:
@@ -162,7 +162,7 @@ def _or_none(limit: float, digits: str, unit: str) -> str:
 
 
 def _print_meshes(robot: bp.Robot) -> None:
-    """How many pieces of meshes were made, or came from the cache folder."""
+    """Print how many pieces were made of meshes, and how many came from the cache folder."""
     of_meshes = [solid.cached for solid in robot.solids if solid.cached is not None]
     if of_meshes:
         OUT.print(

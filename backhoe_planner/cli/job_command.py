@@ -47,8 +47,8 @@ def job(
 ) -> int:
     """Plan a job: all cycles from the first cut to the last.
 
-    Where the output holds the same job, ended early, it goes on where it was. Where the machine is best put for
-    a job, and in which places it digs one that is longer than it reaches, `backhoe-planner stand JOB` finds.
+    If the output holds the same job, ended early, planning continues from there. `backhoe-planner stand JOB` finds
+    the best place for the machine, and the places from which it digs a job that is longer than its reach.
     """
     effort = jobs.DEFAULT_EFFORT if effort is None else effort
     check_apart([output, html])
@@ -98,7 +98,7 @@ def job(
 
 @contextlib.contextmanager
 def _telling_where_it_is(kept: list[int], output: Path) -> Iterator[None]:
-    """Where the user ends the planning, what is done and where it is."""
+    """If the user interrupts the planning, report what is done and where it is."""
     try:
         yield
     except KeyboardInterrupt:
@@ -111,11 +111,11 @@ def _telling_where_it_is(kept: list[int], output: Path) -> Iterator[None]:
 
 
 def _begun(loaded: jobs.Job, output: Path, search: tuple[str, int], terrain: jobs.Terrain | None) -> bp.JobPlan | None:
-    """The part of the same job that the output holds, where planning was interrupted.
+    """The part of the same job that the output holds, if planning was interrupted.
 
     Raises
     ------
-    InputError: it was begun by another command, or is damaged: planning would begin anew over it.
+    InputError: it was begun by another command, or is damaged, so that planning would begin anew over it.
     """
     if not output.is_file() or not jobs.is_job_plan(output):
         return None
@@ -159,7 +159,7 @@ def _print_cycle(step: jobs.JobStep) -> None:
 
 
 def print_patterns(plan: bp.JobPlan) -> None:
-    """Print what patterns of cuts were compared; nothing where one was prescribed."""
+    """Print which patterns of cuts were compared; nothing if the pattern was prescribed."""
     if len(plan.compared) < 2:
         return
     unit = "s/m^3" if plan.job.objective == "time" else "kJ/m^3"
@@ -228,7 +228,7 @@ def print_figures(plan: bp.JobPlan) -> None:
 
 
 def print_job_warnings(loaded: bp.Job) -> None:
-    """Print what is assumed of a job's machine and site, before anything is planned."""
+    """Print what is assumed of a job's machine and site, before planning starts."""
     scene = loaded.site_scene
     robot = site.load_machine(loaded.machine_source, scene)
     print_warnings(site.input_warnings(robot, scene, with_task=False))
@@ -236,20 +236,20 @@ def print_job_warnings(loaded: bp.Job) -> None:
 
 
 def read_job_plan(file: Path, urdf: str | None) -> bp.JobPlan:
-    """The plan of a job; a terminal says meanwhile what takes so long."""
+    """The plan of a job; a terminal shows meanwhile what takes so long."""
     with ERR.status("digging the ground anew, for what stands at every moment ..."):
         return bp.load_job_plan(file, urdf=urdf)
 
 
 def draw_job_page(plan: bp.JobPlan, html: Path) -> None:
-    """Write the page of a job, and print what there is to say of it; a terminal says meanwhile what takes so long."""
+    """Write the page of a job, and print its warnings; a terminal shows meanwhile what takes so long."""
     with ERR.status("drawing the page ..."):
         warnings = show.write_job_page(plan, html)
     print_warnings(warnings)
 
 
 def check_job(file: Path, urdf: str | None) -> int:
-    """Prove the plan of a job anew, and print what holds."""
+    """Prove the plan of a job again, and print the result."""
     begun = clock.monotonic()
     found = read_job_plan(file, urdf)
     print_warnings(site.input_warnings(found.robot, found.job.site_scene, with_task=False))

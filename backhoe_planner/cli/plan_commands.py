@@ -60,7 +60,7 @@ def plan(
         check_output(html, inputs)
         check_ending(html, show.PAGE_FORMATS, what="a page")
     print_warnings(site.input_warnings(robot, loaded))
-    unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of what is shown on the way to a goal
+    unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of the cost shown while planning to a goal
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
         if viewer is not None:
@@ -72,10 +72,10 @@ def plan(
                 found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
         found.save(output)
         print_warnings(site.obstacle_warnings(robot, found.problem.obstacles))
-        if html is not None:  # before anything is printed: what is printed may not be read to its end
+        if html is not None:  # before anything is printed: the reader of the output may stop early
             try:
                 print_warnings(show.write_page(found, html))
-            except bp.OutputError:  # such as a full disk: the plan itself was found, and is written
+            except bp.OutputError:  # such as a full disk: the plan itself was found and written
                 print_plan(found, output, as_json)
                 raise
         print_plan(found, output, as_json)
@@ -88,7 +88,7 @@ def plan(
 
 
 def _show_best(status: Status, step: planning.PlannerStep, unit: str) -> None:
-    """What the best motion to a goal so far costs."""
+    """Show the cost of the best motion to a goal so far."""
     if step.best is not None and step.time == 0.0:
         status.update(f"planning ... the best so far: {step.best:,.4g} {unit}")
 
@@ -124,14 +124,14 @@ def view(
 
 
 def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
-    """Compute the certificate of a plan anew."""
+    """Compute the certificate of a plan again."""
     begun = clock.monotonic()
     if job.is_job_plan(plan_file):
         return check_job(plan_file, urdf)
     loaded = bp.load_plan(plan_file, urdf=urdf)
     print_warnings(site.input_warnings(loaded.robot, loaded.scene))
     print_warnings(site.obstacle_warnings(loaded.robot, loaded.problem.obstacles))
-    if loaded.verified:  # where the motion itself was changed that says enough
+    if loaded.verified:  # if the motion itself was changed, the failed certificate says enough
         print_warnings(planning.plan_differences(plan_file, loaded))
     print_certificate(loaded)
     OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
@@ -157,7 +157,7 @@ def export(
     ],
     urdf: PlanUrdf = None,
 ) -> int:
-    """Write a plan's motion for other tools; of a job's every cycle."""
+    """Write a plan's motion, or all cycles of a job, for other tools."""
     if job.is_job_plan(plan_file):
         check_output(file, [plan_file])
         job.export_job(read_job_plan(plan_file, urdf), file)
@@ -171,7 +171,7 @@ def _refused(plan_file: Path, problem: str, *, hint: str) -> bp.PlanFileError:
 
 
 def _write(write: Callable[[bp.Plan, Path], object], plan_file: Path, urdf: str | None, file: Path) -> int:
-    """Have `write` write a plan to `file`."""
+    """Write a plan to `file` with the function `write`."""
     check_output(file, [plan_file])
     write(bp.load_plan(plan_file, urdf=urdf), file)
     OUT.print(f"wrote {file}")

@@ -1,4 +1,4 @@
-"""What is printed of a plan: its summary, and its certificate."""
+"""The printed summary of a plan, and its certificate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
 
-_SAME_PLACE = 0.005  # m along a path between its two ends, below which a detour is a change of posture on the spot
+_SAME_PLACE = 0.005  # m of path between the ends of a detour, below which it is a change of posture on the spot
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
 
 
@@ -33,7 +33,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     if found.message:
         OUT.print(f"  {found.message}")
     metrics, tightest = found.metrics, found.certificate.min_clearance
-    # without a motion from a start given by its joints, the posture that is kept is one that came nearest
+    # if there is no motion and the start is not given by joints, the plan only has the posture that came nearest
     moves = len(found.trajectory) > 1 or found.verified
     if tightest is not None and (moves or found.problem.start_q is not None):
         least, when = ("at least", f"at {tightest.time:.2f} s") if moves else ("where it starts,", "without a motion")
@@ -42,7 +42,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
             f"and {tightest.name} (margin {tightest.margin:+.3f} m, {when})"
         )
     _print_tracking_error(found)
-    if moves:  # a machine that stands on its goal stays, for 0 s
+    if moves:  # a machine already at its goal has a motion of 0 s
         _print_motion(found)
     _print_legs(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
@@ -50,7 +50,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
 
 
 def _print_legs(found: bp.Plan) -> None:
-    """One line for each leg of a sequence: duration, work, tightest margin; nothing where there are no legs."""
+    """Print a line for each leg of a sequence: duration, work, tightest margin; nothing if there are no legs."""
     width = max((len(leg.name) for leg in found.legs), default=0)
     for leg in found.legs:
         tightest = leg.certificate.min_clearance
@@ -66,7 +66,7 @@ def _print_legs(found: bp.Plan) -> None:
 
 
 def _print_tracking_error(found: bp.Plan) -> None:
-    """What of the tightest distance is left to a machine that is off its plan; nothing where it is exact."""
+    """Print the tip's tracking error, and how much of the clearance it uses; nothing if the machine is exact."""
     tightest, tube = found.certificate.min_clearance, found.problem.robot.tube
     if tube is not None:
         taken = 0.0 if tightest is None else tightest.tracking
@@ -77,14 +77,14 @@ def _print_tracking_error(found: bp.Plan) -> None:
 
 
 def _print_goal(found: bp.Plan) -> None:
-    """Which of several goals is reached; nothing where there is one, or a path."""
+    """Print which of several goals is reached; nothing if there is only one, or a path."""
     goals, number = found.problem.goals, found.certificate.goal
     if len(goals) > 1 and number is not None:
         OUT.print(f"goal          {number} of {len(goals)} is reached")
 
 
 def _print_keep(found: bp.Plan) -> None:
-    """What is left of every condition that is to be kept; nothing where there is none."""
+    """Print the margin left of every condition to be kept; nothing if there is none."""
     for use in found.certificate.keep:
         figures = f"{DEGREES * use.margin:+.2f} deg" if use.unit == "rad" else f"{use.margin:+.3f} m"
         OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s)")
@@ -128,7 +128,7 @@ def _print_motion(found: bp.Plan) -> None:
 
 
 def print_certificate(plan: bp.Plan) -> None:
-    """Print what is proven of a plan, row by row."""
+    """Print what is proven about a plan, row by row."""
     certificate = plan.certificate
     print_verdict("" if certificate.verified else f"not verified: {plan.reason}")
     if not certificate.verified:
@@ -174,7 +174,7 @@ def print_certificate(plan: bp.Plan) -> None:
 
 
 def _print_left_out(tracking: bp.Tracking) -> None:
-    """How much of a path detours leave out; nothing where there are none."""
+    """Print how much of a path detours leave out; nothing if there are none."""
     if tracking.detours:
         OUT.print(
             f"{'left out':<13}{tracking.left_out:.2f} m of {tracking.path_length:.2f} m of the path, in "
@@ -191,7 +191,7 @@ def print_recording(plan: bp.Plan) -> None:
 
 
 def _around(detour: bp.Detour) -> str:
-    """What a detour goes around, where the planner knows it."""
+    """What a detour goes around, in words; empty if that is not known."""
     found = detour.obstruction
     return "" if found is None else f", {'for' if found.kind == 'joint' else 'around'} {found.name}"
 
@@ -207,7 +207,7 @@ def _loads(found: bp.Plan) -> str:
 
 
 def _print_bound(found: bp.Plan) -> None:
-    """What no motion to the goal could fall short of, and how far above it the plan is; nothing along a path."""
+    """Print the lower bounds for any motion to the goal, and how far above them the plan is; nothing for a path."""
     bound, cost = found.bound, found.metrics.cost
     if bound is not None:
         longer = f" ({found.excess})" if found.excess else ""
@@ -223,19 +223,19 @@ def _print_bound(found: bp.Plan) -> None:
 
 
 def _minimised(found: bp.Plan, name: str) -> str:
-    """End of the line of a figure of the whole motion, where that is the objective."""
+    """End of the line of a figure of the whole motion, if that figure is the objective."""
     return ", the objective" if found.minimised == name else ""
 
 
 def _print_cost(found: bp.Plan) -> None:
-    """The objective of the whole motion; nothing where its line is there already, or there is none."""
+    """Print the objective of the whole motion; nothing if its line is there already, or there is none."""
     cost = found.metrics.cost
     if cost is not None and found.minimised not in ("", "time", "work", "hydraulic"):
         OUT.print(f"objective     {cost.objective} {planning.describe_quantity(cost.value, cost.unit)}")
 
 
 def _print_comparison(compared: planning.LawComparison | None) -> None:
-    """The objective along the path, and what the local law needs."""
+    """Print the objective along the path, and its value for the local law."""
     if compared is None:
         return
     unit = motion.OBJECTIVES[compared.name].unit
@@ -258,7 +258,7 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
 
 
 def _print_asked_speed(kept: planning.AskedSpeed | None) -> None:
-    """On how much of the path the asked speed is kept, and which limit prevents it elsewhere."""
+    """Print on how much of the path the requested speed is kept, and which limit prevents it elsewhere."""
     if kept is None:
         return
     parts = []
@@ -282,7 +282,7 @@ def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
 
 
 def _angle_error(found: bp.Plan) -> str:
-    """How far the tip is turned from what is asked, in words; empty where no angle is asked for."""
+    """How far the tip is turned from the required orientation, in words; empty if no angle is required."""
     tracking = found.certificate.tracking
     number = tracking.goal
     asked = [found.problem.goals[number - 1].target] if number else [pose.target for pose in found.scene.waypoints()]

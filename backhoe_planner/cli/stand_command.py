@@ -1,4 +1,4 @@
-"""`stand`: where a machine is to stand for a job, with progress and a table."""
+"""`stand`: find where a machine should stand for a job, with progress and a table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
 from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
-_LITTLE = 0.02  # part of the cost, by which estimates and searches differ anyway; chosen
+_LITTLE = 0.02  # part of the cost by which estimates and searches differ anyway; chosen
 
 
 def stand(
@@ -47,7 +47,7 @@ def stand(
 ) -> int:
     """Find where to stand for a job: the best place, or several.
 
-    The place, or the fewest places in order, from which it is dug in least time or work.
+    The result is the place, or the fewest places in order, from which the job takes the least time or work.
     """
     check_apart([output, html, plot])
     loaded = bp.load_job(file)
@@ -80,7 +80,7 @@ def stand(
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[bp.StandStep], None]]:
-    """A progress bar, on a terminal only."""
+    """Show a progress bar, on a terminal only."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
@@ -91,7 +91,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[bp.StandStep], None]]:
 
 
 def print_stand(plan: bp.StandPlan, output: Path) -> None:
-    """Print the answer and what was compared.
+    """Print the answer and the places that were compared.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _print_ranking(plan: bp.StandPlan, unit: str, scale: float) -> None:
             f"{scale * cost:.1f}" if math.isfinite(cost) else "-" for cost in (one.rough, one.estimated, one.planned)
         )
         bank = f"{one.bank:.2f}" if math.isfinite(one.bank) else "-"
-        # what stays where it is dug is told below
+        # soil that stays undug at a chosen place is printed below
         marks = ["chosen"] if one.base in chosen else [one.note] * bool(one.note)
         marks += ["given"] * one.given
         OUT.print(

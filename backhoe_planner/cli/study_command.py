@@ -34,9 +34,9 @@ def study(
     anew: Annotated[bool, typer.Option("--anew", help="Begin anew where the folder holds results.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> int:
-    """Plan a scene or a job many times, with parameters that differ.
+    """Plan a scene or a job many times, with different parameters.
 
-    Where the folder holds the same study, interrupted or killed, it goes on where it was.
+    If the folder holds the same study, interrupted or killed, it continues from there.
     """
     loaded = bp.load_study(file)
     if html is not None:
@@ -58,7 +58,7 @@ def study(
 
 @contextlib.contextmanager
 def _progress(*, shown: bool) -> Iterator[Callable[[bp.StudyStep], None]]:
-    """What is told while a study runs: a bar with rate and remaining time on a terminal, else that it goes on."""
+    """Report progress of a study: a bar with rate and remaining time on a terminal, otherwise that it continues."""
     if not shown:
         yield _tell_of_earlier_rows
         return

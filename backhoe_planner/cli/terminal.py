@@ -1,4 +1,4 @@
-"""What the commands share: arguments, exit statuses, and where they print."""
+"""Common parts of the commands: arguments, exit statuses, and output streams."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ PlanUrdf = Annotated[
 
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
 DEGREES = math.degrees(1.0)  # in a radian
-_FORCING = {"FORCE_COLOR", "TTY_COMPATIBLE"}  # set in the environment, they let rich take any stream for a terminal
+_FORCING = {"FORCE_COLOR", "TTY_COMPATIBLE"}  # environment variables that make rich treat any stream as a terminal
 
 
 class Stream:
     """The output or the error stream, to which lines are printed.
 
-    rich, which takes as long to load as a twentieth of a simple plan, prints tables, and all that is coloured or moves
-    on a terminal.
+    rich takes a twentieth of the time of a simple plan to load. So it prints only tables, and text that is coloured
+    or moves on a terminal.
 
     Parameters
     ----------
@@ -56,20 +56,20 @@ class Stream:
 
     @property
     def is_terminal(self) -> bool:
-        """Whether a person reads it as it comes, and colours are seen."""
+        """Whether a person reads the stream as it is printed, and sees colours."""
         may_be = self._stream.isatty() or not _FORCING.isdisjoint(os.environ)
         return may_be and self.console.is_terminal
 
     def print(self, line: str | Table = "") -> None:
         """Print a line, or a table."""
-        if isinstance(line, str) and "console" not in self.__dict__:  # else something of it may be moving
+        if isinstance(line, str) and "console" not in self.__dict__:  # otherwise a status line may be moving
             self._stream.write(line + "\n")
             self._stream.flush()
         else:
             self.console.print(line)
 
     def print_coloured(self, words: str, style: str, rest: str = "") -> None:
-        """Print a line of which `words` stand out on a terminal, in a style of rich, and the `rest` does not."""
+        """Print `words`, on a terminal in a style of rich, followed by the plain `rest` of the line."""
         if self.is_terminal:
             from rich.text import Text
 
@@ -78,11 +78,11 @@ class Stream:
             self.print(words + rest)
 
     def status(self, words: str, *, quiet: bool = False) -> AbstractContextManager[Status | None]:
-        """What is going on, in a line that moves as long as the context lasts; None unless a person reads it.
+        """A moving line that shows what is going on, while the context lasts; None unless a person reads it.
 
         Parameters
         ----------
-        quiet: whether there is none in any case.
+        quiet: whether to show none in any case.
         """
         return self.console.status(words) if self.is_terminal and not quiet else contextlib.nullcontext()
 
@@ -95,12 +95,12 @@ OUT, ERR = Stream("stdout"), Stream("stderr")
 
 
 def print_verdict(failure: str) -> None:
-    """Print that something is verified, or its `failure` in words."""
+    """Print that a result is verified, or its `failure` in words."""
     OUT.print_coloured(failure or "verified", "bold red" if failure else "bold green")
 
 
 def print_error(message: str) -> None:
-    """Print the one line about an error; in vain where the error stream cannot be written either."""
+    """Print one line about an error; without effect if the error stream cannot be written either."""
     try:
         ERR.print_coloured("error: ", "bold red", message)
         sys.stderr.flush()
@@ -109,7 +109,7 @@ def print_error(message: str) -> None:
 
 
 def let_go(stream: TextIO) -> None:
-    """Send what is still buffered nowhere: it would fail again when Python ends, with 120 as the exit status."""
+    """Discard buffered output, because writing it would fail again when Python ends, with exit status 120."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
