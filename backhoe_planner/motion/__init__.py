@@ -1,4 +1,4 @@
-"""A motion: its path, its timing under all limits, what it costs."""
+"""A motion: its path, its timing under all limits, its cost."""
 
 import lazy_loader
 

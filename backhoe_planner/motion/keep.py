@@ -106,7 +106,7 @@ class Keep:
         q_a, q_b, corner = check_q(q_a, what="q_a"), check_q(q_b, what="q_b"), check_q(corner, what="corner")
         sagitta = check_q(sagitta, what="sagitta")
         return all(
-            # a band of the pitch is convex in the joints, and parabola and chords lie within the triangle
+            # a band of the pitch is convex in the joints, and parabola and chords are within the triangle
             self._holds_between(one, q_a, corner) and self._holds_between(one, corner, q_b)
             if isinstance(one, PitchBand)
             else self._holds_round(one, q_a, corner, q_b, sagitta)

@@ -31,7 +31,7 @@ _NO_LENGTH = 1e-9  # m: a shorter leg counts as having no length
 _STANDING = 1e-6  # m: on a shorter leg the tip counts as standing still; chosen
 _EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more than this part is one angle
 _ANGLE_ROUNDING = 1e-6  # rad: an angle found from its cosine is off by less
-_NO_METRES, _NO_DEGREES = 0.005, 0.05  # what is printed as 0
+_NO_METRES, _NO_DEGREES = 0.005, 0.05  # less is printed as 0
 _BESIDE = 1e-6  # m before and behind a waypoint, where the direction of travel is taken
 
 
@@ -422,7 +422,7 @@ def _pitch_turn(before: tuple[float, float], after: tuple[float, float]) -> floa
 
 
 def _leg_angle(before: TipTarget, after: TipTarget) -> float:
-    """How far the orientation, or at most an end of the pitch's range, turns from one waypoint to the next [rad]."""
+    """How far the orientation, or the further end of the pitch's range, turns from one waypoint to the next [rad]."""
     if before.pitch is None or after.pitch is None:
         return before.turn_to(after)
     wider = 0.5 * (after.pitch[1] - after.pitch[0]) - 0.5 * (before.pitch[1] - before.pitch[0])

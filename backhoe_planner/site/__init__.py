@@ -1,4 +1,4 @@
-"""What stands around the machine: the scene file, obstacles, and distances to them."""
+"""The surroundings of the machine: the scene file, obstacles, and distances to them."""
 
 import lazy_loader
 

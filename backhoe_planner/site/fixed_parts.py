@@ -1,7 +1,7 @@
 """Obstacles in the way of the machine's parts that do not move, and of the arm at its start.
 
-The ground that carries the machine touches it but is not in its way. An obstacle in the way still is if the
-machine is lifted a little, so an obstacle counts only if a part is too near to it both as the machine stands and
+The ground that carries the machine touches it but is not in its way. An obstacle that is in its way remains so if
+the machine is lifted a little, so an obstacle counts only if a part is too near to it both as the machine stands and
 lifted. Thus the scene need not say which obstacles are ground: height maps, scans and half-spaces may be both.
 """
 

@@ -67,7 +67,7 @@ class Proximity:
 
     Raises
     ------
-    InputError: an argument has the wrong type, here and in every method; names it.
+    InputError: an argument has the wrong type or value, here and in every method; names it.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Proximity:
     second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
     appears_at: (P,) when the obstacle appears [s]; minus infinity for the machine itself.
     floor: (P,) no posture brings a pair nearer than this [m], valid as `travel`; minus infinity if not known.
-    plain: this many pairs, the first, are of two convex pieces; the others of a piece and a cluster.
+    plain: the number of pairs of two convex pieces, which come first; the others are of a piece and a cluster.
     measured: how many distances `at` has measured so far.
     clusters: the pairs of a piece and a cluster.
     """

@@ -92,7 +92,7 @@ def _number(text: object) -> float | None:
 
 def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
     """The factor that turns the numbers of the first band into heights, and the offset added then [m]."""
-    from xml.etree import ElementTree  # imported here: few files have a scale
+    from xml.etree import ElementTree  # only when a GeoTIFF is read
 
     text = str(tags.get(_METADATA, "")).strip("\0 \n")
     try:

@@ -57,7 +57,7 @@ class Leg(Record):
     name: Name
     """Unique within the sequence; appears in reports and on the page."""
     goal: Goals | None = None
-    """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
+    """A pose of the tip, or the joints; or a list of such goals, any of which is enough."""
     path: PathTask | None = None
     """A path that the tip follows; the motion to its beginning is part of the leg."""
     wait: Positive | None = None
@@ -128,7 +128,7 @@ class Task(Record):
     """The task: exactly one of goal, path, sequence."""
 
     goal: Goals | None = None
-    """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
+    """A pose of the tip, or the joints; or a list of such goals, any of which is enough."""
     path: PathTask | None = None
     sequence: Annotated[tuple[Leg, ...], Field(min_length=1)] | None = None
     """Legs, done one after the other."""

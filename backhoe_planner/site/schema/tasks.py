@@ -131,7 +131,7 @@ class Goal(Pose):
     tolerance: Length | None = None
     """How far the tip may be off the position [m]; 0.001 by default. More lets a sequence go on without a stop."""
     keep: Keep | None = None
-    """Conditions along the whole motion there; the same as `keep` beside the goal, which is its place for a list."""
+    """Conditions along the whole motion there; the same as `keep` beside the goal, its only place for several goals."""
 
     @model_validator(mode="after")
     def _something_to_be_off(self) -> Goal:
