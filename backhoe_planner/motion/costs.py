@@ -223,7 +223,7 @@ class PathCost:
     def rates(self, a: Array, b: Array, span: Array) -> Array:
         """(n, ...) rates of the joints on the steps from a to b (..., n) over `span` (...) [m], in seconds.
 
-        Each is divided by the joint's acceleration limit: the time that the joint takes to reach it from rest.
+        Each is divided by the joint's acceleration limit: the time that the joint takes to reach its rate from rest.
         """
         dq, dt = self._joint_steps(a, b, span)
         dt = np.maximum(dt, _SHORTEST)

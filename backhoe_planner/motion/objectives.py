@@ -28,7 +28,7 @@ from backhoe_planner.site import SoilReaction
 TipVelocities = tuple[Array | None, Array | None]
 Parts = TypeVar("Parts", bound="Nodes")
 
-_MARGIN_PRESSURE = 2e6  # Pa by which a load-sensing pump's pressure exceeds the highest load; 15 to 25 bar are usual
+_MARGIN_PRESSURE = 2e6  # Pa by which a load-sensing pump's pressure exceeds the highest load; 15 to 25 bar is usual
 
 
 @dataclass(frozen=True)
@@ -358,7 +358,7 @@ def find_objective(name: str, robot: Robot, *, file: Path | None = None) -> Obje
 
     Parameters
     ----------
-    file: the scene file that asks for it, for the message.
+    file: the scene file that names it, for the message.
 
     Raises
     ------

@@ -111,7 +111,7 @@ class TipPath:
 
     @property
     def asks_orientation(self) -> bool:
-        """Whether any waypoint asks for a pitch or an orientation."""
+        """Whether any waypoint requires a pitch or an orientation."""
         return any(target.rotation is not None or target.pitch is not None for target in self._targets)
 
     def __call__(self, s: float, order: int = 0) -> Vector:
@@ -251,7 +251,7 @@ class TipPath:
 
     @property
     def without_angles(self) -> TipPath:
-        """The positions alone, by arc length."""
+        """The path of the positions alone, by arc length."""
         return TipPath([Waypoint(position=tuple(point)) for point in self.points.tolist()])
 
     # --- for people ---------------------------------------------------------------

@@ -233,14 +233,14 @@ def _without_repeats(waypoints: Sequence[Waypoint]) -> list[int]:
 
 
 def angles_in_degrees(problem: Problem, q: Vector) -> Vector:
-    """(n,) `q` (n,) in rad where it seems to be in degrees (beyond a turn as rad, within limits as deg); else nan."""
+    """(n,) angles [rad] of a `q` (n,) that seems to be in degrees: beyond a turn, then within limits; else nan."""
     limits = problem.limits
     turned = np.where(problem.robot.prismatic | (np.abs(q) < 2.0 * np.pi), np.nan, np.radians(q))
     return np.where((turned >= limits.lower) & (turned <= limits.upper), turned, np.nan)
 
 
 def hand_set_gains(problem: Problem) -> Gains | None:
-    """The gains that the scene sets by hand; None for ``auto``, where the law's own weights hold."""
+    """The gains that the scene sets by hand; None for ``auto``, which uses the law's own weights."""
     gains = problem.scene.gains
     return None if gains == "auto" else gains
 
@@ -255,7 +255,7 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
 
 
 def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
-    """Every goal of the task, by the tip's pose or by the joints."""
+    """All goals of the task, given by the tip's pose or by the joints."""
     found = []
     listed = isinstance(scene.task.goal, tuple)
     for index, spec in enumerate(scene.task.goals):

@@ -27,7 +27,7 @@ _OVERLAP = 1e-3  # m: less is touching
 
 @dataclass(frozen=True)
 class InTheWay:
-    """A part of the machine that is where it cannot be.
+    """A part of the machine that is too near to an obstacle.
 
     Attributes
     ----------

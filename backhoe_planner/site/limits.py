@@ -137,7 +137,7 @@ def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:
 
     Raises
     ------
-    SceneError: it is held outside of one.
+    SceneError: the joint is held outside of a sector.
     """
     sectors = {
         f"zones[{index}] ({zone.name})": zone for index, zone in enumerate(scene.zones) if isinstance(zone, SwingSector)

@@ -51,7 +51,7 @@ class TrackingError(Record):
 
 
 class StandingPlace(Record):
-    """Where the machine stands in the site."""
+    """Where the machine stands on the site."""
 
     position: tuple[Finite, Finite] = (0.0, 0.0)
     """x, y of the URDF's root link [m], world."""
@@ -79,7 +79,7 @@ class Scene(FileRecord):
     """Distance within which an obstacle acts on the motion [m]."""
     obstacles: tuple[ObstacleSpec, ...] = ()
     zones: tuple[ZoneSpec, ...] = ()
-    """Zones that the machine must not enter, each with the distances at which to warn, slow down and stop."""
+    """Zones that limit where the machine may be, each with the distances at which to warn, slow down and stop."""
     gains: Literal["auto"] | Gains = "auto"
     limits: Limits = Limits()
     tracking: TrackingError | None = None

@@ -38,7 +38,7 @@ from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch
 from backhoe_planner.site.ground import Ground, GroundContact, LevelGround
 from backhoe_planner.site.schema.digging import Soil
 
-LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
+LIP = 0.73  # rad: from the line through bucket pin and tip down to the cutting plate; that of models/backhoe.urdf
 _FLATTEST = np.radians(10.0)  # rad of rake; chosen: a flatter blade slides rather than cuts
 _CREEP = 0.01  # m/s; chosen: the force fades below it, so that it is continuous when the motion reverses
 _SHALLOWEST = 1e-9  # m, in place of 0: at depth 0 the terms per depth have no value, and the force is 0
@@ -76,7 +76,7 @@ def failure_angle(
 
     Parameters
     ----------
-    depth, rake, soil, slope, surcharge: as of `blade_force`.
+    depth, rake, soil, slope, surcharge: as for `blade_force`.
 
     As a function of x = 2 beta, F is a quotient of two expressions n0 + n1 cos x +
     n2 sin x, so that dF/dx = 0 becomes P sin x + Q cos x + R = 0.

@@ -75,7 +75,7 @@ class _Parts:
     turn: Vector
 
     def take(self, rows: Flags) -> _Parts:
-        """Some of them."""
+        """The parts in some of the rows."""
         return _Parts(*(values[rows] for values in vars(self).values()))
 
 

@@ -28,7 +28,7 @@ from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 _SPARE = 0.9998  # part of every limit to be used; chosen: the samples of the motion may use slightly more
 _WITHIN = 5e-4  # part of a limit that may be exceeded between the points of the grid; chosen
 _CORRECTIONS = 5  # runs at most, each slower where the previous one exceeded a limit; chosen
-_MOST_CORRECTED = 1.2  # factor by which one correction lowers a limit at most; chosen
+_MOST_CORRECTED = 1.2  # greatest factor by which one correction lowers a limit; chosen
 _POWER_PASSES = 8  # tangents at most, each at the speed of the previous run; chosen
 _POWER_SETTLED = 1e-3  # part of the duration: the next change is far smaller, since the passes converge quadratically
 _POWER_HALVINGS = 60  # of the range of x: more than a float's digits

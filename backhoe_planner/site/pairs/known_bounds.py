@@ -4,9 +4,9 @@ A pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints 
 that an obstacle has moved. So a pair that is provably out of reach is not measured again.
 
 Computing these bounds for every pair at every step takes longer than measuring the few that are near.
-So pairs are selected in two steps: those that some posture brings near (`within`), and of these, those that are
-near where the machine is now or a little further (`around`). The others are left alone as long as a single number
-shows that all of them are too far away, until the machine has moved as far as that little.
+So pairs are selected in two steps: those that some posture brings near (`within`), and among these, those that are
+near at the machine's present place or a little further (`around`). The others are left alone while a single number
+shows that all of them are too far away, which ends when the machine has moved that little further.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The part of the scene file for zones that the machine must not enter, by their kind."""
+"""The part of the scene file that limits where the machine may be: zones, by their kind."""
 
 from __future__ import annotations
 
