@@ -28,6 +28,11 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_unconfigure() -> None:
+    """Otherwise OMPL lists everything that Python still holds when it ends."""
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="session")
 def planar4() -> Robot:
     return load_robot("example:planar4")

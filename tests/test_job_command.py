@@ -68,7 +68,10 @@ def test_an_interrupted_job_says_what_is_done_and_goes_on(run: Run, resumed: lis
     before = Path("part.json").read_bytes()
     status, _, told = run("job", "job.yaml", "-o", "part.json", "--seed", "3")
     assert status == 2
-    assert "part.json: holds a part of this job that was planned otherwise; found --effort quick --seed 0" in told
+    assert (
+        "part.json: holds a part of this job that was planned with other settings; found --effort quick --seed 0"
+        in told
+    )
     assert Path("part.json").read_bytes() == before
     run("job", "job.yaml", "-o", "part.json", "--seed", "3", "--anew")
     assert resumed[2:] == [None]

@@ -128,10 +128,10 @@ def _begun(loaded: jobs.Job, output: Path, search: tuple[str, int], terrain: job
         return None
     anew = "--anew begins anew over it"
     if found.reason != "interrupted":
-        raise bp.PlanFileError(f"cannot be gone on with: {found.note}", file=output, hint=anew)
+        raise bp.PlanFileError(f"cannot be continued: {found.note}", file=output, hint=anew)
     if (found.effort, found.seed) != search:
         raise bp.InputError(
-            "holds a part of this job that was planned otherwise", file=output,
+            "holds a part of this job that was planned with other settings", file=output,
             found=f"--effort {found.effort} --seed {found.seed}",
             hint=f"give these to go on with it; {anew}",
         )  # fmt: skip

@@ -178,7 +178,8 @@ def _print_left_out(tracking: bp.Tracking) -> None:
     if tracking.detours:
         OUT.print(
             f"{'left out':<13}{tracking.left_out:.2f} m of {tracking.path_length:.2f} m of the path, in "
-            f"{len(tracking.detours)} detour{'s' * (len(tracking.detours) > 1)}; that it is blocked there is not proven"
+            f"{len(tracking.detours)} detour{'s' * (len(tracking.detours) > 1)}; it is not proven that the path is "
+            "blocked there"
         )
 
 
@@ -247,7 +248,7 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
         if compared.law_breaks is not None:
             line += f", and it breaks {compared.law_breaks}"
     elif compared.law_breaks is not None:
-        line += f"; the local law does not get along it: {compared.law_breaks}"
+        line += f"; the local law cannot follow the path: {compared.law_breaks}"
     OUT.print(f"objective     {line}")
     if compared.whole > compared.value * (1.0 + 1e-3):
         line = f"{planning.describe_quantity(compared.whole, unit)} with the approach to it"

@@ -47,7 +47,7 @@ def teleop(
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
     if any(obstacle.legs is not None for obstacle in loaded.obstacles):
-        print_warnings(["whoever drives by hand begins no leg: obstacles of single legs are there all the time"])
+        print_warnings(["driving by hand has no legs: obstacles of single legs are there all the time"])
     with show.TeleopStation(
         robot,
         loaded,

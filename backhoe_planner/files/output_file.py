@@ -114,7 +114,7 @@ def check_apart(targets: Sequence[Path | None]) -> None:
             continue
         place = os.path.realpath(target)
         if place in found:
-            raise OutputError("is where another output goes too", file=target)
+            raise OutputError("is also the path of another output", file=target)
         found.add(place)
 
 

@@ -23,7 +23,7 @@ def read_text(path: Path, *, what: str, error: type[InputError] = InputError, fo
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        swapped = "; a machine stands before the file" if path.name.startswith("example:") else ""
+        swapped = "; the machine comes before the file" if path.name.startswith("example:") else ""
         raise error(f"no such {what} file{swapped}", file=path) from None
     except IsADirectoryError:
         raise error(f"is a folder, not a {what} file", file=path) from None

@@ -92,7 +92,7 @@ def read_yaml(
     except InputError:
         raise
     except (AttributeError, LookupError, TypeError) as problem:  # raised inside PyYAML's constructors
-        raise error("cannot be understood: a tag does not suit its value", file=path) from problem
+        raise error("cannot be read: a tag does not fit its value", file=path) from problem
     except (ValueError, RecursionError) as problem:
         raise error(f"cannot be understood: {problem}", file=path) from problem
     finally:
@@ -110,7 +110,7 @@ def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: P
         allowed = ", ".join(f"!!{tag.rpartition(':')[2]}" for tag in _TAGS)
         raise error("the tag is none of YAML's core schema", file=path, key=where, found=node.tag, allowed=allowed)
     if isinstance(node, yaml.ScalarNode) and _HALF_CHARACTER.search(node.value):
-        raise error("a text holds half of a character", file=path, key=where, found=ascii(node.value))
+        raise error("a text contains an incomplete character", file=path, key=where, found=ascii(node.value))
     if isinstance(node, yaml.MappingNode):
         _refuse_decimal_comma(node, at, path, error)
         for key, value in node.value:

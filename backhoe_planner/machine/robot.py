@@ -402,7 +402,7 @@ class Robot:
     def _rebuilt(self, tip: str, hold: Mapping[str, float], base: Base) -> Robot:
         if self.carried is not None:
             raise InputError(
-                "a machine that carries something keeps its tip, its held joints and its place", found=self.carried[0]
+                "tip, held joints and base cannot be changed while the machine carries a load", found=self.carried[0]
             )
         hydraulics = None if self.hydraulics is None else self.hydraulics.file
         return _build(self.urdf, tip, hydraulics, solids=self.solids, warnings=self.warnings, hold=hold, base=base)

@@ -77,7 +77,9 @@ class TipPath:
             raise InputError("are too few", key="waypoints", found=len(self.waypoints), allowed="2 or more")
         called = tuple(check_kind(numbers, Iterable, key="numbers"))  # type: ignore[type-abstract]
         if called and len(called) != len(self.waypoints):
-            raise InputError("are not one of each", key="numbers", found=len(called), allowed=str(len(self.waypoints)))
+            raise InputError(
+                "are not as many as the waypoints", key="numbers", found=len(called), allowed=str(len(self.waypoints))
+            )
         numbers = [as_count(number, key="numbers") for number in called]
         self.points = np.array([waypoint.position for waypoint in self.waypoints], dtype=float)
         self._numbers = tuple(numbers) or tuple(range(1, len(self.waypoints) + 1))

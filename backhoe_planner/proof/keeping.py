@@ -72,7 +72,7 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
             proven = min(proven, float(bound[worst]))
             if proven < -KEPT_TO:
                 moment = float(time[segment[worst]])
-                words = f"that {condition.name} is kept at {moment:.2f} s is not proven"
+                words = f"it is not proven that {condition.name} is kept at {moment:.2f} s"
                 return KeepUse(
                     condition.name, proven, condition.absolute(float(before[worst])), moment, condition.unit, words
                 )

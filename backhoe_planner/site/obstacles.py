@@ -168,7 +168,7 @@ def check_links(robot: Robot, links: Sequence[str] | None, *, key: str, file: st
             )
     if links is not None and not set(links) & set(robot.moving_links):
         raise SceneError(
-            "the obstacle holds for nothing: none of these links moves and has a shape",
+            "the obstacle has no effect: none of these links both moves and has a shape",
             file=file,
             key=key,
             found=", ".join(links) or "no link",

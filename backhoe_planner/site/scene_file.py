@@ -107,9 +107,11 @@ class Scene(FileRecord):
                     raise ValueError(f"zones[{index}]: {error}") from None
         if self.start is None:
             if self.task.goal is not None:
-                raise ValueError("start is needed with a goal: where the machine stands")
+                raise ValueError("a goal needs start: where the joints or the tip are at first")
             if self.task.sequence is not None and self.task.sequence[0].path is None:
-                raise ValueError("start is needed with a sequence whose first leg is no path: where the machine stands")
+                raise ValueError(
+                    "a sequence whose first leg is not a path needs start: where the joints or the tip are at first"
+                )
         legs = self.task.leg_names
         for index, obstacle in enumerate(self.obstacles):
             for leg in obstacle.legs or ():

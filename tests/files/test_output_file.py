@@ -29,7 +29,7 @@ def test_what_is_written_to_a_link_goes_where_it_leads(tmp_path: Path) -> None:
         stream.write("1")
     assert link.is_symlink()
     assert file.read_text(encoding="utf-8") == "1"
-    with pytest.raises(OutputError, match=r"link\.json: is where another output goes too"):
+    with pytest.raises(OutputError, match=r"link\.json: is also the path of another output"):
         check_apart([file, None, link])
     check_apart([file, tmp_path / "other.json", None, None])
 

@@ -91,7 +91,7 @@ PATH = {"waypoints": [{"position": [4.0, 0.0, 0.5]}, {"position": [4.5, 0.0, 0.5
     [
         ({"path": PATH, "max_duration": 5.0}, "task: max_duration needs a goal"),
         ({"sequence": [{"name": "a", "wait": 1.0, "max_duration": 5.0}]}, "max_duration needs a goal"),
-        ({"sequence": [{"name": "a", "wait": 1.0}], "max_duration": 5.0}, "max_duration stands beside a sequence"),
+        ({"sequence": [{"name": "a", "wait": 1.0}], "max_duration": 5.0}, "max_duration is given beside a sequence"),
         ({"goal": {"position": [4.0, 0.0, 0.5]}, "max_duration": 0.0}, "task.max_duration"),
     ],
 )

@@ -24,7 +24,7 @@ TASK = {
 def test_an_obstacle_that_holds_for_nothing_is_an_error(links: list[str]) -> None:
     """The chassis stands still, and the tip is a frame without a shape."""
     scene = bp.scene_from_dict({**TASK, "obstacles": [{**SPHERE, "links": links}]})
-    with pytest.raises(SceneError, match=r"\(ball\).links: .* holds for nothing.*allowed: swing_post, boom"):
+    with pytest.raises(SceneError, match=r"\(ball\).links: .* has no effect.*allowed: swing_post, boom"):
         bp.plan(bp.load_robot("example:backhoe"), scene)
 
 
@@ -96,7 +96,7 @@ def test_what_is_drawn_is_the_shape_of_a_machine_without_collision_shapes(
 def test_a_drawn_link_without_a_shape_among_others_is_named(arm_of: Callable[[str, str], bp.Robot]) -> None:
     robot = arm_of(f"<visual>{BOX}</visual><collision>{BOX}</collision>", f"<visual>{BOX}</visual>")
     assert robot.link_names == ("a",)
-    assert robot.warnings == ("drawn, but without <collision>, so that nothing is proven of it: b",)
+    assert robot.warnings == ("links that are drawn but have no <collision>, so that nothing is proven of them: b",)
 
 
 def test_a_machine_without_any_shape_proves_nothing(arm_of: Callable[[str, str], bp.Robot]) -> None:

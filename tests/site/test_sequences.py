@@ -54,7 +54,7 @@ def robot() -> Robot:
         ),
         (
             scene(REACH | {"carries": {"name": "pipe", "shape": "sphere", "radius": 0.2, "velocity": [1, 0, 0]}}),
-            "carries: velocity says something of what stands on the site",
+            "carries: velocity applies only to obstacles on the site",
         ),
         (
             scene(REACH, obstacles=[{"name": "rock", "shape": "sphere", "radius": 0.3, "legs": ["reech"]}]),
@@ -67,9 +67,9 @@ def robot() -> Robot:
         ),
         (
             {"version": 1, "start": START, "task": {"sequence": [REACH], "keep": {"above": 0.0}}},
-            "keep stands beside a sequence; give it to the legs",
+            "keep is given beside a sequence; give it to the legs",
         ),
-        ({"version": 1, "task": {"sequence": [REACH]}}, "start is needed with a sequence whose first leg is no path"),
+        ({"version": 1, "task": {"sequence": [REACH]}}, "a sequence whose first leg is not a path needs start"),
         ({"version": 1, "start": START, "task": {"sequence": [REACH], "goal": REACH["goal"]}}, "exactly one of goal"),
     ],
 )  # fmt: skip

@@ -120,7 +120,7 @@ class _Standing:
         position = self._copied(joint)
         if name in self._hold and abs(self._hold[name] - position) > _SAME:
             raise InputError(
-                f"copies joint {joint.mimic.joint!r}, and stands where that puts it",
+                f"copies joint {joint.mimic.joint!r}, so its position cannot be chosen",
                 key=f"hold.{name}",
                 found=self._hold[name],
                 allowed=f"{position:g}, or another position of {leader!r}",

@@ -282,10 +282,14 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
         # if two cylinders move one joint, one of them may pass the dead centre at which it is shortest
         if alone and closed < shortest:
             allowed = f"{shortest:.4f} m or more"
-            raise place.wrong("is shorter than the pins come together", key="closed", found=closed, allowed=allowed)
+            raise place.wrong(
+                "is shorter than the least possible distance of the pins", key="closed", found=closed, allowed=allowed
+            )
         if opened > longest:
             allowed = f"{longest:.4f} m or less"
-            raise place.wrong("is longer than the pins come apart", key="open", found=opened, allowed=allowed)
+            raise place.wrong(
+                "is longer than the greatest possible distance of the pins", key="open", found=opened, allowed=allowed
+            )
         at_limits = cylinder.linkage.length(np.linspace(lower, upper, _SAMPLES))
         for key, end, beyond in (
             ("closed", closed, float(np.min(at_limits))),
@@ -306,7 +310,7 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
     above = [end for end in ends if end >= upper - _SAME_END]
     if not below or not above:
         raise cylinders[0][1].wrong(
-            "the strokes do not end the joint's range on either side: the linkage stops first",
+            "the strokes do not limit the joint at both ends: the linkage reaches its own limit first",
             found=f"ends at {', '.join(_degrees(end) for end in sorted(ends)) or 'no angle'}",
             allowed=f"one at {_degrees(lower)} or below, one at {_degrees(upper)} or above",
         )

@@ -130,7 +130,9 @@ def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
     if drawn and found:
         warnings.append("no link has a <collision>: what is drawn of the links is taken as their shape")
     if bare:
-        warnings.append(f"drawn, but without <collision>, so that nothing is proven of it: {', '.join(bare)}")
+        warnings.append(
+            f"links that are drawn but have no <collision>, so that nothing is proven of them: {', '.join(bare)}"
+        )
     return tuple(found), tuple(warnings)
 
 

@@ -67,12 +67,12 @@ def read_path_file(path: Path) -> PathFile:
     other = [name for name in header if name not in _COLUMNS and _plain(name) in _OTHER_ORIENTATIONS]
     if other:
         raise SceneError(
-            "an orientation stands in columns of other names", file=path, key="header", found=", ".join(other),
+            "the orientation has columns of other names", file=path, key="header", found=", ".join(other),
             allowed=f"{', '.join(_QUATERNION)} for a whole orientation, pitch [rad] for that of the bucket alone",
         )  # fmt: skip
     twice = [column for column in _COLUMNS if header.count(column) > 1]
     if twice:
-        raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
+        raise SceneError("a column appears twice", file=path, key="header", found=", ".join(twice))
     if len(rows) < 2:
         raise SceneError("a path needs at least 2 waypoints", file=path, found=str(len(rows)))
     waypoints = tuple(_waypoint(path, line, header, row) for line, row in rows)

@@ -103,7 +103,7 @@ class Leg(Record):
                 )
             wrong = [key for key in _NOT_CARRIED if key in self.carries.model_fields_set]
             if wrong:
-                raise ValueError(f"carries: {wrong[0]} says something of what stands on the site; leave it out")
+                raise ValueError(f"carries: {wrong[0]} applies only to obstacles on the site; leave it out")
         return self
 
     @property
@@ -149,7 +149,7 @@ class Task(Record):
             return self
         for key in ("keep", "max_duration"):
             if getattr(self, key) is not None:
-                raise ValueError(f"{key} stands beside a sequence; give it to the legs in which it holds")
+                raise ValueError(f"{key} is given beside a sequence; give it to the legs in which it holds")
         in_use: dict[str, str] = {}
         for index, leg in enumerate(legs):
             check_name(leg.name, in_use=in_use, key=f"sequence[{index}].name")

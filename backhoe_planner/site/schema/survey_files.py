@@ -179,7 +179,7 @@ def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *,
         problem = f"{what} is not finite"
     else:
         problem = f"{what} is too large"
-        hint = "coordinates of a map are too far off: take the same off all points, so that the machine is near 0, 0, 0"
+        hint = "map coordinates are too large: subtract one offset from all points, so that the machine is near 0, 0, 0"
     raise InputError(
         problem, file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=found,
         allowed=f"{-LARGEST:g} to {LARGEST:g} m", hint=hint,
