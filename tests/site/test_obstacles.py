@@ -275,6 +275,31 @@ def test_points_are_read_from_text_and_ply(name: str, text: str, tmp_path: Path)
     np.testing.assert_array_equal(read_points(path), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
 
 
+def test_all_vertices_of_an_obj_are_points(tmp_path: Path) -> None:
+    """Whether a face has them or not, and whichever material."""
+    vertices = [[0.0, 2.0, 0.0], [0.1, 2.0, 0.0], [0.2, 2.0, 0.5], [3.0, 2.0, -1.0]]
+    lines = ["mtllib a.mtl", *(f"v {x} {y} {z} 1 0 0" for x, y, z in vertices), "vn 0 0 1", "usemtl a", "f 1 2 3"]
+    (tmp_path / "scan.obj").write_text("\n".join([*lines, "usemtl b", "f 1 3 2"]))
+    np.testing.assert_array_equal(read_points(tmp_path / "scan.obj"), vertices)
+    (tmp_path / "scan.obj").write_text("v 1 2\n")
+    with pytest.raises(InputError, match=r"line 1: is no vertex; found v 1 2; allowed: v X Y Z"):
+        read_points(tmp_path / "scan.obj")
+
+
+def test_all_solids_of_an_stl_are_points(tmp_path: Path) -> None:
+    corners = "vertex {1} 0 0\nvertex {1} 1 0\nvertex {1} 0 1\n"
+    one = f"solid {{0}}\nfacet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\nendsolid {{0}}\n"
+    (tmp_path / "two.stl").write_text(one.format("a", 1.0) + one.format("b", 5.0))
+    assert set(read_points(tmp_path / "two.stl")[:, 0]) == {1.0, 5.0}
+
+
+@pytest.mark.parametrize("name", ["scan.las", "scan.LAZ", "scan.pcd"])
+def test_other_clouds_are_refused_with_what_makes_a_ply_of_them(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"LASF" + bytes(300))
+    with pytest.raises(InputError, match=r"which is not read; allowed: text .*pdal translate"):
+        read_points(tmp_path / name)
+
+
 def test_voxels_of_a_scan_turn_with_it(planar4: Robot, tmp_path: Path) -> None:
     (tmp_path / "scan.xyz").write_text("1.05 0.05 0.05\n1.15 0.05 0.05\n")
     found = build(
@@ -358,6 +383,9 @@ _SCAN = ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (7.5, 8.0, 9.0), (1.0, 1.0, -9.0))
         ("nr,x,y,z\n1,1,2,3\n2,4,5,6\n3,7.5,8,9\n4,1,1,-9\n", _SCAN),
         ("Northing;Easting;Code;Elevation\n2;1;a;3\n5;4;b;6\n8;7,5;c;9\n1;1;d;-9\n", _SCAN),
         ('"x","y","z"\n"1","2","3"\n"4","5","6"\n"7.5","8","9"\n"1","1","-9"\n', _SCAN),
+        ("intensity,x [m],y [m],z [m]\n9,1,2,3\n9,4,5,6\n9,7.5,8,9\n9,1,1,-9\n", _SCAN),
+        ("id,X (m),Y (m),Z (metres)\n7,1,2,3\n9,4,5,6\n3,7.5,8,9\n4,1,1,-9\n", _SCAN),
+        ("Z_m Y [m] X(m)\n3 2 1\n6 5 4\n9 8 7.5\n-9 1 1\n", _SCAN),
         ("//Z Y X R\n3 2 1 0\n6 5 4 0\n9 8 7.5 0\n-9 1 1 0\n", _SCAN),
         ("4\n1 2 3\n4 5 6\n7.5 8 9\n1 1 -9\n", _SCAN),  # PTS
         ("# a scan\n# x y z\n1 2 3 7\n4 5 6 7\n# and\n7.5 8 9 7\n1 1 -9 7\n", _SCAN),
@@ -378,10 +406,12 @@ def test_points_are_read_from_the_columns_that_the_header_names(
         ("1,1,2,3\n2,4,5,6\n3,7,8,9\n", r"column 1: has numbers of points.*found 1, 2, 3, \.\.\..*nr,x,y,z"),
         ("10 1 2 3 grass\n20 4 5 6 road\n30 7 8 9 grass\n", r"column 1: has numbers of points"),
         ("id,x,y,code\n1,1,2,3\n2,4,5,6\n", r"header: the header does not name x, y and z once each"),
+        ("id,easting_ft,northing_ft,height_ft\n7,1,2,3\n4,4,5,6\n", r"header: the header does not name x, y and z"),
+        ("a,x [mm],y [mm],z [mm]\n7,1,2,3\n4,4,5,6\n", r"header: the header does not name x, y and z"),
         ("x,y,z,x\n1,1,2,3\n2,4,5,6\n", r"header: the header does not name x, y and z once each"),
         ("nr,x,y,z\n1,1,2\n", r"line 2: has fewer cells than the header"),
         ("1 2 3\n4 5 -9999\n", r"point 2, z: a height is missing; found -9999"),
-        ("455324.5 5412345.5 300\n", r"point 1, coordinate 1: a coordinate is too large.*coordinates of a map"),
+        ("455324.5 5412345.5 300\n", r"point 1, coordinate 1: a coordinate is too large.*map coordinates"),
     ],
 )
 def test_points_that_would_be_misread_are_refused(text: str, said: str, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
@@ -21,6 +22,8 @@ from backhoe_planner.files.found_file import is_file
 
 # numbers of tags and keys in the standard
 _SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _WORDS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 34737, 42112, 42113
+_PHOTOMETRIC, _ORIENTATION, _SAMPLE_FORMAT = 262, 274, 339
+_WHITE_IS_ZERO, _NORTH_WEST_FIRST, _SIGNED = 0, 1, 2
 _MODEL, _RASTER, _UNIT, _UPRIGHT_UNIT = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
 # in the name of a projection, such as "California zone 5 (ftUS)"
@@ -65,15 +68,24 @@ def read_geotiff(path: Path) -> HeightTable:
                         "is not a height map", file=path, found=f"an image of mode {image.mode}",
                         allowed="one band of numbers",
                     )  # fmt: skip
-                heights = np.array(image, dtype=float)[::-1]
+                numbers = np.array(image)
         except InputError:
             raise
         except UnidentifiedImageError:
-            raise InputError("is not a TIFF that can be read", file=path) from None
+            hint = "such as 64-bit floats: gdal_translate -ot Float32 makes 32-bit floats of them"
+            raise InputError(
+                "is not a TIFF that can be read, or has numbers that cannot", file=path, hint=hint
+            ) from None
         except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
             raise InputError("is too large", file=path, hint="cut out the site") from error
         except Exception as error:  # Pillow passes on any exception of its decoders
             raise InputError(f"is not a TIFF that can be read: {error}", file=path) from error
+    if tags.get(_ORIENTATION, _NORTH_WEST_FIRST) != _NORTH_WEST_FIRST:
+        raise InputError(
+            "has its rows in another order", file=path, key="Orientation", found=tags[_ORIENTATION],
+            allowed="1, from north to south", hint="gdal_translate writes it in that order",
+        )  # fmt: skip
+    heights = _as_stored(numbers, tags).astype(float)[::-1]
     missing = _number(tags.get(_NO_DATA))
     if missing is not None:
         # the tag is decimal text, but heights are often 32-bit floats
@@ -81,6 +93,34 @@ def read_geotiff(path: Path) -> HeightTable:
     scale, offset = _scaling(tags, path)
     heights = scale * heights + offset
     return HeightTable(heights, *_place(tags, heights.shape[0], path))
+
+
+def _as_stored(numbers: NDArray[Any], tags: dict[int, Any]) -> NDArray[Any]:
+    """The numbers of the file: Pillow takes those of 8 bits for shades, unsigned and brighter the greater they are."""
+    if numbers.dtype != np.uint8:
+        return numbers
+    if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
+        numbers = ~numbers
+    return numbers.view(np.int8) if _first(tags.get(_SAMPLE_FORMAT)) == _SIGNED else numbers
+
+
+def _first(value: Any) -> Any:
+    """A tag's only or first value."""
+    return value[0] if isinstance(value, tuple) and value else value
+
+
+def _numbers(tags: dict[int, Any], tag: int, count: int, path: Path, key: str) -> Vector:
+    """(count,) the numbers of a tag.
+
+    Raises
+    ------
+    InputError: there are fewer, or one is not finite.
+    """
+    value = tags[tag]
+    found = np.array(value if isinstance(value, tuple) else (value,), dtype=float)
+    if len(found) < count or not np.isfinite(found[:count]).all():
+        raise InputError("is not what the tag holds", file=path, key=key, found=str(value), allowed=f"{count} numbers")
+    return found[:count]
 
 
 def _number(text: object) -> float | None:
@@ -98,7 +138,10 @@ def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
     try:
         items = ElementTree.fromstring(text).iter("Item") if text else ()
         said = {item.get("role"): item.text for item in items if item.get("sample", "0") == "0"}
-        return float(said.get("scale") or 1.0), float(said.get("offset") or 0.0)
+        scale, offset = float(said.get("scale") or 1.0), float(said.get("offset") or 0.0)
+        if not (np.isfinite(scale) and np.isfinite(offset)):
+            raise ValueError(f"found {scale:g} and {offset:g}")
+        return scale, offset
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"scale and offset of its heights cannot be read: {error}", file=path) from None
 
@@ -119,17 +162,30 @@ def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, 
         found = f"unit {values[_UPRIGHT_UNIT]} of the EPSG registry"
         raise InputError("its heights are not in metres", file=path, found=found, allowed="metres (9001)")
     if _TRANSFORMATION in tags:
-        m = np.array(tags[_TRANSFORMATION], dtype=float).reshape(4, 4)
+        m = _numbers(tags, _TRANSFORMATION, 16, path, "ModelTransformation").reshape(4, 4)
         if abs(m[0, 1]) + abs(m[1, 0]) > _SQUARE_WITHIN * abs(m[0, 0]):
             raise InputError("is turned against north", file=path, hint="resample it along x and y")
-        corner, scale = m[:2, 3], np.array([m[0, 0], -m[1, 1]])
+        corner, scale, upward = m[:2, 3], np.array([m[0, 0], -m[1, 1]]), (m[2, 2], m[2, 3])
     elif _SCALE in tags and _TIEPOINT in tags:
-        scale = np.array(tags[_SCALE][:2], dtype=float)
-        i, j, _, x, y, _ = (float(value) for value in tags[_TIEPOINT][:6])
-        corner = np.array([x - i * scale[0], y + j * scale[1]])
+        pixel = _numbers(tags, _SCALE, 3, path, "ModelPixelScale")
+        scale, of_heights = pixel[:2], pixel[2]
+        i, j, k, x, y, z = _numbers(tags, _TIEPOINT, 6, path, "ModelTiepoint")
+        corner, upward = np.array([x - i * scale[0], y + j * scale[1]]), (of_heights, z - k * of_heights)
     else:
         return None, 0.0
-    if not (scale > 0.0).all() or abs(scale[0] - scale[1]) > _SQUARE_WITHIN * scale[0]:
+    if upward[0] not in (0.0, 1.0) or upward[1] != 0.0:
+        raise InputError(
+            "its place has a scale or an offset of heights", file=path, found=f"{upward[0]:g} and {upward[1]:g} m",
+            allowed="1 and 0", hint="apply them to the heights",
+        )  # fmt: skip
+    if min(scale) < 0.0:
+        found = " and ".join(
+            words for of, words in zip(scale, ("columns from east to west", "rows from south to north"), strict=True)
+            if of < 0.0
+        )  # fmt: skip
+        hint = "gdalwarp turns it"
+        raise InputError("is flipped", file=path, found=found, allowed="from west to east, north to south", hint=hint)
+    if min(scale) == 0.0 or abs(scale[0] - scale[1]) > _SQUARE_WITHIN * scale[0]:
         found = f"{scale[0]:g} x {scale[1]:g} m"
         raise InputError("its cells are not square", file=path, found=found, hint="resample it")
     cell = float(scale[0])

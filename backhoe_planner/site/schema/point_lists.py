@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -24,12 +25,14 @@ POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
 
 _MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")
-# names of x, y and z in a header
+# names of x, y and z in a header, without case and a unit of metres
 _NAMES = (
-    ("x", "east", "easting", "x[m]", "x_m"),
-    ("y", "north", "northing", "y[m]", "y_m"),
-    ("z", "h", "height", "elev", "elevation", "altitude", "z[m]", "z_m"),
+    ("x", "east", "easting"),
+    ("y", "north", "northing"),
+    ("z", "h", "height", "elev", "elevation", "altitude"),
 )
+_METRES = re.compile(r"(?:_m|[\s_]*[\[(]\s*(?:m|met(?:re|er)s?)\s*[\])])$")  # "x [m]", "x (metres)", "x_m"
+_BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 
 
 def read_point_list(path: Path) -> Matrix:
@@ -38,7 +41,8 @@ def read_point_list(path: Path) -> Matrix:
     Raises
     ------
     InputError: missing, not text, a cell that is not a number, fewer than three in a line, a header that names only
-        some of x, y, z, or a first column of point numbers without a header.
+        some of x, y, z or that names more than three columns but none of them, or a first column of point numbers
+        without a header.
     """
     text = read_text(path, what="point cloud", formats=POINT_FORMATS)
     columns, lines, first = _begin(text.splitlines(), path)
@@ -69,6 +73,28 @@ def read_point_list(path: Path) -> Matrix:
     return points
 
 
+def read_obj_vertices(path: Path) -> Matrix:
+    """(n, 3) the vertices of an OBJ [m], whether or not a face has them.
+
+    Raises
+    ------
+    InputError: missing, not text, or a vertex without three numbers.
+    """
+    points = []
+    for number, line in enumerate(read_text(path, what="point cloud", formats=POINT_FORMATS).splitlines(), start=1):
+        words = line.split()
+        if not words or words[0] != "v":
+            continue
+        try:
+            x, y, z = (number_in(word) for word in words[1:4])
+        except ValueError:
+            raise InputError(
+                "is no vertex", file=path, key=f"line {number}", found=line.strip(), allowed="v X Y Z"
+            ) from None
+        points.append((x, y, z))
+    return np.array(points, dtype=float).reshape(-1, 3)
+
+
 def _begin(lines: Sequence[str], path: Path) -> tuple[tuple[int, ...] | None, Sequence[str], int]:
     """The columns of x, y, z that a header names, or None; the lines that follow; and how many lines precede them."""
     columns, first = None, 0
@@ -77,19 +103,28 @@ def _begin(lines: Sequence[str], path: Path) -> tuple[tuple[int, ...] | None, Se
         words = line.lstrip("#/").strip()
         if not line.startswith(COMMENTS) and line and not (first == 0 and (_is_header(line) or _is_count(lines))):
             break
-        columns = columns or _named(words, path, of=itertools.islice(lines, first + 1, None))
+        columns = columns or _named(
+            words, path, of=itertools.islice(lines, first + 1, None), is_header=line == words and not _is_count(lines)
+        )
         first += 1
     return columns, lines[first:], first
 
 
-def _named(words: str, path: Path, *, of: Iterable[str]) -> tuple[int, ...] | None:
-    """Which columns of the lines `of` are x, y and z by the words above them; None if the words do not name them."""
-    cells = [cell.strip().strip('"').lower() for cell in cells_of(words)]
+def _named(words: str, path: Path, *, of: Iterable[str], is_header: bool) -> tuple[int, ...] | None:
+    """Which columns of the lines `of` are x, y and z by the words above them; None if the words do not name them.
+
+    Parameters
+    ----------
+    is_header: whether the words must be a header; otherwise they may be a comment.
+    """
+    cells = [cell.strip().strip('"').lower() for cell in cells_of(_BEFORE_UNIT.sub("", words))]
+    cells = [_METRES.sub("", cell) for cell in cells]
     found = [[index for index, cell in enumerate(cells) if cell in names] for names in _NAMES]
     if [len(each) for each in found] == [1, 1, 1]:
         return tuple(index for (index,) in found)
     following = next((line for line in of if line.strip() and not line.startswith(COMMENTS)), "")
-    if any(found) and len(cells) == len(cells_of(following)):
+    unknown = is_header and len(cells) > len(_NAMES)
+    if (any(found) or unknown) and len(cells) == len(cells_of(following)):
         raise InputError(
             "the header does not name x, y and z once each", file=path, key="header", found=words[:60],
             allowed="x, y, z; easting, northing, elevation; with others beside them",

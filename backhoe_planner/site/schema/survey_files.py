@@ -20,13 +20,14 @@ from backhoe_planner.site.schema.number_tables import (
     number_in,
     plain_table,
 )
-from backhoe_planner.site.schema.point_lists import read_point_list
+from backhoe_planner.site.schema.point_lists import POINT_FORMATS, read_obj_vertices, read_point_list
 from backhoe_planner.site.schema.quantities import LARGEST
 
 _FEWEST = 2  # heights along x and along y, so that there is ground between them
 _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
+_OTHER_CLOUDS = (".las", ".laz", ".e57", ".pcd", ".rcp", ".rcs", ".fls")
 _MOST_COLUMNS = 32  # of a list of points at the nodes of a grid; chosen
 
 
@@ -143,7 +144,15 @@ def read_points(path: Path) -> Matrix:
     """
     if not is_file(path):
         raise InputError("no such point cloud file", file=path)
-    if path.suffix.lower() in (".ply", ".obj", ".stl"):
+    kind = path.suffix.lower()
+    if kind in _OTHER_CLOUDS:
+        raise InputError(
+            f"is a {kind} file, which is not read", file=path, allowed=POINT_FORMATS,
+            hint="pdal translate or CloudCompare make a PLY of it",
+        )  # fmt: skip
+    if kind == ".obj":
+        points = read_obj_vertices(path)
+    elif kind in (".ply", ".stl"):
         import trimesh
 
         try:
@@ -153,7 +162,8 @@ def read_points(path: Path) -> Matrix:
             raise
         except Exception as error:  # trimesh passes on any exception of its format readers
             raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
-        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)
+        parts = getattr(loaded, "geometry", {"": loaded}).values()  # a file of several solids is a scene of them
+        points = np.vstack([np.zeros((0, 3)), *(part.vertices for part in parts if hasattr(part, "vertices"))])
     else:
         points = read_point_list(path)
     if len(points) == 0:

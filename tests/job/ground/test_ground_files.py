@@ -41,6 +41,8 @@ def write_geotiff(
             tuple(v for key in ((1, 1, 0, len(keys)), *((k, 0, 1, keys[k]) for k in sorted(keys))) for v in key),
             3,
         )
+    for tag, (kind, value) in more.pop("tags", {}).items():
+        tags[tag], tags.tagtype[tag] = value, kind
     if "words" in more:
         tags[34737], tags.tagtype[34737] = more.pop("words"), 2
     if "metadata" in more:
@@ -109,6 +111,21 @@ def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
         ({"keys": {3076: 9001, 4099: 9003}}, ["heights are not in metres", "9003"]),
         ({"words": "NAD83 / California zone 5 (ftUS)|NAD83|"}, ["is not in metres", "zone 5 (ftUS)"]),
         ({"metadata": "<GDALMetadata><Item"}, ["scale and offset of its heights cannot be read"]),
+        (
+            {"metadata": "<GDALMetadata><Item sample='0' role='offset'>nan</Item></GDALMetadata>"},
+            ["scale and offset of its heights cannot be read: found 1 and nan"],
+        ),
+        ({"tags": {274: (3, 4)}}, ["Orientation: has its rows in another order; found 4", "from north to south"]),
+        ({"tags": {33550: (12, 0.5)}}, ["ModelPixelScale", "found 0.5", "3 numbers"]),
+        ({"tags": {33922: (12, (0.0, 0.0, 0.0))}}, ["ModelTiepoint", "6 numbers"]),
+        ({"tags": {34264: (12, (1.0, 0.0, 0.0))}}, ["ModelTransformation", "16 numbers"]),
+        ({"tags": {33550: (12, (0.5, 0.5, 2.0))}}, ["a scale or an offset of heights; found 2 and 0 m"]),
+        ({"tags": {33922: (12, (0.0, 0.0, 0.0, 1.0, 1.0, 100.0))}}, ["found 0 and 100 m"]),
+        ({"tags": {33550: (12, (0.5, -0.5, 0.0))}}, ["is flipped; found rows from south to north"]),
+        (
+            {"tags": {34264: (12, (-0.5, *4 * [0.0], 0.5, *9 * [0.0], 1.0))}},
+            ["columns from east to west and rows from"],
+        ),
         ({"cell_y": 0.7}, ["are not square", "0.5 x 0.7 m"]),
     ],
 )
@@ -117,6 +134,32 @@ def test_geotiffs_that_cannot_be_used(tmp_path: Path, keys: dict[str, Any], part
     with pytest.raises(InputError) as caught:
         Terrain.from_file(file)
     assert all(part in str(caught.value) for part in [*parts, str(file)])
+
+
+@pytest.mark.parametrize(
+    ("kind", "white", "stored", "heights"),
+    [
+        (1, 1, [[0, 3], [200, 255]], [[0.0, 3.0], [200.0, 255.0]]),
+        (1, 0, [[255, 252], [55, 0]], [[0.0, 3.0], [200.0, 255.0]]),  # Pillow writes as it reads: inverted
+        (2, 1, [[0, 3], [254, 255]], [[0.0, 3.0], [-2.0, -1.0]]),
+    ],
+)
+def test_heights_of_8_bits_are_the_numbers_in_the_file(
+    tmp_path: Path, kind: int, white: int, stored: list[list[int]], heights: list[list[float]]
+) -> None:
+    """Signed or not, and whichever of the numbers is shown bright."""
+    tags = ImageFileDirectory_v2()
+    for tag, value in ((339, kind), (262, white)):
+        tags[tag], tags.tagtype[tag] = value, 3
+    file = tmp_path / "a.tif"
+    Image.fromarray(np.array(stored, dtype=np.uint8)[::-1]).save(file, tiffinfo=tags)
+    with Image.open(file) as written:
+        found = dict(getattr(written, "tag_v2", {}))
+        assert found[262] == white
+        offset, length = found[273][0], found[279][0]
+    raw = np.frombuffer(file.read_bytes()[offset : offset + length], dtype=np.uint8).reshape(2, 2)[::-1]
+    np.testing.assert_array_equal(raw.view(np.int8) if kind == 2 else raw, heights)
+    np.testing.assert_array_equal(read_heights(file), heights)
 
 
 def test_feet_in_the_name_of_a_projection_do_not_count_where_its_unit_is_said(tmp_path: Path) -> None:
