@@ -16,7 +16,7 @@ plan stays as it was. Whatever is planned, the servo alone decides what is safe.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
@@ -26,6 +26,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
+from backhoe_planner.live.braking_pace import BrakingPace, PlanPart
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.reference import Reference
@@ -39,15 +40,17 @@ from backhoe_planner.live.rejoining import (
 )
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
-from backhoe_planner.motion import Trajectory, keep_of
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Keep, Trajectory, keep_of
 from backhoe_planner.planning import Plan
+from backhoe_planner.site import ClearanceScreen, Obstacle, Proximity
 
 # The numbers are chosen; validation/placements.py drives machines with them.
 _PART = 0.5  # part of the acceleration for braking on the return to the plan; the rest is for following it
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _ARRIVED = 1e-3  # rad or m from the end of the plan
 _ON_PLAN = _ARRIVED  # rad or m off the plan within which its clock does not wait
-_RESTS_AT_END = 1e-2  # rad/s or m/s: a slower machine counts as at rest at the end of the plan
+_RESTS_AT_END = 2e-3  # rad/s or m/s: a slower machine counts as at rest at the end of the plan
 _STILL = 1e-6  # rad/s or m/s: the machine must be slower when a detour is searched, which is planned from rest
 _PUSHED = 0.2  # rad or m by which the machine is pushed away: more than it slides to and fro
 _NOTICED = 0.3  # s without progress after which the status says that the machine waits
@@ -160,6 +163,7 @@ class PlanFollower:
         self._round: _Round | None = None
         keep = plan.problem.keep if isinstance(plan, Plan) else keep_of(robot, servo.scene)
         self._kept = KeptFollowing(keep, servo.limits)
+        self._paces = BrakingPace(self._plan, servo.limits, _parts(servo, plan, keep))
         self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
         self._enter_leg()
         self._steps = 0
@@ -264,9 +268,11 @@ class PlanFollower:
         # no faster towards the plan than the machine can brake in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
-        off_plan = deviation > _ON_PLAN
-        if self._kept.must_stop(servo.q, servo.v, time=servo.time, off_plan=off_plan):
+        kept = self._kept.pace(servo.q, servo.v, reference, rates, time=servo.time)
+        if kept is None:
             pace, pull = 0.0, np.zeros_like(pull)
+        else:
+            pace = min(pace, kept, self._paces.at(reference.clock) if reference is self._plan else 1.0)
         state = servo.step(joint_velocity=pace * rates + pull)
         reference.advance(pace * servo.dt)
         if self._progress.made(reference, deviation, servo.dt):
@@ -417,6 +423,20 @@ class _Round:
     around: str | None
     checked: int  # revision of the surroundings for which it is known to be clear
     check_at: float = 0.0
+
+
+def _parts(servo: Servo, plan: Plan | Trajectory, keep: Keep | None) -> list[PlanPart]:
+    """What holds in each leg of a plan, or along all of it: conditions, and the static obstacles present now."""
+    if isinstance(plan, Plan) and plan.legs:
+        return [_part(leg.begins, leg.problem.keep, leg.problem.robot, leg.problem.obstacles) for leg in plan.legs]
+    return [_part(0.0, keep, servo.robot, servo.snapshot())]
+
+
+def _part(begins: float, keep: Keep | None, robot: Robot, obstacles: Sequence[Obstacle]) -> PlanPart:
+    if keep is None:
+        return PlanPart(begins, None, None)
+    still = [one for one in obstacles if not one.moves and one.appears_at <= 0.0]
+    return PlanPart(begins, keep, ClearanceScreen(Proximity(robot, still)))
 
 
 def _late(off: Vector, rates: Vector) -> float:

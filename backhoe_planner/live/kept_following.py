@@ -1,9 +1,10 @@
 """The conditions to be kept along a plan while something pushes the machine off it or holds it back.
 
-The servo keeps the machine clear, but knows nothing of a full bucket. So the follower watches: if
-the machine slides off the plan and a condition would be lost before it could stop, the machine is
-held still instead, until a detour is found that keeps the condition. Only an approaching obstacle can
-then still break it: the machine gives way to a person rather than keep its bucket level.
+The servo keeps the machine clear, but knows nothing of a full bucket. So the follower watches how much of every
+condition the machine loses by being beside its plan. If that is more than the plan leaves, the plan's clock waits
+until the machine is back. If the machine slides off the plan and a condition would be lost before it could stop, it
+is held still instead, until a detour is found that keeps the condition. Only an approaching obstacle can then still
+break it: the machine gives way to a person rather than keep its bucket level.
 """
 
 from __future__ import annotations
@@ -11,15 +12,21 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.live.reference import Reference
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 
 _HELD = 0.5  # s for which the machine is held; chosen: it needs some tenths of a second to stop
-_BRAKED = 1.0  # part of the braking time for which the present rate counts; 0.5 would be exact, the rest is a margin
+_BRAKED = 2.0  # times the time in which sliding can be stopped, for which it counts; 0.5 would be exact; chosen
+_SLIDES = 0.1  # s for which sliding counts at least; chosen
+_AHEAD = 0.3  # s of the plan ahead of its clock of which the margins count; chosen, a deviation is made up for sooner
+_LEAST = 2e-4  # rad or m that may be lost beside the plan: far below what a plan leaves, above what following it takes
+_PLACES = 4  # of the plan ahead, at which its margins count; chosen
+_STILL = 1e-9  # squared rad/s or m/s below which the plan has no direction
 
 
 class KeptFollowing:
-    """Decides whether the machine has to stop to keep the conditions of its task.
+    """Decides whether the machine has to slow down or to stop to keep the conditions of its task.
 
     Parameters
     ----------
@@ -37,22 +44,38 @@ class KeptFollowing:
         """The condition that is not kept, or would not have been, in words; empty if there is none."""
         return self._lost
 
-    def must_stop(self, q: Vector, v: Vector, *, time: float, off_plan: bool) -> bool:
-        """Whether the machine at `q` (n,), with the rates `v` (n,), has to stop.
+    def pace(self, q: Vector, v: Vector, reference: Reference, rates: Vector, *, time: float) -> float | None:
+        """The part of its speed at which the plan may go on, 0 to 1; None if the machine at `q` (n,) has to stop.
 
         Parameters
         ----------
+        v: (n,) the machine's rates.
+        reference: the plan, on which every condition is kept.
+        rates: (n,) the plan's rates at its clock.
         time: now [s].
-        off_plan: whether the machine is off its plan; on the plan every condition is kept.
         """
         if self._keep is None:
-            return False
-        if not off_plan:
-            self._lost, self._until = "", -np.inf
-            return False
-        margins, rates = self._keep.margins(q), self._keep.gradients(q) @ v
-        stopping = _BRAKED * float(np.max(np.abs(v) / self._limits.acceleration))
-        if bool(np.any((rates < 0.0) & (margins + stopping * rates < 0.0))):
+            return 1.0
+        gradients, across = self._keep.gradients(q), _across(v, rates)
+        stopping = max(_BRAKED * float(np.max(np.abs(across) / self._limits.acceleration)), _SLIDES)
+        # being ahead on the plan or behind loses nothing: only what is beside it
+        beside, sliding = gradients @ _across(q - reference.q, rates), gradients @ across
+        if not ((beside < -_LEAST) | (beside + stopping * sliding < -_LEAST)).any():
+            if time >= self._until:
+                self._lost = ""
+            return None if time < self._until else 1.0
+        places = np.linspace(reference.clock, reference.clock + _AHEAD, _PLACES)
+        left = np.min([self._keep.margins(reference.at(place)) for place in places.tolist()], axis=0).clip(0.0)
+        if ((sliding < 0.0) & (left + beside + stopping * sliding < -_LEAST)).any():
             self._until = time + _HELD
             self._lost = self._keep.broken(q) or "the machine stopped, because sliding on would violate `keep`"
-        return time < self._until
+        if time < self._until:
+            return None
+        lost = beside < -_LEAST
+        return float(np.min((left[lost] + _LEAST) / -beside[lost], initial=1.0))
+
+
+def _across(vector: Vector, rates: Vector) -> Vector:
+    """(n,) the part of `vector` (n,) that is across the plan's rates (n,)."""
+    along = float(rates @ rates)
+    return vector - (float(vector @ rates) / along) * rates if along > _STILL else vector

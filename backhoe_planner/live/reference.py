@@ -74,7 +74,7 @@ class Reference:
     @property
     def q(self) -> Vector:
         """(n,) joint positions at the clock's time [rad or m]."""
-        return self._at(self.clock)
+        return self.at(self.clock)
 
     @property
     def last_q(self) -> Vector:
@@ -83,7 +83,7 @@ class Reference:
 
     def rates(self, dt: float) -> Vector:
         """(n,) mean rates over the next `dt` [rad/s or m/s]."""
-        return (self._at(self.clock + dt) - self._at(self.clock)) / dt
+        return (self.at(self.clock + dt) - self.at(self.clock)) / dt
 
     def advance(self, by: float) -> None:
         """Advance the clock `by` [s], to the end at most."""
@@ -93,7 +93,8 @@ class Reference:
         """(K, n) the samples after the clock's time."""
         return np.asarray(self._motion.q[int(self._motion.time.searchsorted(self.clock, side="right")) :])
 
-    def _at(self, time: float) -> Vector:
+    def at(self, time: float) -> Vector:
+        """(n,) joint positions at `time` [s] of the motion [rad or m]; those at the end from there on."""
         return self.last_q if time >= self.end else self._pieces.at(time)
 
 

@@ -396,7 +396,7 @@ def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
     steps = followed(follower, 4000, until=lambda step: step.status is FollowerStatus.BLOCKED)
     steps += followed(follower, 100)
     assert steps[-1].status is FollowerStatus.BLOCKED
-    assert "wall stands on the plan" in steps[-1].reason
+    assert "wall blocks the plan" in steps[-1].reason
     assert all(isinstance(answer, NoRejoining) and answer.searched for answer in executor.answers)
     assert least_margin(backhoe, steps, WALL) >= -1e-6
     servo.remove("wall")
@@ -543,7 +543,7 @@ def test_a_plan_that_brakes_at_the_limit_is_followed_to_its_end(backhoe: Robot) 
     servo = Servo(backhoe, scene, 0.01, q=plan.trajectory.q[0])
     steps = followed(PlanFollower(servo, plan, executor=never), 1000, until=lambda step: step.done)
     assert steps[-1].done
-    assert steps[-1].behind < 0.01
+    assert steps[-1].behind < 0.02
     assert max(step.deviation for step in steps) < 1e-3
     assert never.futures == []
 

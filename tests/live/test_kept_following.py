@@ -10,7 +10,14 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.live import Rejoining, RejoiningQuery, find_rejoining
+from backhoe_planner.live.braking.joint_bounds import BRAKING
+from backhoe_planner.live.braking_pace import BrakingPace, PlanPart
+from backhoe_planner.live.reference import Reference
+from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import Keep, keep_of
+from backhoe_planner.site import ClearanceScreen
+
+SCENES = shipped_folder("scenes")
 
 NAMES = ("swing", "boom", "stick", "bucket")
 A, B = (0.0, 0.3, -1.5, -1.5), (1.0, 0.6, -1.2, -2.1)  # both at a pitch of -2.7
@@ -92,3 +99,54 @@ def test_what_is_widened_holds_and_allows_no_more(backhoe: bp.Robot) -> None:
     assert not keep.holds(q)
     assert wider.holds(q)
     assert not wider.holds(q + np.array([0.0, 0.0, 0.0, 1e-4]))
+
+
+def test_a_plan_of_least_time_is_followed_within_what_it_keeps(backhoe: bp.Robot) -> None:
+    """Nothing is in the way but what was planned around. Braking straight ahead from the plan would tip the bucket."""
+    loaded = bp.load_scene(SCENES / "level_bucket.yaml")
+    plan = bp.plan(backhoe, loaded, effort="quick")
+    assert plan.verified, plan.message
+    keep = plan.problem.keep
+    assert keep is not None
+    servo = bp.Servo(backhoe, loaded, 0.005, q=plan.trajectory.q[0])
+    least, statuses = np.inf, set()
+    with bp.PlanFollower(servo, plan, executor=AtOnce()) as follower:
+        for _ in range(round(4.0 * plan.trajectory.duration / 0.005)):
+            told = follower.step()
+            least = min(least, float(keep.margins(told.state.q).min()))
+            statuses.add(told.status.value)
+            if told.done:
+                break
+    assert told.done
+    assert least > -1e-3
+    assert statuses == {"following", "arrived"}
+
+
+def test_the_plan_goes_on_only_as_fast_as_braking_straight_ahead_keeps_the_band(backhoe: bp.Robot) -> None:
+    """The bucket turns at the edge of the band while the swing still needs 0.75 s to stop."""
+    scene = level_scene()
+    keep = keep_of(backhoe, scene)
+    assert keep is not None
+    time = np.linspace(0.0, 4.0, 401)
+    part = time / 4.0
+    blend = 10 * part**3 - 15 * part**4 + 6 * part**5
+    q = np.array(A) + blend[:, None] * (np.array(B) - A)
+    q[:, 3] += 0.0095 * np.sin(2.0 * np.pi * time / 0.8) * (4.0 * part * (1.0 - part)) ** 2
+    reference = Reference(bp.Trajectory.from_steps(time, q), backhoe.limits)
+    screen = ClearanceScreen(bp.Proximity(backhoe, []))
+    paces = BrakingPace(reference, backhoe.limits, [PlanPart(0.0, keep, screen)])
+    slowest = 1.0
+    for moment in np.linspace(0.2, 3.8, 181).tolist():
+        pace = paces.at(moment)
+        slowest = min(slowest, pace)
+        v = pace * reference_rates(reference, moment)
+        end = reference.at(moment) + 0.5 * v * float(np.max(np.abs(v) / (BRAKING * backhoe.limits.acceleration)))
+        assert pace <= 0.1 or float(keep.margins(end).min()) > -5e-4
+    assert slowest < 0.5
+    free = BrakingPace(reference, backhoe.limits, [PlanPart(0.0, None, None)])
+    assert {free.at(moment) for moment in (0.0, 1.3, 4.0)} == {1.0}
+
+
+def reference_rates(reference: Reference, moment: float) -> np.ndarray:
+    """(n,) the rates of the reference at `moment` [s]."""
+    return np.asarray((reference.at(moment + 1e-4) - reference.at(moment - 1e-4)) / 2e-4)

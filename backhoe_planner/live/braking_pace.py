@@ -1,0 +1,113 @@
+"""The pace of a plan at which the machine can always stop straight ahead.
+
+A servo brakes all joints in proportion, so it stops on a straight line of the joints. A plan that turns beside an
+obstacle, at the edge of what `keep` allows, or near the limit of a joint, leaves room for its own curve alone: at full
+speed the straight line ends beyond, and the servo would leave the plan there. With the pace s the line is s^2 times
+as long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.live.braking.joint_bounds import BRAKING
+from backhoe_planner.live.reference import Reference
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion import Keep
+from backhoe_planner.site import ClearanceScreen
+
+_STEP = 0.02  # s between the moments of the plan that are looked at; chosen, the pace changes little within it
+_PACES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # that are tried; chosen, the last is taken in any case
+_ALONG = (0.33, 0.67, 1.0)  # parts of the braking line that are looked at; the servo proves all of it
+_CHANGES = 0.5  # part of the acceleration for changes of the pace; the rest is for the plan's own
+_ROUNDING = 1e-6  # rad or m
+
+
+class PlanPart(NamedTuple):
+    """What holds from a moment of a plan on.
+
+    Attributes
+    ----------
+    begins: the moment [s].
+    keep: the conditions to be kept, or None.
+    screen: for the static obstacles; None without `keep`.
+    """
+
+    begins: float
+    keep: Keep | None
+    screen: ClearanceScreen | None
+
+
+class BrakingPace:
+    """The greatest pace at every moment of a plan; 1 in parts without conditions, where the machine may slide.
+
+    Parameters
+    ----------
+    reference: the plan.
+    limits: of the joints.
+    parts: of the plan, by the time at which they begin.
+    """
+
+    def __init__(self, reference: Reference, limits: JointLimits, parts: Sequence[PlanPart]) -> None:
+        count = max(round(reference.end / _STEP), 1) + 1
+        self._time = np.linspace(0.0, reference.end, count)
+        q = np.array([reference.at(time) for time in self._time.tolist()])
+        v = np.gradient(q, self._time, axis=0) if reference.end > 0.0 else np.zeros_like(q)
+        line = 0.5 * v * np.max(np.abs(v) / (BRAKING * limits.acceleration), axis=1)[:, None]
+        part = np.searchsorted([one.begins for one in parts], self._time, side="right") - 1
+        pace = np.ones(count)
+        for index, one in enumerate(parts):
+            pace[part == index] = 1.0
+            if one.keep is None:
+                continue
+            rows = np.flatnonzero((part == index) & (np.abs(line).max(axis=1) > _ROUNDING))
+            pace[rows] = _PACES[-1]
+            assert one.screen is not None
+            clear = np.zeros(count, dtype=bool)
+            clear[rows] = one.screen.keeps(q[rows])  # what is on the plan itself is left to the servo
+            for slower in _PACES[:-1]:
+                fits = _fit(slower**2 * line, rows, q, clear, limits, one)
+                pace[rows[fits]] = slower
+                rows = rows[~fits]
+        self._pace = _changing_slowly(pace, self._time, v, limits)
+
+    def at(self, time: float) -> float:
+        """The greatest pace at `time` [s] of the plan, above 0 and at most 1."""
+        return float(np.interp(time, self._time, self._pace))
+
+
+def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimits, part: PlanPart) -> Flags:
+    """(R,) whether the braking lines (K, n) of `rows` (R,), from q (K, n), keep the limits and what the plan keeps.
+
+    clear: (K,) whether the plan itself keeps its clearances there.
+    """
+    fits = np.ones(len(rows), dtype=bool)
+    for along in reversed(_ALONG):
+        here = np.flatnonzero(fits)
+        places = q[rows[here]] + along * line[rows[here]]
+        within = np.all((places >= limits.lower - _ROUNDING) & (places <= limits.upper + _ROUNDING), axis=1)
+        assert part.keep is not None
+        for condition in part.keep.conditions:
+            least = np.minimum(condition.margins(condition.values(q[rows[here]])), 0.0) - _ROUNDING
+            within &= condition.margins(condition.values(places)) >= least
+        assert part.screen is not None
+        asked = np.flatnonzero(within & clear[rows[here]])
+        within[asked] = part.screen.keeps(places[asked])
+        fits[here] = within
+    return fits
+
+
+def _changing_slowly(pace: Vector, time: Vector, v: Matrix, limits: JointLimits) -> Vector:
+    """(K,) the pace, lowered where it would change faster than the joints allow at the rates `v` (K, n) of the plan."""
+    with np.errstate(divide="ignore"):
+        change = 2.0 * _CHANGES * np.min(limits.acceleration / np.abs(v), axis=1)  # of the squared pace, 1/s
+    squared = pace**2
+    for rows, step in ((range(len(pace) - 2, -1, -1), 1), (range(1, len(pace)), -1)):
+        for row in rows:
+            beside = row + step
+            squared[row] = min(squared[row], squared[beside] + change[row] * abs(time[beside] - time[row]))
+    return np.asarray(np.sqrt(squared))
