@@ -1,4 +1,4 @@
-"""How long a motion may take that is to cost little: three times the bound, more where that is too little."""
+"""The time allowed to a motion of least cost: three times the bound, more where that is too little."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ from backhoe_planner.proof import least_duration, least_duration_of_all
         (0.0, 0.0, 0.0),
     ],
 )
-def test_it_is_a_multiple_of_the_bound(bound: float, fastest: float, allowed: float) -> None:
+def test_the_allowed_time_is_a_multiple_of_the_bound(bound: float, fastest: float, allowed: float) -> None:
     assert allowed_time(bound, fastest) == pytest.approx(allowed)
 
 
-def test_a_motion_has_room_up_to_what_the_bound_leaves_it() -> None:
+def test_a_motion_has_room_if_1_2_times_its_duration_is_within_three_times_the_bound() -> None:
     assert fastest_with_room(2.0) == pytest.approx(5.0)  # 1.2 times 5 s is three times 2 s
     assert has_room(2.0, 4.99)
     assert not has_room(2.0, 5.01)
 
 
-def test_a_time_that_is_given_leaves_the_room_that_it_would_be_asked_for() -> None:
+def test_the_bound_behind_an_allowed_time_gives_back_that_time() -> None:
     assert allowed_time(bound_behind(6.0), 4.9) == pytest.approx(6.0)
     assert fastest_with_room(bound_behind(6.0)) == pytest.approx(5.0)
 
 
-def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(planar4: bp.Robot) -> None:
-    """With acceleration a, and the rate never at its limit, a joint takes 2 sqrt(d / a) for d."""
+def test_the_bound_of_one_joint_is_its_time_to_accelerate_and_brake(planar4: bp.Robot) -> None:
+    """With acceleration a, and the rate never at its limit, a joint moves by d in 2 sqrt(d / a)."""
     for d, a in ((0.2, 0.02), (1.2, 0.002)):
         start = dict.fromkeys(planar4.joint_names, 0.1)
         content = {
@@ -66,8 +66,8 @@ def test_the_bound_of_one_joint_is_the_time_it_takes_to_speed_up_and_to_stop(pla
         assert 0.97 * T <= bound_for_allowed_time(problem, np.full(4, 0.1)) <= T
 
 
-def test_the_bound_is_the_one_that_is_found_where_it_is_sought_ever_further(backhoe: bp.Robot) -> None:
-    """Where it is sought first follows from a rough bound; from 0.25 s on, twice as far each time, it is the same."""
+def test_the_bound_equals_that_of_a_search_whose_horizon_is_doubled(backhoe: bp.Robot) -> None:
+    """The first horizon follows from a rough bound; a search from 0.25 s on, doubled each time, finds the same."""
     start = dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))
     for position in ([4.0, 1.0, -1.0], [3.0, 3.0, 1.0], [4.5, 0.0, 0.0]):
         content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"position": position}}}
@@ -78,7 +78,7 @@ def test_the_bound_is_the_one_that_is_found_where_it_is_sought_ever_further(back
         assert least_duration_of_all(problem, backhoe.middle, boxes=500) == found
 
 
-def test_the_bound_is_remembered_as_long_as_the_problem_is(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bound_is_cached_as_long_as_its_problem_lives(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     start = dict.fromkeys(planar4.joint_names, 0.1)
     content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.5}}}}
     problem, q = build_problem(planar4, bp.scene_from_dict(content)), np.full(4, 0.1)
@@ -94,10 +94,10 @@ def test_the_bound_is_remembered_as_long_as_the_problem_is(planar4: bp.Robot, mo
     assert alive() is None
 
 
-def test_where_no_fast_motion_is_proven_none_is_allowed_a_time_and_the_search_goes_on(
+def test_without_a_proven_fast_motion_there_is_no_allowed_time_and_the_search_goes_on(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Descents have ended, but the proof of none was clear: what they cost in an infinite time says nothing."""
+    """Descents have ended, but none was proven clear: their costs in infinite time say nothing."""
 
     def unproven(self: MotionSearch, *args: Any, **kwargs: Any) -> MotionSearch | None:
         search = search_fastest(self, *args, **kwargs)
@@ -116,10 +116,10 @@ def test_where_no_fast_motion_is_proven_none_is_allowed_a_time_and_the_search_go
     assert plan.findings.allowed_time is None
 
 
-def test_a_motion_whose_samples_take_longer_than_it_may_is_made_shorter(
+def test_a_motion_whose_samples_exceed_the_allowed_time_is_shortened(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Samples of the first two motions are slowed by 2 and 1 %, as between the places where steps keep limits."""
+    """The first two motions are slowed by 2 and 1 %, as happens between the places where steps keep the limits."""
     slower = iter((1.02, 1.01))
 
     def timed(*args: Any, **kwargs: Any) -> bp.Trajectory:
@@ -145,7 +145,7 @@ def test_a_motion_whose_samples_take_longer_than_it_may_is_made_shorter(
 
 
 def swung(robot: bp.Robot, *obstacles: dict[str, Any], **keys: Any) -> bp.Plan:
-    """A plan in which an arm of 4 m swings by 1.2 rad, among `obstacles`."""
+    """A plan in which an arm of 4 m swings by 1.2 rad among `obstacles`."""
     joints = dict(zip(robot.joint_names, (0.0, 0.3, 0.3, 0.3), strict=True))
     goal = {"goal": {"joints": joints | {"joint1": 1.2}}}
     content = {"version": 1, "objective": "velocity_norm", "start": {"joints": joints}, "task": goal} | keys
@@ -154,12 +154,12 @@ def swung(robot: bp.Robot, *obstacles: dict[str, Any], **keys: Any) -> bp.Plan:
     return plan
 
 
-MIDDLE = np.array([1.88, 3.28, 0.0])  # m: the tip half way
+MIDDLE = np.array([1.88, 3.28, 0.0])  # m: the tip halfway
 OUTWARDS = MIDDLE / np.linalg.norm(MIDDLE)
 
 
-def test_a_wait_is_added_to_what_a_motion_may_take(planar4: bp.Robot) -> None:
-    """A box in the way goes outwards: the arm waits, and then moves as it does without the box."""
+def test_a_wait_is_added_to_the_allowed_time(planar4: bp.Robot) -> None:
+    """A box in the way moves outwards: the arm waits, then moves as it does without the box."""
     box = {
         "name": "box", "shape": "box", "size": [0.6, 0.6, 2.0], "position": (0.5 * MIDDLE).tolist(),
         "velocity": (0.8 * OUTWARDS).tolist(),
@@ -173,8 +173,8 @@ def test_a_wait_is_added_to_what_a_motion_may_take(planar4: bp.Robot) -> None:
     assert alone.metrics.duration <= longest
 
 
-def test_what_passes_until_the_machine_sets_out_anew_is_added_to_what_it_may_take(planar4: bp.Robot) -> None:
-    """A ball that appears in the way after 1 s: the arm stops, waits, and goes on, and slow motions cost little."""
+def test_the_time_until_a_restart_is_added_to_the_allowed_time(planar4: bp.Robot) -> None:
+    """A ball appears in the way after 1 s: the arm stops, waits and goes on; slow motions cost little."""
     ball = {
         "name": "ball", "shape": "sphere", "radius": 0.3, "position": MIDDLE.tolist(), "appears_at": 1.0,
         "velocity": (0.3 * OUTWARDS).tolist(),
@@ -187,8 +187,8 @@ def test_what_passes_until_the_machine_sets_out_anew_is_added_to_what_it_may_tak
     assert max(reaction.stopped_at + plan.findings.waits, 0.99 * longest) < plan.metrics.duration <= longest
 
 
-def test_where_the_tip_is_to_be_slow_no_time_is_said_to_be_allowed(planar4: bp.Robot) -> None:
-    """At 0.5 m/s 1.2 rad take longer than without: 4 m x 1.2 rad / 0.5 m/s is 9.6 s where the arm is stretched out."""
+def test_a_leg_with_a_tip_speed_reports_no_allowed_time(planar4: bp.Robot) -> None:
+    """At 0.5 m/s, 1.2 rad take longer: 4 m x 1.2 rad / 0.5 m/s is 9.6 s for the stretched arm."""
     goals = [dict(zip(planar4.joint_names, (angle, 0.3, 0.3, 0.3), strict=True)) for angle in (1.2, 1.6)]
     there, on = ({"name": f"{k}", "goal": {"joints": goal}} for k, goal in enumerate(goals))
     slow, free = swung(planar4, task={"sequence": [there | {"speed": 0.5}, on]}).legs
@@ -199,7 +199,7 @@ def test_where_the_tip_is_to_be_slow_no_time_is_said_to_be_allowed(planar4: bp.R
 
 
 @pytest.mark.long
-def test_a_plan_says_what_it_was_allowed_and_two_seeds_are_allowed_the_same(planar4: bp.Robot) -> None:
+def test_a_plan_reports_its_allowed_time_which_does_not_depend_on_the_seed(planar4: bp.Robot) -> None:
     joints = [f"joint{k}" for k in (1, 2, 3, 4)]
     tip = bp.Kinematics(planar4).at(np.array([0.8, 0.3, 0.2, 0.1])).tip_position
     content = {

@@ -1,4 +1,4 @@
-"""On how much of a path the asked speed is kept: by hand."""
+"""The share of a path on which the requested speed is kept: by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def lift(folder: Path, *, speed: float | None) -> Problem:
     return build_problem(bp.load_robot(file, tip="cage"), bp.scene_from_dict(content))
 
 
-def test_a_planned_lift_is_slow_where_it_gathers_way_and_brakes(tmp_path: Path) -> None:
+def test_a_planned_lift_is_slower_only_where_it_accelerates_and_brakes(tmp_path: Path) -> None:
     """Below 90 % of 0.4 m/s for (0.36 m/s)^2 / (2 * 2 m/s^2) = 0.0324 m at either end."""
     problem = lift(tmp_path, speed=0.4)
     plan = bp.plan(problem.robot, problem.scene, effort="quick")
@@ -46,7 +46,7 @@ def test_a_planned_lift_is_slow_where_it_gathers_way_and_brakes(tmp_path: Path) 
     assert first.limit == last.limit == "acceleration hoist"
 
 
-def test_a_lift_that_dawdles_in_the_middle(tmp_path: Path) -> None:
+def test_a_slow_stretch_in_the_middle_is_reported_with_its_ends_and_least_speed(tmp_path: Path) -> None:
     """0.4 m/s, but 0.2 m/s from 0.5 m to 0.8 m of 1.5 m: kept on 80 %."""
     problem = lift(tmp_path, speed=0.4)
     height = np.array([0.5, 1.0, 1.15, 1.3, 2.0])
@@ -58,7 +58,7 @@ def test_a_lift_that_dawdles_in_the_middle(tmp_path: Path) -> None:
     assert (slow.path_from, slow.path_to, slow.least) == pytest.approx((0.5, 0.8, 0.2))
 
 
-def test_nothing_is_told_where_no_speed_is_asked(tmp_path: Path) -> None:
+def test_without_a_requested_speed_nothing_is_reported(tmp_path: Path) -> None:
     problem = lift(tmp_path, speed=None)
     plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.verified, plan.message

@@ -1,4 +1,4 @@
-"""How the cost of a curve in its own time changes with it, and what a descent learns of it."""
+"""How the cost of a curve in its own time changes with the curve, and what a descent learns of that."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def bent_curve(robot: bp.Robot) -> JointCurve:
 
 
 def differences(cost: Callable[[JointCurve, float], float], curve: JointCurve, nudge: float) -> Vector:
-    """Central differences of a cost by the control points within, and by the duration."""
+    """Central differences of a cost with respect to the inner control points and the duration."""
     found = []
     for place in np.ndindex(PIECES - 1, curve.control.shape[1]):
         moved = np.zeros_like(curve.control)
@@ -62,7 +62,7 @@ UNEVEN = (0.0, 0.05, 0.15, 0.3, 0.5, 0.6, 0.8, 0.95, 1.0)
 
 @pytest.mark.parametrize(("objective", "width"), [("work", 1e-9), ("work", 20.0), ("kinetic", 1.0), ("effort", 1.0)])
 @pytest.mark.parametrize(("knots", "places"), [((), 4), (UNEVEN, 4), (UNEVEN, FINE_PLACES)])
-def test_the_slope_of_a_cost_is_that_of_differences(
+def test_the_slope_of_a_cost_equals_central_differences(
     planar4: bp.Robot, objective: str, width: float, knots: tuple[float, ...], places: int
 ) -> None:
     problem, curve = problem_of(planar4, objective), JointCurve(bent_curve(planar4).control, knots)
@@ -72,8 +72,8 @@ def test_the_slope_of_a_cost_is_that_of_differences(
     np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))
 
 
-def test_what_lies_between_more_places_is_seen_better(planar4: bp.Robot) -> None:
-    """Beside a sum over 400 places of each piece; the power of every joint changes its sign on the way."""
+def test_more_places_give_a_more_exact_cost(planar4: bp.Robot) -> None:
+    """Against a sum over 400 places of each piece; the power of every joint changes its sign on the way."""
     problem, curve = problem_of(planar4, "work"), JointCurve(bent_curve(planar4).control)
     exact = OwnTime(problem, drive_of(problem), 400).cost(curve, DURATION, width=1e-9)
     few, more = (
@@ -84,8 +84,8 @@ def test_what_lies_between_more_places_is_seen_better(planar4: bp.Robot) -> None
     assert more < 0.01 * exact
 
 
-def test_the_slope_of_kinks_turns_as_that_of_their_rounded_sum() -> None:
-    """In one direction, against differences of sum share phi(value + G x), with phi written out here."""
+def test_the_slope_of_kinks_changes_as_that_of_their_rounded_sum() -> None:
+    """Along one step, against differences of sum share phi(value + G x), with phi written out here."""
     rng = np.random.default_rng(3)
     kinks = Kinks(rng.normal(size=(40, 5)), rng.normal(size=40), rng.uniform(0.1, 1.0, 40), 0.5)
 
@@ -101,8 +101,8 @@ def test_the_slope_of_kinks_turns_as_that_of_their_rounded_sum() -> None:
 
 
 @pytest.mark.parametrize(("value", "expected"), [(-0.2, -0.05), (0.2, 0.05), (-8.0, -1.0)])
-def test_a_step_goes_as_far_as_a_kink_and_not_through_it(planar4: bp.Robot, value: float, expected: float) -> None:
-    """One control point would go to -1 rad, the edge of the box; a part that costs above 0 rises by 4 a rad.
+def test_a_step_goes_up_to_a_kink_and_not_through_it(planar4: bp.Robot, value: float, expected: float) -> None:
+    """One control point would go to -1 rad, the edge of the box; a part that costs above 0 rises by 4 per rad.
 
     value - 4 x is 0 at value / 4: from below x goes down to there, or to the edge; from above it goes up to there.
     """
@@ -123,7 +123,7 @@ def test_a_step_goes_as_far_as_a_kink_and_not_through_it(planar4: bp.Robot, valu
 
 
 def test_kinks_that_a_step_does_not_cross_need_no_variable(planar4: bp.Robot) -> None:
-    """The best step costs what that of the program with a variable for every kink costs, though some are crossed."""
+    """The best step costs as much as with a variable for every kink, although some kinks are crossed."""
     problem, rng = problem_of(planar4, "work"), np.random.default_rng(6)
     curve = JointCurve.straight(planar4.middle, planar4.middle, PIECES)
     m = planar4.n * (PIECES - 1) + 1
@@ -150,8 +150,8 @@ def test_kinks_that_a_step_does_not_cross_need_no_variable(planar4: bp.Robot) ->
     assert min(crossed) > 0
 
 
-def test_a_step_never_costs_more_than_none_where_it_crosses_more_kinks_than_have_variables(planar4: bp.Robot) -> None:
-    """Steep kinks and next to no curvature: each solution goes far, through others that it does not know of."""
+def test_a_step_lowers_the_cost_even_if_it_crosses_more_kinks_than_have_variables(planar4: bp.Robot) -> None:
+    """Steep kinks and hardly any curvature: each solution goes far, through kinks that have no variable."""
     problem, rng = problem_of(planar4, "work"), np.random.default_rng(1)
     curve, width = JointCurve.straight(planar4.middle, planar4.middle, PIECES), 0.01
     m = planar4.n * (PIECES - 1) + 1
@@ -167,8 +167,8 @@ def test_a_step_never_costs_more_than_none_where_it_crosses_more_kinks_than_have
         assert straight @ x[:m] + of_kinks[1] - of_kinks[0] < 0.0
 
 
-def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
-    """Infinitely slow, and one joint alone against its weight, a half of the way: the gain in potential energy."""
+def test_the_work_of_a_lift_is_its_gain_in_potential_energy(planar4: bp.Robot) -> None:
+    """Infinitely slow; one joint moves alone, against its weight for half of the way."""
     problem = problem_of(planar4, "work")
     low, high = planar4.middle.copy(), planar4.middle.copy()
     high[0] += 0.5
@@ -181,8 +181,8 @@ def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
         assert own.cost(curve, 1e4, width=1e-9) == pytest.approx(gained, rel=1e-3, abs=1e-3)
 
 
-def test_what_is_let_down_counts_in_full_where_nothing_is_regained(backhoe: bp.Robot) -> None:
-    """Infinitely slow, and the boom alone with its weight: no work, and the loss in potential energy."""
+def test_lowering_costs_no_work_but_its_gross_work_is_the_potential_energy_lost(backhoe: bp.Robot) -> None:
+    """Infinitely slow; the boom sinks alone with its weight."""
     problem = problem_of(backhoe, "work")
     low, high = backhoe.middle.copy(), backhoe.middle.copy()
     high[1] += 0.5
@@ -194,8 +194,8 @@ def test_what_is_let_down_counts_in_full_where_nothing_is_regained(backhoe: bp.R
     assert own.gross(down, 1e4) == pytest.approx(lost, rel=1e-3)
 
 
-def test_a_curve_that_a_step_may_take_is_not_late(planar4: bp.Robot) -> None:
-    """Its rates are within their limits at the places at which a step keeps them: the duration stays what it is."""
+def test_a_curve_within_its_rates_where_steps_check_them_keeps_its_duration(planar4: bp.Robot) -> None:
+    """Rates are within their limits at the places at which a step keeps them, not everywhere between."""
     problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
     s = np.linspace(0.0, 1.0, 3 * PIECES + 1)
     T = float(np.max(np.abs(curve(s, 1)) / problem.limits.velocity))
@@ -206,8 +206,8 @@ def test_a_curve_that_a_step_may_take_is_not_late(planar4: bp.Robot) -> None:
     assert OwnTime(free, drive_of(free)).least_duration(curve, T) == pytest.approx(T)
 
 
-def test_a_late_motion_becomes_no_faster_than_it_has_to(planar4: bp.Robot) -> None:
-    """What is late is dear, so that all else would be given for being early."""
+def test_a_late_motion_is_shortened_no_more_than_necessary(planar4: bp.Robot) -> None:
+    """Duration is so expensive here that a step would give up all else to be early."""
     problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
     model = LinearModel(problem, curve, DURATION, end_moves=False, box=np.full(planar4.n, 0.1))
     late = Bend(np.append(np.zeros(28), 1e3), np.eye(29), np.zeros((29, 29)), Kinks.none(29))
@@ -216,8 +216,8 @@ def test_a_late_motion_becomes_no_faster_than_it_has_to(planar4: bp.Robot) -> No
     assert step[28] == pytest.approx(-0.1)
 
 
-def test_clearances_after_a_step_ask_of_it_what_those_before_do(planar4: bp.Robot) -> None:
-    """Of a margin that is linear in the joints, it is the same half-space from wherever it is looked at."""
+def test_a_linear_clearance_gives_the_same_row_before_and_after_a_step(planar4: bp.Robot) -> None:
+    """A margin that is linear in the joints is the same half-space wherever it is linearised."""
     problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
     gradient, step = np.array([[1.0, -0.5, 0.2, 0.0]]), 0.1 * np.random.default_rng(2).normal(size=28)
     model = LinearModel(problem, curve, DURATION, end_moves=False, box=np.full(planar4.n, 0.2))
@@ -243,7 +243,7 @@ def test_no_limit_is_exceeded_in_the_least_duration(backhoe: bp.Robot) -> None:
     assert time_evenly(curve, 0.97 * T, problem.limits, drive=drive_of(problem)).duration > 0.97 * T
 
 
-def test_a_motion_that_is_too_fast_for_a_moment_is_slowed_there_alone(planar4: bp.Robot) -> None:
+def test_a_motion_too_fast_for_a_moment_is_slowed_only_there(planar4: bp.Robot) -> None:
     """The rate 30 d u^2 (1 - u)^2 / T is 1.875 d / T in the middle; 1 % less is exceeded for 7 % of the time."""
     T = 10.0
     rate = 1.875 / (1.01 * T)
@@ -259,7 +259,7 @@ def test_a_motion_that_is_too_fast_for_a_moment_is_slowed_there_alone(planar4: b
     np.testing.assert_allclose(motion.q[[0, -1], 0], [0.0, 1.0])
 
 
-def test_a_step_through_a_quadratic_cost_teaches_its_curvature_along_it() -> None:
+def test_a_step_teaches_the_curvature_of_a_quadratic_cost_along_it() -> None:
     rng = np.random.default_rng(0)
     root, other = rng.normal(size=(2, 11, 11))
     rest, known = root @ root.T + np.eye(11), other @ other.T  # cost = x.(rest + known).x / 2 + f.x
@@ -272,7 +272,7 @@ def test_a_step_through_a_quadratic_cost_teaches_its_curvature_along_it() -> Non
         assert np.linalg.eigvalsh(bend.curvature).min() > 0.0
 
 
-def test_the_curvature_stays_positive_where_the_cost_bends_down() -> None:
+def test_the_learnt_curvature_stays_positive_on_a_concave_cost() -> None:
     rng = np.random.default_rng(1)
     nothing = np.zeros((11, 11))
     bend = Bend.smooth(rng.normal(size=11), nothing, Kinks.none(11), 6, np.array([1.0, 0.5]), 0.25, 2.0)
@@ -282,14 +282,14 @@ def test_the_curvature_stays_positive_where_the_cost_bends_down() -> None:
     assert np.linalg.eigvalsh(bend.curvature).min() > 0.0
 
 
-def test_what_a_step_does_not_show_becomes_less_in_all_directions() -> None:
-    """By hand: the slope stays along a step, so all is scaled by 0.6, and a fifth of that is left along it."""
+def test_a_step_that_shows_no_curvature_reduces_it_in_all_directions() -> None:
+    """By hand: the slope is constant along a step, so all is scaled by 0.6, and a fifth of that is left along it."""
     bend = Bend(np.array([1.0, 2.0]), np.eye(2), np.zeros((2, 2)), Kinks.none(2))
     after = bend.after(np.array([1.0, 0.0]), bend.slope, bend.known, bend.kinks)
     np.testing.assert_allclose(after.curvature, [[0.2 * 0.6, 0.0], [0.0, 0.6]], atol=1e-12)
 
 
-def test_what_a_step_shows_just_as_expected_changes_nothing() -> None:
+def test_a_step_that_confirms_the_curvature_leaves_it_unchanged() -> None:
     curvature = np.array([[2.0, 0.5], [0.5, 1.0]])
     bend = Bend(np.array([1.0, 2.0]), curvature, np.zeros((2, 2)), Kinks.none(2))
     step = np.array([0.3, -0.1])

@@ -1,4 +1,4 @@
-"""Round corners and the motion along them, against hand calculations and limits."""
+"""Rounded corners and the motion along them, against hand calculations and limits."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def over_limits(trajectory: Trajectory, robot: Robot) -> tuple[float, float]:
 # --- the curve --------------------------------------------------------------------------
 
 
-def test_a_right_angle_is_cut_as_by_hand(planar4: Robot) -> None:
+def test_the_cut_of_a_right_angle_equals_a_hand_calculation(planar4: Robot) -> None:
     """Two legs of 1 s: d is 0.95 s, and halfway the parabola is d/2 from each leg."""
     rate = planar4.limits.velocity
     corners = np.zeros((3, 4))
@@ -74,7 +74,7 @@ def test_a_right_angle_is_cut_as_by_hand(planar4: Robot) -> None:
     np.testing.assert_allclose(way(1.0, 2) / rate, [-1.0 / 1.9, 1.0 / 1.9, 0.0, 0.0])
 
 
-def test_the_way_begins_and_ends_where_it_should_and_stops_nowhere_between(smooth: SmoothWay) -> None:
+def test_the_blended_path_keeps_its_ends_and_has_no_stop_between_them(smooth: SmoothWay) -> None:
     np.testing.assert_allclose(smooth(0.0), CORNERS[0], atol=1e-12)
     np.testing.assert_allclose(smooth(smooth.length), CORNERS[-1], atol=1e-12)
     np.testing.assert_array_equal(smooth.stops, [0.0, smooth.length])
@@ -82,7 +82,7 @@ def test_the_way_begins_and_ends_where_it_should_and_stops_nowhere_between(smoot
     assert np.all(np.diff(smooth.stations) >= smooth.cuts[1:] + smooth.cuts[:-1] - 1e-12)
 
 
-def test_position_and_slope_have_no_jump(smooth: SmoothWay) -> None:
+def test_position_and_slope_are_continuous(smooth: SmoothWay) -> None:
     for knot in smooth.knots[1:-1]:
         for order in (0, 1):
             before, after = smooth(np.array([knot - 1e-9, knot + 1e-9]), order)
@@ -99,7 +99,7 @@ def test_derivatives_agree_with_central_differences(smooth: SmoothWay, order: in
     np.testing.assert_allclose(smooth(s, order + 1), differences, atol=1e-7)
 
 
-def test_one_place_gives_a_vector_and_many_a_matrix(smooth: SmoothWay) -> None:
+def test_one_station_gives_a_vector_and_many_give_a_matrix(smooth: SmoothWay) -> None:
     s = np.array([0.1, 0.4])
     for order in (0, 1, 2):
         assert smooth(s, order).shape == (2, 4)
@@ -107,7 +107,7 @@ def test_one_place_gives_a_vector_and_many_a_matrix(smooth: SmoothWay) -> None:
 
 
 def test_a_corner_next_to_an_obstacle_is_cut_less(planar4: Robot) -> None:
-    """The polyline goes round a bar; how far the corners are cut depends on it."""
+    """The polyline goes round a bar, which limits how far the corners are cut."""
     problem, proximity = across_bar(planar4)
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
     tighter = 0
@@ -124,7 +124,7 @@ def test_a_corner_next_to_an_obstacle_is_cut_less(planar4: Robot) -> None:
     assert tighter > 0
 
 
-def test_where_no_cut_is_clear_the_way_stops_in_the_corner(planar4: Robot) -> None:
+def test_a_corner_that_cannot_be_cut_without_collision_is_a_stop(planar4: Robot) -> None:
     way = blend(open_field(planar4, near=lambda q: all(map(on_polyline, q))), JointPath(CORNERS.copy()))
     np.testing.assert_array_equal(way.cuts, 0.0)
     np.testing.assert_array_equal(way.stops, way.stations)
@@ -137,7 +137,7 @@ def test_where_no_cut_is_clear_the_way_stops_in_the_corner(planar4: Robot) -> No
     assert all(on_polyline(q) for q in trajectory.q)
 
 
-def test_a_way_that_stays_where_it_is(planar4: Robot) -> None:
+def test_a_path_of_no_length_takes_no_time(planar4: Robot) -> None:
     way = blend(open_field(planar4), JointPath(np.array([STRETCHED, STRETCHED])))
     trajectory = time_way(way, planar4.limits)
     assert trajectory.duration == 0.0
@@ -148,7 +148,7 @@ def test_a_way_that_stays_where_it_is(planar4: Robot) -> None:
 
 
 @pytest.mark.parametrize("angle", [0.02, 0.3, 2.5])
-def test_a_straight_way_takes_as_long_as_calculated_by_hand(planar4: Robot, angle: float) -> None:
+def test_the_duration_of_a_straight_path_equals_a_hand_calculation(planar4: Robot, angle: float) -> None:
     """Joint 1 alone, from rest to rest, at full acceleration and at most full rate."""
     goal = np.array([angle, 0.0, 0.0, 0.0])
     way = blend(open_field(planar4), JointPath(np.array([STRETCHED, goal])))
@@ -161,7 +161,9 @@ def test_a_straight_way_takes_as_long_as_calculated_by_hand(planar4: Robot, angl
     np.testing.assert_array_equal(trajectory.q[[0, -1]], [STRETCHED, goal])
 
 
-def test_the_motion_keeps_to_the_way_and_its_limits_and_wastes_no_time(planar4: Robot, smooth: SmoothWay) -> None:
+def test_the_motion_keeps_to_the_path_and_its_limits_and_is_nearly_always_at_a_limit(
+    planar4: Robot, smooth: SmoothWay
+) -> None:
     trajectory = time_way(smooth, planar4.limits)
     velocity, acceleration = over_limits(trajectory, planar4)
     assert max(velocity, acceleration) <= 1.0
@@ -170,7 +172,7 @@ def test_the_motion_keeps_to_the_way_and_its_limits_and_wastes_no_time(planar4: 
         assert np.min(np.max(np.abs(dense - q), axis=1)) < 2e-4
     np.testing.assert_allclose(trajectory.q[[0, -1]], CORNERS[[0, -1]], atol=1e-12)
     np.testing.assert_array_equal(trajectory.v[[0, -1]], 0.0)
-    # a limit is used nearly in full nearly always
+    # nearly always, some limit is nearly used in full
     use = np.maximum(
         np.max(np.abs(trajectory.v) / planar4.limits.velocity, axis=1),
         np.max(np.abs(trajectory.accelerations()) / planar4.limits.acceleration, axis=1),
@@ -183,8 +185,8 @@ def test_the_motion_keeps_to_the_way_and_its_limits_and_wastes_no_time(planar4: 
 @pytest.mark.parametrize(
     "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
 )
-def test_between_the_samples_the_motion_is_as_near_the_way_as_promised(any_robot: Robot) -> None:
-    """The chord's height moves no link further than the travel bound of the sagitta."""
+def test_between_samples_the_motion_is_off_the_path_by_no_more_than_the_sagitta(any_robot: Robot) -> None:
+    """The sagitta of a chord moves no link further than its travel bound."""
     rng = np.random.default_rng(5)
     limits = any_robot.limits
     middle = any_robot.random_q(rng)
@@ -205,7 +207,7 @@ def test_between_the_samples_the_motion_is_as_near_the_way_as_promised(any_robot
     assert np.max(travel_bounds(any_robot) @ chord_sagitta(limits)) < 0.01  # m
 
 
-def test_where_there_is_no_time_law_the_motion_stops_in_the_corners(
+def test_without_a_time_law_the_motion_stops_in_the_corners(
     planar4: Robot, smooth: SmoothWay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_answer(*_: Any, **__: Any) -> None:

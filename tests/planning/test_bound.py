@@ -1,4 +1,4 @@
-"""The bound beside a plan to a goal, in the plan and in its file."""
+"""The lower bound of a plan to a goal, in the plan and in its file."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ BENT = {"joints": {"joint1": 1.6, "joint2": 0.4, "joint3": -0.3, "joint4": 0.2}}
 
 @pytest.fixture(scope="module")
 def to_a_posture() -> bp.Plan:
-    """Nothing is in the way, and joint 1 has the longest way."""
+    """Nothing is in the way, and joint 1 moves furthest."""
     scene = bp.scene_from_dict(FREE | {"task": {"goal": BENT}})
     return bp.plan(load_robot("example:planar4"), scene, effort="quick")
 
 
-def test_a_plan_at_its_joints_limits_is_bounded_within_2_percent(to_a_posture: bp.Plan) -> None:
-    """1.6 rad at 1 rad/s, and 0.5 s for both ramps at 2 rad/s^2."""
+def test_a_plan_at_its_joint_limits_is_bounded_within_2_percent(to_a_posture: bp.Plan) -> None:
+    """1.6 rad at 1 rad/s, plus 0.5 s for both ramps at 2 rad/s^2."""
     bound = to_a_posture.bound
     assert bound is not None
     assert bound.settled
@@ -37,8 +37,8 @@ def test_a_plan_at_its_joints_limits_is_bounded_within_2_percent(to_a_posture: b
 
 
 @pytest.mark.long
-def test_a_slow_motion_does_not_make_the_bound_weak() -> None:
-    """The time that a motion for the least work is allowed, here three times a bound, follows from the bound shown."""
+def test_the_bound_of_a_slow_motion_is_as_tight() -> None:
+    """The time allowed to a motion of least work, here three times a bound, follows from the reported bound."""
     scene = bp.scene_from_dict(FREE | {"task": {"goal": BENT}, "objective": "work"})
     plan = bp.plan(load_robot("example:planar4"), scene)
     assert plan.bound is not None
@@ -47,8 +47,8 @@ def test_a_slow_motion_does_not_make_the_bound_weak() -> None:
     assert 3.0 * plan.bound.duration >= plan.findings.allowed_time * (1.0 - 1e-9)
 
 
-def test_a_start_on_the_goal_is_not_compared_with_nothing(to_a_posture: bp.Plan) -> None:
-    """Percentages of a time of 0 say nothing."""
+def test_a_bound_of_zero_gives_no_percentage(to_a_posture: bp.Plan) -> None:
+    """The start is on the goal: a percentage of 0 s means nothing."""
     standing = bp.scene_from_dict(FREE | {"task": {"goal": FREE["start"]}})
     bound = bp.plan(load_robot("example:planar4"), standing, effort="quick").bound
     assert bound is not None
@@ -58,7 +58,7 @@ def test_a_start_on_the_goal_is_not_compared_with_nothing(to_a_posture: bp.Plan)
     assert to_a_posture.bound.excess == f"this one takes {to_a_posture.bound.longer_percent:.0f} % longer"
 
 
-def test_the_bound_stands_in_the_plan_file(to_a_posture: bp.Plan, tmp_path: Path) -> None:
+def test_the_plan_file_holds_the_bound(to_a_posture: bp.Plan, tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
     to_a_posture.save(file)
     assert bp.load_plan(file).bound == to_a_posture.bound
@@ -69,8 +69,8 @@ def test_the_bound_stands_in_the_plan_file(to_a_posture: bp.Plan, tmp_path: Path
     assert bp.load_plan(file).bound is None
 
 
-def test_what_is_not_verified_has_no_bound(to_a_posture: bp.Plan, tmp_path: Path) -> None:
-    """A plan file whose motion was made too fast still says what it said before."""
+def test_a_plan_that_is_not_verified_has_no_bound(to_a_posture: bp.Plan, tmp_path: Path) -> None:
+    """The plan file, whose motion is then made too fast, still holds the old bound."""
     file = tmp_path / "plan.json"
     motion = to_a_posture.trajectory
     replace(to_a_posture, trajectory=bp.Trajectory.from_steps(0.5 * motion.time, motion.q)).save(file)
@@ -86,8 +86,8 @@ def test_a_plan_along_a_path_has_no_bound(around_a_ball: bp.Plan) -> None:
 
 @pytest.mark.parametrize("index", [0, *(pytest.param(index, marks=pytest.mark.long) for index in range(1, 2))])
 @pytest.mark.parametrize("machine", ["planar4", "backhoe", "panda"])
-def test_plans_of_random_sites_take_longer(machine: str, index: int) -> None:
-    """Also where the search does not know how long a motion takes, nor where it ends."""
+def test_plans_of_random_sites_take_longer_than_their_bounds(machine: str, index: int) -> None:
+    """Also if the search does not know the duration of a motion, nor its end."""
     robot = load_machine(machine)
     scene = random_site(robot, SiteKey(machine, ("open", "cluttered")[index % 2], "goal", index)).scene
     plan = bp.plan(robot, scene, effort="quick")

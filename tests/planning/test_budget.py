@@ -1,6 +1,6 @@
-"""The budget ends a search, not what it has found: that is finished, delivered and judged by its certificate.
+"""The budget ends a search; what it has found is finished, returned and judged by its certificate.
 
-The clock here is one that only the test moves, so that the load of the machine does not matter.
+Only the test moves the clock, so that the load of the computer does not matter.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ POST: Data = {"name": "post", "shape": "sphere", "radius": 0.3, "position": [2.6
 
 
 class HandSetClock:
-    """Seconds of computing that go by when the test says so, `tick` of them at every look."""
+    """Seconds of computing that pass when the test says so, and `tick` of them at every reading."""
 
     def __init__(self) -> None:
         self.now = self.tick = 0.0
@@ -44,7 +44,7 @@ class HandSetClock:
         return self.now
 
     def runs_out_at(self, call: Callable[..., Any], number: int = 1) -> Callable[..., Any]:
-        """`call`, from whose call of that number on no time is left."""
+        """`call`, whose call of that number uses up all time."""
         calls = 0
 
         def counting(*args: Any, **keys: Any) -> Any:
@@ -79,7 +79,7 @@ def site(task: Data, *, start: Data | None = STRETCHED, obstacles: list[Data] | 
         (STRETCHED, "velocity_norm", smoothing, "_step", 2),
     ],
 )
-def test_a_route_is_kept_where_time_runs_out_while_it_is_made_cheaper(
+def test_a_route_is_kept_if_time_runs_out_while_it_is_made_cheaper(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch,
     start: Data | None, objective: str, module: Any, name: str, number: int,
 ) -> None:  # fmt: skip
@@ -96,7 +96,7 @@ def test_a_route_is_kept_where_time_runs_out_while_it_is_made_cheaper(
     assert not np.array_equal(cut_short.trajectory.q, whole.trajectory.q)
 
 
-def test_without_a_complete_route_there_is_no_motion(
+def test_without_a_complete_route_there_is_no_motion_if_time_runs_out(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Time runs out on the way to the path, before it is followed."""
@@ -108,7 +108,7 @@ def test_without_a_complete_route_there_is_no_motion(
 # --- to a goal ----------------------------------------------------------------------
 
 
-def test_a_motion_that_was_found_is_kept_where_time_runs_out_for_a_better_one(
+def test_a_motion_is_kept_if_time_runs_out_in_the_search_for_a_better_one(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = site(BEHIND, start=BENT, obstacles=[POST])
@@ -119,7 +119,7 @@ def test_a_motion_that_was_found_is_kept_where_time_runs_out_for_a_better_one(
     assert plan.message.endswith("the search for a better motion was not finished")
 
 
-def test_without_any_motion_the_start_is_shown_where_time_runs_out(
+def test_if_time_runs_out_before_any_motion_the_plan_holds_the_start(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = site(BEHIND, start=BENT, obstacles=[POST])
@@ -131,8 +131,10 @@ def test_without_any_motion_the_start_is_shown_where_time_runs_out(
 
 
 @pytest.mark.parametrize("looks", [50, 400])
-def test_the_attempts_of_the_law_end_where_time_does(planar4: bp.Robot, clock: HandSetClock, looks: int) -> None:
-    """One look at the clock a step: of the attempts up to there the nearest is shown."""
+def test_attempts_of_the_law_end_when_time_runs_out_and_the_closest_is_returned(
+    planar4: bp.Robot, clock: HandSetClock, looks: int
+) -> None:
+    """The law reads the clock once a step."""
     clock.tick = 1.0
     plan = bp.plan(planar4, site(BEHIND, start=BENT, obstacles=[POST]), method="reactive", budget=float(looks))
     assert (plan.verdict, plan.reason) == ("failed", "budget")
@@ -147,8 +149,8 @@ def test_the_attempts_of_the_law_end_where_time_does(planar4: bp.Robot, clock: H
     assert plan.certificate.safe
 
 
-def test_only_the_threads_own_computing_uses_up_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 100 s that go by, the thread computes for 2 s, then for 4 s."""
+def test_only_the_computing_time_of_the_thread_uses_up_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within 100 s of wall time, the thread computes for 2 s, then for 4 s."""
     now = {"monotonic": 50.0, "thread_time": 1.0}
     monkeypatch.setattr(effort, "clock", SimpleNamespace(**{name: lambda name=name: now[name] for name in now}))
     brake = effort.Brake(3.0)

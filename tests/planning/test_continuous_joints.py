@@ -1,4 +1,4 @@
-"""Paths on arms whose joints turn without end: a turn more or less is the same configuration."""
+"""Paths of arms with continuous joints: a turn more or less is the same configuration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHOULDER, ELBOW, RADIUS = 0.25, 0.2, 0.35  # m: the links, and how far the tip i
 
 @pytest.fixture
 def crank(tmp_path: Path) -> bp.Robot:
-    """Two links in the plane; the first joint turns without end, the second from 0 to 3 rad."""
+    """Two links in the plane; the first joint is continuous, the second turns from 0 to 3 rad."""
     rate = 'velocity="1" effort="100"'
     parts = ['<link name="base"/>', *(f'<link name="{name}">{inertia()}</link>' for name in ("one", "two", "tip"))]
     places = (
@@ -49,8 +49,8 @@ def circle(turns: float) -> list[dict[str, list[float]]]:
 
 
 @pytest.mark.parametrize(("turns", "first"), [(1.0, 0.0), pytest.param(-1.0, 20.0, marks=pytest.mark.long)])
-def test_a_path_around_the_base_turns_the_joint_once(crank: bp.Robot, turns: float, first: float) -> None:
-    """Whatever turn the joint begins in; never back by a turn where pi is passed."""
+def test_a_path_around_the_base_turns_the_continuous_joint_once(crank: bp.Robot, turns: float, first: float) -> None:
+    """From whatever turn the joint begins in; it never jumps back by a turn on passing pi."""
     bend = np.arccos((RADIUS**2 - SHOULDER**2 - ELBOW**2) / (2.0 * SHOULDER * ELBOW))
     start = {"to_one": first, "to_two": float(bend)}
     task = {"path": {"waypoints": circle(turns), "tolerance": 0.002}}
@@ -65,7 +65,7 @@ def test_a_path_around_the_base_turns_the_joint_once(crank: bp.Robot, turns: flo
     assert np.max(np.abs(np.diff(q[:, 0]))) < 0.05
 
 
-def test_nodes_are_different_modulo_a_turn(tmp_path: Path) -> None:
+def test_nodes_of_a_layer_differ_modulo_a_turn(tmp_path: Path) -> None:
     robot = bp.load_robot(write_arm("gen3", tmp_path))
     np.testing.assert_array_equal(robot.continuous, [True, False] * 3 + [True])
     at = bp.Kinematics(robot).at(np.array([3.1, 0.5, -3.0, 1.6, 3.0, 0.9, -3.1]))
@@ -82,7 +82,7 @@ def test_nodes_are_different_modulo_a_turn(tmp_path: Path) -> None:
         assert max(position, angle) < 1e-7
 
 
-def test_a_step_across_half_a_turn_costs_what_it_does_elsewhere(crank: bp.Robot) -> None:
+def test_a_step_across_half_a_turn_costs_as_much_as_elsewhere(crank: bp.Robot) -> None:
     task = {"path": {"waypoints": circle(0.5)}}
     cost = PathCost(
         build_problem(crank, bp.scene_from_dict({"version": 1, "task": task, "objective": "velocity_norm"}))
@@ -92,7 +92,7 @@ def test_a_step_across_half_a_turn_costs_what_it_does_elsewhere(crank: bp.Robot)
     np.testing.assert_allclose(across, plain, rtol=1e-9)
 
 
-def test_limited_joints_are_not_reduced(crank: bp.Robot) -> None:
+def test_only_continuous_joints_are_reduced_by_whole_turns(crank: bp.Robot) -> None:
     q = np.array([[7.0, 7.0], [-3.5, -3.5]])
     np.testing.assert_allclose(crank.reduce_unchecked(q), [[7.0 - 2.0 * np.pi, 7.0], [2.0 * np.pi - 3.5, -3.5]])
     near = crank.reduce_unchecked(q, near=np.array([20.0, 0.0]))

@@ -29,7 +29,7 @@ def arc(bend: float) -> bp.Scene:
 
 
 @pytest.mark.parametrize("bend", [0.1, pytest.param(0.5, marks=pytest.mark.long), 1.5])
-def test_a_corner_is_cut_by_a_part_of_the_tolerance(backhoe: bp.Robot, bend: float) -> None:
+def test_a_corner_is_cut_by_0_4_of_the_tolerance(backhoe: bp.Robot, bend: float) -> None:
     problem = build_problem(backhoe, arc(bend))
     assert problem.path is not None
     proximity, kinematics = bp.Proximity(backhoe, problem.obstacles), bp.Kinematics(backhoe)
@@ -40,19 +40,19 @@ def test_a_corner_is_cut_by_a_part_of_the_tolerance(backhoe: bp.Robot, bend: flo
     assert left.size == 0
     assert np.all(np.diff(rounded.stations) > 0.0)
     tips = np.array([kinematics.at(joints).tip_position for joints in rounded.q])
-    # a parabola is off its corner by half its height: 0.4 of the tolerance was asked
+    # a parabola is off its corner by half its height: 0.4 of the tolerance was requested
     for corner in problem.path.points[1:-1]:
         assert np.min(np.linalg.norm(tips - corner, axis=1)) == pytest.approx(0.4 * TOLERANCE, rel=0.05)
     off = [problem.path.nearest(tip)[1] for tip in tips]
     assert max(off) <= 0.4 * TOLERANCE + 1e-6
-    # no kink is left: the tip turns by a part of the bend at a time
+    # no kink is left: each step turns the tip by a part of the bend only
     steps = np.diff(tips, axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     turns = np.arccos(np.clip(np.sum(steps[:-1] * steps[1:], axis=1), -1.0, 1.0))
     assert np.max(turns) < 0.35 * bend
 
 
-def test_the_way_back_is_stopped_at(planar4: bp.Robot) -> None:
+def test_a_reversal_of_the_path_remains_a_stop(planar4: bp.Robot) -> None:
     path = {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-0.3, 0.3, -0.3)]}
     scene = bp.scene_from_dict({"version": 1, "task": {"path": path}})
     problem = build_problem(planar4, scene)
@@ -65,8 +65,8 @@ def test_the_way_back_is_stopped_at(planar4: bp.Robot) -> None:
     np.testing.assert_allclose(left, [0.6])
 
 
-def test_waypoints_half_a_micrometre_apart_before_a_corner_are_no_trouble(backhoe: bp.Robot) -> None:
-    """The direction is taken 1 um beside a waypoint: beyond the next one, so that the first seems to bend."""
+def test_waypoints_half_a_micrometre_apart_before_a_corner_are_followed(backhoe: bp.Robot) -> None:
+    """The direction is taken 1 um from a waypoint, here beyond the next one, so that the first seems to bend."""
     points = [[4.0, 0.0, 0.0], [4.0, 0.5, 0.0], [4.0, 0.5 + 5e-7, 0.0], [3.6, 0.5, 0.0]]
     path = {"waypoints": [{"position": point} for point in points]}
     scene = bp.scene_from_dict({"version": 1, "task": {"path": path}})
@@ -84,14 +84,14 @@ def test_waypoints_half_a_micrometre_apart_before_a_corner_are_no_trouble(backho
         [{"position": [4.0, 0.0, 0.0]}, {"position": [4.0, 1e-12, 0.0]}],
     ],
 )
-def test_a_path_that_goes_nowhere_is_refused(backhoe: bp.Robot, points: list[dict[str, Any]]) -> None:
+def test_a_path_without_length_is_refused(backhoe: bp.Robot, points: list[dict[str, Any]]) -> None:
     scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points}}})
     with pytest.raises(bp.SceneError, match=r"task\.path: the waypoints all lie in one point"):
         bp.plan(backhoe, scene)
 
 
-def test_a_fine_polyline_is_not_stopped_at(backhoe: bp.Robot) -> None:
-    """9 points on an arc: but for the ends the tip never stands."""
+def test_a_fine_polyline_has_no_stops(backhoe: bp.Robot) -> None:
+    """9 points on an arc: the tip stops only at the ends."""
     points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.3] for a in np.linspace(-0.4, 0.4, 9)]
     path = {"waypoints": [{"position": point} for point in points]}
     found = bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")
@@ -106,7 +106,7 @@ def test_a_fine_polyline_is_not_stopped_at(backhoe: bp.Robot) -> None:
 
 
 def zigzag(robot: bp.Robot, teeth: int) -> tuple[Problem, Stretch]:
-    """To and fro with the first joint, 0.02 rad each way: the joints on the path, and a stop at each end of a tooth."""
+    """The first joint moves to and fro by 0.02 rad: the joints along the path, with a stop at each end of a tooth."""
     near = np.array([0.3, -0.6, 0.5, 0.2])
     q = near + 0.02 * np.column_stack((np.arange(2 * teeth + 1) % 2, *np.zeros((3, 2 * teeth + 1))))
     tips = [bp.Kinematics(robot).at(row).tip_position.tolist() for row in q]
@@ -117,10 +117,10 @@ def zigzag(robot: bp.Robot, teeth: int) -> tuple[Problem, Stretch]:
 
 
 @pytest.mark.parametrize(("brake", "most"), [(Brake(), 1000 + 40 * 40), (Brake(-1.0), 40 * 40)])
-def test_all_motions_from_stop_to_stop_share_the_work_of_one(
+def test_motions_between_stops_share_the_intervals_of_one_motion(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, brake: Brake, most: int
 ) -> None:
-    """40 motions: 1,000 intervals shared, at least 40 each; these alone where no time is left."""
+    """40 motions share 1,000 intervals, and have at least 40 each; only these if no time is left."""
     problem, stretch = zigzag(planar4, 20)
     counted: list[int] = []
 
@@ -133,7 +133,7 @@ def test_all_motions_from_stop_to_stop_share_the_work_of_one(
     found = time_stretch(problem, problem.path, stretch, brake=brake)
     assert len(found) == 40
     assert sum(counted) <= most
-    # from rest to rest over 0.02 rad at the joint's acceleration a: at least 2 sqrt(0.02 / a)
+    # 0.02 rad from rest to rest at the joint's acceleration a take at least 2 sqrt(0.02 / a)
     least = 2.0 * float(np.sqrt(0.02 / problem.limits.acceleration[0]))
     for motion in found:
         assert least <= motion.duration < 1.1 * least
@@ -142,7 +142,7 @@ def test_all_motions_from_stop_to_stop_share_the_work_of_one(
 # --- samples between samples ---------------------------------------------------------------
 
 
-def test_a_sample_halfway_is_on_the_path_and_between_those_beside_it(planar4: bp.Robot) -> None:
+def test_a_sample_halfway_is_on_the_path_and_between_its_neighbours(planar4: bp.Robot) -> None:
     problem, stretch = zigzag(planar4, 3)
     assert problem.path is not None
     denser = corners.with_halfways(problem, problem.path, stretch)
@@ -155,7 +155,7 @@ def test_a_sample_halfway_is_on_the_path_and_between_those_beside_it(planar4: bp
     assert np.max(np.abs(denser.q[1::2] - 0.5 * (stretch.q[1:] + stretch.q[:-1]))) < 0.02**2
 
 
-def test_joints_that_stand_get_no_sample_between_them(planar4: bp.Robot) -> None:
+def test_samples_with_equal_joints_get_no_sample_between_them(planar4: bp.Robot) -> None:
     problem, stretch = zigzag(planar4, 1)
     assert problem.path is not None
     still = Stretch(stretch.stations[[0, 0, 1]], stretch.q[[0, 0, 1]])
@@ -163,8 +163,8 @@ def test_joints_that_stand_get_no_sample_between_them(planar4: bp.Robot) -> None
 
 
 @pytest.mark.long
-def test_where_a_turn_on_the_spot_ends_the_curve_keeps_its_clearance() -> None:
-    """The samples keep 0.9 mm there; a cubic curve through them swung out by 2.3 mm, and nothing was verified."""
+def test_the_curve_keeps_its_clearance_at_the_end_of_a_turn_on_the_spot() -> None:
+    """The samples have 0.9 mm to spare there; a cubic curve through them swung out by 2.3 mm and was not verified."""
     backhoe = load_machine("backhoe")
     found = bp.plan(backhoe, random_site(backhoe, SiteKey("backhoe", "scan", "path", 0, 6200)).scene, effort="quick")
     assert found.verified, found.message

@@ -1,4 +1,4 @@
-"""Paths within a tenth of a millimetre: samples as dense as the tolerance asks, and a bound as sharp."""
+"""Paths within a tenth of a millimetre: samples as dense as the tolerance needs, and a bound as tight."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BENT: list[Data] = [
 
 
 def largest_error(plan: bp.Plan) -> float:
-    """How far the tip is off the path at eight moments between any two samples [m]."""
+    """Distance of the tip from the path at eight moments between any two samples, at most [m]."""
     path, kinematics, q = plan.problem.path, bp.Kinematics(plan.robot), plan.trajectory.q
     assert path is not None
     begin = int(np.searchsorted(plan.trajectory.time, plan.certificate.tracking.approach_time))
@@ -38,7 +38,9 @@ def largest_error(plan: bp.Plan) -> float:
 
 
 @pytest.mark.parametrize("waypoints", [pytest.param(LINE, marks=pytest.mark.long), BENT], ids=["line", "bent"])
-def test_seven_joints_keep_to_a_tenth_of_a_millimetre(panda: bp.Robot, waypoints: list[Data]) -> None:
+def test_a_seven_joint_arm_follows_a_path_within_a_tenth_of_a_millimetre(
+    panda: bp.Robot, waypoints: list[Data]
+) -> None:
     path = {"waypoints": waypoints, "tolerance": TOLERANCE, "detour": False}
     plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")
     assert plan.verified, plan.message
@@ -46,7 +48,7 @@ def test_seven_joints_keep_to_a_tenth_of_a_millimetre(panda: bp.Robot, waypoints
 
 
 @pytest.mark.long
-def test_a_backhoe_keeps_to_it_around_corners(backhoe: bp.Robot) -> None:
+def test_a_backhoe_follows_corners_within_a_tenth_of_a_millimetre(backhoe: bp.Robot) -> None:
     content = yaml.safe_load((SCENES / "trench.yaml").read_text(encoding="utf-8"))
     content["task"]["path"] |= {"tolerance": TOLERANCE, "detour": False}
     plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
@@ -68,10 +70,10 @@ def test_a_backhoe_keeps_to_it_around_corners(backhoe: bp.Robot) -> None:
     ],
     ids=["a right angle", "sharp corners"],
 )
-def test_no_corner_is_left_where_nothing_is_in_the_way(
+def test_sharp_corners_are_followed_within_the_tolerance_without_obstacles(
     backhoe: bp.Robot, points: list[list[float]], tolerance: float
 ) -> None:
-    """Round corners may be shorter than the way from sample to sample."""
+    """Rounded corners may be shorter than the distance between samples."""
     path = {"waypoints": [{"position": point} for point in points], "tolerance": tolerance, "detour": False}
     start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
     scene = bp.scene_from_dict({"version": 1, "start": start, "task": {"path": path}})
@@ -80,8 +82,8 @@ def test_no_corner_is_left_where_nothing_is_in_the_way(
     assert largest_error(plan) <= plan.certificate.tracking.max_error <= tolerance
 
 
-def test_a_motion_that_is_near_enough_is_certified(panda: bp.Robot) -> None:
-    """With half as much again as the tip is off the path, but not with less."""
+def test_a_motion_is_certified_for_a_tolerance_above_its_error_only(panda: bp.Robot) -> None:
+    """With 1.5 times the error of the tip as the tolerance, but not with 0.9 times."""
     path = {"waypoints": LINE, "tolerance": 0.005, "detour": False}
     plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")
     off = largest_error(plan)

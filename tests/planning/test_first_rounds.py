@@ -1,4 +1,4 @@
-"""The first rounds of several starts, and a curve that gets out of an obstacle that is cheap to go through."""
+"""The first rounds of several starts, and a curve that leaves an obstacle that is cheap to go through."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from validation.sites import SiteKey, random_site
 
 
 def starts_at(*places: float) -> list[Start]:
-    """One of each place, which is also its name."""
+    """One start for each place, which is also its name."""
     goal: Any = None
     return [Start(JointCurve(np.full((3, 1), at)), 1.0, goal, str(at)) for at in places]
 
 
 class Rounds:
-    """Rounds of which is known what they cost and miss: first, and once getting clear counts most."""
+    """Rounds with known costs and missing clearances: at first, and once clearance counts most."""
 
     def __init__(self, first: dict[str, tuple[float, float]], out: dict[str, tuple[float, float] | None]) -> None:
         self.first, self.out, self.pushed = first, out, list[str]()
@@ -42,8 +42,8 @@ class Rounds:
         return Timed(start.curve, 1.0, time_evenly(start.curve, 1.0), *known, margins=[])
 
 
-def test_what_is_much_cheaper_in_an_obstacle_gets_out_of_it_and_counts_for_what_it_then_costs() -> None:
-    """10 J missed by 0.01 m count as 10.6; of 3, 4, 6.9 and 9 J in obstacles three are below 7/10 of 10 J."""
+def test_much_cheaper_starts_in_an_obstacle_are_pushed_out_and_ranked_by_their_new_cost() -> None:
+    """10 J that lack 0.01 m count as 10.6 J; of 3, 4, 6.9 and 9 J in obstacles, three are below 7/10 of 10 J."""
     first = {"1.0": (10.0, 0.01), "2.0": (4.0, 0.3), "3.0": (3.0, 0.2), "4.0": (6.9, 0.1), "5.0": (9.0, 0.2)}
     rounds = Rounds(first, {"2.0": (8.0, 0.0), "3.0": None, "4.0": (7.0, 0.05)})
     found = after_first_rounds(starts_at(1.0, 2.0, 3.0, 4.0, 5.0), rounds, far_off=0.06, pushed=4)
@@ -55,14 +55,14 @@ def test_what_is_much_cheaper_in_an_obstacle_gets_out_of_it_and_counts_for_what_
     assert again.pushed == ["3.0"]
 
 
-def test_nothing_is_blocked_where_all_get_clear() -> None:
+def test_no_cost_is_blocked_if_all_starts_get_clear() -> None:
     found = after_first_rounds(starts_at(1.0), Rounds({"1.0": (10.0, 0.0)}, {}), far_off=0.06, pushed=4)
     assert [cost for cost, _ in found.clear] == [10.0]
     assert found.blocked == np.inf
 
 
-def test_a_curve_stays_in_an_obstacle_until_getting_clear_counts_more(backhoe: bp.Robot) -> None:
-    """A level swing costs little and leads the bucket through a ball of 0.5 m; past it costs several times that."""
+def test_a_curve_leaves_an_obstacle_only_if_clearance_comes_first(backhoe: bp.Robot) -> None:
+    """A level swing costs little but passes the bucket through a ball of 0.5 m; going past costs several times that."""
     start = backhoe.middle
     end = start.copy()
     end[0] += 1.2
@@ -92,8 +92,8 @@ def test_a_curve_stays_in_an_obstacle_until_getting_clear_counts_more(backhoe: b
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_swing_that_is_free_but_for_one_obstacle_needs_little_work(seed: int) -> None:
-    """A motion of 4 J is known; from ways that were sampled round the obstacle these seeds ended at 79, 16 and 16 J."""
+def test_a_swing_past_a_single_obstacle_needs_little_work(seed: int) -> None:
+    """A motion of 4 J is known; from sampled detours these seeds ended at 79, 16 and 16 J."""
     robot = load_machine("backhoe")
     scene: Any = random_site(robot, SiteKey("backhoe", "open", "goal", 0, 1002)).scene
     plan = bp.plan(robot, with_objective(scene, "work"), seed=seed)

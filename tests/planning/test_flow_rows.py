@@ -1,4 +1,4 @@
-"""Rows of the pump's flow in the program of a descent, where joints turn round in one step."""
+"""Rows of the pump's flow in the program of a descent, for joints that reverse within one step."""
 
 import itertools
 
@@ -15,10 +15,10 @@ PIECES = 8
 
 
 @pytest.mark.parametrize("ways", list(itertools.product((-1.0, 1.0), repeat=3)))
-def test_the_flow_of_joints_that_begin_to_move_is_foreseen_whichever_way_they_go(
+def test_the_rows_predict_the_flow_of_joints_that_start_to_move_in_either_direction(
     backhoe: bp.Robot, ways: tuple[float, ...]
 ) -> None:
-    """The boom's start-up, 3 joints at rest beside it: the oil that all of them take after a step, by the drive."""
+    """The boom moves, 3 joints are at rest: the flow to all of them after a step, against the drive's own figure."""
     names = dict(zip(backhoe.joint_names, START.tolist(), strict=True))
     scene = bp.scene_from_dict({"version": 1, "start": {"joints": names}, "task": {"goal": {"joints": names}}})
     problem = build_problem(backhoe, scene)
@@ -34,6 +34,6 @@ def test_the_flow_of_joints_that_begin_to_move_is_foreseen_whichever_way_they_go
     control, duration = model.step(x)
     after = JointCurve(control)
     use = float(np.max(drive.flow_use(after(u), after(u, 1) / duration)))
-    assert use > float(np.max(drive.flow_use(curve(u), curve(u, 1) / T)))  # they take oil whichever way they go
+    assert use > float(np.max(drive.flow_use(curve(u), curve(u, 1) / T)))  # they take oil in either direction
     over = np.concatenate([rows.G @ x - rows.h for rows in program.rows if rows.name == "drive"])
     assert float(np.max(over)) == pytest.approx(use - 1.0, abs=2e-5)

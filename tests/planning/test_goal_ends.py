@@ -1,4 +1,4 @@
-"""The postures at which a motion may end."""
+"""The configurations at which a motion may end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from backhoe_planner.planning.search.goal_ends import GoalEnds
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.1, 0.4, 2.0])
-def test_those_within_a_time_are_the_soonest_of_those_near_each_other(backhoe: bp.Robot, apart: float) -> None:
+def test_of_neighbouring_ends_within_a_time_the_soonest_are_kept(backhoe: bp.Robot, apart: float) -> None:
     middle = {"joints": dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))}
     problem = build_problem(backhoe, bp.scene_from_dict({"version": 1, "start": middle, "task": {"goal": middle}}))
     ends, rng = GoalEnds(problem, backhoe.middle), np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""Motions to a goal are as short, or as cheap, as can be: held against hand calculations and lower bounds."""
+"""Motions to a goal are nearly of least duration or cost: against hand calculations and lower bounds."""
 
 from __future__ import annotations
 
@@ -45,21 +45,23 @@ def digger(goal: Any, *obstacles: Data, **keys: Any) -> bp.Scene:
 @pytest.mark.parametrize(
     ("q", "least"),
     [
-        ([0.5, 0.4, -0.3, 0.2], 2.0 * np.sqrt(0.5 / 2.0)),  # joint 1 speeds up at 2 rad/s^2 for 0.25 rad, and brakes
+        ([0.5, 0.4, -0.3, 0.2], 2.0 * np.sqrt(0.5 / 2.0)),  # joint 1 accelerates at 2 rad/s^2 for 0.25 rad, and brakes
         ([1.0, 0.2, -0.3, 0.2], 1.0 / 1.0 + 1.0 / 2.0),  # and here it reaches 1 rad/s
     ],
 )
-def test_without_obstacles_the_slowest_joint_alone_decides(planar4: bp.Robot, q: list[float], least: float) -> None:
+def test_without_obstacles_the_slowest_joint_alone_decides_the_duration(
+    planar4: bp.Robot, q: list[float], least: float
+) -> None:
     plan = bp.plan(planar4, planar(q), effort="quick")
     assert plan.verified, plan.message
     assert least * (1.0 - 1e-9) <= plan.trajectory.duration <= 1.01 * least
 
 
 @pytest.mark.parametrize("end", [{"swing": 1.0, "boom": -0.3}, {"swing": 0.8, "boom": 0.0, "stick": -1.2}])
-def test_the_pump_gives_no_more_than_where_one_joint_moves_after_the_other(
+def test_hydraulic_energy_is_not_above_that_of_moving_one_joint_after_the_other(
     backhoe: bp.Robot, end: dict[str, float]
 ) -> None:
-    """What sinks under its load needs no pressure; while the swing turns alone, little oil has its pressure."""
+    """Joints that sink under load need no pressure; while the swing turns alone, little oil is at its pressure."""
     scene = digger({"joints": READY | end}, objective="hydraulic")
     plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
@@ -76,8 +78,8 @@ def test_the_pump_gives_no_more_than_where_one_joint_moves_after_the_other(
     assert plan.metrics.energy["hydraulic"] <= min(each)
 
 
-def test_where_a_pose_is_asked_for_the_posture_moves_along(planar4: bp.Robot) -> None:
-    """Joint 1 alone would need 1.5 s to turn the stretched arm; all joints together bend to the place sooner."""
+def test_a_goal_by_position_lets_the_final_configuration_move(planar4: bp.Robot) -> None:
+    """Joint 1 alone would need 1.5 s to turn the stretched arm; all joints together reach the position sooner."""
     there = bp.Kinematics(planar4).at(np.array([1.0, 0.0, 0.0, 0.0])).tip_position
     start = {"joints": dict.fromkeys(NAMES, 0.1)}
     goal = {"position": [0.95 * float(value) for value in there]}
@@ -85,7 +87,7 @@ def test_where_a_pose_is_asked_for_the_posture_moves_along(planar4: bp.Robot) ->
     plan = bp.plan(planar4, scene, effort="quick")
     assert plan.verified, plan.message
     first = min(np.max(np.abs(q - 0.1)) for q in postures(planar4, scene))
-    assert plan.trajectory.duration < first + 0.5  # the time to the nearest posture that is found without moving on it
+    assert plan.trajectory.duration < first + 0.5  # the time to the nearest configuration that the sampling finds
 
 
 def postures(robot: bp.Robot, scene: bp.Scene) -> tuple[Any, ...]:
@@ -95,8 +97,8 @@ def postures(robot: bp.Robot, scene: bp.Scene) -> tuple[Any, ...]:
     return found.at(problem.goals[0].target, near=problem.start_q, count=48).clear
 
 
-def test_starting_points_within_a_travel_find_more_postures_there(planar4: bp.Robot) -> None:
-    """Of as many starting points all lie there, instead of every other one on the way to anywhere."""
+def test_starting_points_within_a_travel_find_more_configurations_there(planar4: bp.Robot) -> None:
+    """With as many starting points, all lie within the travel instead of every other one anywhere."""
     problem = build_problem(planar4, planar([0.5, -0.6, 0.7, -0.4]))
     target = bp.TipTarget(bp.Kinematics(planar4).at(np.array([0.5, -0.6, 0.7, -0.4])).tip_position)
     within = []
@@ -108,10 +110,10 @@ def test_starting_points_within_a_travel_find_more_postures_there(planar4: bp.Ro
 
 
 @pytest.mark.parametrize("near", [False, True])
-def test_what_nothing_stands_beside_is_not_gone_round(
+def test_a_motion_with_no_obstacle_beside_it_is_not_searched_for_detours(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, near: bool
 ) -> None:
-    """Of a motion that no obstacle bends there is no other side: only beside one are ways through a roadmap made."""
+    """A motion that no obstacle bends has no other side: only beside one are detours sought through a roadmap."""
     mapped: list[int] = []
 
     def through_roadmap(self: Any, which: list[int], turn: int, **asked: Any) -> Iterator[Any]:
@@ -119,7 +121,7 @@ def test_what_nothing_stands_beside_is_not_gone_round(
         yield from ()
 
     monkeypatch.setattr("backhoe_planner.planning.goals.ways.Ways.through_roadmap", through_roadmap)
-    # straight on all links move along one arc; the ball stands on that of the second joint, or beyond all of them
+    # all links of the stretched arm move along arcs; the ball is on that of the second joint, or beyond all
     place = 2.0 if near else 6.0
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.88 * place, 0.48 * place, 0.0]}
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], ball))
@@ -128,10 +130,10 @@ def test_what_nothing_stands_beside_is_not_gone_round(
 
 
 @pytest.mark.long
-def test_after_a_roadmap_in_vain_one_stands_closer_where_a_much_shorter_way_would_be(
+def test_after_a_roadmap_in_vain_a_denser_one_searches_shorter_motions(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a motion round a ball that stands on the arc of the second joint: it takes twice as long as the bound."""
+    """A motion round a ball on the arc of the second joint takes twice as long as the bound."""
     asked: list[tuple[int, float]] = []
 
     def through_roadmap(self: Any, which: list[int], turn: int, **given: Any) -> Iterator[Any]:
@@ -149,7 +151,7 @@ def test_after_a_roadmap_in_vain_one_stands_closer_where_a_much_shorter_way_woul
     assert plan.bound.duration < shorter < longest < plan.trajectory.duration
 
 
-def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> None:
+def test_in_a_motion_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL), effort="quick")
     assert plan.verified, plan.message
     usage = limit_usage(plan.problem, plan.trajectory)
@@ -158,7 +160,7 @@ def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> No
 
 @pytest.mark.parametrize("way", ["search", "law", "fallback on the law"])
 @pytest.mark.parametrize("goal", [[3.5, 3.5, 0.2], [4.0, 2.0, 1.0]])
-def test_whatever_way_a_motion_to_a_goal_comes_a_limit_binds(
+def test_a_limit_binds_in_every_motion_to_a_goal_however_it_is_found(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, way: str, goal: list[float]
 ) -> None:
     if way == "fallback on the law":
@@ -174,12 +176,14 @@ def test_whatever_way_a_motion_to_a_goal_comes_a_limit_binds(
         plan.certificate.effort,
         plan.certificate.hydraulics,
     )
-    assert max(use.ratio for use in proven if use is not None) == used  # what the plan's note goes by
+    assert max(use.ratio for use in proven if use is not None) == used  # on which the plan's note is based
     assert "of any limit" not in plan.note
 
 
-def test_a_plan_that_binds_no_limit_says_so(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four times as slow, velocities are at most a quarter of their limits, and accelerations a sixteenth."""
+def test_a_note_says_that_a_plan_at_no_limit_could_be_faster(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Slowed four times, velocities are at most a quarter of their limits, and accelerations a sixteenth."""
     found = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}), effort="quick").trajectory
     slow = bp.Trajectory.from_steps(4.0 * found.time, found.q)
     monkeypatch.setattr("backhoe_planner.planning.goals.goal_planning.ToGoal.from_rest", lambda *_: Outcome(slow))
@@ -189,7 +193,7 @@ def test_a_plan_that_binds_no_limit_says_so(backhoe: bp.Robot, monkeypatch: pyte
 
 
 def test_least_work_is_not_above_that_of_the_fastest_motion(backhoe: bp.Robot) -> None:
-    """Which is found by the same seed and effort."""
+    """Both are found with the same seed and effort."""
     fast, cheap = (
         bp.plan(backhoe, digger({"position": [3.5, 3.5, 1.5]}, WALL, objective=name), effort="quick", seed=3)
         for name in ("time", "work")
@@ -198,10 +202,10 @@ def test_least_work_is_not_above_that_of_the_fastest_motion(backhoe: bp.Robot) -
     assert cheap.metrics.energy["work"] <= fast.metrics.energy["work"] * 1.001
 
 
-def test_in_thrice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trapezium(planar4: bp.Robot) -> None:
+def test_least_velocity_norm_is_a_lower_trapezium_in_thrice_the_least_duration(planar4: bp.Robot) -> None:
     """1 rad at 1 rad/s and 2 rad/s^2 takes 1.5 s, of which the bound proves 97 to 100 %.
 
-    In T the speed between is the v of v (T - v / 2) = 1, reached in v / 2 s, so the integral of v^2 is
+    In T the plateau is the v of v (T - v / 2) = 1, reached in v / 2 s, so the integral of v^2 is
     v^2 (T - v + v / 3); a spline of cubics is not quite a trapezium.
     """
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="velocity_norm"))
@@ -214,8 +218,8 @@ def test_in_thrice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trape
     assert plan.metrics.energy["velocity_norm"] == pytest.approx(v * v * (T - v + v / 3.0), rel=0.03)
 
 
-def test_less_work_is_done_where_work_is_asked_for(backhoe: bp.Robot) -> None:
-    """And never less than the weight gains in height."""
+def test_the_objective_work_does_less_work_but_not_less_than_the_gain_in_potential_energy(backhoe: bp.Robot) -> None:
+    """Work is never less than the gain in potential energy."""
     fast, cheap = (
         bp.plan(backhoe, digger({"position": [3.5, 3.5, 1.5]}, WALL, objective=name), effort="quick")
         for name in ("time", "work")
@@ -230,7 +234,7 @@ def test_less_work_is_done_where_work_is_asked_for(backhoe: bp.Robot) -> None:
     assert fast.trajectory.duration <= cheap.trajectory.duration + 1e-6
 
 
-def test_optimal_takes_a_goal_and_says_what_it_looked_at(backhoe: bp.Robot) -> None:
+def test_the_method_optimal_takes_a_goal_and_gives_a_reason_where_it_fails(backhoe: bp.Robot) -> None:
     inside = {"name": "silo", "shape": "box", "size": [1.5, 1.5, 3.0], "position": [4.0, 0.0, 0.5]}
     plan = bp.plan(backhoe, digger({"position": [3.5, 1.5, 0.3]}), method="optimal", effort="quick")
     assert plan.verified, plan.message
@@ -238,7 +242,7 @@ def test_optimal_takes_a_goal_and_says_what_it_looked_at(backhoe: bp.Robot) -> N
     assert stuck.reason
 
 
-def test_a_curve_rests_at_its_ends_and_stays_between_its_control_points() -> None:
+def test_a_curve_is_at_rest_at_its_ends_and_within_its_control_points() -> None:
     rng = np.random.default_rng(3)
     curve = JointCurve(rng.normal(size=(13, 4)))
     s = np.linspace(0.0, 1.0, 200)
@@ -258,8 +262,8 @@ def test_the_fastest_run_along_a_line_is_the_trapezium(planar4: bp.Robot) -> Non
     assert motion.duration == pytest.approx(1.5, rel=5e-3)
 
 
-def test_a_curve_of_time_is_never_run_slower_than_in_its_own_time(backhoe: bp.Robot) -> None:
-    """A random curve, stretched to just keep velocities and accelerations: its fastest run is not slower."""
+def test_the_fastest_run_along_a_curve_is_no_slower_than_its_own_time(backhoe: bp.Robot) -> None:
+    """The own time of a random curve is stretched until it just keeps velocities and accelerations."""
     rng = np.random.default_rng(5)
     limits = backhoe.limits
     for _ in range(5):
@@ -273,8 +277,10 @@ def test_a_curve_of_time_is_never_run_slower_than_in_its_own_time(backhoe: bp.Ro
 
 
 @pytest.mark.parametrize("payload", [0.0, 200.0])
-def test_the_linear_model_says_what_a_small_step_changes(backhoe: bp.Robot, payload: float) -> None:
-    """Every row against the same limits of the curve after a small step, by differences."""
+def test_rows_of_the_linear_model_equal_the_change_of_the_limits_in_a_small_step(
+    backhoe: bp.Robot, payload: float
+) -> None:
+    """Every row against the same limit of the curve after a small step, by differences."""
     problem = build_problem(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL, payload=payload, clearance=0.05))
     drive, limits = drive_of(problem), problem.limits
     rng = np.random.default_rng(2)
@@ -316,7 +322,7 @@ def test_the_linear_model_says_what_a_small_step_changes(backhoe: bp.Robot, payl
     assert before[5] != after[5]
 
 
-def test_exact_slopes_of_the_effort_are_those_by_differences(panda: bp.Robot) -> None:
+def test_exact_slopes_of_the_effort_equal_central_differences(panda: bp.Robot) -> None:
     middle = {"joints": dict(zip(panda.joint_names, panda.middle.tolist(), strict=True))}
     scene = bp.scene_from_dict({"version": 1, "start": middle, "task": {"goal": middle}, "payload": 2.0})
     drive = drive_of(build_problem(panda, scene))
@@ -329,8 +335,8 @@ def test_exact_slopes_of_the_effort_are_those_by_differences(panda: bp.Robot) ->
     np.testing.assert_allclose(slopes, by_differences[1], atol=2e-5)
 
 
-def test_a_thin_post_between_two_places_is_noticed(planar4: bp.Robot) -> None:
-    """The stretched arm turns by 1 rad past a post of 4 mm, which three equal steps of 1/3 rad all leave alone."""
+def test_a_thin_post_between_two_places_is_found(planar4: bp.Robot) -> None:
+    """The stretched arm turns by 1 rad through a post of 4 mm, which three equal steps of 1/3 rad all miss."""
     tip = bp.Kinematics(planar4).at(np.array([0.5, 0.0, 0.0, 0.0])).tip_position
     post: Data = {"name": "post", "shape": "cylinder", "radius": 0.002, "length": 1.0, "position": (0.9 * tip).tolist()}
     problem = build_problem(planar4, planar([1.0, 0.0, 0.0, 0.0], post, clearance=0.001))
@@ -345,7 +351,7 @@ def test_a_thin_post_between_two_places_is_noticed(planar4: bp.Robot) -> None:
     assert len(looks.find_margins(JointCurve.straight(np.zeros(4), np.full(4, 0.01), 8))[1]) == 0
 
 
-def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robot) -> None:
+def test_a_descent_does_not_raise_the_cost_and_its_end_stays_on_the_goal(backhoe: bp.Robot) -> None:
     problem = build_problem(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL))
     world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
     assert problem.start_q is not None
@@ -368,8 +374,8 @@ def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robo
     assert found.cost + 20.0 * costs[0] * found.missed <= costs[0] * (1.0 + 1e-6)
 
 
-def test_a_descent_in_a_hurry_ends_where_little_is_promised(backhoe: bp.Robot) -> None:
-    """From where descents have ended nothing is left to gain: one in a hurry sees that from its first program alone."""
+def test_a_hurried_descent_ends_once_its_first_program_promises_little(backhoe: bp.Robot) -> None:
+    """Where descents have ended nothing is left to gain; a hurried one sees that from its first program alone."""
     problem = build_problem(backhoe, digger({"position": [3.5, 3.5, 0.2]}))
     world = World(problem, seed=0, work=Work(EFFORTS["quick"]))
     assert problem.start_q is not None
@@ -387,7 +393,7 @@ def test_a_descent_in_a_hurry_ends_where_little_is_promised(backhoe: bp.Robot) -
                 curve, T, goal, most_rounds=40, spare=0.003, density=2, box=0.1, is_hopeless=lambda here, rounds: False
             )
             assert found is not None
-            # one that is in no hurry takes the step all the same, or tries shorter ones
+            # without hurry, the descent takes the step all the same or tries shorter ones
             ends_at_once[hurried] = found.curve is curve and descent.rounds - before == 1
             curve, T = found.curve, found.duration
     assert ends_at_once == {False: False, True: True}
@@ -395,8 +401,8 @@ def test_a_descent_in_a_hurry_ends_where_little_is_promised(backhoe: bp.Robot) -
 
 @pytest.mark.parametrize("objective", ["time", "work"])
 @pytest.mark.parametrize("way", [0.0, 1e-9, 5e-4, 2e-3])
-def test_a_goal_that_is_nearer_than_one_sample(planar4: bp.Robot, way: float, objective: str) -> None:
-    """At 1,000 rad/s^2 no time at all is proven to be needed for 0.4 rad, and the machine gets there."""
+def test_a_goal_nearer_than_one_sample_is_reached(planar4: bp.Robot, way: float, objective: str) -> None:
+    """At 1,000 rad/s^2 even 0.4 rad have a bound of 0 s, and the machine gets there."""
     fast = {"acceleration": dict.fromkeys(NAMES, 1e3)}
     scene = planar([way, 0.0, way, 0.0], limits=fast, objective=objective)
     plan = bp.plan(planar4, scene, effort="quick")
@@ -405,7 +411,7 @@ def test_a_goal_that_is_nearer_than_one_sample(planar4: bp.Robot, way: float, ob
     assert plan.bound.duration == 0.0
 
 
-def test_whoever_watches_sees_the_best_get_better(backhoe: bp.Robot) -> None:
+def test_watched_steps_show_the_best_duration_falling_to_that_of_the_plan(backhoe: bp.Robot) -> None:
     seen: list[float] = []
     plan = bp.plan(
         backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL), effort="quick",
@@ -415,11 +421,11 @@ def test_whoever_watches_sees_the_best_get_better(backhoe: bp.Robot) -> None:
     assert seen[-1] == pytest.approx(plan.trajectory.duration, rel=1e-3)
 
 
-def test_least_work_takes_thrice_the_least_time_and_no_more_than_that_of_an_even_turn(planar4: bp.Robot) -> None:
-    """Level, so that only speeding up costs: joint 1 turns the stretched arm by 1 rad, with 2 rad/s^2 at the ends.
+def test_least_work_takes_at_most_thrice_the_least_time_and_the_work_of_an_even_turn(planar4: bp.Robot) -> None:
+    """On level ground only acceleration costs: joint 1 turns the stretched arm by 1 rad, with 2 rad/s^2 at the ends.
 
-    Its speed between is the v of v (T - v / 2) = 1, its work M v^2 / 2. The fastest such turn takes 1.5 s, of which 97
-    to 100 % are proven. Where the arm may be drawn in on the way, it costs less.
+    Its plateau is the v of v (T - v / 2) = 1, its work M v^2 / 2. The fastest such turn takes 1.5 s, of which 97
+    to 100 % are proven. Drawing in the arm on the way costs less.
     """
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="work"))
     assert plan.verified, plan.message
@@ -434,15 +440,15 @@ def test_least_work_takes_thrice_the_least_time_and_no_more_than_that_of_an_even
 
 @pytest.mark.long
 def test_the_work_of_a_plan_hardly_depends_on_its_seed(backhoe: bp.Robot) -> None:
-    """Past a wall, with three seeds: what one finds no other misses by a tenth."""
+    """Past a wall, with three seeds: costs differ by less than a tenth."""
     scene = digger({"position": [3.5, 3.5, 0.2]}, WALL, objective="work")
     costs = [bp.plan(backhoe, scene, seed=seed, effort="quick").metrics.energy["work"] for seed in range(3)]
     assert max(costs) < 1.1 * min(costs)
 
 
 @pytest.mark.long
-def test_a_way_round_is_looked_for_where_a_cheaper_straight_line_is_blocked() -> None:
-    """Seed 0 goes round and needs 3,050 J; to another posture a straight line is clear and needs 5,720 J."""
+def test_a_cheaper_detour_is_found_though_a_straight_line_to_another_end_is_clear() -> None:
+    """A detour found by seed 0 needs 3,050 J; a clear straight line to another configuration needs 5,720 J."""
     robot = load_machine("backhoe")
     scene = random_site(robot, SiteKey("backhoe", "cluttered", "goal", 0, 501)).scene
     plan = bp.plan(robot, with_objective(scene, "work"), seed=1)

@@ -1,4 +1,4 @@
-"""Goals by the joints, lists of goals, and orientations that need not be exact."""
+"""Goals given by joints, lists of goals, and orientations with a tolerance."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def ball(x: float, y: float, radius: float) -> Data:
 @pytest.mark.parametrize("objective", ["time", "work"])
 @pytest.mark.parametrize("method", ["auto", "optimal"])
 @pytest.mark.parametrize("margin", [0.0005, 1.0])
-def test_a_machine_that_stands_on_its_goal_stays(planar4: bp.Robot, objective: str, method: str, margin: float) -> None:
-    """Nothing costs less than 0 in 0 s, also where other postures would have to keep 3 mm more than the clearance."""
+def test_a_machine_on_its_goal_does_not_move(planar4: bp.Robot, objective: str, method: str, margin: float) -> None:
+    """0 in 0 s is the least cost, also if other configurations would have to keep 3 mm more than the clearance."""
     aside = {
         "name": "wall",
         "shape": "halfspace",
@@ -56,7 +56,7 @@ def test_a_machine_that_stands_on_its_goal_stays(planar4: bp.Robot, objective: s
         assert plan.bound.duration == 0.0
 
 
-def test_a_machine_that_stands_within_the_tolerance_of_a_goal_that_nothing_reaches_is_there(planar4: bp.Robot) -> None:
+def test_a_start_within_the_tolerance_of_a_goal_out_of_reach_counts_as_there(planar4: bp.Robot) -> None:
     beyond = bp.Kinematics(planar4).at(np.zeros(4)).tip_position + np.array([0.0005, 0.0, 0.0])
     plan = bp.plan(planar4, site({"position": beyond.tolist()}), effort="quick")
     assert (plan.verified, plan.reason, plan.message) == (True, "", "")
@@ -67,14 +67,14 @@ def test_a_machine_that_stands_within_the_tolerance_of_a_goal_that_nothing_reach
 
 
 @pytest.mark.parametrize("method", ["auto", "reactive"])
-def test_a_goal_by_the_joints_is_reached_with_these_joints(planar4: bp.Robot, method: str) -> None:
+def test_a_joint_goal_is_reached_with_these_joints(planar4: bp.Robot, method: str) -> None:
     plan = bp.plan(planar4, site({"joints": BENT}), method=method, effort="quick")
     assert plan.verified, plan.message
     np.testing.assert_allclose(plan.trajectory.q[-1], list(BENT.values()), atol=1e-3)
 
 
-def test_the_tips_pose_alone_is_not_a_goal_by_the_joints(planar4: bp.Robot) -> None:
-    """Mirrored at the line from base to tip, an arm of four links ends at the same place."""
+def test_reaching_the_tip_pose_with_other_joints_does_not_reach_a_joint_goal(planar4: bp.Robot) -> None:
+    """An arm of four links, mirrored at the line from base to tip, ends at the same place."""
     scene = site({"joints": {"joint1": 0.5, "joint2": -1.0, "joint3": 0.0, "joint4": 0.0}})
     there = bp.Kinematics(planar4).at(np.array([0.5, -1.0, 0.0, 0.0]))
     found = bp.solve_inverse_kinematics(
@@ -87,14 +87,14 @@ def test_the_tips_pose_alone_is_not_a_goal_by_the_joints(planar4: bp.Robot) -> N
     assert any("from the goal" in problem and problem.startswith("joint") for problem in certificate.problems)
 
 
-def test_joints_that_the_goal_does_not_name_are_named(planar4: bp.Robot) -> None:
+def test_missing_and_unknown_joints_of_a_goal_are_named(planar4: bp.Robot) -> None:
     with pytest.raises(bp.SceneError, match=r"task.goal.joints.*joints are missing: joint2, joint4"):
         build_problem(planar4, site({"joints": {"joint1": 0.0, "joint3": 0.0}}))
     with pytest.raises(bp.SceneError, match=r"task.goal\[1\].joints.*joint5"):
         build_problem(planar4, site([{"position": [2, 1, 0]}, {"joints": {**BENT, "joint5": 0.0}}]))
 
 
-def test_a_goal_outside_the_limits_says_which_joint_and_what_is_allowed(backhoe: bp.Robot) -> None:
+def test_a_goal_outside_the_limits_is_reported_with_the_joint_and_its_limit(backhoe: bp.Robot) -> None:
     high = float(backhoe.limits.upper[1])
     goal = {"joints": {"swing": 0.0, "boom": high + 0.2, "stick": -1.6, "bucket": -0.9}}
     plan = bp.plan(backhoe, site(goal, start=READY), effort="quick")
@@ -104,7 +104,7 @@ def test_a_goal_outside_the_limits_says_which_joint_and_what_is_allowed(backhoe:
     assert plan.findings.joints == ("boom",)
 
 
-def test_a_goal_in_an_obstacle_says_what_touches_what(planar4: bp.Robot) -> None:
+def test_a_goal_in_an_obstacle_names_the_obstacle(planar4: bp.Robot) -> None:
     tip = bp.Kinematics(planar4).at(np.array(list(BENT.values()))).tip_position
     plan = bp.plan(planar4, site({"joints": BENT}, obstacles=(ball(tip[0], tip[1], 0.2),)), effort="quick")
     assert plan.reason == "goal_in_collision"
@@ -113,7 +113,7 @@ def test_a_goal_in_an_obstacle_says_what_touches_what(planar4: bp.Robot) -> None
     assert len(plan.trajectory) == 1
 
 
-def test_a_goal_by_the_joints_behind_an_obstacle_is_reached_round_it(planar4: bp.Robot) -> None:
+def test_a_joint_goal_behind_an_obstacle_is_reached_by_a_detour(planar4: bp.Robot) -> None:
     """The stretched arm cannot sweep through a ball beside it."""
     scene = site({"joints": {**STRETCHED["joints"], "joint1": 1.2}}, obstacles=(ball(2.2, 1.1, 0.3),))
     plan = bp.plan(planar4, scene, effort="quick")
@@ -124,7 +124,7 @@ def test_a_goal_by_the_joints_behind_an_obstacle_is_reached_round_it(planar4: bp
 # --- several -----------------------------------------------------------------------
 
 
-def test_of_a_list_the_goal_that_can_be_reached_is_taken_and_named(planar4: bp.Robot, tmp_path: Path) -> None:
+def test_the_reachable_goal_of_a_list_is_reached_and_its_number_is_saved(planar4: bp.Robot, tmp_path: Path) -> None:
     far, near = {"position": [9.0, 0.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}
     plan = bp.plan(planar4, site([far, near]), effort="quick")
     assert plan.verified, plan.message
@@ -137,7 +137,7 @@ def test_of_a_list_the_goal_that_can_be_reached_is_taken_and_named(planar4: bp.R
     assert again.scene.to_dict()["task"] == plan.scene.to_dict()["task"]
 
 
-def test_a_list_mixes_poses_and_joints(planar4: bp.Robot) -> None:
+def test_a_list_may_mix_poses_and_joints(planar4: bp.Robot) -> None:
     inside = ball(2.0, 1.0, 0.2)
     plan = bp.plan(
         planar4, site([{"position": [2.0, 1.0, 0.0]}, {"joints": BENT}], obstacles=(inside,)), effort="quick"
@@ -146,7 +146,7 @@ def test_a_list_mixes_poses_and_joints(planar4: bp.Robot) -> None:
     assert plan.certificate.goal == 2
 
 
-def test_where_no_goal_will_do_each_is_named_with_its_reason(planar4: bp.Robot) -> None:
+def test_if_no_goal_of_a_list_is_possible_each_is_named_with_its_reason(planar4: bp.Robot) -> None:
     scene = site([{"position": [9.0, 0.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}], obstacles=(ball(2.0, 1.0, 0.2),))
     plan = bp.plan(planar4, scene, effort="quick")
     assert plan.reason == "goal_in_collision"
@@ -154,17 +154,17 @@ def test_where_no_goal_will_do_each_is_named_with_its_reason(planar4: bp.Robot) 
     assert "at the goal 2" in plan.message
 
 
-def test_the_law_as_printed_knows_one_pose_only(planar4: bp.Robot) -> None:
+def test_the_method_paper_takes_only_a_single_pose(planar4: bp.Robot) -> None:
     for goal in ({"joints": BENT}, [{"position": [2.0, 1.0, 0.0]}] * 2):
         with pytest.raises(bp.InputError, match="method"):
             bp.plan(planar4, site(goal), method="paper")
 
 
-# --- orientations that need not be exact ----------------------------------------------
+# --- orientations with a tolerance ----------------------------------------------------
 
 
 def level(turned: float, **keys: Any) -> Data:
-    """In front of a backhoe that stands at swing 0, the bucket turned about the vertical."""
+    """A pose in front of a backhoe at swing 0, with the bucket turned about the vertical."""
     at = bp.Kinematics(bp.load_robot("example:backhoe")).at(np.array([0.0, 0.4, -1.6, -0.9]))
     yaw = np.array([[math.cos(turned), -math.sin(turned), 0], [math.sin(turned), math.cos(turned), 0], [0, 0, 1]])
     rotation = yaw @ at.tip_rotation
@@ -174,8 +174,8 @@ def level(turned: float, **keys: Any) -> Data:
     return {"position": at.tip_position.tolist(), "quaternion": quaternion} | keys
 
 
-def test_a_bucket_that_cannot_turn_about_the_vertical_may_be_off_by_the_tolerance(backhoe: bp.Robot) -> None:
-    """At one place a backhoe has one swing: turned by 0.2 rad, the pose is 0.2 rad from anything it can do."""
+def test_a_bucket_may_miss_a_goal_rotation_by_the_rotation_tolerance(backhoe: bp.Robot) -> None:
+    """A backhoe has one swing for a position: the pose, turned by 0.2 rad, is 0.2 rad from any that it reaches."""
     start = {"joints": {"swing": 0.3, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
     exact = bp.plan(backhoe, site(level(0.2), start=start), effort="quick")
     assert exact.reason == "unreachable"
@@ -186,7 +186,7 @@ def test_a_bucket_that_cannot_turn_about_the_vertical_may_be_off_by_the_toleranc
     assert not tight.verified
 
 
-def test_the_certificate_judges_with_the_tolerance_of_the_goal(backhoe: bp.Robot) -> None:
+def test_the_certificate_applies_the_rotation_tolerance_of_the_goal(backhoe: bp.Robot) -> None:
     q = np.array([[0.0, 0.4, -1.6, -0.9]] * 2)
     stands = bp.Trajectory.from_steps(np.array([0.0, 1.0]), q)
     for tolerance, reached in ((0.19, False), (0.21, True)):

@@ -1,4 +1,4 @@
-"""Paths of full poses on which one waypoint is impossible: named before anything else is searched."""
+"""Paths of full poses with one impossible waypoint, which is named before any other search."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def problem_of(kind: str, folder: Path) -> Problem:
 
 
 def test_the_first_waypoint_out_of_reach_is_named(tmp_path: Path) -> None:
-    """One of 500, which begins a stretch 1.6 m too far out; half of the path is in reach again behind it."""
+    """One of 500, the first of a stretch 1.6 m too far out; half of the path after it is in reach again."""
     problem = problem_of("beyond", tmp_path)
     plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.reason == "unreachable"
     assert f"waypoint {problem.impossible} of the path" in plan.message
 
 
-def test_a_waypoint_in_a_block_is_named_where_detours_are_not_allowed(tmp_path: Path) -> None:
+def test_a_waypoint_in_a_block_is_named_if_detours_are_not_allowed(tmp_path: Path) -> None:
     problem = problem_of("inside", tmp_path)
     plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.reason == "blocked"
@@ -49,12 +49,12 @@ def test_without_the_block_the_waypoint_is_clear(tmp_path: Path) -> None:
     problem = problem_of("inside", tmp_path)
     free = problem.scene.model_copy(update={"obstacles": ()})
     plan = bp.plan(problem.robot, free, budget=1e-9)
-    assert plan.reason == "budget"  # it went on to the search
+    assert plan.reason == "budget"  # the search began
 
 
 @pytest.mark.parametrize("machine", ["iiwa"])
 def test_a_corner_three_millimetres_out_of_reach_is_named(machine: str, tmp_path: Path) -> None:
-    """Each of 500 waypoints is tried: the ones beside it can be reached."""
+    """Each of 500 waypoints is tried, since its neighbours can be reached."""
     problem = draw("corner", load_arm(machine, tmp_path), machine, 1)
     plan = bp.plan(problem.robot, problem.scene, effort="quick")
     assert plan.reason == "unreachable"
@@ -65,7 +65,7 @@ def test_a_corner_three_millimetres_out_of_reach_is_named(machine: str, tmp_path
 
 
 def test_one_waypoint_of_a_hundred_is_named(backhoe: bp.Robot) -> None:
-    """On a straight path 4 to 5 m ahead, one stands 40 m up."""
+    """On a straight path 4 to 5 m ahead, one waypoint is 40 m up."""
     points = [[x, 0.0, 0.3] for x in np.linspace(4.0, 5.0, 100).tolist()]
     points[50][2] = 40.0
     task = {"path": {"waypoints": [{"position": point} for point in points]}}
@@ -75,8 +75,10 @@ def test_one_waypoint_of_a_hundred_is_named(backhoe: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("detour", [True, False])
-def test_positions_alone_are_searched_as_before(backhoe: bp.Robot, detour: bool) -> None:
-    """A path of positions may be followed at another angle; it is resolved before anything is said."""
+def test_a_waypoint_given_by_position_alone_in_an_obstacle_is_not_refused_before_the_search(
+    backhoe: bp.Robot, detour: bool
+) -> None:
+    """A path of positions may be followed at another angle, so it is resolved first."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [3.5, 0.0, 0.3]}
     task = {"path": {"waypoints": [{"position": [x, 0.0, 0.3]} for x in (3.0, 3.5, 4.0)], "detour": detour}}
     scene = bp.scene_from_dict({"version": 1, "task": task, "obstacles": [ball]})
@@ -85,15 +87,15 @@ def test_positions_alone_are_searched_as_before(backhoe: bp.Robot, detour: bool)
 
 
 def bent_path(corner: list[float], **keys: object) -> bp.Scene:
-    """From beside the stretched planar arm to a corner ahead of it, and to its other side."""
+    """A path from one side of the stretched planar arm to a corner ahead of it, and to its other side."""
     points = [[3.2, 0.3, 0.0], corner, [3.2, -0.3, 0.0]]
     path = {"waypoints": [{"position": point} for point in points], "tolerance": 0.005, "detour": False, **keys}
     return bp.scene_from_dict({"version": 1, "task": {"path": path}})
 
 
 @pytest.mark.parametrize("beyond", [pytest.param(0.002, marks=pytest.mark.long), 0.004])
-def test_a_corner_out_of_reach_by_less_than_the_tolerance_is_followed_within_it(beyond: float) -> None:
-    """The planar arm is 4 m long: the tip comes no nearer to the corner than by what the corner is beyond."""
+def test_a_corner_out_of_reach_by_less_than_the_tolerance_is_passed_within_it(beyond: float) -> None:
+    """The planar arm is 4 m long: the tip stays off the corner by at least `beyond`."""
     robot = bp.load_robot("example:planar4")
     plan = bp.plan(robot, bent_path([4.0 + beyond, 0.0, 0.0]), effort="quick")
     assert plan.verdict == "verified", plan.message
@@ -110,8 +112,10 @@ def test_a_corner_out_of_reach_by_more_than_the_tolerance_is_named() -> None:
 
 
 @pytest.mark.parametrize(("too_near", "reason"), [(0.0006, ""), (0.002, "blocked")])
-def test_a_pose_too_near_by_less_than_the_tolerance_is_followed_within_it(too_near: float, reason: str) -> None:
-    """The hand comes up to a ball and goes back; it is as near to the ball in all configurations."""
+def test_a_pose_too_near_an_obstacle_by_less_than_the_tolerance_is_passed_within_it(
+    too_near: float, reason: str
+) -> None:
+    """The hand approaches a ball and goes back; it is as near to the ball in all configurations."""
     robot = bp.load_robot("example:panda", tip="panda_hand_tcp")
     q = np.array([0.0, 0.0, 0.0, -1.8, 0.0, 1.8, 0.8])
     at = bp.Kinematics(robot).at(q)

@@ -24,7 +24,7 @@ def test_a_curve_is_a_clamped_cubic_b_spline(pieces: int, derivative: int) -> No
     )
 
 
-def test_a_curve_rests_at_its_ends() -> None:
+def test_a_curve_is_at_rest_at_its_ends() -> None:
     control = np.random.default_rng(0).normal(size=(6, 4))
     curve, ends = JointCurve(control), np.array([0.0, 1.0])
     np.testing.assert_allclose(curve(ends), control[[0, -1]], atol=1e-15)
@@ -35,20 +35,20 @@ UNEVEN = (0.0, 0.03, 0.1, 0.35, 0.6, 0.9, 0.98, 1.0)
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])
-def test_a_curve_of_pieces_of_different_lengths_is_a_spline_over_its_knots(derivative: int) -> None:
+def test_a_curve_with_uneven_pieces_is_a_spline_over_its_knots(derivative: int) -> None:
     control = np.random.default_rng(7).normal(size=(8, 3))
     knots = np.concatenate((np.zeros(3), UNEVEN, np.ones(3)))
     spline = BSpline(knots, np.vstack((control[:1], control, control[-1:])), 3)
     curve, s = JointCurve(control, UNEVEN), np.linspace(0.0, 1.0, 101)
     np.testing.assert_allclose(curve(s, derivative), spline(s, nu=derivative), rtol=1e-9, atol=1e-9)
-    thirds = np.interp(np.arange(22) / 3.0, np.arange(8), UNEVEN)  # three places to a piece
+    thirds = np.interp(np.arange(22) / 3.0, np.arange(8), UNEVEN)  # three places per piece
     expected = spline(thirds, nu=derivative)
     np.testing.assert_allclose(curve.weights(22, derivative) @ control, expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(curve.at(np.linspace(0.0, 1.0, 22), derivative), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_shares_sum_up_to_an_integral_over_s() -> None:
-    """Of 1 and of s, which the trapezium rule has without an error: 1 and 1/2."""
+    """The integrals of 1 and of s, for which the trapezium rule is exact: 1 and 1/2."""
     curve = JointCurve(np.zeros((8, 1)), UNEVEN)
     s = np.interp(np.arange(22) / 3.0, np.arange(8), UNEVEN)
     assert curve.shares(22).sum() == pytest.approx(1.0)
@@ -56,7 +56,7 @@ def test_shares_sum_up_to_an_integral_over_s() -> None:
 
 
 def test_a_finer_curve_has_more_pieces_where_accelerations_change() -> None:
-    """Of a curve that is even but for one kick a third of the way: more of them are near there."""
+    """A curve is even but for one kick at a third of its length: more pieces are near there."""
     control = np.tile(np.linspace(0.0, 1.0, 25)[:, None], (1, 2))
     control[8] += 0.05
     knots = np.array(JointCurve(control).finer(32, np.ones(2)).knots)
@@ -67,13 +67,13 @@ def test_a_finer_curve_has_more_pieces_where_accelerations_change() -> None:
     assert np.all(steps > 0.0)
     near = np.abs(knots[:-1] + 0.5 * steps - 1.0 / 3.0) < 0.08
     assert np.mean(steps[near]) < 0.7 * np.mean(steps[~near])
-    still = JointCurve(np.zeros((13, 2))).finer(24, np.ones(2)).knots  # nothing moves: as many everywhere
+    still = JointCurve(np.zeros((13, 2))).finer(24, np.ones(2)).knots  # nothing moves: pieces are even
     np.testing.assert_allclose(still, np.linspace(0.0, 1.0, 25), atol=1e-12)
 
 
 @pytest.mark.parametrize("knots", [(), UNEVEN])
 def test_a_finer_curve_is_the_same_curve(knots: tuple[float, ...]) -> None:
-    """Splines have more control points after knots are put in, between those they had, and stay what they are."""
+    """Inserting knots adds control points between those of the spline and does not change the spline."""
     rng = np.random.default_rng(3)
     curve = JointCurve(rng.normal(size=(8, 3)), knots)
     finer = curve.finer(20, np.ones(3))

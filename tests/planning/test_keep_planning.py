@@ -1,4 +1,4 @@
-"""Ways to a goal along which something is kept."""
+"""Motions that keep a pitch, height or rotation within a band."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Data = dict[str, Any]
 NAMES = ("swing", "boom", "stick", "bucket")
 A, B = (0.0, 0.3, -1.5, -1.5), (1.0, 0.6, -1.2, -2.1)  # both at a pitch of -2.7
 BAND = [-2.75, -2.65]
-ROUND = ("sampled", "through a roadmap")  # how a way that is not straight is found
+ROUND = ("sampled", "through a roadmap")  # how a detour is found
 
 
 def site(start: tuple[float, ...], goal: Any, keep: Data, *obstacles: Data, **keys: Any) -> bp.Scene:
@@ -37,7 +37,7 @@ def post(x: float, y: float, name: str = "post") -> Data:
 
 
 def in_between() -> Data:
-    """Where the tip is halfway from A to B."""
+    """A post at the tip halfway from A to B."""
     tip = bp.Kinematics(bp.load_robot("example:backhoe")).at(0.5 * (np.array(A) + B)).tip_position
     return post(float(tip[0]), float(tip[1]))
 
@@ -56,14 +56,14 @@ def test_a_loaded_bucket_swings_round_a_post_within_six_degrees(backhoe: bp.Robo
     assert (told["name"], told["unit"]) == ("pitch", "rad")
 
 
-def test_a_pitch_that_must_not_change_at_all_is_kept_round_a_post(backhoe: bp.Robot) -> None:
+def test_a_constant_pitch_is_kept_round_a_post(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, site(A, B, {"pitch": [-2.7, -2.7]}, in_between()), effort="quick")
     assert plan.verified, plan.message
     np.testing.assert_allclose(pitches(plan), -2.7, atol=1e-6)
 
 
-def test_the_straight_way_of_the_law_is_used_only_where_it_keeps_the_band(backhoe: bp.Robot) -> None:
-    """With the pitch free the law takes the tip straight there; on that way the bucket tips by more."""
+def test_a_motion_keeps_a_band_that_the_law_alone_leaves(backhoe: bp.Robot) -> None:
+    """With the pitch free, the law takes the tip straight there and tilts the bucket beyond the band."""
     goal = {"position": bp.Kinematics(backhoe).at(np.array(B)).tip_position.tolist()}
     free = bp.plan(backhoe, site(A, goal, {"below": 9.0}), method="reactive")
     assert free.verified, free.message
@@ -73,7 +73,7 @@ def test_the_straight_way_of_the_law_is_used_only_where_it_keeps_the_band(backho
     assert np.max(np.abs(pitches(kept) + 2.7)) <= 0.05 + 1e-6
 
 
-def test_the_law_alone_is_certified_as_it_is(backhoe: bp.Robot) -> None:
+def test_a_motion_of_the_law_is_verified_only_if_it_keeps_the_band(backhoe: bp.Robot) -> None:
     goal = {"position": [3.6, 2.0, 1.5]}
     plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), goal, {"pitch": [-2.11, -2.09]}), method="reactive")
     if plan.verified:
@@ -83,14 +83,14 @@ def test_the_law_alone_is_certified_as_it_is(backhoe: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("method", ["auto", "reactive"])
-def test_a_start_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot, method: str) -> None:
+def test_a_start_outside_the_band_is_reported_with_the_allowed_pitch(backhoe: bp.Robot, method: str) -> None:
     plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), B, {"pitch": BAND}), method=method, effort="quick")
     assert plan.reason == "start_breaks_keep"
     assert plan.message == "at the start the pitch of the bucket is -120.3 deg, allowed -157.6 to -151.8 deg"
     assert len(plan.trajectory) == 1
 
 
-def test_a_goal_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot) -> None:
+def test_a_goal_outside_the_band_is_reported_with_what_is_allowed(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, site(A, (1.0, 0.6, -1.2, -1.5), {"pitch": BAND}), effort="quick")
     assert plan.reason == "goal_breaks_keep"
     assert plan.message == "at the goal the pitch of the bucket is -120.3 deg, allowed -157.6 to -151.8 deg"
@@ -105,7 +105,7 @@ def test_a_goal_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot) -> Non
     assert f"m high, allowed at most {low:.4g} m" in high.message
 
 
-def test_of_several_goals_one_at_which_it_can_be_kept_is_taken(backhoe: bp.Robot) -> None:
+def test_of_several_goals_one_within_the_band_is_taken(backhoe: bp.Robot) -> None:
     tips_out = {"joints": dict(zip(NAMES, (0.5, 0.6, -1.2, -1.5), strict=True))}
     level = {"joints": dict(zip(NAMES, B, strict=True))}
     content = site(A, tips_out, {"pitch": BAND}).to_dict()
@@ -115,7 +115,7 @@ def test_of_several_goals_one_at_which_it_can_be_kept_is_taken(backhoe: bp.Robot
     assert plan.certificate.goal == 2
 
 
-def test_a_height_is_kept_over_a_wall_that_only_the_machine_sees(backhoe: bp.Robot) -> None:
+def test_a_height_limit_is_kept_past_a_post(backhoe: bp.Robot) -> None:
     start, goal = (-0.8, 0.5, -1.2, -0.8), (0.8, 0.5, -1.2, -0.8)
     kinematics = bp.Kinematics(backhoe)
     z = float(kinematics.at(np.array(start)).tip_position[2])
@@ -126,8 +126,8 @@ def test_a_height_is_kept_over_a_wall_that_only_the_machine_sees(backhoe: bp.Rob
     assert max(float(point[2]) for point in plan.tip_path()) <= z + 0.2 + 1e-6
 
 
-def test_a_motion_that_leaves_the_band_only_between_two_postures_is_refused(backhoe: bp.Robot) -> None:
-    """Both postures are in the band: -5.0 and 1.1 are 1.283 and 1.1, but between them lies all the rest."""
+def test_a_segment_that_leaves_the_band_only_between_its_ends_is_not_clear(backhoe: bp.Robot) -> None:
+    """Both ends are in the band: -5.0 and 1.1 rad are 1.283 and 1.1 rad, but all other pitches lie between them."""
     low, high = np.array([0.0, -0.5, -2.2, -2.3]), np.array([0.0, 0.75, -0.2, 0.55])
     for keep, clear in (({"pitch": [1.0, 1.4]}, False), ({"below": 50.0}, True)):
         problem = build_problem(backhoe, site(tuple(low), tuple(high), keep))
@@ -138,8 +138,8 @@ def test_a_motion_that_leaves_the_band_only_between_two_postures_is_refused(back
 
 
 @pytest.mark.parametrize("beyond", [pytest.param(0.0, marks=pytest.mark.long), 5e-7])
-def test_a_goal_at_the_very_edge_of_the_band_is_reached_by_sampling(backhoe: bp.Robot, beyond: float) -> None:
-    """What inverse kinematics finds there lies beside the edge by its rounding, which still counts as kept."""
+def test_a_goal_on_the_edge_of_the_band_is_reached_by_a_detour(backhoe: bp.Robot, beyond: float) -> None:
+    """Inverse kinematics misses the edge by its rounding, which still counts as kept."""
     start, goal = (*A[:3], A[3] - 0.04), (*B[:3], B[3] + 0.05 + beyond)
     plan = bp.plan(backhoe, site(start, goal, {"pitch": BAND}, in_between()), effort="quick")
     assert plan.verified, plan.message
@@ -147,8 +147,8 @@ def test_a_goal_at_the_very_edge_of_the_band_is_reached_by_sampling(backhoe: bp.
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 3))])
-def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, seed: int) -> None:
-    """Both ends are clear and in the band; the motion with the pitch free is found, so is the one in the band."""
+def test_a_band_of_ten_degrees_is_kept_among_random_posts(backhoe: bp.Robot, seed: int) -> None:
+    """Both ends are clear and in the band."""
     rng = np.random.default_rng(seed)
     limits, half = backhoe.limits, np.radians(5.0)
     while True:
@@ -168,7 +168,7 @@ def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, se
     assert np.max(np.abs(pitches(plan) - pitch)) <= half + 1e-6
 
 
-# --- among what moves ----------------------------------------------------------------------
+# --- among moving obstacles ----------------------------------------------------------------
 
 
 def walking(x: float, y: float, velocity: list[float], **keys: Any) -> Data:
@@ -177,7 +177,7 @@ def walking(x: float, y: float, velocity: list[float], **keys: Any) -> Data:
 
 
 def test_giving_way_keeps_the_band(backhoe: bp.Robot) -> None:
-    """A ball rises against the bucket: with the pitch free that tips by more than the 6 degrees of the band."""
+    """A ball rises against the bucket, which with the pitch free tilts by more than the 6 degrees of the band."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.6, 0.0, -2.2], "clearance": 0.3}
     tips = []
     for keep in ({"below": 50.0}, {"pitch": [-2.8, -2.6]}):
@@ -214,12 +214,12 @@ def test_a_path_that_leaves_the_pitch_free_is_followed_within_the_band(backhoe: 
     assert plan.verified, plan.message
     assert -3.4 - 1e-6 <= np.min(pitches(plan)) <= np.max(pitches(plan)) <= -2.8 + 1e-6
     assert plan.problem.path is not None
-    assert plan.problem.path.waypoints[0].pitch is None  # judged by the path as it was given
+    assert plan.problem.path.waypoints[0].pitch is None  # the path is kept as it was given
 
 
 @pytest.mark.long
-def test_joints_that_turn_without_end_give_way_too() -> None:
-    """A ball flies past an arm of six such joints, whose goal is too low for what is to be kept: that is said."""
+def test_continuous_joints_give_way_and_a_goal_below_the_height_limit_is_reported() -> None:
+    """A ball flies past an arm of continuous joints whose goal is below the height to keep."""
     robot = bp.load_robot("example:kinova", tip="j2s6s200_end_effector")
     assert np.isinf(robot.limits.upper).any()
     content = {
@@ -234,7 +234,7 @@ def test_joints_that_turn_without_end_give_way_too() -> None:
     assert bp.plan(robot, bp.scene_from_dict(content), effort="quick").reason == "goal_breaks_keep"
 
 
-def test_the_way_to_a_path_keeps_it_too(backhoe: bp.Robot) -> None:
+def test_the_approach_to_a_path_keeps_the_band(backhoe: bp.Robot) -> None:
     start = {"joints": dict(zip(NAMES, (-0.8, 0.3, -1.5, -1.8), strict=True))}  # -3.0
     plan = bp.plan(
         backhoe, along({"pitch": [-3.1, -2.9]}, [2.9, 0.0, 0.5], [2.8, 0.3, 0.8], start=start), effort="quick"
@@ -244,7 +244,7 @@ def test_the_way_to_a_path_keeps_it_too(backhoe: bp.Robot) -> None:
     assert np.max(np.abs(pitches(plan) + 3.0)) <= 0.1 + 1e-6
 
 
-def test_a_waypoint_that_cannot_keep_it_is_named(backhoe: bp.Robot) -> None:
+def test_a_waypoint_outside_the_band_is_named(backhoe: bp.Robot) -> None:
     low = bp.plan(backhoe, along({"above": 0.6}, [2.9, 0.0, 0.7], [2.9, 0.5, 0.5]), effort="quick")
     assert low.reason == "goal_breaks_keep"
     assert low.message == "at waypoint 2 of the path the tip is 0.500 m high, allowed at least 0.6 m"
@@ -259,7 +259,7 @@ def test_a_waypoint_that_cannot_keep_it_is_named(backhoe: bp.Robot) -> None:
 
 
 def test_a_glass_is_carried_round_a_ball_within_two_degrees(panda: bp.Robot) -> None:
-    """No straight motion of the joints keeps so narrow a cone for long, and no sample lies in it by chance."""
+    """No straight joint motion keeps so narrow a cone for long, and no sample is in it by chance."""
     start = np.array([-0.8, -0.3, 0.0, -2.2, 0.0, 1.9, 0.8])
     at, cone = bp.Kinematics(panda).at(start), 0.03
     x, y, z, w = Rotation.from_matrix(at.tip_rotation).as_quat().tolist()

@@ -1,4 +1,4 @@
-"""The law's motions as fast as the machine allows: known times, the same way, limits that bind."""
+"""The law's motions as fast as the machine allows: known durations, the same path, limits that bind."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CAGE = """<robot name="lift">
 
 
 def by_law(problem: Problem, q: Array) -> tuple[Stepper, Stepper]:
-    """A motion at rest at q, and the law's straight for the goal from there."""
+    """A motion at rest at q, and the law's motion straight to the goal from there."""
     begun = World(problem, seed=0, work=Work()).stepper(q)
     attempt = next(iter(approach_goal(begun, problem.goals[0], (), work=Work())))
     assert attempt.arrived
@@ -43,19 +43,19 @@ def free_goal(robot: bp.Robot, seed: int) -> tuple[Array, bp.Scene]:
 
 
 def shortest_time(q: Array, limits: JointLimits) -> float:
-    """A lower bound of the time along the polyline q (T, n) [s], by the velocity limits of the joints alone."""
+    """A lower bound of the duration along the polyline q (T, n) [s], from the joints' velocity limits alone."""
     return float(np.sum(np.max(np.abs(np.diff(q, axis=0)) / limits.velocity, axis=1)))
 
 
 def off(q: Array, corners: Array) -> float:
-    """How far the places q (K, n) are from the polyline at most [rad]."""
+    """The largest distance of the places q (K, n) from the polyline [rad]."""
     begin, step = corners[:-1], np.diff(corners, axis=0)
     part = np.einsum("kmn,mn->km", q[:, None] - begin, step) / np.maximum(np.sum(step**2, axis=1), 1e-18)
     near = begin + np.clip(part, 0.0, 1.0)[:, :, None] * step
     return float(np.max(np.min(np.linalg.norm(q[:, None] - near, axis=2), axis=1)))
 
 
-def test_places_lie_evenly_on_a_bent_way() -> None:
+def test_places_are_even_in_time_on_a_bent_path() -> None:
     """0.4 rad of the first joint at 1 rad/s, then 0.6 rad of the second at 2 rad/s: 0.4 s and 0.3 s."""
     corners = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.4, 0.0], [0.4, 0.6]])
     along, places = places_on(corners, np.array([1.0, 2.0]), 0.1)
@@ -70,7 +70,7 @@ def test_places_lie_evenly_on_a_bent_way() -> None:
     assert shortest_time(corners, two) == pytest.approx(0.7)
 
 
-def test_a_slide_runs_the_trapezium_of_the_textbook(tmp_path: Path) -> None:
+def test_a_slide_takes_the_duration_of_the_textbook_trapezium(tmp_path: Path) -> None:
     """2 m at 1 m/s and 2 m/s^2: d / v + v / a = 2.5 s."""
     file = tmp_path / "lift.urdf"
     file.write_text(CAGE, encoding="utf-8")
@@ -81,7 +81,7 @@ def test_a_slide_runs_the_trapezium_of_the_textbook(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_same_way_in_less_time_with_a_limit_at_nearly_every_moment(backhoe: bp.Robot, seed: int) -> None:
+def test_speeding_up_keeps_the_path_and_a_limit_binds_nearly_always(backhoe: bp.Robot, seed: int) -> None:
     q, scene = free_goal(backhoe, seed)
     problem = build_problem(backhoe, scene)
     begun, arrived = by_law(problem, q)
@@ -94,7 +94,7 @@ def test_the_same_way_in_less_time_with_a_limit_at_nearly_every_moment(backhoe: 
     assert np.mean(limit_usage(problem, quick).greatest > 0.9) > 0.85
 
 
-def test_past_the_pole_the_machine_is_at_a_limit_and_clear(backhoe: bp.Robot) -> None:
+def test_past_the_pole_a_limit_binds_nearly_always_and_clearance_is_kept(backhoe: bp.Robot) -> None:
     scene = bp.load_scene(SCENES / "pole.yaml")
     plan = bp.plan(backhoe, scene, method="reactive")
     assert plan.verified, plan.message
@@ -106,7 +106,7 @@ def test_past_the_pole_the_machine_is_at_a_limit_and_clear(backhoe: bp.Robot) ->
     assert tightest.distance >= 0.2
 
 
-def test_among_what_moves_the_times_are_left(backhoe: bp.Robot) -> None:
+def test_among_moving_obstacles_the_timing_is_not_changed(backhoe: bp.Robot) -> None:
     q, scene = free_goal(backhoe, 0)
     content = scene.model_dump(mode="json", exclude_defaults=True)
     content["version"] = 1
@@ -118,7 +118,7 @@ def test_among_what_moves_the_times_are_left(backhoe: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 2, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 3))])
-def test_no_goal_takes_longer_than_the_laws_own_motion_or_the_joints_straight_one(backhoe: bp.Robot, seed: int) -> None:
+def test_no_plan_takes_longer_than_the_law_before_or_after_speeding_up(backhoe: bp.Robot, seed: int) -> None:
     q, scene = free_goal(backhoe, seed)
     plan = bp.plan(backhoe, scene)
     assert plan.verified, plan.message
@@ -131,8 +131,8 @@ def test_no_goal_takes_longer_than_the_laws_own_motion_or_the_joints_straight_on
 # --- the paper's iteration ----------------------------------------------------------
 
 
-def test_a_motion_through_iterates_passes_every_one_and_is_near_the_least_time(planar4: bp.Robot) -> None:
-    """Iterates on a quarter of a circle of joint angles, closer and closer, as an iteration that converges."""
+def test_a_motion_passes_all_iterates_in_near_the_least_duration(planar4: bp.Robot) -> None:
+    """Iterates on a quarter of a circle of joint angles, ever closer, as those of an iteration that converges."""
     problem = build_problem(planar4, bp.load_scene(SCENES / "paper_planar.yaml"))
     angle = 0.5 * np.pi * (1.0 - 0.7 ** np.arange(40))
     q = np.column_stack((0.5 * np.sin(angle), 0.5 * np.cos(angle), 0.0 * angle, 0.1 * angle))
@@ -144,24 +144,24 @@ def test_a_motion_through_iterates_passes_every_one_and_is_near_the_least_time(p
     assert motion.duration < 3.0 * shortest_time(q, problem.limits)
 
 
-def test_the_papers_law_takes_no_longer_than_a_few_times_its_rates_allow(planar4: bp.Robot) -> None:
-    """With one slow ramp over all iterates it took 148 s, because the corners counted."""
+def test_the_motion_of_the_method_paper_takes_less_than_10_s(planar4: bp.Robot) -> None:
+    """With one slow ramp over all iterates it took 148 s, because of the corners."""
     plan = bp.plan(planar4, bp.load_scene(SCENES / "paper_planar.yaml"), method="paper")
     assert plan.verified, plan.message
     assert plan.trajectory.duration < 10.0
 
 
-def test_iterates_that_stay_in_one_place_are_a_motion_at_rest(planar4: bp.Robot) -> None:
+def test_equal_iterates_are_a_motion_at_rest(planar4: bp.Robot) -> None:
     problem = build_problem(planar4, bp.load_scene(SCENES / "paper_planar.yaml"))
     motion = time_iterates(problem, np.full((5, 4), 0.1), proximity=bp.Proximity(planar4))
     assert motion.duration == 0.0
 
 
 @pytest.mark.parametrize("slower", [3.0, 40.0])
-def test_a_law_that_leaves_every_limit_unused_is_hastened(
+def test_a_motion_that_uses_no_limit_is_sped_up(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, slower: float
 ) -> None:
-    """Its samples stay where they are, also where no smoother motion is proven clear, and a limit binds."""
+    """No smoother motion is proven clear here: the samples stay where they are, and a limit binds."""
     q, scene = free_goal(backhoe, 0)
     begun, arrived = by_law(build_problem(backhoe, scene), q)
     slow = arrived.trajectory()

@@ -1,4 +1,4 @@
-"""How long a motion to a goal may take, where the scene says so."""
+"""The longest duration of a motion to a goal that a scene allows."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_least_work_rises_as_less_time_is_allowed(backhoe: bp.Robot) -> None
     assert work[1] < 0.95 * work[2]
 
 
-def test_less_than_any_motion_takes_is_refused_with_the_bound(backhoe: bp.Robot) -> None:
+def test_a_max_duration_below_the_bound_is_refused_with_the_bound(backhoe: bp.Robot) -> None:
     free = bp.plan(backhoe, reach(None), effort="quick")
     assert free.bound is not None
     plan = bp.plan(backhoe, reach(0.9 * free.bound.duration), effort="quick")
@@ -44,7 +44,7 @@ def test_less_than_any_motion_takes_is_refused_with_the_bound(backhoe: bp.Robot)
     assert float(plan.message.split()[6]) == pytest.approx(free.bound.duration, rel=0.02)
 
 
-def test_a_motion_that_takes_longer_is_not_verified(backhoe: bp.Robot, tmp_path: Any) -> None:
+def test_a_motion_longer_than_max_duration_is_not_verified(backhoe: bp.Robot, tmp_path: Any) -> None:
     plan = bp.plan(backhoe, reach(None), effort="quick")
     taken = plan.trajectory.duration
     for part, kept in ((1.001, True), (0.999, False)):
@@ -53,7 +53,7 @@ def test_a_motion_that_takes_longer_is_not_verified(backhoe: bp.Robot, tmp_path:
         assert kept or certificate.problems == (
             f"the motion takes {taken:.2f} s, max_duration allows {0.999 * taken:g} s",
         )
-    # the law alone does not know of it
+    # the law alone ignores max_duration
     slow = bp.plan(backhoe, reach(1.01 * taken), method="reactive")
     if slow.trajectory.duration > 1.01 * taken:
         assert slow.reason == "outside_limits"
@@ -64,7 +64,7 @@ def test_a_motion_that_takes_longer_is_not_verified(backhoe: bp.Robot, tmp_path:
     assert again.certificate.duration == plan.certificate.duration
 
 
-def test_a_leg_has_its_own(backhoe: bp.Robot) -> None:
+def test_each_leg_has_its_own_max_duration(backhoe: bp.Robot) -> None:
     legs: list[dict[str, Any]] = [
         {"name": "out", "goal": {"joints": START | {"swing": 0.8}}, "max_duration": 4.0, "objective": "work"},
         {"name": "back", "goal": {"joints": START}, "objective": "work"},
@@ -95,7 +95,7 @@ PATH = {"waypoints": [{"position": [4.0, 0.0, 0.5]}, {"position": [4.5, 0.0, 0.5
         ({"goal": {"position": [4.0, 0.0, 0.5]}, "max_duration": 0.0}, "task.max_duration"),
     ],
 )
-def test_where_it_means_nothing_it_is_refused(task: dict[str, Any], said: str) -> None:
+def test_a_max_duration_without_a_meaning_is_refused(task: dict[str, Any], said: str) -> None:
     with pytest.raises(bp.SceneError) as caught:
         scene(task)
     assert said in str(caught.value)

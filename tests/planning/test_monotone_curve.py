@@ -1,4 +1,4 @@
-"""Curves on many legs at once are those that scipy's pchip gives on each."""
+"""Curves on many legs at once equal scipy's pchip on each."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from backhoe_planner.planning.paths.monotone_curve import monotone_curve  # no p
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_each_leg_is_as_with_scipy(seed: int) -> None:
+def test_each_leg_equals_scipys_pchip(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    legs = np.concatenate(([0], np.cumsum(rng.integers(1, 5, size=6))))  # some of a single step
+    legs = np.concatenate(([0], np.cumsum(rng.integers(1, 5, size=6))))  # some have a single step
     x = np.cumsum(rng.uniform(0.01, 1.0, size=legs[-1] + 1))
     y = np.round(rng.standard_normal((len(x), 3)), 1 if seed % 2 else 6)  # with one digit, some steps are level
     y[:, 2] = 1e-12 * y[:, 2]

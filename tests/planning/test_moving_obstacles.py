@@ -1,4 +1,4 @@
-"""Obstacles that move and that appear: what is verified keeps clear of them at every moment."""
+"""Obstacles that move and that appear: a verified plan keeps clear of them at every moment."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Data = dict[str, Any]
 
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 GOAL: Data = {"goal": {"position": [1.5, 4.0, 0.5]}}
-ENDS = ([4.0, 0.0, 0.3], [3.0, 2.8, 0.3])  # with a pitch, so that no joint is left to choose
+ENDS = ([4.0, 0.0, 0.3], [3.0, 2.8, 0.3])  # with a pitch, so that no joint is free
 PATH: Data = {"path": {"waypoints": [{"position": at, "pitch": -1.6} for at in ENDS], "speed": 0.4}}
 WORKER: Data = {"name": "worker", "shape": "capsule", "radius": 0.3}
 CROSSING = WORKER | {"from": [3.5, 4.0, -0.5], "to": [3.5, 4.0, 1.0], "velocity": [0.0, -0.4, 0.0]}
@@ -27,12 +27,12 @@ def site(task: Data, *obstacles: Data) -> bp.Scene:
 
 @pytest.fixture(scope="module")
 def alone(backhoe: bp.Robot) -> bp.Plan:
-    """Along the path with nothing in the way."""
+    """The plan along the path with nothing in the way."""
     return plan(backhoe, PATH)
 
 
 def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
-    """A plan that, where it is verified, the independent check does not refute."""
+    """A plan that, if verified, the independent check does not refute."""
     found = bp.plan(robot, site(task, *obstacles), effort="quick")
     if found.verified:
         assert refutations(found) == []
@@ -40,15 +40,15 @@ def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
 
 
 @pytest.mark.long
-def test_what_does_not_come_near_changes_nothing(backhoe: bp.Robot, alone: bp.Plan) -> None:
+def test_obstacles_that_do_not_come_near_change_nothing(backhoe: bp.Robot, alone: bp.Plan) -> None:
     far = WORKER | {"from": [-8, 0, 0], "to": [-8, 0, 1.8], "velocity": [-0.5, 0.0, 0.0]}
     later = {"name": "box", "shape": "box", "size": [0.5, 0.5, 0.5], "position": [3.5, 1.4, 0.3], "appears_at": 60.0}
     np.testing.assert_array_equal(plan(backhoe, PATH, far, later).trajectory.q, alone.trajectory.q)
 
 
 @pytest.mark.long
-def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot, alone: bp.Plan) -> None:
-    """Up to that moment the motion is the one without it; from then on it is another."""
+def test_the_plan_does_not_use_knowledge_of_an_obstacle_before_it_appears(backhoe: bp.Robot, alone: bp.Plan) -> None:
+    """Up to that moment the motion is the one without the obstacle; then it stops and takes a detour."""
     moment = 3.0
     sudden = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [3.5, 1.4, 0.3], "appears_at": moment}
     found = plan(backhoe, PATH, sudden)
@@ -66,29 +66,29 @@ def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot, alone: bp.Plan)
 
 
 @pytest.mark.long
-def test_it_waits_or_gives_way_where_somebody_crosses_the_path(backhoe: bp.Robot, alone: bp.Plan) -> None:
+def test_the_machine_waits_or_gives_way_to_a_worker_who_crosses_the_path(backhoe: bp.Robot, alone: bp.Plan) -> None:
     found = plan(backhoe, PATH, CROSSING)
     assert found.verified
     assert found.certificate.detours == ()
-    # he walks 8 m at 0.4 m/s, and the path alone takes as long as its length at the asked speed
+    # he walks 8 m at 0.4 m/s; the path alone takes as long as its length at the requested speed
     assert found.trajectory.duration > alone.trajectory.duration
 
 
-def test_a_goal_is_reached_behind_somebody_who_walks(backhoe: bp.Robot) -> None:
+def test_a_goal_is_reached_past_a_walking_worker(backhoe: bp.Robot) -> None:
     walker = WORKER | {"from": [3.0, 5.0, 0.0], "to": [3.0, 5.0, 1.8], "velocity": [0.0, -0.8, 0.0]}
     assert plan(backhoe, GOAL, walker).verified
 
 
 @pytest.mark.long
-def test_somebody_appears_and_walks(backhoe: bp.Robot) -> None:
+def test_a_goal_is_reached_past_a_worker_who_appears_and_walks(backhoe: bp.Robot) -> None:
     walker = WORKER | {
         "from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0], "appears_at": 1.0,
     }  # fmt: skip
     assert plan(backhoe, GOAL, walker).verified
 
 
-def test_where_there_is_no_way_it_stops_in_time_and_says_so(backhoe: bp.Robot) -> None:
-    """A box appears where the bucket is to go: within its accelerations the machine comes to rest, clear of it."""
+def test_a_goal_that_becomes_blocked_is_reported_and_the_machine_stops_in_time(backhoe: bp.Robot) -> None:
+    """A box appears on the goal: the machine stops within its acceleration limits, clear of the box."""
     box = {"name": "box", "shape": "box", "size": [0.6, 0.6, 2.0], "position": [1.5, 4.0, 0.8], "appears_at": 1.0}
     found = plan(backhoe, GOAL, box)
     assert found.reason == "goal_in_collision"
@@ -103,7 +103,7 @@ def test_where_there_is_no_way_it_stops_in_time_and_says_so(backhoe: bp.Robot) -
     assert np.all(found.trajectory.v[-1] == 0.0)
 
 
-def test_what_appears_upon_the_machine_is_not_called_safe(backhoe: bp.Robot) -> None:
+def test_an_obstacle_that_appears_on_the_machine_is_not_safe(backhoe: bp.Robot) -> None:
     upon = {"name": "boulder", "shape": "sphere", "radius": 0.6, "position": [3.0, 0.3, 0.6], "appears_at": 0.5}
     found = plan(backhoe, GOAL, upon)
     assert not found.verified
@@ -112,7 +112,7 @@ def test_what_appears_upon_the_machine_is_not_called_safe(backhoe: bp.Robot) -> 
 
 
 @pytest.mark.long
-def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
+def test_the_same_seed_gives_the_same_plan_among_moving_obstacles(backhoe: bp.Robot) -> None:
     walker = WORKER | {"from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0]}
     one, other = (bp.plan(backhoe, site(GOAL, walker), effort="quick") for _ in range(2))
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
@@ -120,8 +120,8 @@ def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("seed", [50, pytest.param(60, marks=pytest.mark.long)])
-def test_a_machine_that_gives_way_goes_on_as_soon_as_the_worker_has_passed(backhoe: bp.Robot, seed: int) -> None:
-    """He walks through where the machine stands, 12 m in 20 s: at 15 s he is 6 m beside it, long past the whole way."""
+def test_a_machine_that_gave_way_goes_on_once_the_worker_has_passed(backhoe: bp.Robot, seed: int) -> None:
+    """He walks through the machine's place, 12 m in 20 s: at 15 s he is 6 m beside it, long past its path."""
     walker = WORKER | {"from": [3.5, 3.0, 0.0], "to": [3.5, 3.0, 1.8], "clearance": 0.3, "velocity": [0.0, -0.6, 0.0]}
     found = bp.plan(backhoe, site({"goal": {"position": [3.0, 2.5, 0.8]}}, walker), effort="quick", seed=seed)
     assert found.verified

@@ -1,4 +1,4 @@
-"""The least of an objective along a path: converged, never worse for being refined, held against the law."""
+"""The least of an objective along a path: it converges, refinement never raises it, and the law costs more."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from backhoe_planner.planning import (
 from backhoe_planner.planning.paths.dynamic_programming import _cheapest_with_turns
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
-# the others take as long, and say little more
+# the others take as long and add little
 SOME_OBJECTIVES = [
     name if name in ("work", "time") else pytest.param(name, marks=pytest.mark.long) for name in OBJECTIVES
 ]
@@ -49,7 +49,7 @@ def along(points: list[list[float]], **keys: Any) -> bp.Scene:
 
 
 def trench_cut(**keys: Any) -> bp.Scene:
-    """The shipped cut through the ground, otherwise asked for."""
+    """The shipped cut through the ground with other keys."""
     content = yaml.safe_load((SCENES / "trench_cut.yaml").read_text(encoding="utf-8"))
     return bp.scene_from_dict(content | keys)
 
@@ -69,7 +69,7 @@ def resolved(problem: Problem, objective: PathCost, *, grid: float, layer: float
     return piece
 
 
-# --- the grid and what comes after it ---------------------------------------------
+# --- the grid and its refinement --------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -95,8 +95,10 @@ def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) 
 
 @pytest.mark.parametrize("name", SOME_OBJECTIVES)
 @pytest.mark.parametrize("machine", ["backhoe", pytest.param("planar4", marks=pytest.mark.long)])
-def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: pytest.FixtureRequest) -> None:
-    """From seeded detours within the null space, beside an obstacle; ends stay where they are held."""
+def test_refining_a_random_stretch_never_raises_its_cost(
+    machine: str, name: str, request: pytest.FixtureRequest
+) -> None:
+    """From seeded deviations within the null space, beside an obstacle; fixed ends do not move."""
     robot: bp.Robot = request.getfixturevalue(machine)
     if name == "hydraulic" and robot.hydraulics is None:
         assert machine == "planar4"
@@ -134,7 +136,7 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
     assert fell == 1
 
 
-def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> None:
+def test_each_objective_is_least_in_the_plan_that_minimises_it(backhoe: bp.Robot) -> None:
     values = {}
     for name in OBJECTIVES:
         problem = build_problem(backhoe, along(CUT, objective=name))
@@ -151,8 +153,8 @@ def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> Non
 
 
 @pytest.mark.long
-def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe: bp.Robot) -> None:
-    """On the same layers, so that every route of the coarse grid is one of the fine grid too."""
+def test_a_finer_grid_that_contains_the_coarser_one_lowers_the_cost_of_the_route(backhoe: bp.Robot) -> None:
+    """The layers are the same, so that every route of the coarse grid is one of the fine grid too."""
     problem = build_problem(backhoe, along(CUT))
     objective = PathCost(problem)
     costs = []
@@ -171,7 +173,7 @@ def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_cheapest_way_over_three_knots_in_a_row_equals_an_exhaustive_search(seed: int) -> None:
+def test_the_cheapest_route_with_costs_of_turns_equals_an_exhaustive_search(seed: int) -> None:
     rng = np.random.default_rng(seed)
     knots, width = 5, 3
     steps = rng.uniform(0.0, 1.0, (knots - 1, width, width))
@@ -195,7 +197,7 @@ def cut(backhoe: bp.Robot) -> bp.Plan:
 
 @pytest.fixture(scope="module")
 def trench(backhoe: bp.Robot) -> Callable[[str], bp.Plan]:
-    """The shipped cut by objective."""
+    """Plans of the shipped cut by objective."""
     return cache(lambda name: bp.plan(backhoe, trench_cut(objective=name), method="optimal"))
 
 
@@ -203,7 +205,7 @@ def trench(backhoe: bp.Robot) -> Callable[[str], bp.Plan]:
 
 
 @pytest.mark.parametrize("name", SOME_OBJECTIVES)
-def test_plans_keep_limits_and_clearances_by_the_certificate(backhoe: bp.Robot, name: str) -> None:
+def test_plans_of_each_objective_are_certified_without_detours(backhoe: bp.Robot, name: str) -> None:
     wall = {"name": "wall", "shape": "box", "size": [3.0, 0.2, 3.0], "position": [3.5, -0.8, 0.0], "clearance": 0.1}
     scene = along(CUT, objective=name, obstacles=[wall])
     plan = bp.plan(backhoe, scene, method="optimal", effort="quick")
@@ -217,7 +219,7 @@ def test_plans_keep_limits_and_clearances_by_the_certificate(backhoe: bp.Robot, 
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(0, marks=pytest.mark.long)])
-def test_no_plan_is_worse_than_the_law_and_a_free_start_is_no_worse(backhoe: bp.Robot, seed: int) -> None:
+def test_no_plan_costs_more_than_the_law_and_a_free_start_costs_no_more(backhoe: bp.Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = np.array([0.0, 0.5, -1.3, -0.9]) + 0.2 * rng.standard_normal(4)
     begin = np.array(bp.Kinematics(backhoe).at(q).tip_position)
@@ -233,7 +235,7 @@ def test_no_plan_is_worse_than_the_law_and_a_free_start_is_no_worse(backhoe: bp.
     assert comparison(free).value <= 1.02 * told.value + 5.0
 
 
-def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot, cut: bp.Plan) -> None:
+def test_the_saving_equals_one_computed_step_by_step(backhoe: bp.Robot, cut: bp.Plan) -> None:
     plan = cut
     problem = build_problem(backhoe, plan.scene)
     assert problem.path is not None
@@ -241,7 +243,7 @@ def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot, cut: bp.Plan) -> 
     motion = plan.trajectory
     law = resolve_along(problem, problem.path, 0.0, motion.q[0], proximity=bp.Proximity(backhoe), kinematics=kinematics)
     assert law.obstruction is None
-    # where the tip is at every sample, on the straight path
+    # the station of the tip on the straight path at every sample
     tips = np.array([kinematics.at(q).tip_position for q in motion.q])
     s = np.linalg.norm(tips - np.array(CUT[0]), axis=1)
     np.testing.assert_allclose(stations_of(problem.path, motion, kinematics=kinematics), s, atol=1e-4)
@@ -251,7 +253,7 @@ def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot, cut: bp.Plan) -> 
         np.testing.assert_allclose(kinematics.at(q).tip_position, tip, atol=2e-4)
     work = trajectory_costs(problem, moved)["work"]
     told = comparison(plan)
-    # the law's own motion has another timing where limits bind, as at its ends
+    # the law's own motion has another timing while limits bind, as at its ends
     assert law_cost(told) == pytest.approx(work, rel=1e-3)
     fastest = fastest_motion(problem, problem.path, law, proximity=bp.Proximity(backhoe))
     work = trajectory_costs(problem, fastest)["work"]
@@ -260,22 +262,24 @@ def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot, cut: bp.Plan) -> 
 
 
 @pytest.mark.long
-def test_time_is_held_against_the_laws_own_timing(backhoe: bp.Robot, trench: Callable[[str], bp.Plan]) -> None:
-    """And no other objective is faster than the one that asks for it, but for a hair."""
+def test_the_least_duration_is_compared_with_that_of_the_laws_own_timing(
+    backhoe: bp.Robot, trench: Callable[[str], bp.Plan]
+) -> None:
+    """The plan of least work is faster by 0.2 % at most."""
     told = comparison(trench("time"))
     assert told.value == pytest.approx(trench("time").trajectory.duration)  # it begins on the path
     assert law_cost(told) >= told.value * 0.999
     assert told.law != told.value
     assert trench("time").trajectory.duration <= 1.002 * trench("work").trajectory.duration
-    # at 0.3 m/s from end to end it would be
+    # 0.3 m/s from end to end would take less
     problem = build_problem(backhoe, trench("time").scene)
     assert problem.path is not None
     assert trench("time").trajectory.duration > problem.path.length / 0.3
 
 
 @pytest.mark.parametrize("name", ["work", pytest.param("hydraulic", marks=pytest.mark.long)])
-def test_a_cut_without_needless_reversals(trench: Callable[[str], bp.Plan], name: str) -> None:
-    """Three legs: a joint has a reason to turn round at the two corners, and seldom another."""
+def test_joints_reverse_at_most_twice_in_a_cut_of_three_legs(trench: Callable[[str], bp.Plan], name: str) -> None:
+    """A joint has a reason to reverse at the two corners, and seldom elsewhere."""
     plan = trench(name)
     assert plan.verified, plan.message
     for rate in plan.trajectory.segment_velocities().T:
@@ -287,8 +291,8 @@ def test_a_cut_without_needless_reversals(trench: Callable[[str], bp.Plan], name
 
 @pytest.mark.parametrize("name", ["work", "hydraulic", "time"])
 @pytest.mark.parametrize("length", [pytest.param(1e-2, marks=pytest.mark.long), 1e-6])
-def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: str, length: float) -> None:
-    """It is all speeding up and slowing down, which the search does not see."""
+def test_the_plan_of_a_very_short_path_costs_no_more_than_the_law(backhoe: bp.Robot, name: str, length: float) -> None:
+    """It is all acceleration and braking, which the search leaves out."""
     for start in (None, {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}):
         keys = {} if start is None else {"start": start}
         plan = bp.plan(
@@ -300,8 +304,8 @@ def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: st
 
 
 @pytest.mark.parametrize("name", ["time", pytest.param("work", marks=pytest.mark.long)])
-def test_a_path_of_full_poses_is_no_worse_than_the_laws(panda: bp.Robot, name: str) -> None:
-    """The graph has all its configurations, but the search leaves out inertia and how joints speed up."""
+def test_the_plan_of_a_path_of_full_poses_costs_no_more_than_the_law(panda: bp.Robot, name: str) -> None:
+    """The graph has all its configurations, but the search leaves out inertia and acceleration."""
     angle = np.linspace(0.0, 2.0 * np.pi, 25)
     points = np.column_stack((0.5 + 0.12 * np.cos(angle), 0.12 * np.sin(angle), 0.3 + 0.05 * np.sin(3.0 * angle)))
     waypoints = [{"position": point, "quaternion": [0.0, 1.0, 0.0, 0.0]} for point in points.tolist()]
@@ -314,7 +318,7 @@ def test_a_path_of_full_poses_is_no_worse_than_the_laws(panda: bp.Robot, name: s
 
 
 @pytest.mark.long
-def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot, cut: bp.Plan) -> None:
+def test_the_approach_counts_in_the_cost_of_the_whole_motion(backhoe: bp.Robot, cut: bp.Plan) -> None:
     start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
     plan = bp.plan(backhoe, along(CUT, start=start), effort="quick")
     assert plan.verified, plan.message
@@ -339,7 +343,7 @@ def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot, 
     assert free.whole == free.value
 
 
-def test_motions_are_joined_by_a_step_of_rest() -> None:
+def test_motions_are_joined_by_a_step_at_rest() -> None:
     one = Trajectory.from_steps(np.array([0.0, 0.1, 0.2]), np.array([[0.0], [0.1], [0.2]]))
     two = Trajectory.from_steps(np.array([0.0, 0.1, 0.3]), np.array([[0.2], [0.3], [0.4]]))
     both = join_motions([one, two])
@@ -347,8 +351,8 @@ def test_motions_are_joined_by_a_step_of_rest() -> None:
     np.testing.assert_allclose(both.q[:, 0], [0.0, 0.1, 0.2, 0.2, 0.3, 0.4])
 
 
-def test_the_least_norm_law_is_the_pseudo_inverse(backhoe: bp.Robot, cut: bp.Plan) -> None:
-    """Its first step has no part in the null space, and it goes on beyond a limit, which it names."""
+def test_the_least_norm_law_begins_as_the_pseudo_inverse(backhoe: bp.Robot, cut: bp.Plan) -> None:
+    """Its first step has no component in the null space; it goes on beyond a limit, which it names."""
     problem = build_problem(backhoe, along(CUT))
     assert problem.path is not None
     kinematics = bp.Kinematics(backhoe)
@@ -365,7 +369,7 @@ def test_the_least_norm_law_is_the_pseudo_inverse(backhoe: bp.Robot, cut: bp.Pla
         assert outside[:, backhoe.joint_names.index(found.obstruction.obstacle)].any()
 
 
-def test_a_law_that_is_blocked_by_an_obstacle_is_told(around_a_ball: bp.Plan) -> None:
+def test_a_law_blocked_by_an_obstacle_is_reported_without_a_saving(around_a_ball: bp.Plan) -> None:
     assert around_a_ball.verified, around_a_ball.message
     assert around_a_ball.certificate.detours
     told = comparison(around_a_ball)
@@ -391,16 +395,16 @@ def test_the_plan_file_holds_torque_and_power_over_time(backhoe: bp.Robot, tmp_p
 
 
 @pytest.mark.parametrize(("percent", "words"), [(94.75, "95 % less"), (0.2, "as much"), (-5.17, "5 % more")])
-def test_a_saving_is_told_without_a_sign(percent: float, words: str) -> None:
+def test_a_saving_is_described_without_a_sign(percent: float, words: str) -> None:
     assert describe_saving(percent) == words
     whole = describe_saving(percent, law="the law's")
     assert whole == f"{words} {'as' if words == 'as much' else 'than'} the law's"
 
 
-def test_a_path_begins_where_its_cost_and_that_of_the_way_there_are_least_together(backhoe: bp.Robot) -> None:
-    """The fastest plan of the same scene is one that the plan of least effort could have taken.
+def test_a_path_begins_where_its_cost_and_that_of_the_approach_are_least_together(backhoe: bp.Robot) -> None:
+    """The plan of least effort could have been the fastest plan of the same scene.
 
-    The search leaves out torques of inertia, by which it may miss some of it.
+    The search leaves out torques of inertia, so it may miss by a little.
     """
     task = {"path": {"waypoints": [{"position": at} for at in ([4.6, 0.0, 0.3], [3.4, 0.0, 0.3], [3.0, 0.0, 0.6])]}}
     content = {"version": 1, "start": posed(backhoe, np.array([0.0, 0.4, -1.6, -0.9])), "task": task}
