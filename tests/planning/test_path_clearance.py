@@ -1,4 +1,4 @@
-"""Paths close to something: what the planner delivers is what the certificate proves."""
+"""Paths close to an obstacle: the planner keeps the clearances that the certificate proves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from backhoe_planner.motion import PathCost, Problem, Trajectory, build_problem
 from backhoe_planner.planning import EFFORTS, PathResolver, Stretch, Work, cheapen_stretch, planner, smooth_stretch
 from backhoe_planner.proof import Certificate, certify_motion
 
-AT_CLEARANCE = 1e-5  # m: what is measured to be too near by no more counts as clear
+AT_CLEARANCE = 1e-5  # m: a measured distance short by no more counts as clear
 FURTHER = 0.003  # m
 SWEEPS = 20  # of the dynamic programming
 CUT = ((3.0, 0.0, 0.2), (2.6, 0.2, 0.6))
@@ -44,10 +44,10 @@ def resolved(problem: Problem, *, further: float = 0.0) -> tuple[Stretch, bp.Pro
     return piece, proximity
 
 
-def test_a_path_at_its_clearance_stays_there_however_often_it_is_made_cheaper(backhoe: bp.Robot) -> None:
-    """As at 0.25 m from the ball the cheapest configurations are cut off, what is cheaper would be nearer."""
+def test_a_path_at_its_clearance_keeps_it_however_often_it_is_made_cheaper(backhoe: bp.Robot) -> None:
+    """At 0.25 m from the ball the cheapest configurations are cut off, so cheaper ones would be nearer."""
     piece, proximity = resolved(build_problem(backhoe, beside_the_ball(0.25)))
-    clearance = from_the_ball(proximity, piece.q)  # so the way is at exactly its clearance
+    clearance = from_the_ball(proximity, piece.q)  # so the path is at exactly its clearance
     problem = build_problem(backhoe, beside_the_ball(clearance))
     assert problem.path is not None
     cost, proximity = PathCost(problem), bp.Proximity(backhoe, problem.obstacles)
@@ -60,8 +60,8 @@ def test_a_path_at_its_clearance_stays_there_however_often_it_is_made_cheaper(ba
     assert from_the_ball(proximity, piece.q) >= clearance - AT_CLEARANCE
 
 
-def test_a_route_keeps_further_off_where_it_is_asked_to_and_can(backhoe: bp.Robot) -> None:
-    """As at 0.3 m from the ball the cheapest configurations are cut off, the route passes just beyond."""
+def test_a_route_keeps_an_additional_distance_where_possible(backhoe: bp.Robot) -> None:
+    """At 0.3 m from the ball the cheapest configurations are cut off, so the route passes just beyond."""
     problem = build_problem(backhoe, beside_the_ball(0.3))
     for further in (0.0, FURTHER):
         piece, proximity = resolved(problem, further=further)
@@ -72,10 +72,10 @@ def test_a_route_keeps_further_off_where_it_is_asked_to_and_can(backhoe: bp.Robo
     assert from_the_ball(proximity, moved.q) >= clearance + FURTHER
 
 
-def test_where_the_proof_finds_a_motion_too_near_the_path_is_planned_again(
+def test_a_path_whose_motion_is_proven_too_near_is_planned_again(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At first the ball is judged to be much larger, which stands for a curve that swings out towards it."""
+    """At first a much larger ball is certified, which stands for a curve that swings out towards it."""
     problem = build_problem(backhoe, beside_the_ball(0.3))
     judges = [build_problem(backhoe, beside_the_ball(2.0)), problem]
 

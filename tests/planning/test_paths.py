@@ -1,4 +1,4 @@
-"""Paths whose answer is known: where they are left and rejoined, by which elbow, and why not."""
+"""Paths with known answers: where detours begin and end, which elbow passes, and why none does."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CLEARANCE = 0.02
 BALL = 0.05  # at the elbow arm's tip
 LINE = [[2.0, -1.0, 0.0], [2.0, 1.0, 0.0]]
 
-# two links of 1 m, 4 cm thick, and a ball of 5 cm at the tip; every point within reach has an elbow up and one down
+# two links of 1 m, 4 cm thick, and a ball of 5 cm at the tip; every point in reach has elbow up and elbow down
 ELBOW = """<robot name="elbow">
   <link name="base"/>
   <link name="upper"><collision><origin xyz="0.5 0 0" rpy="0 1.5707963 0"/>
@@ -65,14 +65,14 @@ def elbow(tmp_path_factory: pytest.TempPathFactory) -> bp.Robot:
     return bp.load_robot(file, tip="tip")
 
 
-HALF_WIDTH = 0.04  # of planar4's links: boxes that end at the tip
+HALF_WIDTH = 0.04  # of planar4's links, boxes that end at the tip
 
 
 # --- through an obstacle, along a wall, by one elbow, beyond a limit ----------------------
 
 
-def test_through_the_middle_of_an_obstacle(around_a_ball: bp.Plan) -> None:
-    """The tip can follow up to the clearance where the last link points at the ball, a little less where it slants."""
+def test_a_path_through_an_obstacle_is_left_and_rejoined_at_the_clearance(around_a_ball: bp.Plan) -> None:
+    """The tip can follow up to the clearance if the last link points at the ball, a little less if it slants."""
     around = around_a_ball
     assert around.verified, around.message
     assert len(around.certificate.detours) == around.metrics.detour.count == 1
@@ -81,7 +81,7 @@ def test_through_the_middle_of_an_obstacle(around_a_ball: bp.Plan) -> None:
     assert 1.0 - near - HALF_WIDTH - 0.02 < span(detour)[0] < 1.0 - near + 1e-3
     assert 1.0 + near - 1e-3 < span(detour)[1] < 1.0 + near + HALF_WIDTH + 0.02
     assert detour.obstacle == "ball"
-    # beside the ball's middle the tip has to be at least as far from the path as from the ball
+    # beside the ball's middle the tip must be at least as far from the path as from the ball
     assert near - 1e-3 < around.metrics.detour.max_deviation < 2.5 * near
     assert around.metrics.detour.length > np.pi * near * 0.9
     assert np.min(np.linalg.norm(around.tip_path() - [2.0, 0.0, 0.0], axis=1)) > near
@@ -89,7 +89,7 @@ def test_through_the_middle_of_an_obstacle(around_a_ball: bp.Plan) -> None:
 
 
 @pytest.mark.long
-def test_where_detours_are_not_allowed_none_is_looked_for_and_the_same_is_said(
+def test_without_detours_the_same_stretch_is_reported_and_no_detour_is_searched(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*args: object, **keys: object) -> None:
@@ -107,8 +107,8 @@ def test_where_detours_are_not_allowed_none_is_looked_for_and_the_same_is_said(
     assert found.metrics.detour.max_deviation == 0.0
 
 
-def test_how_far_a_waypoint_that_is_left_out_stays_from_the_tip_is_told(planar4: bp.Robot) -> None:
-    """A spike of 0.5 m to the side, to and fro, into a ball: the way past its foot is on the path all along."""
+def test_the_distance_of_the_tip_to_a_waypoint_left_out_is_reported(planar4: bp.Robot) -> None:
+    """A spike of 0.5 m to the side and back, into a ball: the detour past its foot is on the path all along."""
     spike = [[2.0, -0.6, 0.0], [2.0, 0.0, 0.0], [2.5, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.6, 0.0]]
     found = bp.plan(planar4, site(spike, [ball(2.5, 0.0, 0.2)]), effort="quick")
     assert found.verified, found.message
@@ -123,7 +123,7 @@ def beside_a_wall(gap: float) -> bp.Scene:
     return site([[1.4, -0.5, 0.0], [1.4, 0.5, 0.0]], [wall], detour=False)
 
 
-def test_along_a_wall_at_exactly_the_clearance(elbow: bp.Robot) -> None:
+def test_a_path_along_a_wall_at_exactly_the_clearance_is_verified(elbow: bp.Robot) -> None:
     found = bp.plan(elbow, beside_a_wall(CLEARANCE), effort="quick")
     assert found.verified
     assert found.certificate.detours == ()
@@ -141,8 +141,8 @@ def test_a_millimetre_nearer_the_wall_is_a_collision(elbow: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_gap_that_only_one_elbow_position_passes(elbow: bp.Robot, side: float) -> None:
-    """With the tip at (1.25, 0) the elbows are at (0.625, +-0.781); a ball stands at one of them."""
+def test_a_gap_is_passed_with_the_only_possible_elbow(elbow: bp.Robot, side: float) -> None:
+    """With the tip at (1.25, 0) the elbows are at (0.625, +-0.781); a ball is at one of them."""
     found = bp.plan(
         elbow, site([[0.8, 0.0, 0.0], [1.7, 0.0, 0.0]], [ball(0.625, side * 0.781, 0.1)], detour=False), effort="quick"
     )
@@ -150,10 +150,10 @@ def test_a_gap_that_only_one_elbow_position_passes(elbow: bp.Robot, side: float)
     assert np.all(side * found.trajectory.q[:, 1] > 0.1)
 
 
-def test_with_balls_at_both_elbows_nothing_passes(elbow: bp.Robot) -> None:
+def test_with_balls_at_both_elbows_the_blocked_stretch_is_reported(elbow: bp.Robot) -> None:
     balls = [ball(0.625, 0.781, 0.1), ball(0.625, -0.781, 0.1) | {"name": "other ball"}]
     found = bp.plan(elbow, site([[0.8, 0.0, 0.0], [1.7, 0.0, 0.0]], balls, detour=False), effort="quick")
-    # where the middle line of a link is nearer to the ball than radius, clearance and half its thickness
+    # the axis of a link is nearer to the ball than radius, clearance and half its thickness
     reach = np.linspace(0.8, 1.7, 901)
     near = np.array([off_links(x, np.array([0.625, 0.781])) < 0.1 + CLEARANCE + 0.02 for x in reach])
     assert found.reason == "blocked"
@@ -172,8 +172,8 @@ def off_links(x: float, point: np.ndarray[Any, np.dtype[np.float64]]) -> float:
     return found
 
 
-def test_past_the_swing_limit(backhoe: bp.Robot) -> None:
-    """Swing ends at 90 degrees: a point to the left of and behind that is out of reach by a known distance."""
+def test_a_waypoint_past_the_swing_limit_is_reported_with_the_joint_and_its_distance(backhoe: bp.Robot) -> None:
+    """Swing ends at 90 degrees: a point beyond that is out of reach by a known distance."""
     limit = backhoe.limits.upper[0]
     points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.0] for a in (limit - 0.4, limit - 0.1, limit + 0.25)]
     found = bp.plan(backhoe, site(points), effort="quick")
@@ -186,7 +186,7 @@ def test_past_the_swing_limit(backhoe: bp.Robot) -> None:
     assert nearest(found).position_error == pytest.approx((np.array(points[2]) - axis) @ outward, rel=0.02)
 
 
-def test_an_obstacle_at_the_end_of_the_path(planar4: bp.Robot) -> None:
+def test_an_obstacle_at_the_end_of_a_path_blocks_it_up_to_the_end(planar4: bp.Robot) -> None:
     found = bp.plan(planar4, site(LINE, [ball(2.0, 1.0, 0.2)]), effort="quick")
     near = 0.2 + CLEARANCE
     assert found.reason == "blocked"
@@ -195,7 +195,7 @@ def test_an_obstacle_at_the_end_of_the_path(planar4: bp.Robot) -> None:
     assert obstruction(found).obstacle == "ball"
 
 
-def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
+def test_the_start_may_be_off_the_path(backhoe: bp.Robot) -> None:
     scene = bp.scene_from_dict(
         {
             "version": 1,
@@ -209,7 +209,7 @@ def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
 
 
 @pytest.mark.long
-def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
+def test_a_path_to_and_fro_over_its_own_beginning_is_followed(planar4: bp.Robot) -> None:
     points = [[2.0, -0.1, 0.0], [2.0, 0.1, 0.0]] * 4
     found = bp.plan(planar4, site(points), effort="quick")
     assert found.verified
@@ -221,8 +221,8 @@ def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("index", [0, 4])
-def test_seven_joints_follow_full_poses_among_boxes(index: int) -> None:
-    """At most 1 mm and 0.1 degrees off between the waypoints too, without a jump."""
+def test_a_seven_joint_arm_follows_full_poses_among_boxes(index: int) -> None:
+    """At most 1 mm and 0.1 degrees off, between the waypoints too, without a jump."""
     robot = load_machine("panda")
     place = random_site(robot, SiteKey("panda", "cluttered", "path", index))
     found = bp.plan(robot, place.scene, effort="quick")
@@ -251,7 +251,9 @@ def test_seven_joints_follow_full_poses_among_boxes(index: int) -> None:
     ("name", "full", "expected"),
     [("backhoe", False, 1), ("planar4", False, 2), ("panda", True, 1), ("panda", False, 4), ("ur5", True, 0)],
 )
-def test_redundancy(name: str, full: bool, expected: int, request: pytest.FixtureRequest) -> None:
+def test_redundancy_is_the_dimension_of_the_null_space(
+    name: str, full: bool, expected: int, request: pytest.FixtureRequest
+) -> None:
     robot: bp.Robot = request.getfixturevalue(name)
     at = bp.Kinematics(robot).at(robot.middle)
     target = TipTarget(at.tip_position.copy(), rotation=at.tip_rotation.copy() if full else None)
@@ -263,7 +265,7 @@ def test_redundancy(name: str, full: bool, expected: int, request: pytest.Fixtur
     [("backhoe", ""), ("panda", "rotation"), pytest.param("telescope", "pitch", marks=pytest.mark.long)],
 )
 def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
-    """Whatever the inverse kinematics finds from anywhere has a node within two grid steps."""
+    """Every solution of the inverse kinematics, from random guesses, has a node within two grid steps."""
     robot = load_machine(name)
     rng = np.random.default_rng(3)
     grid = np.radians(5.0)
@@ -275,7 +277,7 @@ def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
             pitch=(at.pitch, at.pitch) if asked == "pitch" else None,
             rotation=at.tip_rotation.copy() if asked == "rotation" else None,
         )
-        # the layers are completed from neighbour to neighbour: here all at one place
+        # layers are completed from neighbour to neighbour; here all have one target
         nodes = PathLayers(robot, grid=grid).at(np.linspace(0.0, 2.0, 6), [target] * 6)[-1]
         guesses = np.array([robot.random_q(rng) for _ in range(200)])
         q, reached = solve_batch(BatchKinematics(robot), TargetBatch.of([target] * 200), guesses)
@@ -288,8 +290,8 @@ def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     ("machine", "index", "seed"),
     [("telescope", 7, 99131), pytest.param("panda", 8, 98911, marks=pytest.mark.long)],
 )
-def test_a_path_to_which_a_way_is_known_is_not_called_blocked(machine: str, index: int, seed: int) -> None:
-    """One needs postures far from those of the usual guesses, the other a curve of self-motion beside another."""
+def test_a_path_with_a_known_motion_is_not_reported_as_blocked(machine: str, index: int, seed: int) -> None:
+    """One needs configurations far from the usual guesses, the other a curve of self-motion close to another."""
     robot = load_machine(machine)
     site = random_site(robot, SiteKey(machine, "narrow", "path", index, seed))
     assert site.way_known
@@ -298,7 +300,7 @@ def test_a_path_to_which_a_way_is_known_is_not_called_blocked(machine: str, inde
     assert refutations(plan) == []
 
 
-def test_a_pitch_that_is_given_at_one_end_alone_is_free_from_there_on(backhoe: bp.Robot) -> None:
+def test_nodes_fill_a_range_of_pitch_that_opens_along_the_path(backhoe: bp.Robot) -> None:
     targets = [TipTarget(np.array([4.0, 0.1 * k, 0.0]), pitch=(-2.0, -2.0 + 0.2 * k)) for k in range(5)]
     layers = PathLayers(backhoe, grid=0.1).at(np.linspace(0.0, 0.4, 5), targets)
     kinematics = bp.Kinematics(backhoe)
@@ -323,7 +325,7 @@ def test_nodes_are_on_the_path(backhoe: bp.Robot) -> None:
 
 
 def resolved_with_two_layers(elbow: bp.Robot, **keys: Any) -> tuple[Problem, Resolution]:
-    """A line 1.5 m ahead, on which the shoulder turns by more than one step may: 0.76 rad."""
+    """A line 1.5 m ahead on which the shoulder turns by 0.76 rad, more than one step may."""
     problem = build_problem(elbow, site([[1.5, y, 0.0] for y in (-0.6, -0.2, 0.2, 0.6)], **keys))
     assert problem.path is not None
     proximity = bp.Proximity(elbow, problem.obstacles)
@@ -347,7 +349,7 @@ def test_a_gap_between_two_layers_is_split(elbow: bp.Robot, keys: dict[str, floa
     assert np.max(np.abs(np.diff(stretch.q, axis=0))) < 0.1
 
 
-def test_where_splitting_does_not_help_the_least_step_is_said(elbow: bp.Robot) -> None:
+def test_a_step_that_splitting_cannot_shorten_is_reported(elbow: bp.Robot) -> None:
     """From y = 0.2 to 0.6 the shoulder turns by more than 0.2 rad at waypoints 0.4 m apart, 1.5 m ahead."""
     _, resolved = resolved_with_two_layers(elbow, max_joint_step=0.2)
     assert resolved.obstruction is not None
@@ -359,7 +361,7 @@ def test_where_splitting_does_not_help_the_least_step_is_said(elbow: bp.Robot) -
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed: int) -> None:
+def test_smoothing_lowers_the_cost_and_stays_on_the_path(backhoe: bp.Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     begin = np.array([rng.uniform(3.0, 4.5), rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0)])
     end = begin + np.array([rng.uniform(-1.0, 0.5), rng.uniform(-1.0, 1.0), rng.uniform(-0.5, 0.5)])
@@ -387,11 +389,11 @@ def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed
         assert np.all(proximity.distances(joints) >= proximity.clearance - 1e-4)
 
 
-# --- the same again -----------------------------------------------------------------------
+# --- repeatability ------------------------------------------------------------------------
 
 
 @pytest.mark.long
-def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.Plan) -> None:
+def test_the_same_seed_gives_the_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.Plan) -> None:
     again = bp.plan(planar4, around_a_ball.scene, effort="quick")
     assert again.verified
     np.testing.assert_array_equal(again.trajectory.q, around_a_ball.trajectory.q)
@@ -400,8 +402,8 @@ def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot, around_a_ball: bp.
 
 
 @pytest.mark.long
-def test_routes_of_short_steps_are_tried_where_the_cheapest_cross_between_curves_of_self_motion() -> None:
-    """The site comes from a motion that follows the path. The 40 cheapest routes all cross where none can."""
+def test_routes_of_short_steps_are_tried_if_the_cheapest_cross_between_self_motions() -> None:
+    """The site comes from a motion that follows the path. The 40 cheapest routes all cross where no motion can."""
     robot = load_machine("panda")
     site = random_site(robot, SiteKey("panda", "terrain", "path", 0, 6400))
     plan = bp.plan(robot, site.scene, effort="quick")
@@ -409,10 +411,10 @@ def test_routes_of_short_steps_are_tried_where_the_cheapest_cross_between_curves
 
 
 @pytest.mark.long
-def test_the_law_follows_a_path_once_for_the_plan_and_what_stands_beside_it(
+def test_the_law_follows_a_path_once_for_the_plan_and_its_comparison(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The plan's figures are those of a law that is followed anew from where the plan begins."""
+    """The plan's figures equal those of a law that follows the path anew from the plan's beginning."""
     site = random_site(backhoe, SiteKey("backhoe", "open", "path", 1, 77))
     with monkeypatch.context() as patch:
         patch.setattr(comparison, "resolve_along", None)  # not called
@@ -424,8 +426,8 @@ def test_the_law_follows_a_path_once_for_the_plan_and_what_stands_beside_it(
     assert anew.figures.law is not None
 
 
-def test_configurations_are_followed_closely_where_steps_are_bounded(planar4: bp.Robot) -> None:
-    """All that lead on to the next point by less than half of the longest step have one as near to them there."""
+def test_with_bounded_steps_every_configuration_has_a_near_one_in_the_next_layer(planar4: bp.Robot) -> None:
+    """All that reach the next point within half of the longest step have a node as near there."""
     longest = 0.12
     targets = [TipTarget(np.array([2.5, y, 0.0])) for y in (0.0, 0.02, 0.04)]
     layers = PathLayers(planar4, grid=0.1, longest=longest).at(np.array([0.0, 0.02, 0.04]), targets)

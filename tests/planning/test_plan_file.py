@@ -1,4 +1,4 @@
-"""The plan file and the exports: whole or not at all, and nothing in them is believed."""
+"""The plan file and the exports: written whole or not at all, and checked anew when read."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def saved(plan: bp.Plan, folder: Path) -> tuple[Path, Data]:
     return file, content
 
 
-def test_figures_and_bound_that_were_changed_in_the_file_are_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
+def test_changed_figures_and_bounds_in_a_file_are_computed_anew(solved: bp.Plan, tmp_path: Path) -> None:
     file, content = saved(solved, tmp_path)
     content["metrics"] |= {"duration": 0.1, "tip_length": 99.0, "energy": {"work": 1.0}}
     content["metrics"]["cost"]["value"] = 0.1
@@ -60,13 +60,13 @@ def test_figures_and_bound_that_were_changed_in_the_file_are_not_believed(solved
     assert again.bound == solved.bound
 
 
-def test_what_a_file_says_otherwise_than_its_motion_is_told_by_its_key(solved: bp.Plan, tmp_path: Path) -> None:
+def test_figures_of_a_file_that_differ_from_its_motion_are_reported_by_key(solved: bp.Plan, tmp_path: Path) -> None:
     file, content = saved(solved, tmp_path)
     assert plan_differences(file, bp.load_plan(file)) == []
     content["certificate"]["clearances"][0]["margin"] += 0.1
     content["certificate"]["limits"]["velocity"]["ratio"] = 0.5
     content["bound"]["duration"] *= 2.0
-    content["metrics"]["planning_time"] = 77.0  # only planning can tell
+    content["metrics"]["planning_time"] = 77.0  # only planning knows it
     file.write_text(json.dumps(content), encoding="utf-8")
     told = plan_differences(file, bp.load_plan(file))
     assert [line.partition(":")[0] for line in told] == [
@@ -80,12 +80,12 @@ def test_what_a_file_says_otherwise_than_its_motion_is_told_by_its_key(solved: b
     assert re.fullmatch(r"and \d+ figures more", told[-1])
 
 
-def test_a_plan_is_shown_in_a_line(solved: bp.Plan) -> None:
+def test_repr_shows_a_plan_in_a_line(solved: bp.Plan) -> None:
     shown = rf"<Plan verified, {solved.trajectory.duration:.2f} s, margin \+\d\.\d{{3}} m between \w+ and [\w ()]+>"
     assert re.fullmatch(shown, repr(solved))
 
 
-def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
+def test_a_plan_is_the_same_after_saving_and_loading(solved: bp.Plan, tmp_path: Path) -> None:
     file, _ = saved(solved, tmp_path)
     again = bp.load_plan(file)
     assert again.verified
@@ -104,9 +104,9 @@ def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     assert other.read_bytes() == file.read_bytes()
 
 
-def test_the_objective_has_its_value_and_unit(solved: bp.Plan, tmp_path: Path) -> None:
+def test_the_file_holds_the_objective_with_its_value_and_unit(solved: bp.Plan, tmp_path: Path) -> None:
     _, content = saved(solved, tmp_path)
-    assert solved.scene.objective is None  # to a goal that is the time
+    assert solved.scene.objective is None  # to a goal, the default is time
     assert content["metrics"]["cost"] == {"objective": "time", "value": solved.trajectory.duration, "unit": "s"}
     scene = bp.scene_from_dict(solved.scene.to_dict() | {"objective": "velocity_norm"})
     cost = bp.plan(solved.robot, scene, effort="quick").metrics.cost
@@ -114,7 +114,7 @@ def test_the_objective_has_its_value_and_unit(solved: bp.Plan, tmp_path: Path) -
     assert (cost.objective, cost.unit) == ("velocity_norm", "rad^2/s")
 
 
-def test_an_older_file_does_not_say_its_effort(solved: bp.Plan, tmp_path: Path) -> None:
+def test_a_file_without_an_effort_is_read(solved: bp.Plan, tmp_path: Path) -> None:
     file, content = saved(solved, tmp_path)
     assert content.pop("effort") == "normal"
     file.write_text(json.dumps(content), encoding="utf-8")
@@ -123,11 +123,11 @@ def test_an_older_file_does_not_say_its_effort(solved: bp.Plan, tmp_path: Path) 
     assert (again.effort, again.settings) == (None, "method auto, seed 0")
 
 
-def test_the_efforts_of_the_file_are_those_of_the_planner() -> None:
+def test_the_file_allows_the_efforts_of_the_planner() -> None:
     assert get_args(EffortName) == tuple(EFFORTS)
 
 
-def test_layout_is_the_contracts(solved: bp.Plan, tmp_path: Path) -> None:
+def test_the_file_has_the_keys_of_the_contract(solved: bp.Plan, tmp_path: Path) -> None:
     _, content = saved(solved, tmp_path)
     assert (content["format"], content["version"], content["verdict"]) == ("backhoe-planner/plan", 1, "verified")
     assert content["robot"]["joints"] == ["joint1", "joint2", "joint3", "joint4"]
@@ -187,14 +187,14 @@ def test_a_damaged_file_names_the_key(
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": 1}'])
-def test_what_is_no_plan_file(tmp_path: Path, text: str) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "plan.json"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(bp.PlanFileError, match="is not a plan file" if text else "the file is empty; allowed: a plan"):
         bp.load_plan(file)
 
 
-def test_a_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(bp.PlanFileError, match="no such plan file"):
         bp.load_plan(tmp_path / "none.json")
 
@@ -211,14 +211,13 @@ def test_a_changed_urdf_is_noticed(solved: bp.Plan, tmp_path: Path) -> None:
     assert caught.value.key == "robot.sha256"
 
 
-def test_a_shipped_model_is_found_wherever_the_plan_is_taken(solved: bp.Plan, tmp_path: Path) -> None:
-    """It was given by its path."""
+def test_a_shipped_model_is_saved_by_its_name(solved: bp.Plan, tmp_path: Path) -> None:
     file, content = saved(solved, tmp_path)
     assert content["robot"]["urdf"] == "example:planar4"
     assert bp.load_plan(file).verified
 
 
-def test_a_plan_that_was_copied_without_its_urdf_says_how_to_name_it(tmp_path: Path) -> None:
+def test_a_plan_copied_without_its_urdf_reports_how_to_name_it(tmp_path: Path) -> None:
     site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
     site.mkdir()
     elsewhere.mkdir()
@@ -234,7 +233,7 @@ def test_a_plan_that_was_copied_without_its_urdf_says_how_to_name_it(tmp_path: P
     assert bp.load_plan(elsewhere / file.name, urdf=urdf).verified
 
 
-def test_a_file_with_the_contracts_keys_alone_is_a_plan(solved: bp.Plan, tmp_path: Path) -> None:
+def test_a_file_with_only_the_keys_of_the_contract_is_a_plan(solved: bp.Plan, tmp_path: Path) -> None:
     file, content = saved(solved, tmp_path)
     kept = {"format", "version", "verdict", "reason", "message", "robot", "scene", "method", "seed", "trajectory"}
     least = {key: value for key, value in content.items() if key in kept}
@@ -252,8 +251,8 @@ def test_a_file_with_the_contracts_keys_alone_is_a_plan(solved: bp.Plan, tmp_pat
     assert again.certificate == solved.certificate
 
 
-def test_a_file_as_it_was_written_before_the_findings(solved: bp.Plan, tmp_path: Path) -> None:
-    """`details` held numbers of all kinds; the law that breaks a limit was a sentence."""
+def test_an_older_file_with_details_instead_of_findings_is_read(solved: bp.Plan, tmp_path: Path) -> None:
+    """`details` held figures of all kinds; the limit that the law breaks was a sentence."""
     file, content = saved(solved, tmp_path)
     del content["findings"]
     content["details"] = {"recorded": {"dt": 0.001, "notes": ["a"]}, "zones": [], "anything": {"else": 1}}
@@ -274,8 +273,8 @@ def test_a_file_as_it_was_written_before_the_findings(solved: bp.Plan, tmp_path:
 # --- the verdict --------------------------------------------------------------------
 
 
-def test_the_certificate_alone_says_verified(solved: bp.Plan, tmp_path: Path) -> None:
-    """Time ran out, and what was found by then is proven: a verified plan, that says what happened."""
+def test_the_certificate_alone_decides_that_a_plan_is_verified(solved: bp.Plan, tmp_path: Path) -> None:
+    """Time ran out, and the motion found by then is proven: a verified plan with a message."""
     late = replace(solved, failure="budget", note="time ran out")
     assert (late.verdict, late.reason, late.message) == ("verified", "", "time ran out")
     file, content = saved(late, tmp_path)
@@ -283,7 +282,7 @@ def test_the_certificate_alone_says_verified(solved: bp.Plan, tmp_path: Path) ->
     assert bp.load_plan(file).message == "time ran out"
 
 
-def test_without_a_certificate_that_holds_nothing_is_verified(solved: bp.Plan, tmp_path: Path) -> None:
+def test_a_plan_whose_certificate_fails_is_not_verified(solved: bp.Plan, tmp_path: Path) -> None:
     tightest = Obstruction("obstacle", "ball", "link1", distance=0.01, margin=-0.04)
     broken = replace(solved.certificate, clearances=(tightest,), problems=("link1 comes too near", "and so on"))
     silent = replace(solved, certificate=broken)
@@ -294,8 +293,8 @@ def test_without_a_certificate_that_holds_nothing_is_verified(solved: bp.Plan, t
     assert (late.verdict, late.reason, late.message) == ("failed", "budget", "time ran out")
 
 
-def test_where_nothing_is_in_the_way_of_a_motion_that_ends_elsewhere_it_is_not_blocked(solved: bp.Plan) -> None:
-    """The same motion, half a metre short of another goal: no clearance and no limit is touched."""
+def test_a_clear_motion_that_ends_off_the_goal_is_not_done_rather_than_blocked(solved: bp.Plan) -> None:
+    """The same motion ends half a metre short of another goal, within all clearances and limits."""
     task = {"goal": {"position": [2.6, 2.9, 0.0]}}
     elsewhere = bp.scene_from_dict(solved.scene.to_dict() | {"task": task})
     short = replace(solved, certificate=bp.certify(solved.robot, elsewhere, solved.trajectory))
@@ -303,8 +302,8 @@ def test_where_nothing_is_in_the_way_of_a_motion_that_ends_elsewhere_it_is_not_b
     assert short.message == "the tip ends 0.500 m from the goal"
 
 
-def test_a_verdict_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
-    """The ball is moved into the way in the file, which still says verified."""
+def test_the_verdict_of_a_file_is_proven_anew(solved: bp.Plan, tmp_path: Path) -> None:
+    """The ball is moved into the motion in the file, which still says verified."""
     file, content = saved(solved, tmp_path)
     content["scene"]["obstacles"][0]["position"] = [1.0, 0.5, 0.0]
     file.write_text(json.dumps(content), encoding="utf-8")
@@ -314,8 +313,8 @@ def test_a_verdict_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
     assert "ball" in again.message
 
 
-def test_an_edited_motion_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
-    """One sample in the middle leaps into the ball; the certificate in the file is left as it was."""
+def test_an_edited_motion_is_not_verified(solved: bp.Plan, tmp_path: Path) -> None:
+    """One sample in the middle jumps into the ball; the certificate in the file is left as it was."""
     file, content = saved(solved, tmp_path)
     rows = content["trajectory"]["q"]
     rows[len(rows) // 2] = [2.356, 0.0, 0.0, 0.0]
@@ -353,7 +352,9 @@ def test_a_file_appears_only_when_it_is_complete(tmp_path: Path) -> None:
     assert file.read_text(encoding="utf-8") == "text"
 
 
-def test_places_that_cannot_be_written(solved: bp.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_places_that_cannot_be_written_are_reported(
+    solved: bp.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(bp.OutputError, match="does not exist"):
         solved.save(tmp_path / "none" / "plan.json")
     with pytest.raises(bp.OutputError, match="is a folder"):
@@ -403,9 +404,7 @@ def test_yaml_holds_a_joint_trajectory(solved: bp.Plan, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["plan.html", "plan.yaml", "plan.PNG"])
-def test_a_plan_is_not_written_under_the_name_of_another_kind_of_file(
-    solved: bp.Plan, tmp_path: Path, name: str
-) -> None:
+def test_a_plan_is_not_written_to_a_file_name_of_another_kind(solved: bp.Plan, tmp_path: Path, name: str) -> None:
     with pytest.raises(bp.OutputError, match=r"another kind of file than JSON; found \..*allowed: \.json"):
         solved.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
@@ -414,13 +413,13 @@ def test_a_plan_is_not_written_under_the_name_of_another_kind_of_file(
 
 
 @pytest.mark.parametrize("name", ["motion.txt", "motion"])
-def test_an_unknown_ending(solved: bp.Plan, tmp_path: Path, name: str) -> None:
+def test_an_unknown_export_suffix_is_reported_with_those_allowed(solved: bp.Plan, tmp_path: Path, name: str) -> None:
     with pytest.raises(bp.OutputError, match=r"\.csv, \.npz, \.yaml"):
         export_plan(solved, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_plan_with_held_joints_is_read_with_them(planar4: bp.Robot, tmp_path: Path) -> None:
+def test_a_plan_with_held_joints_is_read_with_the_same_joints(planar4: bp.Robot, tmp_path: Path) -> None:
     scene = bp.scene_from_dict(
         {
             "version": 1,

@@ -1,4 +1,4 @@
-"""The planner: every ending is a plan, and what it calls verified is."""
+"""The planner: every outcome is a plan, and a plan called verified is."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
     return plan.tip_path()
 
 
-# --- what succeeds ----------------------------------------------------------------
+# --- successes --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
 def test_every_scene_of_the_project_is_solved(
     name: str, machine: str, refine: int, request: pytest.FixtureRequest
 ) -> None:
-    """And a check of distances that shares no code with the planner finds nothing against it."""
+    """A check of distances that shares no code with the planner does not refute the plan."""
     scene = bp.load_scene(SCENES / f"{name}.yaml")
     assert scene.tip is None
     robot: bp.Robot = request.getfixturevalue(machine)
@@ -110,13 +110,13 @@ def test_a_path_with_nothing_in_the_way_is_followed_exactly(planar4: bp.Robot) -
     assert np.all(np.diff(at[:, 1]) > -1e-6)
     np.testing.assert_allclose(at[[0, -1], 1], [-1.0, 1.0], atol=1e-4)
     assert plan.certificate.detours == ()
-    # the asked speed is kept, and used: 2 m at 0.4 m/s and the time to gather way
+    # the requested speed is kept and used: 2 m at 0.4 m/s plus the time to accelerate
     speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(plan.trajectory.time)
     assert np.max(speed) <= 0.4 * 1.01
     assert 5.0 <= plan.trajectory.duration < 8.0
 
 
-def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
+def test_the_requested_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
     points = [{"position": [4.2, 0.3, -0.2], "pitch": -1.5}, {"position": [3.2, 0.3, -0.5], "pitch": -1.9}]
     plan = bp.plan(
         backhoe,
@@ -131,7 +131,7 @@ def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
         assert at.pitch == pytest.approx(asked, abs=0.01)
 
 
-def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Robot) -> None:
+def test_without_detours_the_blocked_stretch_is_named(planar4: bp.Robot) -> None:
     scene = site(path(speed=0.4, detour=False), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
     plan = bp.plan(planar4, scene, effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
@@ -143,7 +143,7 @@ def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Rob
     assert plan.certificate.safe
 
 
-def test_an_obstacle_in_the_way_is_not_mistaken_for_a_joint_limit(planar4: bp.Robot) -> None:
+def test_an_obstacle_in_the_way_is_not_reported_as_a_joint_limit(planar4: bp.Robot) -> None:
     """The law stops some centimetres before the ball, and no joint is near its limit."""
     line = [[3.0, -0.5, 0.0], [3.0, 0.5, 0.0]]
     scene = site(path(line, speed=0.4, detour=False), start=None, obstacles=[ball(3.0, 0.0, 0.1)])
@@ -159,11 +159,11 @@ def test_the_start_may_be_given_by_the_tip(planar4: bp.Robot) -> None:
     np.testing.assert_allclose(tips(plan)[-1], [2.0, -1.0, 0.0], atol=1e-3)
 
 
-# --- what fails, and why ----------------------------------------------------------
+# --- failures ---------------------------------------------------------------------
 
 
-def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
-    """4 m of arm, a goal at 5 m in the direction (3, 4): the nearest is 4 m along it."""
+def test_a_goal_out_of_reach_is_reported_with_the_nearest_pose(planar4: bp.Robot) -> None:
+    """The arm is 4 m long, the goal at 5 m in the direction (3, 4): the nearest point is 4 m along it."""
     plan = bp.plan(planar4, site(goal(3.0, 4.0)), effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "unreachable")
     assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-5)
@@ -173,8 +173,8 @@ def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
     assert len(plan.trajectory) == 1
 
 
-def test_where_only_the_pitch_is_out_of_reach_those_that_are_not_are_told(backhoe: bp.Robot) -> None:
-    """The tip is there with boom + stick + bucket = -2.1 rad; further out than the arm is long no pitch will do."""
+def test_a_pitch_out_of_reach_is_reported_with_the_pitches_in_reach(backhoe: bp.Robot) -> None:
+    """The tip is there at a pitch of boom + stick + bucket = -2.1 rad; beyond the arm's length no pitch will do."""
     posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
     at = bp.Kinematics(backhoe).at(np.array(list(posture.values()))).tip_position.tolist()
     messages = []
@@ -191,7 +191,7 @@ def test_where_only_the_pitch_is_out_of_reach_those_that_are_not_are_told(backho
     assert "by itself" not in messages[1]
 
 
-def test_a_path_that_begins_out_of_reach(planar4: bp.Robot) -> None:
+def test_a_path_that_begins_out_of_reach_is_reported_with_its_beginning(planar4: bp.Robot) -> None:
     plan = bp.plan(planar4, site(path([[5.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), start=None), effort="quick")
     assert plan.reason == "unreachable"
     assert "beginning of the path" in plan.message
@@ -206,14 +206,12 @@ def test_a_path_that_begins_out_of_reach(planar4: bp.Robot) -> None:
         (np.arange(-3.1, 3.2, 0.2).tolist(), [(-np.pi, np.pi)]),
     ],
 )
-def test_angles_that_lie_together_are_told_from_where_to_where(
-    angles: list[float], spans: list[tuple[float, float]]
-) -> None:
+def test_neighbouring_angles_are_described_by_ranges(angles: list[float], spans: list[tuple[float, float]]) -> None:
     np.testing.assert_allclose(_spans(angles), spans, atol=1e-12)
 
 
-def test_what_never_gets_away_from_the_ground_is_told_with_the_links_that_could(backhoe: bp.Robot) -> None:
-    """The post swings on its spot; the bucket, in the same place, could be lifted."""
+def test_a_link_that_cannot_leave_an_obstacle_is_reported_with_the_links_that_can(backhoe: bp.Robot) -> None:
+    """The swing post only turns on the spot; the bucket in a slab could be lifted."""
     posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
     task = {"goal": {"joints": posture | {"swing": 0.5}}}
     messages = []
@@ -228,8 +226,8 @@ def test_what_never_gets_away_from_the_ground_is_told_with_the_links_that_could(
     assert "alone moves" not in messages[1]
 
 
-def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
-    """The ball's centre is 0.1 m beside link 3's middle: 0.06 m outside it, 0.14 m of the radius inside."""
+def test_a_start_in_collision_is_reported_with_its_depth(planar4: bp.Robot) -> None:
+    """The ball's centre is 0.1 m from the axis of link 3: 0.06 m outside, so 0.14 m of the radius are inside."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]), effort="quick")
     assert plan.reason == "start_in_collision"
     assert (obstruction(plan).link, obstruction(plan).obstacle) == ("link3", "ball")
@@ -238,10 +236,10 @@ def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
     np.testing.assert_array_equal(plan.trajectory.q, [[0.0, 0.0, 0.0, 0.0]])
 
 
-def test_a_start_in_collision_is_told_with_the_least_move_of_one_joint(planar4: bp.Robot) -> None:
-    """The link's axis keeps 0.263 m from the ball's centre: radius, half of the link, clearance, and 3 mm to plan with.
+def test_a_start_in_collision_is_reported_with_the_least_move_of_one_joint(planar4: bp.Robot) -> None:
+    """The link's axis must be 0.263 m from the ball's centre: radius, half of the link, clearance and 3 mm to spare.
 
-    Seen from joint1 the centre lies atan(0.1 / 2.5) = 0.040 rad to the left and 2.502 m away, so that joint1 turns to
+    Seen from joint1 the centre is atan(0.1 / 2.5) = 0.040 rad to the left and 2.502 m away, so that joint1 turns to
     0.040 - asin(0.263 / 2.502) = -0.065 rad; from joint2, 1 m further, it would have to be -0.109 rad.
     """
     task, obstacles = goal(2.0, 2.0), [ball(2.5, 0.1, 0.2)]
@@ -251,8 +249,8 @@ def test_a_start_in_collision_is_told_with_the_least_move_of_one_joint(planar4: 
     assert bp.plan(planar4, site(task, start=moved, obstacles=obstacles), effort="quick").verified
 
 
-def test_a_start_that_no_single_joint_clears_is_told_without_a_move(planar4: bp.Robot) -> None:
-    """A ring of radius 1.5 m, 0.4 m thick, crosses link 2: its end stays 2 cos(0.75) = 1.46 m or more from joint1."""
+def test_a_start_that_no_single_joint_clears_is_reported_without_a_move(planar4: bp.Robot) -> None:
+    """A ring of radius 1.5 m, 0.4 m thick, crosses link 2, whose end is 2 cos(0.75) = 1.46 m or more from joint1."""
     angles = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
     around = [ball(1.5 * np.cos(a), 1.5 * np.sin(a), 0.2) | {"name": f"ball {i}"} for i, a in enumerate(angles)]
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=around), effort="quick")
@@ -260,15 +258,15 @@ def test_a_start_that_no_single_joint_clears_is_told_without_a_move(planar4: bp.
     assert "instead of" not in plan.message
 
 
-def test_start_closer_than_allowed(planar4: bp.Robot) -> None:
+def test_a_start_closer_than_the_clearance_is_reported(planar4: bp.Robot) -> None:
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.25, 0.2)]), effort="quick")
     assert plan.reason == "start_in_collision"
     assert obstruction(plan).distance == pytest.approx(0.01, abs=1e-9)
     assert "0.010 m closer than allowed" in plan.message
 
 
-def test_goal_in_collision(planar4: bp.Robot) -> None:
-    """Every posture has the middle of link 4's end face at the goal, 0.1 m inside the ball's surface."""
+def test_a_goal_in_collision_names_the_obstacle_and_the_link(planar4: bp.Robot) -> None:
+    """Every configuration has the middle of link 4's end face at the goal, 0.1 m inside the ball's surface."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.0, 2.1, 0.2)]), effort="quick")
     assert plan.reason == "goal_in_collision"
     assert obstruction(plan).obstacle == "ball"
@@ -276,7 +274,7 @@ def test_goal_in_collision(planar4: bp.Robot) -> None:
     assert -obstruction(plan).distance >= 0.1 - 1e-6
 
 
-def test_start_outside_the_limits(planar4: bp.Robot) -> None:
+def test_a_start_outside_the_limits_names_the_joint(planar4: bp.Robot) -> None:
     start = {"joints": STRETCHED["joints"] | {"joint2": 4.0}}
     plan = bp.plan(planar4, site(goal(2.0, 2.0), start=start), effort="quick")
     assert plan.reason == "outside_limits"
@@ -289,7 +287,7 @@ def test_start_outside_the_limits(planar4: bp.Robot) -> None:
 
 
 def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
-    """Link 1 cannot pass two walls that leave a slit of 1.4 m for the base to stand in."""
+    """Link 1 cannot pass two walls that leave a slit of 1.4 m around the base."""
     walls = [
         {"name": f"wall {side}", "shape": "box", "size": [0.1, 7.0, 0.5], "position": [0.0, side * 4.2, 0.0]}
         for side in (-1.0, 1.0)
@@ -302,7 +300,7 @@ def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
     assert not plan.certificate.verified
 
 
-def test_without_time_there_is_still_a_plan(planar4: bp.Robot) -> None:
+def test_without_time_the_plan_holds_the_start_and_says_so(planar4: bp.Robot) -> None:
     scene = site(path(speed=0.4), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
     plan = bp.plan(planar4, scene, budget=1e-6)
     assert plan.reason == "budget"
@@ -314,7 +312,7 @@ def test_without_time_there_is_still_a_plan(planar4: bp.Robot) -> None:
 # --- arguments --------------------------------------------------------------------
 
 
-def test_the_papers_law_takes_no_path(planar4: bp.Robot) -> None:
+def test_the_method_paper_takes_no_path(planar4: bp.Robot) -> None:
     with pytest.raises(bp.InputError) as caught:
         bp.plan(planar4, site(path(), start=None), method="paper")
     assert caught.value.key == "method"
@@ -331,7 +329,7 @@ def test_the_papers_law_takes_no_path(planar4: bp.Robot) -> None:
         ({"seed": 2**64}, "seed"),
     ],
 )
-def test_bad_arguments(planar4: bp.Robot, keys: Data, key: str) -> None:
+def test_errors_in_arguments_name_the_argument(planar4: bp.Robot, keys: Data, key: str) -> None:
     with pytest.raises(bp.InputError) as caught:
         bp.plan(planar4, site(goal(2.0, 2.0)), **keys)
     assert caught.value.key == key
@@ -341,7 +339,7 @@ def test_bad_arguments(planar4: bp.Robot, keys: Data, key: str) -> None:
         assert "did you mean 'reactive'" in str(caught.value)
 
 
-def test_same_seed_same_plan(planar4: bp.Robot) -> None:
+def test_the_same_seed_gives_the_same_plan(planar4: bp.Robot) -> None:
     scene = bp.load_scene(SCENES / "paper_planar.yaml")
     first, second = (plan_to_dict(bp.plan(planar4, scene, seed=3, effort="quick")) for _ in range(2))
     for content in (first, second):
@@ -361,8 +359,8 @@ for name in {REPEATED}:
 
 
 @pytest.mark.long
-def test_the_same_plan_bit_for_bit_on_a_busy_machine() -> None:
-    """The second time in a process that is let run a third of the time, as among four others on two cores."""
+def test_a_busy_computer_gives_the_same_plan_bit_for_bit() -> None:
+    """The second process may run a third of the time only, as if among four others on two cores."""
     code = [sys.executable, "-c", SCENES_AGAIN, str(SCENES)]
     undisturbed = subprocess.run(code, stdout=subprocess.PIPE, text=True, check=True).stdout
     assert len(undisturbed.splitlines()) == len(REPEATED)
@@ -378,7 +376,7 @@ def test_the_same_plan_bit_for_bit_on_a_busy_machine() -> None:
     assert process.returncode == 0
 
 
-def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:
+def test_the_watcher_receives_the_steps_of_the_search(planar4: bp.Robot) -> None:
     seen: list[bp.PlannerStep] = []
     plan = bp.plan(planar4, bp.load_scene(SCENES / "paper_planar.yaml"), watch=seen.append)
     assert plan.verified
@@ -389,7 +387,7 @@ def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:
 
 @pytest.mark.long
 def test_a_detour_keeps_the_acceleration_limits_at_its_seams(planar4: bp.Robot) -> None:
-    """Followed piece, way round, followed piece: each from rest to rest, and together too."""
+    """Path, detour, path: each piece is from rest to rest, and limits hold over all of them."""
     scene = bp.scene_from_dict(
         {
             "version": 1,
@@ -422,8 +420,8 @@ def test_a_waypoint_out_of_reach_is_named(planar4: bp.Robot) -> None:
 @pytest.mark.parametrize(
     "obstacle", [{}, {"appears_at": 0.5}, {"velocity": [-0.1, 0.0, 0.0]}, {"shape": "none"}], ids=str
 )
-def test_a_machine_that_can_touch_nothing_is_moved(backhoe: bp.Robot, obstacle: dict[str, Any]) -> None:
-    """Only its swing moves; its own pieces stand still to each other; what there is stands far away, or later."""
+def test_a_machine_that_cannot_collide_is_planned(backhoe: bp.Robot, obstacle: dict[str, Any]) -> None:
+    """Only its swing moves, so its links are fixed to each other; any obstacle is far away or appears later."""
     ball = {"name": "far", "shape": "sphere", "radius": 0.1, "position": [9.0, 9.0, 9.0]} | obstacle
     scene = bp.scene_from_dict(
         {

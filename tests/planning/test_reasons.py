@@ -1,4 +1,4 @@
-"""Why a motion was not found, in words."""
+"""The words for why no motion was found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def scene_to(goal: Any) -> bp.Scene:
         ),
     ],
 )
-def test_a_goal_that_is_clear_by_too_little_is_not_said_to_be_free(
+def test_a_goal_with_too_little_clearance_is_reported_with_its_distance(
     backhoe: bp.Robot, margin: float, words: str
 ) -> None:
     problem = build_problem(backhoe, scene_to({"position": [4.0, 0.0, 0.8]}))
@@ -45,8 +45,8 @@ def test_a_goal_that_is_clear_by_too_little_is_not_said_to_be_free(
     assert outcome.message == words
 
 
-def test_place_and_angle_that_are_missed_are_said_of_the_tip(backhoe: bp.Robot) -> None:
-    """At the middle of its joints the tip is 3 m above a place right below it, and 0.1 rad from the angle."""
+def test_the_shortfall_of_a_goal_gives_distance_and_angle(backhoe: bp.Robot) -> None:
+    """With all joints in the middle the tip is 3 m above the goal and 0.1 rad from its pitch."""
     at = bp.Kinematics(backhoe).at(backhoe.middle)
     place = (at.tip_position - np.array([0.0, 0.0, 3.0])).tolist()
     goal = build_problem(backhoe, scene_to({"position": place, "pitch": float(at.pitch) + 0.1})).goals[0]

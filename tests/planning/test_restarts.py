@@ -1,4 +1,4 @@
-"""Further searches for a motion to a goal, each with random choices of its own."""
+"""Further searches for a motion to a goal, each with its own random choices."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.world.world import World
 
 START, END = np.full(4, 0.1), np.array([0.5, 0.1, 0.1, 0.1])
-DURATION = 4.0  # s of the first motion, which may take 5 s
-LONG = 5.0  # a cost above this counts as much longer than the joints need, where the time is the cost
+DURATION = 4.0  # s of the first motion, which is allowed 5 s
+LONG = 5.0  # with the objective time, a cost above this counts as much longer than the joints need
 
 
 def scene(robot: bp.Robot, objective: str) -> bp.Scene:
@@ -34,7 +34,7 @@ def scene(robot: bp.Robot, objective: str) -> bp.Scene:
 
 
 class Searches:
-    """Searches that find what they are told to, and remember the seeds of their worlds."""
+    """Searches that find given costs and durations, and record the seeds of their worlds."""
 
     def __init__(
         self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
@@ -90,11 +90,11 @@ def way_of(
     ("others", "best"),
     [
         ([(9.0, 4.0), (7.0, 4.5), (8.0, 4.0)], "search 3"),
-        ([(9.0, 4.0), (7.0, 5.5), (9.5, 4.0)], "search 2"),  # the cheapest takes longer than it may
+        ([(9.0, 4.0), (7.0, 5.5), (9.5, 4.0)], "search 2"),  # the cheapest takes longer than allowed
         ([(12.0, 4.0), (11.0, 4.0), (10.0, 4.0)], "search 1"),
     ],
 )
-def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
+def test_the_cheapest_motion_within_the_allowed_time_is_returned(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, others: list[tuple[float, float]], best: str
 ) -> None:
     way, searches = way_of(planar4, "work", iter([(10.0, DURATION), *others]), monkeypatch)
@@ -115,7 +115,7 @@ def test_the_cheapest_that_takes_no_longer_than_it_may_is_delivered(
         ("quick", [10.0], "search 1"),
     ],
 )
-def test_for_the_time_it_is_searched_again_where_the_best_takes_long(
+def test_for_least_time_the_search_is_repeated_if_the_best_is_long(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, effort: Any, costs: list[float], best: str
 ) -> None:
     found = iter([(cost, DURATION) for cost in costs])
@@ -129,12 +129,12 @@ def test_for_the_time_it_is_searched_again_where_the_best_takes_long(
     ("costs", "best"),
     [
         ([4.0, 3.0], "search 2"),
-        ([4.0, 4.5], "search 1"),  # the normal effort found less
+        ([4.0, 4.5], "search 1"),  # the normal effort found the cheaper one
         ([10.0, 4.0, 4.0], "search 3"),  # two searches of the normal effort
         ([10.0, 4.0, 10.0, 9.0, 9.5], "search 2"),
     ],
 )
-def test_thorough_begins_with_all_of_normal_and_never_costs_more(
+def test_thorough_begins_with_all_of_normal_and_keeps_its_best(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, costs: list[float], best: str
 ) -> None:
     found = iter([(cost, DURATION) for cost in costs])
@@ -147,8 +147,8 @@ def test_thorough_begins_with_all_of_normal_and_never_costs_more(
 
 
 @pytest.mark.long
-def test_thorough_costs_no_more_than_normal_where_its_own_searches_find_less_good_valleys(backhoe: bp.Robot) -> None:
-    """They end 0.17 % above here."""
+def test_thorough_costs_no_more_than_normal_where_its_own_searches_find_worse_minima(backhoe: bp.Robot) -> None:
+    """Here they end 0.17 % above."""
     scene = bp.scene_from_dict({
         "version": 1,
         "start": {"joints": {"swing": 1.531, "boom": -0.292, "stick": -0.654, "bucket": 0.32}},
@@ -163,7 +163,7 @@ def test_thorough_costs_no_more_than_normal_where_its_own_searches_find_less_goo
 
 
 @pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 3)])
-def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
+def test_the_normal_effort_searches_again_if_the_best_makes_a_detour(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, leads_round: bool, count: int
 ) -> None:
     found = iter([(10.0, DURATION), (9.0, 4.0), (8.0, 4.0)])
@@ -171,20 +171,20 @@ def test_the_normal_effort_searches_again_where_the_best_leads_round_something(
         planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], leads_round=leads_round
     )  # fmt: skip
     assert (way, len(searches.seeds)) == (f"search {count}", count)
-    assert searches.before == [None, searches, searches][:count]  # each goes on
+    assert searches.before == [None, searches, searches][:count]  # each continues the one before
 
 
 @pytest.mark.parametrize(
     ("rounds", "costs", "best"),
     [
-        (10, [10.0], "search 1"),  # what is found soon is found again
-        (90, [10.0, 10.2], "search 1"),  # two are alike
+        (10, [10.0], "search 1"),  # a motion found soon would be found again
+        (90, [10.0, 10.2], "search 1"),  # two costs agree
         (90, [10.0, 8.0, 8.1], "search 2"),
         (90, [10.0, 8.0, 6.0, 4.0], "search 4"),  # and no fifth
         (90, [1e-3], "search 1"),  # less than lifts all that moves by half a millimetre
     ],
 )
-def test_after_a_long_search_for_little_work_others_are_begun_anew_until_two_are_alike(
+def test_long_searches_for_least_work_are_repeated_until_two_costs_agree(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, rounds: int, costs: list[float], best: str
 ) -> None:
     found = iter([(cost, DURATION) for cost in costs])
@@ -197,8 +197,8 @@ def test_a_quick_plan_never_searches_again() -> None:
     assert (EFFORTS["quick"].restarts, EFFORTS["quick"].restarts_round) == (0, 0)
 
 
-def test_a_search_that_goes_on_knows_the_best_before_and_refines_only_what_is_better(planar4: bp.Robot) -> None:
-    """Free motions of one joint: a search that is begun anew finds no better one, and makes no finer curve."""
+def test_a_continued_search_keeps_the_best_and_refines_only_what_is_better(planar4: bp.Robot) -> None:
+    """A free motion of one joint: a continued search finds no better one, and refines no curve."""
     world = World(build_problem(planar4, scene(planar4, "work")), seed=5, work=Work(EFFORTS["normal"]))
     found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
     assert isinstance(found, GoalPostures)
@@ -217,7 +217,7 @@ def test_a_search_that_goes_on_knows_the_best_before_and_refines_only_what_is_be
 
 
 @pytest.mark.long
-def test_a_motion_that_costs_nothing_is_not_made_finer(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motion_that_costs_nothing_is_not_refined(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """A swing by 0.1 mrad beside a wall costs less than a nanojoule."""
 
     refine = MotionDescents.refine

@@ -1,4 +1,4 @@
-"""Roadmaps: what lies within reach, and different ways that are clear, the cheapest first."""
+"""Roadmaps: configurations within reach, and distinct clear paths, the cheapest first."""
 
 from __future__ import annotations
 
@@ -38,9 +38,11 @@ def price_of(problem: Problem, way: JointPath) -> float:
 
 @pytest.mark.parametrize(
     ("beyond", "within"),
-    [(0.49, True), (0.51, False)],  # 1 rad/s and 2 rad/s^2 in 3 s: 2.5 rad there and back, 1.5 of them to the end
+    [(0.49, True), (0.51, False)],  # 1 rad/s and 2 rad/s^2 in 3 s: 2.5 rad in all, 1.5 of them to the end
 )
-def test_what_a_joint_can_go_beyond_start_and_end_and_back(planar4: bp.Robot, beyond: float, within: bool) -> None:
+def test_reach_extends_beyond_start_and_end_as_far_as_time_allows(
+    planar4: bp.Robot, beyond: float, within: bool
+) -> None:
     reach = Reach(planar4.limits, STRETCHED, TURNED[None, :], 3.0)
     before, after = np.zeros(4), TURNED.copy()
     before[0], after[0] = -beyond, 1.5 + beyond
@@ -51,7 +53,7 @@ def test_what_a_joint_can_go_beyond_start_and_end_and_back(planar4: bp.Robot, be
     assert bool(lower[0] <= -beyond and 1.5 + beyond <= upper[0]) is within
 
 
-def test_configurations_are_drawn_beyond_limits_alone(planar4: bp.Robot) -> None:
+def test_ranges_of_drawing_are_widened_only_at_joint_limits(planar4: bp.Robot) -> None:
     lower, upper = planar4.limits.lower, planar4.limits.upper
     low, high = beyond_limits(planar4.limits, np.array([lower, lower + 0.1]), np.array([upper - 0.1, upper]))
     wide = upper - lower - 0.1
@@ -59,13 +61,13 @@ def test_configurations_are_drawn_beyond_limits_alone(planar4: bp.Robot) -> None
     np.testing.assert_allclose(high, [upper - 0.1, upper + 0.25 * wide], atol=1e-12)
 
 
-def test_any_of_several_ends_will_do(planar4: bp.Robot) -> None:
+def test_reach_holds_configurations_on_the_way_to_any_of_several_ends(planar4: bp.Robot) -> None:
     reach = Reach(planar4.limits, STRETCHED, np.array([TURNED, -TURNED]), 3.0)
     assert reach.holds(np.array([-0.5 * TURNED, 0.5 * TURNED, 1.5 * TURNED])).tolist() == [True, True, False]
     assert Reach(planar4.limits, STRETCHED, TURNED[None, :]).holds(np.full((1, 4), 3.0)).all()
 
 
-def test_the_ways_of_a_roadmap_are_clear_within_reach_and_the_cheapest_first(planar4: bp.Robot) -> None:
+def test_paths_of_a_roadmap_are_clear_and_within_reach_with_the_cheapest_first(planar4: bp.Robot) -> None:
     problem, proximity, ways = ways_across(planar4)
     assert len(ways) == 6
     reach = Reach(problem.limits, STRETCHED, TURNED[None, :], LONGEST)
@@ -78,7 +80,7 @@ def test_the_ways_of_a_roadmap_are_clear_within_reach_and_the_cheapest_first(pla
     assert prices == sorted(prices)
 
 
-def test_no_way_is_near_one_before_all_along(planar4: bp.Robot) -> None:
+def test_no_path_of_a_roadmap_is_near_an_earlier_one_all_along(planar4: bp.Robot) -> None:
     problem, _, ways = ways_across(planar4)
     rate = problem.limits.velocity
     for index, way in enumerate(ways):
@@ -86,31 +88,31 @@ def test_no_way_is_near_one_before_all_along(planar4: bp.Robot) -> None:
             places = np.vstack([np.linspace(a, b, 200) for a, b in itertools.pairwise(earlier.q)])
             length = float(np.sum(np.max(np.abs(np.diff(earlier.q, axis=0)) / rate, axis=1)))
             apart = [float(np.min(np.max(np.abs(places - q) / rate, axis=1))) for q in way.q]
-            assert max(apart) > 0.14 * length  # 0.15, but for the places of the earlier way that are not looked at
+            assert max(apart) > 0.14 * length  # 0.15, less the spacing of the places on the earlier path
 
 
-def test_a_way_that_is_known_is_not_given_again(planar4: bp.Robot) -> None:
+def test_a_known_path_is_not_returned_again(planar4: bp.Robot) -> None:
     problem, _, ways = ways_across(planar4, most=1)
     _, _, others = ways_across(planar4, known=(ways[0].q,), most=1)
     rate = problem.limits.velocity
     away = [float(np.min(np.max(np.abs(ways[0].q - q) / rate, axis=1))) for q in others[0].q]
-    assert max(away) > 0.5  # s; the way takes more than 4
+    assert max(away) > 0.5  # s; the path takes more than 4 s
 
 
-def test_the_same_seed_gives_the_same_ways(planar4: bp.Robot) -> None:
+def test_the_same_seed_gives_the_same_paths(planar4: bp.Robot) -> None:
     once, again, other = (ways_across(planar4, seed=seed)[2] for seed in (1, 1, 2))
     for a, b in zip(once, again, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
     assert any(a.q.shape != b.q.shape or (a.q != b.q).any() for a, b in zip(once, other, strict=False))
 
 
-def test_there_is_no_way_where_none_is_short_enough(planar4: bp.Robot) -> None:
-    # 1.5 rad take 2 s straight on, and the bar stands there
+def test_no_path_longer_than_allowed_is_returned(planar4: bp.Robot) -> None:
+    # 1.5 rad take 2 s straight through the bar
     assert ways_across(planar4, longest=2.01)[2] == []
 
 
-def test_what_costs_upward_alone_is_passed_below(planar4: bp.Robot) -> None:
-    """Nothing stands in the way; to raise the second joint costs ten times what any motion does."""
+def test_a_cost_of_upward_motion_is_avoided(planar4: bp.Robot) -> None:
+    """There are no obstacles; raising the second joint costs ten times as much as other motions."""
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     check = SampledCheck(problem, Proximity(problem.robot, []), [STRETCHED, TURNED], spare=0.0)
     reach = Reach(problem.limits, STRETCHED, TURNED[None, :], 6.0)
@@ -122,7 +124,7 @@ def test_what_costs_upward_alone_is_passed_below(planar4: bp.Robot) -> None:
     def raised(way: JointPath) -> float:
         return float(np.sum(np.maximum(np.diff(way.q[:, 1]), 0.0)))
 
-    # once down there, it has to come up again: the way back costs as much as the way there has saved
+    # it has to come up again after going down, which costs as much as going down has saved
     roadmap = Roadmap(check, reach, nodes=600, rng=np.random.default_rng(0), price=price)
     way = next(roadmap.ways())
     plain = Roadmap(check, reach, nodes=600, rng=np.random.default_rng(0), price=time)
@@ -132,8 +134,8 @@ def test_what_costs_upward_alone_is_passed_below(planar4: bp.Robot) -> None:
 
 
 @pytest.mark.long
-def test_another_way_round_the_obstacles_is_found() -> None:
-    """Sampled ways of this seed lead to 3.82 s; by another side of the obstacles it is 2.77 s."""
+def test_a_detour_past_another_side_of_the_obstacles_is_found() -> None:
+    """Sampled paths of this seed lead to 3.82 s; past another side of the obstacles it takes 2.77 s."""
     robot = load_machine("planar4")
     scene: Any = random_site(robot, SiteKey("planar4", "open", "goal", 0, 504)).scene
     plan = bp.plan(robot, with_objective(scene, "time"), seed=1)
@@ -141,7 +143,7 @@ def test_another_way_round_the_obstacles_is_found() -> None:
     assert plan.metrics.duration < 1.03 * 2.77
 
 
-def test_where_no_roadmap_is_made_no_rounds_are_kept_for_its_ways() -> None:
-    """They would be made for nothing but a finer curve."""
+def test_efforts_without_a_roadmap_reserve_no_rounds_for_its_paths() -> None:
+    """Such rounds would only refine a curve."""
     for effort in EFFORTS.values():
         assert (effort.way_rounds > 0) == (effort.dull_searches > 0)

@@ -1,4 +1,4 @@
-"""Looks at motions: all that is proven clear looks clear, and what looks clear is at most a little too near."""
+"""Sampled checks: motions proven clear pass, and motions that pass are at most a little too near."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ import backhoe_planner as bp
 from backhoe_planner.planning import EFFORTS, MotionCheck, SampledCheck, Work, find_distinct, places, sample_path
 from backhoe_planner.site import Proximity
 
-APART = {False: 0.04, True: 0.08}  # m between two looks, in a hurry or not: midway no distance is less by half of it
+APART = {
+    False: 0.04,
+    True: 0.08,
+}  # m between two samples, hurried or not: midway a distance is less by half of it at most
 
 
 @pytest.mark.parametrize(
@@ -21,8 +24,8 @@ APART = {False: 0.04, True: 0.08}  # m between two looks, in a hurry or not: mid
     indirect=True,
 )
 @pytest.mark.parametrize("hurried", [False, True])
-def test_beside_proofs_and_dense_measurements(any_robot: bp.Robot, hurried: bool) -> None:
-    """Random motions among balls, corners too."""
+def test_sampled_checks_agree_with_proofs_and_dense_measurements(any_robot: bp.Robot, hurried: bool) -> None:
+    """Random segments and corners among balls."""
     rng = np.random.default_rng(11)
     reach = 3.0 if any_robot.n == 4 else 0.6
     places = reach * rng.normal(size=(8, 3))
@@ -59,7 +62,7 @@ def test_beside_proofs_and_dense_measurements(any_robot: bp.Robot, hurried: bool
 
 
 @pytest.mark.parametrize("margin", [0.0, 1e-5, 0.004])
-def test_a_start_tighter_than_the_spare_can_be_left(planar4: bp.Robot, margin: float) -> None:
+def test_a_start_with_less_than_the_spare_clearance_can_be_left(planar4: bp.Robot, margin: float) -> None:
     """A ball beside the stretched arm, at its clearance plus `margin` from link 3; elsewhere the spare is kept."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2.5, -0.26 - margin, 0.0]}
     problem, proximity = across_bar(planar4, ball)
@@ -75,15 +78,15 @@ def test_a_start_tighter_than_the_spare_can_be_left(planar4: bp.Robot, margin: f
     assert not check.segment_is_clear(STRETCHED, into_the_ball)
 
 
-def test_a_motion_is_asked_about_at_its_ends_and_then_by_halves() -> None:
-    """The order of van der Corput; fifths, whose places fall between, in the order of the eighths of their number."""
+def test_a_motion_is_checked_at_its_ends_and_then_in_the_order_of_van_der_corput() -> None:
+    """Fifths, which fall between the halvings, come in the order of the eighths of their number."""
     assert places(1) == (1.0, 0.0)
     assert places(4) == (1.0, 0.0, 0.5, 0.25, 0.75)
     assert places(5) == (1.0, 0.0, 0.8, 0.4, 0.2, 0.6)
 
 
-def test_of_postures_near_each_other_the_first_is_taken() -> None:
-    """A chain in steps of 0.9: of two neighbours one, unless a known one is near it. All joints have to be near."""
+def test_of_neighbouring_configurations_the_first_is_kept() -> None:
+    """A chain in steps of 0.9: one of two neighbours is kept, unless near a known one. All joints have to be near."""
     chain = np.array([[0.9 * k, 0.0] for k in range(5)])
     assert find_distinct(chain, 1.0) == [0, 2, 4]
     assert find_distinct(chain, 1.0, np.array([[-0.5, 0.0]])) == [1, 3]

@@ -1,4 +1,4 @@
-"""Ways found by sampling: proven, repeatable, silent, and possible to interrupt."""
+"""Paths found by sampling: proven, repeatable, silent and interruptible."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def find_way(
 
 
 def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: int = 60) -> float:
-    """Over all pairs, on a dense row of configurations of a polyline."""
+    """The least margin of all pairs on dense samples of a polyline."""
     every = [
         proximity.distances(a + t * (b - a), time=time) - proximity.clearance
         for a, b in itertools.pairwise(q)
@@ -75,22 +75,22 @@ def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: 
 # --- finding --------------------------------------------------------------------------
 
 
-def test_the_straight_line_is_taken_where_it_is_clear(planar4: Robot) -> None:
+def test_a_clear_straight_line_is_taken(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     way = find_way(problem, Proximity(planar4, ()), STRETCHED, [TURNED], seed=0, spare=0.0)
     assert way is not None
     np.testing.assert_array_equal(way.q, [STRETCHED, TURNED])
 
 
-def test_the_goal_that_takes_the_slowest_joint_least_is_tried_first(planar4: Robot) -> None:
+def test_the_goal_of_the_shortest_time_is_tried_first(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     far, near = np.array([1.5, 0.0, 0.0, 0.0]), np.array([0.9, 0.9, 0.9, 0.9])
     way = find_way(problem, Proximity(planar4, ()), STRETCHED, [far, near], seed=0, spare=0.0)
     assert way is not None
-    np.testing.assert_array_equal(way.q[-1], near)  # further in the Euclidean norm, sooner there
+    np.testing.assert_array_equal(way.q[-1], near)  # further in the Euclidean norm, but reached sooner
 
 
-def test_a_way_round_keeps_clearance_and_spare(planar4: Robot) -> None:
+def test_a_detour_keeps_clearance_and_spare(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
     assert least_margin(proximity, np.array([STRETCHED, TURNED])) < 0.0
     way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.03)
@@ -105,8 +105,8 @@ def test_a_way_round_keeps_clearance_and_spare(planar4: Robot) -> None:
     assert np.all(way.q <= problem.limits.upper)
 
 
-def test_a_way_round_is_found_however_slow_the_machine_is(planar4: Robot) -> None:
-    """A hundred thousandth of the speed changes nothing of where the way can be."""
+def test_a_detour_does_not_depend_on_the_speed_of_the_machine(planar4: Robot) -> None:
+    """A hundred thousandth of the speed allows the same paths."""
     problem, proximity = across_bar(planar4)
     limits = problem.limits
     slow = replace(limits, velocity=1e-5 * limits.velocity, acceleration=1e-5 * limits.acceleration)
@@ -116,8 +116,8 @@ def test_a_way_round_is_found_however_slow_the_machine_is(planar4: Robot) -> Non
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_way_along_a_joint_limit_is_found(seed: int) -> None:
-    """The boom leads past only at its highest: drawn between its limits alone, 72,000 motions were mostly too few."""
+def test_a_path_along_a_joint_limit_is_found(seed: int) -> None:
+    """Only the highest boom passes: with draws between its limits alone, 72,000 motions were mostly too few."""
     robot = load_machine("backhoe")
     problem = build_problem(robot, random_site(robot, SiteKey("backhoe", "open", "goal", 81, 3201)).scene)
     world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
@@ -153,7 +153,7 @@ def test_an_end_outside_the_limits_is_left_out(planar4: Robot) -> None:
 
 
 @pytest.mark.parametrize("margin", [0.0, 1e-5, 0.004])
-def test_a_start_tighter_than_the_spare_can_be_left(planar4: Robot, margin: float) -> None:
+def test_a_start_with_less_than_the_spare_clearance_can_be_left(planar4: Robot, margin: float) -> None:
     """A ball beside the stretched arm, at its clearance plus `margin` from link 3."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2.5, -0.26 - margin, 0.0]}
     problem, proximity = across_bar(planar4, ball)
@@ -161,7 +161,7 @@ def test_a_start_tighter_than_the_spare_can_be_left(planar4: Robot, margin: floa
     assert float(found[proximity.owner == 1].min()) == pytest.approx(margin, abs=1e-9)
     way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.02)
     assert way is not None
-    assert least_margin(proximity, way.q, pieces=400) >= -1e-6  # of which the certificate makes nothing
+    assert least_margin(proximity, way.q, pieces=400) >= -1e-6  # which the certificate tolerates
     away = np.linalg.norm(way.q[1:-1], axis=1) > 0.5
     assert away.any()
     obstacles_alone = Proximity(problem.robot, problem.obstacles, self_collision=False)
@@ -169,7 +169,7 @@ def test_a_start_tighter_than_the_spare_can_be_left(planar4: Robot, margin: floa
         assert least_margin(obstacles_alone, np.array([q, q]), pieces=1) >= 0.02 - 1e-9
 
 
-def test_a_further_condition_is_kept(planar4: Robot) -> None:
+def test_an_additional_condition_is_kept(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
 
     def folded(q: Matrix) -> bool:
@@ -183,7 +183,7 @@ def test_a_further_condition_is_kept(planar4: Robot) -> None:
     assert np.max(free.q[:, 1]) > 0.05
 
 
-def test_obstacles_stand_where_they_are_at_the_time(planar4: Robot) -> None:
+def test_obstacles_are_at_their_places_at_the_given_time(planar4: Robot) -> None:
     later = BAR | {"appears_at": 2.0, "velocity": [0.0, 1.0, 0.0]}
     problem = problem_of(planar4, STRETCHED, TURNED, [later])
     proximity = Proximity(planar4, problem.obstacles)
@@ -199,18 +199,18 @@ def test_obstacles_stand_where_they_are_at_the_time(planar4: Robot) -> None:
 
 
 def cut_off(q: Matrix) -> bool:
-    """Nothing gets past this angle of the first joint."""
+    """A condition that no motion of the first joint past 0.7 rad meets."""
     return bool(np.all(np.abs(q[:, 0] - 0.7) > 0.1))
 
 
-def test_a_search_ends_after_the_motions_that_it_may_look_at(planar4: Robot) -> None:
+def test_a_search_ends_after_its_number_of_motions(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, near=cut_off)
     work = Work(replace(EFFORTS["normal"], motions_per_search=300, motions=500))
     assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
-    assert 195 <= work.motions <= 200  # a tree may look at a motion or two more before OMPL asks whether to end
+    assert 195 <= work.motions <= 200  # a tree may check a motion or two more before OMPL asks whether to end
     assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
-    assert -5 <= work.motions <= 0  # what the first search left
+    assert -5 <= work.motions <= 0  # the remainder of the first search
     before = work.motions
     assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
     assert work.motions == before
@@ -226,7 +226,7 @@ def test_the_brake_ends_a_search(planar4: Robot) -> None:
         find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=brake, effort=endless, spare=0.0, near=cut_off)
 
 
-def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
+def test_an_exception_of_the_condition_is_raised_by_the_search(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
     asked = 0
 
@@ -260,7 +260,7 @@ def test_a_continuous_joint_may_turn_past_pi(tmp_path: Path) -> None:
     assert least_margin(proximity, way.q) >= -1e-9
 
 
-# --- the same again, and quietly --------------------------------------------------------
+# --- repeatability and silence ----------------------------------------------------------
 
 SCRIPT = """
 import os, signal, sys, threading
@@ -309,9 +309,7 @@ def run_script(mode: str, file: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_the_same_seed_gives_the_same_way_bit_for_bit_and_writes_nothing_to_the_terminal(
-    planar4: Robot, tmp_path: Path
-) -> None:
+def test_the_same_seed_gives_the_same_path_bit_for_bit_and_prints_nothing(planar4: Robot, tmp_path: Path) -> None:
     def plan(seed: int) -> Matrix:
         problem, proximity = across_bar(planar4)
         check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
@@ -331,13 +329,13 @@ def test_the_same_seed_gives_the_same_way_bit_for_bit_and_writes_nothing_to_the_
     ("mode", "status"),
     [pytest.param("fail", 0, marks=pytest.mark.long), pytest.param("caught", 7, marks=pytest.mark.long)],
 )
-def test_nothing_is_written_to_the_terminal(tmp_path: Path, mode: str, status: int) -> None:
+def test_a_failed_or_interrupted_search_prints_nothing(tmp_path: Path, mode: str, status: int) -> None:
     done = run_script(mode, tmp_path / "way.npy")
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
 
 
-def test_a_command_that_sampled_ends_in_silence(tmp_path: Path) -> None:
-    """Nothing of OMPL's is left when the process ends, of which it would complain."""
+def test_a_command_that_sampled_prints_no_error_at_its_end(tmp_path: Path) -> None:
+    """No object of OMPL, which would complain, is left when the process ends."""
     scene = {
         "version": 1, "start": {"joints": {"swing": -0.9, "boom": 0.0, "stick": -1.2, "bucket": -0.6}},
         "task": {"goal": {"position": [2.6, 2.8, 0.6]}},
@@ -367,8 +365,8 @@ def test_an_interrupt_ends_the_search_at_once(tmp_path: Path) -> None:
 # --- the proof --------------------------------------------------------------------------
 
 
-def test_a_motion_is_clear_exactly_where_plane_geometry_says_so(planar4: Robot) -> None:
-    """The end of the stretched arm turns past a ball: the gap is known."""
+def test_a_motion_is_clear_up_to_the_gap_of_plane_geometry(planar4: Robot) -> None:
+    """The end of the stretched arm turns past a ball at a known gap."""
     corner = float(np.hypot(4.0, 0.04))
     ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4.3 * np.cos(0.7), 4.3 * np.sin(0.7), 0.0]}
     problem = problem_of(planar4, STRETCHED, TURNED, [ball], clearance=0.0)
@@ -392,8 +390,8 @@ def test_a_motion_is_clear_exactly_where_plane_geometry_says_so(planar4: Robot) 
     ],
     indirect=True,
 )
-def test_what_is_proven_is_so(any_robot: Robot) -> None:
-    """Random motions among balls, against dense measurements; corners too."""
+def test_proven_motions_are_clear_in_dense_measurements(any_robot: Robot) -> None:
+    """Random segments and corners among balls."""
     rng = np.random.default_rng(8)
     reach = 3.0 if any_robot.n == 4 else 0.6
     places = reach * rng.normal(size=(8, 3))
@@ -454,7 +452,7 @@ def test_shortening_keeps_ends_and_clearance_and_never_lengthens(planar4: Robot)
     assert max(gains) < 0.95
 
 
-def test_a_straight_way_is_not_changed(planar4: Robot) -> None:
+def test_shortening_leaves_a_straight_path_unchanged(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     check = MotionCheck(problem, Proximity(planar4, ()), [STRETCHED, TURNED], spare=0.0)
     way = JointPath(np.array([STRETCHED, TURNED]))
@@ -477,7 +475,7 @@ def test_the_brake_ends_shortening_and_blending_too(planar4: Robot) -> None:
             ended()
 
 
-# --- all of it --------------------------------------------------------------------------
+# --- the whole chain --------------------------------------------------------------------
 
 
 SITES: dict[str, tuple[list[float], list[float], list[Data]]] = {
@@ -508,14 +506,14 @@ SITES: dict[str, tuple[list[float], list[float], list[Data]]] = {
 
 
 @pytest.mark.parametrize("name", list(SITES))
-def test_what_comes_out_in_the_end_is_verified(name: str, request: pytest.FixtureRequest) -> None:
+def test_the_timed_motion_along_a_sampled_path_is_verified(name: str, request: pytest.FixtureRequest) -> None:
     robot: Robot = request.getfixturevalue(name)
     begin, end, obstacles = SITES[name]
     start, goal = np.array(begin), np.array(end)
     problem = problem_of(robot, start, goal, obstacles)
     proximity = Proximity(problem.robot, problem.obstacles)
     check = MotionCheck(problem, proximity, [start, goal], spare=0.01)
-    assert not check.segment_is_clear(start, goal)  # the straight line is not the answer
+    assert not check.segment_is_clear(start, goal)  # the straight line is blocked
     way = sample_path(check, start, [goal], seed=0, work=Work())
     assert way is not None
     trajectory = time_way(blend(check, shorten(check, way, seed=0)), problem.limits, drive=drive_of(problem))

@@ -1,4 +1,4 @@
-"""What was found out of the distances along a curve is not measured again, and changes nothing of what is found."""
+"""Known distances along a curve are not measured again, and results are the same."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from validation.habitats import load_machine
 from validation.sites import SiteKey, random_site
 
 
-def test_what_a_place_has_lost_since_is_taken_off() -> None:
+def test_a_known_distance_is_reduced_by_the_motion_since() -> None:
     """Joint 1 moved by 0.1 rad, joint 2 by 0.2 back: 2 x 0.1 off the first distance, 0.1 + 0.2 off the second."""
     seen = SeenDistances()
     seen.keep(7, np.array([0.0, 0.0]), np.array([1.0, 0.5]))
@@ -24,12 +24,12 @@ def test_what_a_place_has_lost_since_is_taken_off() -> None:
 
 @pytest.mark.parametrize("together", [True, False])
 @pytest.mark.parametrize("machine", ["backhoe", "panda", "telescope"])
-def test_margins_are_those_that_are_found_without_it(
+def test_margins_are_the_same_without_known_distances(
     machine: str, together: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a curve that changes like in a descent, some places of which are looked at in some rounds only.
+    """A curve changes as in a descent, and some of its places are checked in some rounds only.
 
-    Beside what is measured one posture after the other, without any of it; `together` all in one compiled call.
+    Against measurements of one configuration after the other; `together` means all in one compiled call.
     """
     robot = load_machine(machine)
     problem = build_problem(robot, random_site(robot, SiteKey(machine, "narrow", "goal", 0, 5)).scene)
@@ -55,10 +55,10 @@ def test_margins_are_those_that_are_found_without_it(
             )
             for proximity, own in ((with_it, seen), (without, None))
         )  # fmt: skip
-        assert found[0] == pytest.approx(plain[0], abs=1e-9)  # coal begins where it ended
+        assert found[0] == pytest.approx(plain[0], abs=1e-9)  # coal starts from its last result
         assert [one.place for one in found[1]] == [one.place for one in plain[1]]
         for one, other in zip(found[1], plain[1], strict=True):
             np.testing.assert_allclose(one.margin, other.margin, atol=1e-9)
             np.testing.assert_allclose(one.gradient, other.gradient, atol=1e-6)
         measured += np.array([with_it.measured, without.measured]) - before
-    assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to know
+    assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to save
