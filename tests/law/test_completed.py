@@ -1,4 +1,4 @@
-"""The completed law: bounded, smooth, and never in the way of the tip."""
+"""The completed law: bounded, smooth, and without effect on the tip."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
 
 INFLUENCE = 0.6  # unity distance 0.2
-EPSILON = 2e-2  # (m/rad)^2, the regularisation that the module states
+EPSILON = 2e-2  # (m/rad)^2, the regularisation stated in the module
 
 
 def around(robot: Robot, *positions: tuple[float, float, float], radius: float = 0.1) -> Proximity:
@@ -37,7 +37,7 @@ def near(proximity: Proximity, q: Vector) -> Nearby:
 
 
 def one_pair(margin: float, gradient: Vector) -> Nearby:
-    """A single critical point at will."""
+    """A single critical point with a given margin and gradient."""
     flat = np.zeros((1, 3))
     return Nearby(
         pair=np.array([0]),
@@ -57,13 +57,13 @@ BALLS = ((1.5, 1.0, 0.0), (-1.0, 1.8, 0.0), (0.5, -1.6, 0.0), (-2.0, -0.5, 0.0))
 # --- weights ------------------------------------------------------------------------
 
 
-def test_activation_by_hand() -> None:
+def test_activation_equals_a_hand_calculation() -> None:
     found = activation(np.array([-0.5, 0.0, 0.1, 0.2, 0.3, 9.0]), 0.1, 0.3)
     np.testing.assert_allclose(found, [1.0, 1.0, 1.0, 0.5, 0.0, 0.0], atol=1e-15)
 
 
-def test_push_factor_by_hand() -> None:
-    """(0.1 / d)^2 - 1: 0 at the unity distance, 1 at 0.1 / sqrt 2, 3 at half of it, and not above."""
+def test_the_push_factor_equals_a_hand_calculation() -> None:
+    """(0.1 / d)^2 - 1: 0 at the unity distance, 1 at 0.1 / sqrt 2, 3 at half of it, and never more."""
     found = push_factor(np.array([0.2, 0.1, 0.1 / np.sqrt(2.0), 0.05, 0.01, 0.0, -0.4]), 0.1)
     np.testing.assert_allclose(found, [0.0, 0.0, 1.0, 3.0, 3.0, 3.0, 3.0], atol=1e-12)
 
@@ -96,8 +96,8 @@ def test_null_space_terms_leave_the_tip_alone(any_robot: Robot) -> None:
     assert acted > 10 or any_robot.n == 3
 
 
-def test_bounded_where_the_printed_law_explodes(planar4: Robot) -> None:
-    """Whatever the posture, |H| <= |sqrt(w) missing| / (2 sqrt(epsilon)), a property of the damped problem.
+def test_the_null_space_term_is_bounded_where_the_printed_law_explodes(planar4: Robot) -> None:
+    """In every configuration |H| <= |sqrt(w) missing| / (2 sqrt(epsilon)), a property of the damped problem.
 
     With a tip that wants 1 m/s and four balls this stays below 20 rad/s over 800 random
     configurations, while (J_o N)^+ of equation (10) asks for over 1,000 somewhere among them.
@@ -130,8 +130,8 @@ def test_bounded_where_the_printed_law_explodes(planar4: Robot) -> None:
     assert printed > 1e3
 
 
-def test_obstacle_term_increases_the_distance(planar4: Robot) -> None:
-    """Inside the unity distance the nearest point is moved away, to first order, wherever it can be."""
+def test_the_obstacle_term_increases_the_distance(planar4: Robot) -> None:
+    """Inside the unity distance the nearest point is moved away, to first order, if it can be moved."""
     rng, kinematics = np.random.default_rng(10), Kinematics(planar4)
     law = CompletedLaw(planar4, influence=INFLUENCE, directionality=False)
     proximity = around(planar4, BALLS[0])
@@ -156,7 +156,7 @@ def test_obstacle_term_increases_the_distance(planar4: Robot) -> None:
     assert tried >= 20
 
 
-def test_an_obstacle_enters_without_a_jump(planar4: Robot) -> None:
+def test_velocities_do_not_jump_as_an_obstacle_enters_the_influence(planar4: Robot) -> None:
     at = Kinematics(planar4).at(np.array([0.3, 0.8, -1.2, 0.7]))
     law = CompletedLaw(planar4, influence=INFLUENCE)
     gradient = np.array([0.8, -0.9, 0.4, 0.0])
@@ -174,8 +174,8 @@ def test_an_obstacle_enters_without_a_jump(planar4: Robot) -> None:
     assert np.max(np.abs(wishes[0] - without)) > 0.03
 
 
-def test_the_switch_of_the_nearest_obstacle_makes_no_jump(planar4: Robot) -> None:
-    """Between two balls, 0.1 mm at a time: both act, so that it does not matter which is nearer."""
+def test_velocities_do_not_jump_as_the_nearest_obstacle_changes(planar4: Robot) -> None:
+    """Between two balls, 0.1 mrad at a time: both act, so that it does not matter which is nearer."""
     kinematics = Kinematics(planar4)
     law = CompletedLaw(planar4, influence=INFLUENCE)
     proximity = around(planar4, (2.5, 0.45, 0.0), (2.5, -0.45, 0.0))
@@ -197,8 +197,8 @@ def test_the_switch_of_the_nearest_obstacle_makes_no_jump(planar4: Robot) -> Non
 # --- directionality -------------------------------------------------------------------
 
 
-def test_near_limit_by_hand(planar4: Robot) -> None:
-    """The zone is 0.15 of the range of 2 pi; half of it away, moving towards it, is 0.5."""
+def test_the_nearness_of_a_joint_limit_equals_a_hand_calculation(planar4: Robot) -> None:
+    """The zone is 0.15 of the range of 2 pi; half a zone away and moving towards the limit is 0.5."""
     law = CompletedLaw(planar4, influence=INFLUENCE)
     zone = 0.15 * 2.0 * np.pi
     q = np.array([np.pi - 0.5 * zone, np.pi, -np.pi + 0.25 * zone, 0.0])
@@ -209,8 +209,8 @@ def test_near_limit_by_hand(planar4: Robot) -> None:
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-def test_a_joint_that_nears_its_limit_gets_less_rate(planar4: Robot, joint: int) -> None:
-    """Whatever the posture: what is held is the joint's own rate, not a predicted turn of its link."""
+def test_a_joint_near_its_limit_is_slowed(planar4: Robot, joint: int) -> None:
+    """In every configuration: the joint's own rate is reduced, not a predicted turn of its link."""
     rng, kinematics = np.random.default_rng(11), Kinematics(planar4)
     with_it = CompletedLaw(planar4, influence=INFLUENCE)
     without = CompletedLaw(planar4, influence=INFLUENCE, directionality=False)
@@ -235,8 +235,8 @@ def test_a_joint_that_nears_its_limit_gets_less_rate(planar4: Robot, joint: int)
     assert np.median(changes) < -0.5
 
 
-def test_no_room_no_terms(planar4: Robot) -> None:
-    """A task with as many rows as joints leaves no null space, and H is 0."""
+def test_a_task_with_as_many_rows_as_joints_has_no_null_space_terms(planar4: Robot) -> None:
+    """There is no null space, so H is 0."""
     at = Kinematics(planar4).at(np.array([0.3, 0.8, -1.2, 0.7]))
     law = CompletedLaw(planar4, influence=INFLUENCE)
     J = np.eye(4)

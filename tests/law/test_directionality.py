@@ -1,4 +1,4 @@
-"""Equations (6) to (9) and (13) to (18): which way a link turns."""
+"""Equations (6) to (9) and (13) to (18): the sense in which a link turns."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def flat_chain(*points: tuple[float, float]) -> LinkChain:
     return LinkChain(points=P, axes=axes, columns=np.cross(axes, P[-1] - P[:-1]), J_world=J_world)
 
 
-# Boom up: link 1 stands 1 m high, the tip is 2 m beside its end. P_e^1 = (2, 0), M = 2.
+# Boom up: link 1 is upright and 1 m long, the tip is 2 m beside its end. P_e^1 = (2, 0), M = 2.
 BOOM_UP = flat_chain((0.0, 0.0), (0.0, 1.0), (2.0, 1.0))
 BOOM_DOWN = flat_chain((0.0, 0.0), (0.0, 1.0), (-2.0, 1.0))
 
@@ -54,23 +54,23 @@ def turned(
         ((1.0, -1.0), np.arctan2(1.0, 3.0)),  # 4th
         ((-1.0, 1.0), -np.pi / 4),  # 2nd: (1, 1)
         ((-1.0, -1.0), -np.pi / 4),  # 3rd
-        ((1.0, 0.0), 0.0),  # straight along P_e^k nothing is predicted
+        ((1.0, 0.0), 0.0),  # along P_e^k no turn is predicted
         ((-1.0, 0.0), 0.0),
     ],
 )
-def test_equation_13_by_hand(xdot_e: tuple[float, float], turn: float) -> None:
+def test_equation_13_equals_a_hand_calculation(xdot_e: tuple[float, float], turn: float) -> None:
     """Outward the link turns clockwise (its upper end to +x), inward counter-clockwise (Fig. 3)."""
     np.testing.assert_allclose(turned(BOOM_UP, xdot_e), [[turn / 2.0, 0.0]], atol=1e-15)
     scaled = turned(BOOM_UP, xdot_e, magnification="norm_preserving")
     np.testing.assert_allclose(scaled, [[turn * 2.0, 0.0]], atol=1e-15)
 
 
-def test_directional_operator_flips() -> None:
+def test_the_directional_operator_flips_the_turn() -> None:
     np.testing.assert_array_equal(turned(BOOM_UP, (1.0, 1.0), D=-1.0), -turned(BOOM_UP, (1.0, 1.0)))
     np.testing.assert_array_equal(turned(BOOM_UP, (1.0, 1.0), D=0.0), [[0.0, 0.0]])
 
 
-def test_outer_links_add_the_inner_ones() -> None:
+def test_outer_links_add_the_velocity_of_the_inner_ones() -> None:
     """xdot_2 = own turn + xdot_1, by hand: P_e^2 = (0, -1), ahead (1, -2), dtheta' = atan(1/2), M = 1/2."""
     chain = flat_chain((0.0, 0.0), (0.0, 1.0), (2.0, 1.0), (2.0, 0.0))
     found = turned(chain, (1.0, -1.0))
@@ -89,15 +89,15 @@ def test_equation_16_holds_with_M_and_not_with_its_inverse() -> None:
     assert np.linalg.norm(turned(BOOM_UP, step)) == pytest.approx(speed / 4.0, rel=1e-6)
 
 
-def test_follow_bend_is_the_print_where_the_arm_bends_clockwise() -> None:
+def test_follow_bend_equals_the_printed_law_if_the_arm_bends_clockwise() -> None:
     for xdot_e in ((1.0, 1.0), (-0.3, 0.2)):
         np.testing.assert_array_equal(turned(BOOM_UP, xdot_e, follow_bend=True), turned(BOOM_UP, xdot_e))
         mirrored = (-xdot_e[0], xdot_e[1])
         np.testing.assert_array_equal(turned(BOOM_DOWN, mirrored, follow_bend=True), -turned(BOOM_DOWN, mirrored))
 
 
-def test_follow_bend_is_right_for_two_links() -> None:
-    """With two links the geometry decides: where the tip goes outward the arm stretches."""
+def test_follow_bend_predicts_the_real_turn_of_two_links() -> None:
+    """With two links the geometry decides: if the tip moves outward the arm stretches."""
     arm = flat_chain((0.0, 0.0), (0.0, 1.0), (1.0, 1.0))
     outward = np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.01, 0.0])
     J = np.array(arm.columns[:, :2]).T
@@ -107,7 +107,7 @@ def test_follow_bend_is_right_for_two_links() -> None:
     assert predicted[0] > 0.0  # and so does the predicted one: its upper end goes to +x
 
 
-def test_link_jacobian_against_differences(any_robot: Robot) -> None:
+def test_link_jacobians_equal_central_differences(any_robot: Robot) -> None:
     """Columns up to k are the ordinary ones; beyond k they are minus the tip's own, or 0."""
     rng, kinematics, h = np.random.default_rng(4), Kinematics(any_robot), 1e-6
     n = any_robot.n
@@ -143,8 +143,8 @@ def test_rates_are_the_limit_of_small_steps(any_robot: Robot) -> None:
     assert moved > 20
 
 
-def test_backhoe_out_of_its_plane(backhoe: Robot) -> None:
-    """The tip swings sideways: only the swing's link is asked to turn, about the vertical.
+def test_a_sideways_tip_velocity_turns_only_the_swing_of_a_backhoe(backhoe: Robot) -> None:
+    """The tip moves sideways: only the swing's link turns, about the vertical.
 
     By hand: P_e^1 across z is (R, 0), ahead (R + dx, dy), so dtheta' = atan(dy / (R + dx)); the link
     from the swing axis to the boom foot is l long, and M = R / l.
@@ -175,7 +175,7 @@ def test_rounding_does_not_decide_the_bend(backhoe: Robot) -> None:
         np.testing.assert_array_equal(bent[0], np.zeros(3))
 
 
-def test_a_sliding_joint_has_no_direction() -> None:
+def test_a_sliding_joint_adds_no_turn() -> None:
     chain = flat_chain((0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (2.0, 0.5))
     axes = chain.axes.copy()
     axes[1] = 0.0

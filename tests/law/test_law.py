@@ -36,7 +36,7 @@ def well_conditioned(robot: Robot, count: int) -> list[Vector]:
     return found
 
 
-def test_two_links_by_hand() -> None:
+def test_the_law_for_two_joints_equals_a_hand_calculation() -> None:
     """J_e^+ = (1/2, 1/2), N = ((1, -1), (-1, 1)) / 2, J_o N = (1, -1) / 2, H_o = (1, -1) (3 - 1)."""
     np.testing.assert_allclose(projector(J_E), [[0.5, -0.5], [-0.5, 0.5]], atol=1e-15)
     np.testing.assert_allclose(null_space_term(J_E, XDOT_E, J_O, XDOT_O), [2.0, -2.0], atol=1e-14)
@@ -45,12 +45,12 @@ def test_two_links_by_hand() -> None:
     np.testing.assert_allclose(gained, [0.2 + 0.4, 0.2 - 0.4], atol=1e-14)
 
 
-def test_equation_3_for_any_z() -> None:
-    """N takes the mean off z = (5, 1): (2, -2)."""
+def test_equation_3_projects_any_z() -> None:
+    """N subtracts the mean of z = (5, 1): (2, -2)."""
     np.testing.assert_allclose(general_solution(J_E, XDOT_E, np.array([5.0, 1.0])), [3.0, -1.0], atol=1e-14)
 
 
-def test_without_terms_it_is_the_least_velocity(planar4: Robot) -> None:
+def test_without_null_space_terms_the_velocity_is_the_least_norm_solution(planar4: Robot) -> None:
     xdot = np.array([0.3, -0.2])
     for q in well_conditioned(planar4, 20):
         J = Kinematics(planar4).at(q).jacobian[:2]
@@ -58,7 +58,7 @@ def test_without_terms_it_is_the_least_velocity(planar4: Robot) -> None:
         np.testing.assert_allclose(v, np.linalg.lstsq(J, xdot, rcond=None)[0], atol=1e-10)
 
 
-def test_equation_5_is_maciejewski_and_klein(planar4: Robot) -> None:
+def test_equation_5_equals_that_of_maciejewski_and_klein(planar4: Robot) -> None:
     """With every gain 1: J_e^+ x_e + (J_o N)^+ (x_o - J_o J_e^+ x_e), their equation, which has no N in front."""
     rng = np.random.default_rng(2)
     for q in well_conditioned(planar4, 50):
@@ -92,7 +92,7 @@ def test_no_null_space_term_moves_the_tip(any_robot: Robot, reference: Reference
         np.testing.assert_allclose(J_e @ v, 0.2 * xdot_e, atol=1e-8)
 
 
-def test_a_point_that_the_null_space_cannot_move_gets_nothing(planar4: Robot) -> None:
+def test_a_point_that_the_null_space_cannot_move_has_no_term(planar4: Robot) -> None:
     """The tip itself as critical point: J_o N is 0 up to rounding, and so is its pseudo-inverse."""
     xdot = np.array([0.1, 0.2])
     for q in well_conditioned(planar4, 20):
@@ -100,7 +100,7 @@ def test_a_point_that_the_null_space_cannot_move_gets_nothing(planar4: Robot) ->
         np.testing.assert_array_equal(null_space_term(J_e, xdot, J_e, np.array([1.0, -1.0])), np.zeros(4))
 
 
-def test_near_such_a_point_it_is_unbounded(planar4: Robot) -> None:
+def test_the_term_of_a_point_near_the_tip_is_unbounded(planar4: Robot) -> None:
     """A tenth of the distance to the tip, ten times the rate."""
     at = Kinematics(planar4).at(np.array([0.3, 0.9, -1.1, 0.6]))
     J_e = at.jacobian[:2]

@@ -1,4 +1,4 @@
-"""Pseudo-inverses, and the projector that is never damped."""
+"""Pseudo-inverses, and the projector, which is never damped."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def stretched(s: float) -> Matrix:
 
 
 @given(seed=st.integers(0, 10_000), m=st.integers(1, 5), extra=st.integers(0, 3))
-def test_projector_is_symmetric_idempotent_and_leaves_the_task_alone(seed: int, m: int, extra: int) -> None:
+def test_the_projector_is_symmetric_and_idempotent_and_leaves_the_task_alone(seed: int, m: int, extra: int) -> None:
     J = random_jacobian(seed, m, m + extra)
     if np.linalg.svd(J, compute_uv=False)[-1] < 0.05:
         return
@@ -35,17 +35,17 @@ def test_projector_is_symmetric_idempotent_and_leaves_the_task_alone(seed: int, 
 
 
 @given(seed=st.integers(0, 10_000), m=st.integers(1, 6), n=st.integers(1, 6))
-def test_pseudo_inverse_is_numpys(seed: int, m: int, n: int) -> None:
+def test_the_pseudo_inverse_equals_numpys(seed: int, m: int, n: int) -> None:
     J = random_jacobian(seed, m, n)
     np.testing.assert_allclose(pseudo_inverse(J), np.linalg.pinv(J), rtol=1e-7, atol=1e-9)
 
 
-def test_pseudo_inverse_of_nothing_is_nothing() -> None:
+def test_the_pseudo_inverse_of_zero_is_zero() -> None:
     np.testing.assert_array_equal(pseudo_inverse(np.zeros((2, 4))), np.zeros((4, 2)))
 
 
 def test_rounding_is_not_inverted() -> None:
-    """A product that should be 0 is 1e-16 or so; beside its factor it counts as 0."""
+    """A product that should be 0 is about 1e-16; relative to its factor it counts as 0."""
     J = random_jacobian(3, 2, 4)
     noise = J @ projector(J)
     assert 0.0 < np.max(np.abs(noise)) < 1e-14
@@ -63,14 +63,14 @@ def test_rounding_is_not_inverted() -> None:
         (0.0, 0.0, 0.08),
     ],
 )
-def test_damping_by_hand(s: float, gain: float, damping: float) -> None:
+def test_damping_equals_a_hand_calculation(s: float, gain: float, damping: float) -> None:
     found = resolve(stretched(s))
     assert found.damping == pytest.approx(damping, abs=1e-9)
     assert found.inverse[0, 0] == pytest.approx(gain, abs=1e-6)
     np.testing.assert_allclose(found.singular_values, [s, 1.0], atol=1e-9)
 
 
-def test_inverse_is_damped_and_the_projector_is_not() -> None:
+def test_the_inverse_is_damped_and_the_projector_is_not() -> None:
     """A projector damped with lambda^2 = 0.0048 leaks 75 % of a row of 0.04 into the task."""
     J = stretched(0.04)
     damped = J.T @ np.linalg.inv(J @ J.T + 0.0048 * np.eye(2))
@@ -83,8 +83,8 @@ def test_inverse_is_damped_and_the_projector_is_not() -> None:
     np.testing.assert_allclose(found.projector, np.diag([0.0, 0.0, 1.0]), atol=1e-14)
 
 
-def test_inverse_is_bounded_and_continuous_through_a_singularity(planar4: Robot) -> None:
-    """The arm passes through its stretched posture; 12.5 is the inverse of the threshold."""
+def test_the_inverse_is_bounded_and_continuous_through_a_singularity(planar4: Robot) -> None:
+    """The arm passes through its stretched configuration; 12.5 is the inverse of the threshold."""
     kinematics = Kinematics(planar4)
     before = None
     smallest = np.inf
@@ -107,7 +107,9 @@ def test_inverse_is_bounded_and_continuous_through_a_singularity(planar4: Robot)
         ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], np.zeros((2, 2))),  # more rows than joints
     ],
 )
-def test_rank_deficient_rows(J: list[list[float]], N: list[list[float]] | Matrix) -> None:
+def test_rank_deficient_rows_have_an_exact_projector_and_a_finite_inverse(
+    J: list[list[float]], N: list[list[float]] | Matrix
+) -> None:
     found = resolve(np.array(J))
     np.testing.assert_allclose(found.projector, N, atol=1e-12)
     assert np.all(np.isfinite(found.inverse))

@@ -1,4 +1,4 @@
-"""The nearest joint step that stays on a path: by hand, and its conditions on random problems."""
+"""The nearest joint step on a path: by hand, and its conditions on random problems."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ def along_the_line(wish: list[float], *, high: Vector = WIDE, rows: tuple[Rows, 
     return found
 
 
-def test_by_hand() -> None:
-    """The point of dq_1 + dq_2 = 1 that is nearest to the origin, then to (1, 0.5)."""
+def test_the_nearest_step_on_a_path_equals_a_hand_calculation() -> None:
+    """The point of dq_1 + dq_2 = 1 nearest to the origin, then to (1, 0.5)."""
     np.testing.assert_allclose(along_the_line([0.0, 0.0]), [0.5, 0.5], atol=1e-9)
     np.testing.assert_allclose(along_the_line([1.0, 0.5]), [0.75, 0.25], atol=1e-9)
 
 
-def test_a_bound_moves_it_along_the_path() -> None:
+def test_a_bound_moves_the_step_along_the_path() -> None:
     np.testing.assert_allclose(along_the_line([0.0, 0.0], high=np.array([0.2, 10.0])), [0.2, 0.8], atol=1e-9)
 
 
-def test_a_row_moves_it_along_the_path() -> None:
+def test_a_row_moves_the_step_along_the_path() -> None:
     """dq_1 - dq_2 >= 0.4"""
     found = along_the_line([0.0, 0.0], rows=hard(np.array([[-1.0, 1.0]]), np.array([-0.4])))
     np.testing.assert_allclose(found, [0.7, 0.3], atol=1e-9)
 
 
-def test_what_is_impossible_is_none() -> None:
+def test_an_impossible_step_is_none() -> None:
     narrow = np.full(2, 0.4)
     assert step_on_path(np.zeros(2), SUM, error=np.ones(1), low=-narrow, high=narrow) is None
     away = hard(np.array([[1.0, 1.0]]), np.array([0.5]))  # dq_1 + dq_2 <= 0.5
@@ -48,8 +48,8 @@ def test_what_is_impossible_is_none() -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-def test_what_is_found_keeps_every_condition(seed: int) -> None:
-    """Problems made around a step that exists: it is found, and nothing nearer is allowed."""
+def test_a_step_keeps_every_condition_and_is_at_least_as_near_as_a_known_one(seed: int) -> None:
+    """Problems made around a known step."""
     rng = np.random.default_rng(seed)
     n, m, k = 4, 2, int(rng.integers(0, 4))
     known = rng.uniform(-1.0, 1.0, n)

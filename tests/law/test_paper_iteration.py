@@ -1,4 +1,4 @@
-"""The law as printed, iterated as in the paper: its numbers on one scene, and its limits."""
+"""The law as printed, iterated as in the paper: its figures on one scene, and its limits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SHOWN = Task((1.42, 1.86, 1.71, 1.16), (0.45, -2.16), (0.63, 0.59))  # scenes/pa
 
 @dataclass(frozen=True)
 class Run:
-    """What a hundred iterations did."""
+    """The result of a hundred iterations."""
 
     arrival: int | None
     error: float
@@ -45,7 +45,7 @@ class Run:
 
 
 def nearest(at: Configuration, obstacle: Vector) -> tuple[float, Vector, int]:
-    """Distance, point and link of the centre lines that is nearest to the obstacle."""
+    """Distance, point and link, of the centre lines, nearest to the obstacle."""
     best: tuple[float, Vector, int] = (np.inf, np.zeros(3), 0)
     for link, (a, b) in enumerate(zip(at.points, at.points[1:], strict=False)):
         part = np.clip((obstacle - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
@@ -89,22 +89,22 @@ def iterated(
 # --- golden numbers -----------------------------------------------------------------------
 
 
-def test_without_terms_the_arm_passes_through(planar4: Robot) -> None:
+def test_without_terms_the_arm_passes_through_the_obstacle(planar4: Robot) -> None:
     found = iterated(planar4, NAMED, NO_TERMS)
     assert found.error < 1e-8
     assert found.closest == pytest.approx(0.163, abs=5e-4)
 
 
-def test_with_directionality_it_arrives_outside_yet_jumps(planar4: Robot) -> None:
-    """No nearer than 0.487 m, one joint turns 1.82 rad in one iteration."""
+def test_with_directionality_the_arm_arrives_and_keeps_its_distance_but_jumps(planar4: Robot) -> None:
+    """No nearer than 0.487 m; one joint turns 1.82 rad in one iteration."""
     found = iterated(planar4, NAMED, TURNED)
     assert found.error < 1e-8
     assert found.closest == pytest.approx(0.487, abs=5e-4)
     assert found.largest_step == pytest.approx(1.82, abs=5e-3)
 
 
-def test_rounding_is_not_what_keeps_the_obstacle_term_from_arriving(planar4: Robot) -> None:
-    """Once the tip itself is the critical point J_o N is 0; its rounding, inverted, threw the arm by 1e15 rad."""
+def test_rounding_in_the_obstacle_term_does_not_throw_the_arm(planar4: Robot) -> None:
+    """Once the tip itself is the critical point, J_o N is 0; its rounding, inverted, threw the arm by 1e15 rad."""
     found = iterated(planar4, NAMED, PUSHED)
     assert found.largest_step == pytest.approx(1.417, abs=5e-3)
     assert found.arrival == 31
@@ -118,17 +118,17 @@ def test_rounding_is_not_what_keeps_the_obstacle_term_from_arriving(planar4: Rob
         ("norm_preserving", "standard", 0.487, 0.387),
     ],
 )
-def test_other_readings_of_the_directionality(
+def test_other_readings_of_the_directionality_equal_an_independent_implementation(
     planar4: Robot, magnification: Magnification, reference: Reference, closest: float, largest: float
 ) -> None:
-    """Computed once by an independent implementation in plain numpy, without Pinocchio."""
+    """The figures were computed once in plain numpy, without Pinocchio."""
     found = iterated(planar4, NAMED, TURNED, magnification=magnification, reference=reference)
     assert found.closest == pytest.approx(closest, abs=1e-3)
     assert found.largest_step == pytest.approx(largest, abs=5e-3)
 
 
-def test_the_pattern_of_the_paper_on_the_scene_that_is_shown(planar4: Robot) -> None:
-    """Through without terms; not there with the obstacle term; there after about 25 iterations with all."""
+def test_the_shown_scene_has_the_pattern_of_the_paper(planar4: Robot) -> None:
+    """Without terms: through the obstacle; with the obstacle term: no arrival; with all: after about 25 iterations."""
     plain, pushed, turned = (iterated(planar4, SHOWN, gains) for gains in (NO_TERMS, PUSHED, TURNED))
     assert plain.closest < 0.06
     assert plain.error < 1e-8
@@ -140,8 +140,8 @@ def test_the_pattern_of_the_paper_on_the_scene_that_is_shown(planar4: Robot) -> 
     assert turned.largest_step == pytest.approx(0.236, abs=2e-3)
 
 
-def test_gain_of_the_primary_term_by_hand(planar4: Robot) -> None:
-    """What is left shrinks by 1 - s_e an iteration: 0.8^25 is 0.4 %, the paper's 25 iterations."""
+def test_the_gain_of_the_primary_term_equals_a_hand_calculation(planar4: Robot) -> None:
+    """The error shrinks to 1 - s_e of itself per iteration: 0.8^25 is 0.4 %, the paper's 25 iterations."""
     task = Task((0.3, 0.9, -1.1, 0.6), (2.3, 1.2), (9.0, 9.0))
     kinematics, goal = Kinematics(planar4), TipTarget(np.array([2.3, 1.2, 0.0]))
     q = np.array(task.start)
@@ -152,7 +152,7 @@ def test_gain_of_the_primary_term_by_hand(planar4: Robot) -> None:
         q = q + step
 
 
-def test_gains_are_the_papers() -> None:
+def test_gains_are_those_of_the_paper() -> None:
     found = paper_gains(("swing", "boom", "stick", "bucket"))
     assert (found.s_e, found.s_o, found.s_k) == (0.2, 0.2, {"swing": 0.01, "boom": 0.01})
 
@@ -182,8 +182,8 @@ def run(robot: Robot, start: Vector, goal: list[float], obstacle: list[float]) -
     )
 
 
-def test_no_obstacle_near_no_push(planar4: Robot) -> None:
-    """A folded arm is near itself all along; the paper knows no self-contact, and nothing is pushed."""
+def test_without_an_obstacle_near_there_is_no_push(planar4: Robot) -> None:
+    """A folded arm is near itself all along, but the paper knows no self-contact."""
     start = np.array([0.2, 2.4, -2.2, 2.0])
     kinematics, goal = Kinematics(planar4), TipTarget(np.array([0.6, 1.4, 0.0]))
     found = run(planar4, start, [0.6, 1.4, 0.0], [9.0, 9.0, 0.0])
@@ -193,7 +193,7 @@ def test_no_obstacle_near_no_push(planar4: Robot) -> None:
         np.testing.assert_allclose(expected, q, atol=1e-12)
 
 
-def test_the_push_acts_on_the_link_that_is_near(planar4: Robot) -> None:
+def test_the_push_moves_the_near_link_away_and_not_the_tip(planar4: Robot) -> None:
     """An obstacle 0.2 m below the middle of link 1: from the first iteration on, the motion differs."""
     start = np.array([0.0, 0.9, -1.1, 0.6])
     goal = [2.6, 1.0, 0.0]
@@ -205,7 +205,7 @@ def test_the_push_acts_on_the_link_that_is_near(planar4: Robot) -> None:
     np.testing.assert_allclose(J @ first, 0.0, atol=1e-9)
 
 
-def test_it_is_finite_whatever_happens(planar4: Robot) -> None:
+def test_iterates_are_finite_for_random_goals_and_obstacles(planar4: Robot) -> None:
     rng = np.random.default_rng(14)
     for _ in range(8):
         goal = [*rng.uniform(-4.5, 4.5, 2).tolist(), 0.0]
@@ -222,7 +222,7 @@ def paper_scene() -> Path:
     return Path(__file__).parents[2] / "scenes" / "paper_planar.yaml"
 
 
-def test_the_scene_file_is_the_scene_that_is_shown(paper_scene: Path) -> None:
+def test_the_scene_file_holds_the_shown_scene(paper_scene: Path) -> None:
     scene = load_scene(paper_scene)
     assert scene.start is not None
     assert scene.start.joints == {f"joint{k}": angle for k, angle in enumerate(SHOWN.start, start=1)}
@@ -231,7 +231,7 @@ def test_the_scene_file_is_the_scene_that_is_shown(paper_scene: Path) -> None:
     assert goal.position == (*SHOWN.goal, 0.0)
 
 
-def test_the_completed_law_verifies_it(planar4: Robot, paper_scene: Path) -> None:
+def test_the_planner_verifies_the_scene_of_the_paper(planar4: Robot, paper_scene: Path) -> None:
     found = plan(planar4, load_scene(paper_scene))
     assert found.verdict == "verified"
     from_point = [proven.distance for proven in found.certificate.clearances if proven.obstacle == "point"]
@@ -239,7 +239,7 @@ def test_the_completed_law_verifies_it(planar4: Robot, paper_scene: Path) -> Non
     assert min(from_point) >= 0.3
 
 
-def test_the_law_as_printed_runs_on_it_and_is_judged(planar4: Robot, paper_scene: Path) -> None:
+def test_the_method_paper_runs_all_iterations_on_the_scene_of_the_paper(planar4: Robot, paper_scene: Path) -> None:
     found = plan(planar4, load_scene(paper_scene), method="paper")
     assert found.method == "paper"
     assert found.findings.iterations == ITERATIONS

@@ -1,4 +1,4 @@
-"""The shield, of which each step does only what it needs, answers as its equations written down plainly."""
+"""The shield, whose steps skip needless work, gives the same answers as its equations written plainly."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ DT = 0.02
 
 
 def plain_bounds(limits: JointLimits, q: Vector, v: Vector, dt: float) -> tuple[Vector, Vector]:
-    """(n,), (n,) for a joint with a gap to its limit the speed from which it stops within it, 1.5 dt until it brakes.
+    """(n,), (n,) rates from which a joint stops within the gap to its limit, braking after 1.5 dt.
 
-    From a (sqrt(t^2 + 2 gap / a) - t) with t = 1.5 dt; beyond the limit it comes back at 1 / s, 0.25 at most. What the
-    acceleration allows has the last word.
+    They are a (sqrt(t^2 + 2 gap / a) - t) with t = 1.5 dt; beyond the limit it comes back at 1 / s, 0.25 at most. The
+    acceleration limit takes precedence.
     """
     a, lead = limits.acceleration, 1.5 * dt
 
@@ -34,9 +34,9 @@ def plain_bounds(limits: JointLimits, q: Vector, v: Vector, dt: float) -> tuple[
 def plain_answer(
     limits: JointLimits, wish: Vector, q: Vector, v: Vector, nearby: Nearby, J_tip: Matrix, extra: float
 ) -> Vector:
-    """(n,) the solution of the whole program, by the module's text.
+    """(n,) the solution of the whole program, from the module's text.
 
-    Without the rows of which no entry is above 1e-5 m/rad.
+    Rows with no entry above 1e-5 m/rad are left out.
     """
     low, high = plain_bounds(limits, q, v, DT)
     time = float(np.max(np.abs([v, wish]) / limits.acceleration))
@@ -54,7 +54,7 @@ def plain_answer(
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_the_answer_is_that_of_the_whole_program(any_robot: Robot, seed: int) -> None:
+def test_the_shields_answer_equals_that_of_the_whole_program(any_robot: Robot, seed: int) -> None:
     robot, limits = any_robot, any_robot.limits
     rng, kinematics, shield = np.random.default_rng(seed), Kinematics(any_robot), Shield(any_robot.limits)
     proximity = crowd(robot, 30, seed, moving=True)

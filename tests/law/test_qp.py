@@ -1,4 +1,4 @@
-"""Quadratic programs: by hand, and what a solution says about itself."""
+"""Quadratic programs: by hand, and the residual of a solution."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WIDE = np.full(2, 10.0)
 
 
 def nearest(wish: list[float], *rows: Rows, high: float = 10.0) -> np.ndarray:
-    """The point of the plane nearest to a wish."""
+    """The point of the plane nearest to `wish`."""
     found = solve_program(QuadraticProgram(np.eye(2), -np.array(wish), -WIDE, np.full(2, high), rows))
     assert found is not None
     assert found.residual < 1e-7
@@ -42,7 +42,7 @@ def half_plane(kind: Kind) -> Rows:
     return Rows("test", np.array([[1.0, 1.0]]), np.array([1.0]), kind)
 
 
-def test_by_hand() -> None:
+def test_solutions_with_hard_and_equality_rows_equal_hand_calculations() -> None:
     np.testing.assert_allclose(nearest([3.0, 2.0]), [3.0, 2.0], atol=1e-9)
     np.testing.assert_allclose(nearest([3.0, 2.0], high=1.5), [1.5, 1.5], atol=1e-9)
     np.testing.assert_allclose(nearest([3.0, 2.0], half_plane(Kind.HARD)), [1.0, 0.0], atol=1e-9)
@@ -51,7 +51,7 @@ def test_by_hand() -> None:
 
 
 def test_a_soft_row_is_missed_by_its_force_over_its_price() -> None:
-    """From (3, 2) its force is 2, and g H^-1 g^T is 2. Where x, y >= 2, it misses 3: a force of 3 / 2."""
+    """From (3, 2) its force is 2, and g H^-1 g^T is 2. If x, y >= 2, it is missed by 3: a force of 3 / 2."""
     soft = half_plane(Kind.SOFT)
     stuck = solve_program(QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, 2.0), WIDE, (soft,)))
     assert stuck is not None
@@ -60,8 +60,8 @@ def test_a_soft_row_is_missed_by_its_force_over_its_price() -> None:
     assert nearest([3.0, 2.0], soft).sum() - 1.0 == pytest.approx(4.0 / PRICE, rel=1e-3)
 
 
-def test_soft_rows_alone_by_hand() -> None:
-    """As above: from (3, 2) to the edge and beyond it by 4 / PRICE, and where x, y >= 2 the corner."""
+def test_solutions_with_soft_rows_alone_equal_hand_calculations() -> None:
+    """As above: from (3, 2) to the edge and beyond it by 4 / PRICE; if x, y >= 2, the corner."""
     soft, eye = half_plane(Kind.SOFT), np.eye(2)
     found = solve_with_binding_rows(QuadraticProgram(eye, -np.array([3.0, 2.0]), -WIDE, WIDE, (soft,)))
     assert found is not None
@@ -72,7 +72,7 @@ def test_soft_rows_alone_by_hand() -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-def test_with_soft_rows_alone_nothing_beside_the_solution_costs_less(seed: int) -> None:
+def test_with_soft_rows_alone_no_point_near_the_solution_costs_less(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, count = 4, 8
     A, G, h = rng.normal(size=(n, n)), rng.normal(size=(count, n)), rng.normal(0.3, 0.5, count)
@@ -93,12 +93,12 @@ def test_with_soft_rows_alone_nothing_beside_the_solution_costs_less(seed: int) 
         assert min(map(cost, beside)) >= cost(x) - 1e-6 * max(abs(cost(x)), 1.0)
 
 
-def test_what_is_impossible_has_no_solution() -> None:
+def test_an_infeasible_program_has_no_solution() -> None:
     hard = half_plane(Kind.HARD)
     assert solve_program(QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, 2.0), WIDE, (hard,))) is None
 
 
-def test_rows_say_whether_they_are_kept() -> None:
+def test_rows_report_whether_they_are_kept() -> None:
     rows = half_plane(Kind.HARD)
     assert rows.are_kept_by(np.array([0.5, 0.5]))
     assert not rows.are_kept_by(np.array([0.5, 0.6]))
@@ -106,8 +106,8 @@ def test_rows_say_whether_they_are_kept() -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-def test_a_solution_knows_whether_it_is_right(seed: int) -> None:
-    """Around a point that keeps all conditions; anything 1e-3 beside the solution is not one."""
+def test_the_residual_of_a_solution_shows_whether_it_is_right(seed: int) -> None:
+    """Programs around a feasible point; a point off the solution by 1e-3 is none."""
     rng = np.random.default_rng(seed)
     n = 4
     known, A = rng.uniform(-1.0, 1.0, n), rng.normal(size=(n, n))
@@ -124,8 +124,8 @@ def test_a_solution_knows_whether_it_is_right(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_of_many_rows_those_that_bind_give_the_solution_with_all(seed: int) -> None:
-    """Tangents of a ball of radius 1, and a wish outside: all rows can be kept, few of them bind."""
+def test_the_binding_rows_of_many_give_the_solution_with_all(seed: int) -> None:
+    """Tangents of a ball of radius 1 and a wish outside: all rows can be kept, and few bind."""
     rng = np.random.default_rng(seed)
     G = rng.normal(size=(400, 3))
     rows = Rows("ball", G / np.linalg.norm(G, axis=1)[:, None], np.ones(400))
@@ -137,8 +137,8 @@ def test_of_many_rows_those_that_bind_give_the_solution_with_all(seed: int) -> N
     assert found.rows <= MOST_SOFT_ROWS
 
 
-def test_of_many_rows_that_contradict_each_other_few_are_weighed() -> None:
-    """As from two sides at once: x <= -1 and x >= 1, 200 times each, a little turned. The middle misses both alike."""
+def test_few_of_many_contradictory_rows_are_used() -> None:
+    """From two sides at once: x <= -1 and x >= 1, 200 rows each, a little turned. The middle misses both alike."""
     turned = np.linspace(-0.3, 0.3, 200)
     right = np.column_stack((np.cos(turned), np.sin(turned)))
     rows = Rows("both sides", np.vstack((right, -right)), np.full(400, -1.0))
@@ -169,11 +169,11 @@ assert not any([solve_program(program) for _ in range(2000)])
 """
 
 
-def test_hard_and_soft_rows_that_contradict_each_other_leave_memory_alone() -> None:
-    """Of the first two hard rows one asks for at most 0.0002, the other for at least 0.5885 of nearly the same.
+def test_contradictory_hard_and_soft_rows_do_not_corrupt_memory() -> None:
+    """The first two hard rows limit nearly the same to at most 0.0002 and to at least 0.5885.
 
-    Here daqp 0.11.0 writes beyond its memory (seen with valgrind in `daqp_update_LDL_add`, and glibc's "free():
-    invalid next size"), for which the process would end.
+    There daqp 0.11.0 writes beyond its memory (seen with valgrind in `daqp_update_LDL_add`, and glibc's "free():
+    invalid next size"), which would end the process.
     """
     done = subprocess.run(
         [sys.executable, "-c", _OVERRUN], stderr=subprocess.PIPE, text=True, timeout=PATIENCE, check=False
@@ -182,7 +182,7 @@ def test_hard_and_soft_rows_that_contradict_each_other_leave_memory_alone() -> N
 
 
 @pytest.mark.parametrize(("hard", "equal", "soft"), [(0, 0, 3), (1, 0, 1), (5, 0, 1), (3, 2, 4), (4, 1, 0)])
-def test_there_is_room_for_all_conditions_in_the_solver_s_working_set(hard: int, equal: int, soft: int) -> None:
+def test_the_solvers_working_set_has_room_for_all_conditions(hard: int, equal: int, soft: int) -> None:
     """daqp has room for n + 1 and the soft rows; a set with hard rows alone never has more than n + 1."""
     n = 4
     kinds = ((Kind.HARD, hard), (Kind.EQUAL, equal), (Kind.SOFT, soft))
@@ -195,8 +195,8 @@ def test_there_is_room_for_all_conditions_in_the_solver_s_working_set(hard: int,
     assert len(rows.G) == rows.total + (max(0, hard + equal - 1) if soft else 0)
 
 
-def test_an_answer_outside_of_the_bounds_is_no_solution() -> None:
-    """Of a hard row that asks for x >= 0.774 where x <= 0.3, daqp 0.11.0 answers x = 1.38, a soft row missed."""
+def test_an_answer_outside_the_bounds_is_no_solution() -> None:
+    """For a hard row x >= 0.774 with x <= 0.3, daqp 0.11.0 answers x = 1.38 and misses a soft row."""
     G = np.array([[-0.2942, -0.9358], [-0.1639, -0.9549], [-0.9877, 0.0003]])
     hard = Rows("hard", G, np.array([0.0104, 0.4949, -0.7645]), Kind.HARD)
     soft = Rows("soft", np.array([[0.0008, -0.5714], [0.997, -0.0007]]), np.array([-0.6548, -0.305]))
@@ -205,10 +205,8 @@ def test_an_answer_outside_of_the_bounds_is_no_solution() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_of_hard_rows_those_that_are_near_give_the_solution_with_all(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Tangents of a ball within a box, some far outside of it; the last variable lets all of them be missed, dearly."""
+def test_the_near_rows_of_many_hard_ones_give_the_solution_with_all(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tangents of a ball within a box, some far outside; the last variable lets all be missed at a high cost."""
     rng, n, solved = np.random.default_rng(seed), 5, []
     G = rng.normal(size=(300, n))
     G = np.column_stack((G / np.linalg.norm(G, axis=1)[:, None], np.full(300, -1.0)))
@@ -233,7 +231,7 @@ def test_of_hard_rows_those_that_are_near_give_the_solution_with_all(
     assert max(solved) < 100
 
 
-def test_near_rows_that_contradict_each_other_have_no_solution() -> None:
+def test_contradictory_near_rows_have_no_solution() -> None:
     rows = Rows("both sides", np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([-0.5, -0.5]), Kind.HARD)
     program = QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, -5.0), np.full(2, 5.0), (rows,))
     assert solve_with_near_rows(program, most_iterations=100) is None

@@ -1,4 +1,4 @@
-"""The shield: never past a limit, never towards what is too near, always an answer."""
+"""The shield: never past a limit, never towards an obstacle that is too near, always an answer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def two_joints() -> JointLimits:
 
 
 def rows(gradient: list[list[float]], margin: list[float], drift: list[float] | None = None, *, n: int = 2) -> Nearby:
-    """Distance rows at will, of `n` joints."""
+    """Given distance rows of `n` joints."""
     count = len(margin)
     return Nearby(
         pair=np.arange(count),
@@ -43,7 +43,7 @@ J_TIP = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
 def filtered(
     wish: list[float], nearby: Nearby, v_before: list[float] | None = None, q: list[float] | None = None
 ) -> Vector:
-    """Two joints through the shield; no slack allowed."""
+    """The answer of the shield for two joints, without slack."""
     found = Shield(two_joints()).filter(
         np.array(wish),
         q=np.zeros(2) if q is None else np.array(q),
@@ -59,44 +59,44 @@ def filtered(
 # --- joint limits by hand ---------------------------------------------------------------
 
 
-def test_braking_distance_by_hand() -> None:
+def test_velocity_bounds_before_a_limit_equal_a_hand_calculation() -> None:
     """0.0091 rad before the limit: 2 (sqrt(0.03^2 + 2 * 0.0091 / 2) - 0.03) = 2 (0.1 - 0.03) = 0.14 rad/s."""
     shield = Shield(two_joints())
     low, high = shield.velocity_bounds(np.array([1.0 - 0.0091, 0.0]), np.array([0.14, 0.0]), DT)
-    np.testing.assert_allclose(high, [0.14, 0.04], atol=1e-12)  # the other: 2 rad/s^2 for 0.02 s
+    np.testing.assert_allclose(high, [0.14, 0.04], atol=1e-12)  # the other joint: 2 rad/s^2 for 0.02 s
     np.testing.assert_allclose(low, [0.10, -0.04], atol=1e-12)
     low, high = shield.velocity_bounds(np.array([-1.0 + 0.0091, 0.0]), np.array([-0.14, 0.98]), DT)
     np.testing.assert_allclose(low, [-0.14, 0.94], atol=1e-12)
-    np.testing.assert_allclose(high, [-0.10, 1.0], atol=1e-12)  # not above the limit of rate
+    np.testing.assert_allclose(high, [-0.10, 1.0], atol=1e-12)  # not above the velocity limit
 
 
-def test_braking_time_by_hand() -> None:
-    """The slowest joint decides: 0.8 rad/s at 2 rad/s^2."""
+def test_the_braking_time_is_that_of_the_slowest_joint() -> None:
+    """0.8 rad/s at 2 rad/s^2."""
     assert Shield(two_joints()).braking_time(np.array([0.3, -0.8])) == pytest.approx(0.4)
 
 
-def test_beyond_a_limit_it_must_come_back() -> None:
-    """0.1 rad outside: at least 0.1 rad/s back; far outside at most 0.25 rad/s is asked."""
+def test_a_joint_beyond_its_limit_must_come_back() -> None:
+    """0.1 rad outside: at least 0.1 rad/s back; far outside: 0.25 rad/s at most."""
     shield = Shield(two_joints())
     _, high = shield.velocity_bounds(np.array([1.1, 2.0]), np.array([-0.1, -0.25]), DT)
     np.testing.assert_allclose(high, [-0.1, -0.25], atol=1e-12)
 
 
-def test_what_the_acceleration_allows_has_the_last_word() -> None:
+def test_the_acceleration_limit_takes_precedence_over_coming_back() -> None:
     _, high = Shield(two_joints()).velocity_bounds(np.array([1.1, 0.0]), np.array([0.5, 0.0]), DT)
     assert high[0] == pytest.approx(0.5 - 0.04)
 
 
-# --- what it does to a wish ----------------------------------------------------------------
+# --- filtering a wish ----------------------------------------------------------------------
 
 
-def test_a_wish_that_is_safe_is_not_touched() -> None:
+def test_a_safe_wish_is_not_changed() -> None:
     np.testing.assert_array_equal(filtered([0.4, -0.2], NOTHING), [0.4, -0.2])
     np.testing.assert_array_equal(filtered([0.4, -0.2], rows([[1.0, 0.0], [0.0, 1.0]], [0.1, 0.4])), [0.4, -0.2])
 
 
-def test_a_row_by_hand() -> None:
-    """Braking from 0.4 rad/s takes 0.2 s, so gamma = 1.6 / 0.2 = 8 1/s: 0.01 m away at most 0.08 m/s nearer."""
+def test_a_row_limits_the_speed_as_calculated_by_hand() -> None:
+    """Braking from 0.4 rad/s takes 0.2 s, so gamma = 1.6 / 0.2 = 8 1/s: 0.01 m away, at most 0.08 m/s nearer."""
     found = Shield(two_joints()).filter(
         np.array([0.4, 0.0]), q=np.zeros(2), v_before=np.array([0.1, 0.0]), dt=DT,
         nearby=rows([[-1.0, 0.0]], [0.01]), J_tip=J_TIP,
@@ -107,7 +107,7 @@ def test_a_row_by_hand() -> None:
 
 
 def test_a_row_that_the_acceleration_does_not_allow_costs_slack() -> None:
-    """The same from 0.4 rad/s: 2 rad/s^2 take off 0.04 rad/s in a step, 0.36 - 0.08 m/s are missing."""
+    """The same from 0.4 rad/s: 2 rad/s^2 reduce it by 0.04 rad/s in a step, so 0.36 - 0.08 m/s are missing."""
     found = Shield(two_joints()).filter(
         np.array([0.4, 0.0]), q=np.zeros(2), v_before=np.array([0.4, 0.0]), dt=DT,
         nearby=rows([[-1.0, 0.0]], [0.01]), J_tip=J_TIP,
@@ -117,8 +117,8 @@ def test_a_row_that_the_acceleration_does_not_allow_costs_slack() -> None:
 
 
 @pytest.mark.parametrize("rounding", [0.0, 1e-16, 1e-5])
-def test_a_row_of_rounding_asks_for_nothing(rounding: float) -> None:
-    """Of a link that turns about an axis through what is 8 cm too near to it the gradient is rounding alone."""
+def test_a_gradient_of_rounding_alone_changes_nothing(rounding: float) -> None:
+    """A link turns about an axis through an obstacle 8 cm too near: the gradient is rounding alone."""
     found = Shield(two_joints()).filter(
         np.array([0.03, -0.02]), q=np.zeros(2), v_before=np.array([0.03, 0.0]), dt=DT,
         nearby=rows([[-rounding, rounding], [1.0, 0.0]], [-0.08, 0.5]), J_tip=J_TIP,
@@ -128,8 +128,8 @@ def test_a_row_of_rounding_asks_for_nothing(rounding: float) -> None:
 
 
 @pytest.mark.parametrize(("v", "a", "dt"), [(1e-4, 2e-4, 0.02), (0.5, 1.0, 1e-6), (0.5, 1.0, 1e-4)])
-def test_a_slow_machine_and_one_in_short_steps_brake_before_a_wall(v: float, a: float, dt: float) -> None:
-    """A row counts however little a step can change: at full speed, with nothing left, all joints can do is brake."""
+def test_slow_machines_and_short_steps_brake_before_a_wall(v: float, a: float, dt: float) -> None:
+    """A row counts however little a step can change: at full speed and without margin, joints can only brake."""
     one = np.ones(2)
     limits = JointLimits(lower=-one, upper=one.copy(), velocity=v * one, acceleration=a * one, effort=one.copy())
     found = Shield(limits).filter(
@@ -139,14 +139,14 @@ def test_a_slow_machine_and_one_in_short_steps_brake_before_a_wall(v: float, a: 
     assert found.v[0] == pytest.approx(v - a * dt, rel=1e-9)
 
 
-def test_an_obstacle_that_comes_nearer_is_evaded() -> None:
-    """At the clearance, with drift -0.03 m/s: the joint must give way at that speed."""
+def test_an_approaching_obstacle_is_evaded() -> None:
+    """At the clearance and with a drift of -0.03 m/s the joint must give way at that speed."""
     found = filtered([0.0, 0.0], rows([[1.0, 0.0]], [0.0], [-0.03]), v_before=[0.03, 0.0])
     assert found[0] >= 0.03 - 1e-6
 
 
 def test_rows_are_satisfied_from_rest() -> None:
-    """g v >= -gamma margin, gamma = 1.6 / max(T, 3.2 dt), over random rows that a machine at rest can meet."""
+    """g v >= -gamma margin, gamma = 1.6 / max(T, 3.2 dt), for random rows that a machine at rest can meet."""
     rng = np.random.default_rng(12)
     shield = Shield(two_joints())
     held = 0
@@ -162,7 +162,7 @@ def test_rows_are_satisfied_from_rest() -> None:
 
 
 def test_the_tip_keeps_its_direction_before_its_speed() -> None:
-    """A third joint that the tip does not notice gives way first."""
+    """A third joint that does not move the tip gives way first."""
     one = np.ones(3)
     limits = JointLimits(lower=-one, upper=one.copy(), velocity=one.copy(), acceleration=100.0 * one, effort=one.copy())
     J_tip = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
@@ -175,11 +175,11 @@ def test_the_tip_keeps_its_direction_before_its_speed() -> None:
     assert abs(found.v[1]) < 1e-9
 
 
-# --- what users of neighbouring packages meet --------------------------------------------
+# --- problems that users of other packages reported --------------------------------------
 
 
-def test_infeasible_rows_have_an_answer_and_report_their_slack_pink_206() -> None:
-    """Both sides 0.2 m too near: 0.2 m/s is asked both ways, no joint rate gives that, half of nothing is missing."""
+def test_infeasible_rows_have_an_answer_and_their_slack_is_reported_pink_206() -> None:
+    """Both sides are 0.2 m too near: the rows demand 0.2 m/s in both directions, which no joint rate gives."""
     found = Shield(two_joints()).filter(
         np.zeros(2), q=np.zeros(2), v_before=np.zeros(2), dt=DT,
         nearby=rows([[1.0, 0.0], [-1.0, 0.0]], [-0.2, -0.2]), J_tip=J_TIP,
@@ -190,7 +190,7 @@ def test_infeasible_rows_have_an_answer_and_report_their_slack_pink_206() -> Non
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_starting_outside_a_joint_limit_goes_back_moveit2_409(planar4: Robot, side: float) -> None:
+def test_a_joint_that_starts_outside_its_limit_comes_back_moveit2_409(planar4: Robot, side: float) -> None:
     shield, limits = Shield(planar4.limits), planar4.limits
     q, v = side * np.array([np.pi + 0.2, 0.0, np.pi + 0.05, 0.0]), np.zeros(4)
     outside = np.abs(q) - np.pi
@@ -205,7 +205,7 @@ def test_starting_outside_a_joint_limit_goes_back_moveit2_409(planar4: Robot, si
 
 
 def among(robot: Robot, obstacle: dict[str, Any]) -> Proximity:
-    """The machine and one obstacle with a clearance of 0.05 m, without contact with itself."""
+    """The machine and one obstacle with a clearance of 0.05 m, without self-collision."""
     scene = scene_from_dict(
         {
             "version": 1,
@@ -222,8 +222,8 @@ def sphere_at(robot: Robot, position: list[float], radius: float) -> Proximity:
     return among(robot, {"shape": "sphere", "radius": radius, "position": position})
 
 
-def test_starting_inside_an_obstacle_the_motion_makes_it_better_pink_206(planar4: Robot) -> None:
-    """The tip link begins 6 cm deep in a ball and is pushed further in: it comes out all the same."""
+def test_a_link_that_starts_inside_an_obstacle_comes_out_pink_206(planar4: Robot) -> None:
+    """The tip link begins 6 cm deep in a ball and its wish leads further in."""
     proximity, kinematics, shield = (
         sphere_at(planar4, [3.2, 0.15, 0.0], 0.2),
         Kinematics(planar4),
@@ -244,12 +244,12 @@ def test_starting_inside_an_obstacle_the_motion_makes_it_better_pink_206(planar4
         if distance < 0.05 - 0.01:
             assert now > distance
         distance = now
-    # sliding on round the ball it stays a little inside: what linear rows leave out
+    # sliding round the ball it stays a little inside, because rows are linear
     assert distance > 0.05 - 0.006
 
 
 def pushed_into(robot: Robot, proximity: Proximity, goal: list[float]) -> tuple[Matrix, Vector]:
-    """500 steps towards a goal that the obstacle covers: joint velocities and margins of every step."""
+    """Joint velocities and margins of 500 steps towards a goal covered by the obstacle."""
     kinematics, shield = Kinematics(robot), Shield(robot.limits)
     q, v = np.array([-1.2, 1.2, 0.6, 0.4]), np.zeros(4)
     velocities, margins = [], []
@@ -265,7 +265,7 @@ def pushed_into(robot: Robot, proximity: Proximity, goal: list[float]) -> tuple[
 
 
 def settles(velocities: Matrix) -> bool:
-    """Every joint turns round at most twice, and all but rest at the end."""
+    """Whether every joint reverses at most twice and all are nearly at rest at the end."""
     turns = [np.sum(np.diff(np.sign(joint[np.abs(joint) > 1e-4])) != 0) for joint in velocities.T]
     return bool(max(turns) < 3 and np.max(np.abs(velocities[-50:])) < 1e-2)
 
@@ -274,7 +274,7 @@ def test_no_chatter_at_a_barrier_pink_98_pink_159(planar4: Robot) -> None:
     velocities, margins = pushed_into(planar4, sphere_at(planar4, [1.5, 2.6, 0.0], 0.5), [1.5, 2.6])
     assert settles(velocities)
     assert np.min(margins) >= -1e-3
-    assert margins[-1] < 1e-2  # it is there
+    assert margins[-1] < 1e-2  # it has arrived
 
 
 WALL = {"shape": "box", "size": [8.0, 0.5, 1.0], "position": [0.0, 2.5, 0.0]}
@@ -311,7 +311,7 @@ def test_no_chatter_at_a_joint_limit_pink_98(planar4: Robot) -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_limits_and_acceleration_hold_over_random_wishes_pink_98_moveit2_409(any_robot: Robot, seed: int) -> None:
-    """Random wishes, one after the other: position, rate and change of rate stay within their limits."""
+    """Random wishes, one after the other: position, rate and change of rate keep their limits."""
     rng, limits = np.random.default_rng(seed), any_robot.limits
     shield, n = Shield(limits), any_robot.n
     q, v = any_robot.random_q(rng), np.zeros(n)
@@ -329,7 +329,7 @@ def test_limits_and_acceleration_hold_over_random_wishes_pink_98_moveit2_409(any
 
 
 def test_acceleration_holds_among_obstacles_pink_159(planar4: Robot) -> None:
-    """The same with a ball in the way, where rows and acceleration compete; the ball is not touched."""
+    """The same with a ball in the way, so that rows and acceleration compete; the ball is not touched."""
     proximity, kinematics, shield = (
         sphere_at(planar4, [1.6, 1.4, 0.0], 0.4),
         Kinematics(planar4),

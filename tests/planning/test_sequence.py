@@ -1,4 +1,4 @@
-"""Sequences: legs planned together, one motion with one certificate, in all and by leg."""
+"""Sequences: legs planned together as one motion, with a certificate for the whole and for each leg."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from backhoe_planner.planning.sequence.plan_task import plan_problem
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
-CUT = ([2.5, 2.0, 1.0], [2.2, 1.8, 1.0])  # with a pitch, so that no joint is left to choose
+CUT = ([2.5, 2.0, 1.0], [2.2, 1.8, 1.0])  # with a pitch, so that no joint is free
 LEGS: list[dict[str, Any]] = [
     {"name": "reach", "goal": {"position": [4.0, 0.0, 0.8]}},
     {"name": "swing", "goal": {"position": [2.5, 2.5, 1.2]}, "payload": 250.0, "speed": 1.0, "keep": {"above": 0.5}},
@@ -47,7 +47,7 @@ def done(backhoe: Robot) -> Plan:
     return plan(backhoe, scene_of(*LEGS), effort="quick")
 
 
-def test_the_legs_are_one_motion_and_each_keeps_what_is_its_own(done: Plan) -> None:
+def test_legs_are_one_motion_and_each_keeps_its_own_conditions(done: Plan) -> None:
     assert done.verified, done.message
     assert [leg.name for leg in done.legs] == ["reach", "swing", "rest", "cut"]
     assert [leg.first for leg in done.legs[1:]] == [leg.last for leg in done.legs[:-1]]
@@ -62,7 +62,7 @@ def test_the_legs_are_one_motion_and_each_keeps_what_is_its_own(done: Plan) -> N
     assert np.max(steps / np.diff(done.trajectory.time[swing.first : swing.last + 1])) <= 1.03
 
 
-def test_the_whole_is_the_sum_and_the_tightest_of_its_legs(done: Plan) -> None:
+def test_costs_of_a_sequence_add_up_and_its_margins_are_those_of_the_tightest_leg(done: Plan) -> None:
     assert done.metrics.duration == pytest.approx(sum(leg.metrics.duration for leg in done.legs))
     work = [leg.metrics.energy["work"] for leg in done.legs]
     assert done.metrics.energy["work"] == pytest.approx(sum(work))
@@ -78,7 +78,7 @@ def test_the_whole_is_the_sum_and_the_tightest_of_its_legs(done: Plan) -> None:
     assert kept.words.startswith(f"leg 'swing' (its times count from {done.legs[1].begins:.2f} s): ")
 
 
-def test_a_plan_of_a_sequence_is_proven_anew_from_its_file(done: Plan, tmp_path: Path) -> None:
+def test_a_sequence_read_from_its_file_is_proven_anew(done: Plan, tmp_path: Path) -> None:
     done.save(tmp_path / "plan.json")
     again = load_plan(tmp_path / "plan.json")
     assert again.verified
@@ -86,7 +86,7 @@ def test_a_plan_of_a_sequence_is_proven_anew_from_its_file(done: Plan, tmp_path:
     assert again.certificate.clearances == done.certificate.clearances
 
 
-def test_a_motion_is_refuted_by_the_leg_whose_condition_it_breaks(backhoe: Robot, done: Plan) -> None:
+def test_a_broken_condition_is_reported_with_its_leg(backhoe: Robot, done: Plan) -> None:
     post = POST | {"position": done.tip_path()[done.legs[1].last - 5].tolist()}
     there = scene_of(*LEGS, obstacles=[post | {"legs": ["swing"]}])
     found = certify(backhoe, there, done.trajectory)
@@ -96,7 +96,7 @@ def test_a_motion_is_refuted_by_the_leg_whose_condition_it_breaks(backhoe: Robot
     assert certify(backhoe, scene_of(*LEGS, obstacles=elsewhere), done.trajectory).verified
 
 
-def test_too_short_a_wait_and_a_leg_that_is_left_out_are_refuted(backhoe: Robot, done: Plan) -> None:
+def test_a_short_wait_and_a_missing_leg_are_refuted(backhoe: Robot, done: Plan) -> None:
     longer = [*LEGS[:2], LEGS[2] | {"wait": 0.8}, LEGS[3]]
     found = certify(backhoe, scene_of(*longer), done.trajectory)
     assert any("the machine waits 0.7 s instead of 0.8 s" in problem for problem in found.problems)
@@ -114,7 +114,7 @@ def test_a_sequence_may_begin_with_a_wait(backhoe: Robot) -> None:
     assert found.legs[0].trajectory.duration == pytest.approx(0.5, abs=1e-9)
 
 
-def test_a_motion_without_legs_is_no_motion_of_a_sequence(backhoe: Robot, done: Plan) -> None:
+def test_motions_with_legs_and_scenes_with_a_sequence_go_together_only(backhoe: Robot, done: Plan) -> None:
     with pytest.raises(InputError, match=r"trajectory\.begins"):
         certify(backhoe, scene_of(*LEGS), replace(done.trajectory, begins=()))
     one = scene_from_dict({"version": 1, "start": START, "task": {"goal": LEGS[0]["goal"]}})
@@ -130,8 +130,8 @@ def test_a_failure_names_the_leg(backhoe: Robot) -> None:
     assert "the leg 'rest' is not begun" in found.certificate.problems
 
 
-def test_a_failure_also_names_a_later_leg_that_may_not_end_where_it_does(backhoe: Robot) -> None:
-    """It may be the one that is wrong: here a mast stands in the bucket where the last one ends."""
+def test_a_failure_also_names_a_later_leg_whose_end_is_impossible(backhoe: Robot) -> None:
+    """A mast is in the bucket at the end of the last leg, which may be the one with the mistake."""
     far = {"name": "too far", "goal": {"position": [14.0, 0.0, 0.5]}}
     joints = {"swing": -1.2, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
     x, y, z = Kinematics(backhoe).at(np.array(list(joints.values()))).tip_position.tolist()
@@ -144,7 +144,7 @@ def test_a_failure_also_names_a_later_leg_that_may_not_end_where_it_does(backhoe
     assert "home" not in found.message
 
 
-def test_what_is_carried_counts_as_a_part_of_the_machine(backhoe: Robot) -> None:
+def test_a_carried_load_counts_as_a_link_of_the_machine(backhoe: Robot) -> None:
     pipe = {"name": "pipe", "shape": "capsule", "from": [0.0, 0.0, 0.0], "to": [0.0, 0.0, 1.0], "radius": 0.1}
     problem = build_problem(backhoe, scene_of(LEGS[0], LEGS[1] | {"carries": pipe}))
     bare, loaded = (leg.robot for leg in problem.legs)
@@ -153,7 +153,7 @@ def test_what_is_carried_counts_as_a_part_of_the_machine(backhoe: Robot) -> None
     assert loaded.pieces_of(("boom",)) == bare.pieces_of(("boom",))
 
 
-def test_a_ready_motion_is_a_leg_after_the_way_to_its_beginning(backhoe: Robot, done: Plan) -> None:
+def test_a_given_motion_is_a_leg_after_an_approach_to_its_beginning(backhoe: Robot, done: Plan) -> None:
     problem = build_problem(backhoe, scene_of(LEGS[0], {"name": "cut", "wait": 1.0}))
     q = done.trajectory.q[done.legs[0].last] + np.array([0.05, 0.02, 0.0, 0.0])
     ready = Trajectory.from_steps(np.linspace(0.0, 2.0, 101), q + np.linspace(0.0, 0.1, 101)[:, None] ** 2)
@@ -167,7 +167,7 @@ def test_a_ready_motion_is_a_leg_after_the_way_to_its_beginning(backhoe: Robot, 
         plan_legs([Leg(problem.legs[0]), Leg(problem.legs[0])])
 
 
-def test_legs_go_over_into_each_other_within_their_tolerances(backhoe: Robot) -> None:
+def test_legs_blend_within_their_tolerances(backhoe: Robot) -> None:
     up = {"name": "up", "goal": {"position": [4.0, 0.0, 1.2]}}
     round_ = {"name": "round", "goal": {"position": [2.6, 2.6, 1.2]}, "payload": 200.0}
 
@@ -189,7 +189,7 @@ def test_legs_go_over_into_each_other_within_their_tolerances(backhoe: Robot) ->
     assert not certify(backhoe, strict, goes_on.trajectory).verified
 
 
-def test_a_motion_that_begins_before_another_ends_is_their_sum() -> None:
+def test_overlapping_motions_add_up() -> None:
     ramp = np.linspace(0.0, 1.0, 51)
     smooth = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)
     first = Trajectory.from_steps(ramp, np.outer(smooth, [1.0, 0.0]))
@@ -212,7 +212,7 @@ def cost(found: Any) -> float:
 
 
 @pytest.mark.long
-def test_a_leg_ends_where_the_next_one_is_near(backhoe: Robot) -> None:
+def test_a_leg_ends_at_the_goal_nearer_to_the_next_leg(backhoe: Robot) -> None:
     either = {"name": "either", "goal": [NEAR, FAR]}
     right = {"name": "right", "goal": {"position": [1.0, -3.6, 1.2]}}
     legs = [Leg(leg) for leg in build_problem(backhoe, scene_of(either, right)).legs]
@@ -224,8 +224,8 @@ def test_a_leg_ends_where_the_next_one_is_near(backhoe: Robot) -> None:
 
 
 @pytest.mark.long
-def test_a_sequence_that_time_cuts_short_says_so(backhoe: Robot) -> None:
-    """Its legs are planned one by one, and then no time is left for other ends."""
+def test_a_sequence_reports_if_time_ran_out(backhoe: Robot) -> None:
+    """The legs are planned one by one, and then no time is left for other ends."""
 
     class UsedUp(Brake):
         def is_used_up(self) -> bool:
@@ -242,7 +242,7 @@ def test_a_sequence_that_time_cuts_short_says_so(backhoe: Robot) -> None:
         assert bool(plan.note) == bool(said)
 
 
-def test_where_a_later_leg_fails_other_ends_are_tried(backhoe: Robot) -> None:
+def test_other_ends_are_tried_if_a_later_leg_fails(backhoe: Robot) -> None:
     either = {"name": "either", "goal": [NEAR, FAR]}
     level = {"name": "high", "goal": {"position": [4.0, 1.0, 1.4]}, "keep": {"above": 0.6}}
     legs = [Leg(leg) for leg in build_problem(backhoe, scene_of(either, level)).legs]
@@ -254,7 +254,7 @@ def test_where_a_later_leg_fails_other_ends_are_tried(backhoe: Robot) -> None:
     assert ahead.done[0].certificate.goal == 2
 
 
-def test_a_sequence_may_begin_with_a_wait_where_the_joints_are_given(backhoe: Robot) -> None:
+def test_a_wait_at_the_beginning_needs_a_start_given_by_joints(backhoe: Robot) -> None:
     legs = [{"name": "pause", "wait": 0.5}, {"name": "on", "goal": {"position": [4.0, 1.0, 0.5]}}]
     start: dict[str, object] = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
     content: dict[str, object] = {"version": 1, "task": {"sequence": legs}}

@@ -1,4 +1,4 @@
-"""Smoothing never tears: steps from sample to sample stay as short as they were, or as a resolved path's may be."""
+"""Smoothing never tears: steps between samples stay as short as before, or as a resolved path's may be."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from backhoe_planner.planning import EFFORTS, Stretch, Work, cheapen_stretch, sm
 
 Data = dict[str, Any]
 
-BOUND = 0.11  # rad: three times the 0.03 rad of a straight way and 0.02, which a resolved path's steps may be
+BOUND = 0.11  # rad: three times the 0.03 rad of a straight path plus 0.02, the most of a resolved path's steps
 LENGTH = 0.4  # m of path, in 40 steps
-SWEEPS = 30  # of the dynamic programming, in which the worst of the tears came about
+SWEEPS = 30  # of the dynamic programming, which made the worst of the tears
 WANDER = 0.03  # rad by which a joint's drift within the null space changes from sample to sample
 
 
@@ -29,7 +29,7 @@ def waypoint(position: np.ndarray[Any, Any], rotation: np.ndarray[Any, Any] | No
 
 
 def random_stretch(robot: bp.Robot, seed: int, *, full: bool) -> tuple[Problem, Stretch] | None:
-    """A clear way along a random line that wanders in the null space; None where the walk ends early."""
+    """A clear stretch along a random line that wanders in the null space; None if the walk ends early."""
     rng = np.random.default_rng(seed)
     q = robot.random_q(rng)
     at = bp.Kinematics(robot).at(q)
@@ -60,7 +60,7 @@ def longest_step(stretch: Stretch) -> float:
     return float(np.max(np.abs(np.diff(stretch.q, axis=0))))
 
 
-# seeds whose walk gets to the end of its line, and that tore before: to 0.37 rad, or by a little
+# seeds whose walk reaches the end of its line, and that tore before: to 0.37 rad, or by a little
 PANDA = [("panda", "panda_hand_tcp", 69, True)]
 FREE = [("panda", "panda_hand_tcp", 52, False)]
 XARM = [("xarm7", "link_eef", 65, True)]
@@ -72,7 +72,7 @@ MORE = [
 
 @pytest.mark.parametrize(("name", "tip", "seed", "full"), [*PANDA, *FREE, *XARM, *MORE])
 @pytest.mark.parametrize("free_start", [True, pytest.param(False, marks=pytest.mark.long)])
-def test_no_step_of_seven_joints_grows_beyond_its_bound(
+def test_smoothing_keeps_the_steps_of_seven_joints_within_their_bound(
     name: str, tip: str, seed: int, full: bool, free_start: bool
 ) -> None:
     robot = bp.load_robot(f"example:{name}", tip=tip)

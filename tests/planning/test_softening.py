@@ -1,4 +1,4 @@
-"""Hydraulic energy, which jumps where a rod begins to move, is lowered as a smooth cost first."""
+"""Hydraulic energy, which jumps as a rod begins to move, is lowered as a smooth cost first."""
 
 from __future__ import annotations
 
@@ -21,17 +21,19 @@ def hydraulics(backhoe: bp.Robot) -> Hydraulics:
 
 @pytest.fixture
 def moments(backhoe: bp.Robot) -> tuple[Matrix, Matrix, Matrix]:
-    """(K, n) postures well within the limits, velocities and torques."""
+    """(K, n) configurations well within the limits, velocities and torques."""
     rng = np.random.default_rng(3)
     lower, upper = backhoe.limits.lower, backhoe.limits.upper
     q = lower + (0.1 + 0.8 * rng.random((MOMENTS, backhoe.n))) * (upper - lower)
     return q, 0.3 * rng.normal(size=q.shape), 3e3 * rng.normal(size=q.shape)
 
 
-def test_it_comes_near_to_the_power_as_it_is(hydraulics: Hydraulics, moments: tuple[Matrix, Matrix, Matrix]) -> None:
+def test_the_smooth_power_approaches_the_power_as_the_flow_goes_to_zero(
+    hydraulics: Hydraulics, moments: tuple[Matrix, Matrix, Matrix]
+) -> None:
     q, v, torque = moments
     exact = hydraulics.load_sensing_power(q, v, torque)
-    # two cylinders turn the swing: a norm counts their equal pressures 2^(1/8) times, 9 %
+    # two cylinders turn the swing: a norm counts their equal pressures 2^(1/8) times, 9 % too much
     soft = soft_power(hydraulics, q, v, torque, flow=1e-9)
     assert np.all(soft >= exact * (1.0 - 1e-3))
     assert np.all(soft <= exact * (1.0 + 0.2))
@@ -41,10 +43,10 @@ def test_it_comes_near_to_the_power_as_it_is(hydraulics: Hydraulics, moments: tu
     assert off[0] > 3.0 * off[1] > 9.0 * off[2]
 
 
-def test_where_a_rod_begins_to_move_it_does_not_jump(
+def test_the_smooth_power_does_not_jump_as_a_rod_begins_to_move(
     hydraulics: Hydraulics, moments: tuple[Matrix, Matrix, Matrix]
 ) -> None:
-    """Three joints sink under their loads; the swing stands still, or begins to turn against a torque."""
+    """Three joints sink under their loads; the swing is at rest, or begins to turn against a torque."""
     q, _, torque = moments
     v = -0.2 * np.sign(torque)
     v[:, 0] = 0.0
@@ -57,7 +59,7 @@ def test_where_a_rod_begins_to_move_it_does_not_jump(
     assert np.max(soft_power(hydraulics, q, np.zeros_like(q), torque, flow=1e-4)) == 0.0
 
 
-def test_each_flow_is_less_than_the_one_before() -> None:
+def test_the_flows_of_softening_decrease() -> None:
     flows = soft_flows(1e-4, first=False, fine=False, hurried=False)
     assert np.all(np.diff(flows) < 0.0)
     assert flows[0] == pytest.approx(3e-4)

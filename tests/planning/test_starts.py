@@ -1,4 +1,4 @@
-"""Curves from which descents begin: joints that move early or late."""
+"""Curves at which descents start, with joints that move early or late."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from validation.sites import SiteKey, random_site
 PIECES, LONGEST = 12, 20.0
 
 
-def test_joints_are_early_even_or_late_between_the_same_ends_and_cost_no_more(backhoe: bp.Robot) -> None:
+def test_paced_starts_have_the_same_ends_and_early_or_even_or_late_joints(backhoe: bp.Robot) -> None:
     middle = {"joints": dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))}
     scene = bp.scene_from_dict({"version": 1, "start": middle, "task": {"goal": middle}})
     problem = replace(build_problem(backhoe, scene), objective=OBJECTIVES["work"])
     proximity = Proximity(backhoe, problem.obstacles)
     descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
     screen = ClearanceScreen(proximity, time=0.0)
-    longest = 6.0  # s: starts are soon far apart
+    longest = 6.0  # s: short, so that starts count as far apart
     prices = StartPrices(descent, screen, longest=longest)
     u = np.linspace(0.0, 1.0, PIECES + 1)
     paces = [part * part * (3.0 - 2.0 * part) for part in (np.minimum(2.0 * u, 1.0), u, np.maximum(2.0 * u - 1.0, 0.0))]
@@ -62,7 +62,7 @@ def test_joints_are_early_even_or_late_between_the_same_ends_and_cost_no_more(ba
     assert several >= 1
 
 
-def test_starts_come_in_the_order_of_their_prices_and_none_that_is_dear_or_near_another_is_chosen(
+def test_starts_are_in_order_of_price_and_the_chosen_are_cheap_and_far_apart(
     backhoe: bp.Robot,
 ) -> None:
     middle = {"joints": dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))}
@@ -97,8 +97,8 @@ def test_starts_come_in_the_order_of_their_prices_and_none_that_is_dear_or_near_
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_an_arm_is_unfolded_after_it_was_lowered(seed: int) -> None:
-    """From the straight line two of these seeds ended at 3,000 J, the stick held out on the way; 198 J are known."""
+def test_an_arm_is_lowered_before_it_unfolds(seed: int) -> None:
+    """From the straight line two of these seeds ended at 3,000 J, with the stick held out; 198 J are known."""
     robot = load_machine("telescope")
     scene: Any = random_site(robot, SiteKey("telescope", "open", "goal", 0, 861)).scene
     plan = bp.plan(robot, with_objective(scene, "work"), seed=seed)

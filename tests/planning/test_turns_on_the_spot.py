@@ -1,4 +1,4 @@
-"""Paths on which the tip stands and the bucket turns: planned, timed, certified, and told in words."""
+"""Paths with turns of the bucket on the spot: planned, timed, certified and described."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ROW = (at(A, -1.6), at(A, TURNED), at(A, -1.8), at(B, -1.8), at(B, -2.4), at(B, 
 def test_a_turn_on_the_spot_is_followed(
     backhoe: bp.Robot, waypoints: tuple[dict[str, Any], ...], keys: dict[str, Any]
 ) -> None:
-    """Every metre of the path, no detour, and each asked angle in its turn."""
+    """Every metre of the path without a detour, and each requested angle in order."""
     plan = bp.plan(backhoe, site(*waypoints, **keys), effort="quick")
     assert plan.verified, plan.message
     tracking = plan.certificate.tracking
@@ -61,21 +61,21 @@ def test_a_turn_on_the_spot_is_followed(
         row += int(near[0])
 
 
-def test_the_law_turns_too(backhoe: bp.Robot) -> None:
+def test_the_law_follows_turns_on_the_spot(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, site(*ROW), method="reactive")
     assert plan.verified, plan.message
     assert plan.certificate.detours == ()
 
 
-def test_the_asked_speed_is_that_of_the_tip_and_does_not_hold_a_turn_back(backhoe: bp.Robot) -> None:
-    """At 0.02 m/s a turn by 0.6 rad, counted as a way of 0.15 m, would take 7.5 s."""
+def test_the_requested_speed_does_not_slow_a_turn_on_the_spot(backhoe: bp.Robot) -> None:
+    """At 0.02 m/s a turn by 0.6 rad, if it counted as 0.15 m, would take 7.5 s."""
     slow = bp.plan(backhoe, site(at(A, -1.6), at(A, TURNED), speed=0.02), effort="quick")
     fast = bp.plan(backhoe, site(at(A, -1.6), at(A, TURNED)), effort="quick")
     assert slow.verified, slow.message
     assert slow.trajectory.duration < 1.05 * fast.trajectory.duration < 3.0
 
 
-def test_turns_in_a_row_in_one_sense_need_no_stop_between(backhoe: bp.Robot) -> None:
+def test_successive_turns_in_one_sense_need_no_stop_between_them(backhoe: bp.Robot) -> None:
     through = bp.plan(backhoe, site(at(A, -1.6), at(A, -1.9), at(A, TURNED)), effort="quick")
     once = bp.plan(backhoe, site(at(A, -1.6), at(A, TURNED)), effort="quick")
     assert through.verified, through.message
@@ -84,19 +84,19 @@ def test_turns_in_a_row_in_one_sense_need_no_stop_between(backhoe: bp.Robot) -> 
     assert np.min(moving[5:-5]) > 0.05
 
 
-def test_the_same_waypoint_twice_asks_for_nothing(backhoe: bp.Robot) -> None:
+def test_a_repeated_waypoint_changes_nothing(backhoe: bp.Robot) -> None:
     once = bp.plan(backhoe, site(at(A, -1.6), at(B, -1.6)), effort="quick")
     twice = bp.plan(backhoe, site(at(A, -1.6), at(A, -1.6), at(B, -1.6)), effort="quick")
     np.testing.assert_array_equal(twice.trajectory.q, once.trajectory.q)
 
 
-def test_an_angle_that_is_asked_where_the_next_waypoint_leaves_it_free(backhoe: bp.Robot) -> None:
+def test_a_requested_angle_is_kept_though_the_next_waypoint_leaves_it_free(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, site(at(A, TURNED), at(A), at(B)), effort="quick")
     assert plan.verified, plan.message
     assert pitches(plan)[0] == pytest.approx(TURNED)
 
 
-def test_a_range_that_turns_on_the_spot(backhoe: bp.Robot) -> None:
+def test_a_range_of_pitch_may_turn_on_the_spot(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, site(at(A, [-1.8, -1.4]), at(A, [-2.4, -2.0]), at(B, [-2.4, -2.0])), effort="quick")
     assert plan.verified, plan.message
     found = pitches(plan)
@@ -132,23 +132,23 @@ def test_full_orientations_turn_on_the_spot(waypoints: tuple[dict[str, Any], ...
     assert tracking.max_angle_error < 0.005
 
 
-# --- what is not done is not certified -----------------------------------------------
+# --- certified only if done ----------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def straight(backhoe: bp.Robot) -> bp.Plan:
-    """From A to B with the bucket at -1.6 all along."""
+    """A plan from A to B with the bucket at -1.6 all along."""
     return bp.plan(backhoe, site(at(A, -1.6), at(B, -1.6)), effort="quick")
 
 
-def test_a_bucket_that_does_not_turn_at_the_end_has_not_followed(backhoe: bp.Robot, straight: bp.Plan) -> None:
+def test_a_missing_turn_at_the_end_is_reported(backhoe: bp.Robot, straight: bp.Plan) -> None:
     tracking = bp.certify(backhoe, site(*END), straight.trajectory).tracking
     assert not tracking.done
     assert tracking.shortfall == "the path is followed to waypoint 2 of 3"
 
 
-def test_a_bucket_that_does_not_turn_to_and_fro_has_not_followed(backhoe: bp.Robot, straight: bp.Plan) -> None:
-    """-1.6 to -2.2 is 34.4 deg. Before and after the turn the tip is where a motion without it would be."""
+def test_a_missing_turn_to_and_fro_is_reported(backhoe: bp.Robot, straight: bp.Plan) -> None:
+    """-1.6 to -2.2 is 34.4 deg. Before and after the turn the tip is in the same place as without it."""
     to_and_fro = site(at(A, -1.6), at(M, -1.6), at(M, TURNED), at(M, -1.6), at(B, -1.6))
     certificate = bp.certify(backhoe, to_and_fro, straight.trajectory)
     assert not certificate.verified
@@ -156,7 +156,7 @@ def test_a_bucket_that_does_not_turn_to_and_fro_has_not_followed(backhoe: bp.Rob
 
 
 def turning(robot: bp.Robot, *angles: float) -> Trajectory:
-    """At A the bucket turns from one angle to the next, sample by sample."""
+    """A motion at A in which the bucket turns from one angle to the next, sample by sample."""
     near: np.ndarray[Any, np.dtype[np.float64]] = np.array([0.0, 0.4, -1.6, -0.9])
     found: list[np.ndarray[Any, np.dtype[np.float64]]] = []
     for begin, end in pairwise(angles):
@@ -176,38 +176,36 @@ TO_AND_FRO = (at(A, -1.6), at(A, TURNED), at(A, -1.6))
         ((-1.6, -2.2, -1.6), True),
         ((-1.6, -2.0, -1.6), False),  # turned too little
         ((-1.6, -2.2), False),  # not back
-        ((-1.6, -1.0, -1.6), False),  # the other way
+        ((-1.6, -1.0, -1.6), False),  # the opposite sense
     ],
 )
-def test_the_asked_angles_are_passed_or_the_path_is_not_done(
-    backhoe: bp.Robot, angles: tuple[float, ...], done: bool
-) -> None:
+def test_a_path_is_done_only_if_its_angles_are_passed(backhoe: bp.Robot, angles: tuple[float, ...], done: bool) -> None:
     assert bp.certify(backhoe, site(*TO_AND_FRO), turning(backhoe, *angles)).tracking.done is done
 
 
-def test_the_asked_angles_are_passed_in_their_order(backhoe: bp.Robot) -> None:
+def test_requested_angles_are_passed_in_order(backhoe: bp.Robot) -> None:
     asked = site(at(A, -1.8), at(A, -2.2), at(A, -1.4), at(A, -1.8))
     assert bp.certify(backhoe, asked, turning(backhoe, -1.8, -2.2, -1.4, -1.8)).tracking.done
     assert not bp.certify(backhoe, asked, turning(backhoe, -1.8, -1.4, -2.2, -1.8)).tracking.done
 
 
 def test_an_angle_that_is_passed_between_two_samples_counts(backhoe: bp.Robot) -> None:
-    """0.9 rad in 40 steps of 0.0225 rad: -2.2 lies two thirds of a step behind a sample, -2.2046 at no place of one."""
+    """0.9 rad in 40 steps of 0.0225 rad: -2.2 is two thirds of a step past a sample, further than the tolerance."""
     asked = site(at(A, -1.6), at(A, -2.2), at(A, -2.5), rotation_tolerance=5e-4)
     assert bp.certify(backhoe, asked, turning(backhoe, -1.6, -2.5)).tracking.done
 
 
 @pytest.mark.parametrize("may", [True, False])
-def test_a_path_of_orientations_alone_may_be_forbidden_to_turn_otherwise(backhoe: bp.Robot, may: bool) -> None:
-    """The bucket turns as asked: that is no turn on the spot that `turn_on_the_spot` forbids."""
+def test_requested_turns_are_no_turns_that_turn_on_the_spot_forbids(backhoe: bp.Robot, may: bool) -> None:
+    """The bucket turns as the path requests."""
     asked = site(*TO_AND_FRO, turn_on_the_spot=may)
     certificate = bp.certify(backhoe, asked, turning(backhoe, -1.6, -2.2, -1.6))
     assert certificate.tracking.done
     assert certificate.tracking.spot_turn is None
 
 
-def test_progress_goes_on_while_the_tip_stands(backhoe: bp.Robot) -> None:
-    """A third of a turn of 0.6 rad, which is as long as 0.15 m."""
+def test_progress_grows_in_a_turn_on_the_spot(backhoe: bp.Robot) -> None:
+    """A third of a turn of 0.6 rad, which counts as 0.15 m."""
     problem = build_problem(backhoe, site(*TO_AND_FRO))
     assert problem.path is not None
     made = progress(problem.path, 0.005, turning(backhoe, -1.6, -1.8), bp.Kinematics(backhoe))
@@ -216,10 +214,10 @@ def test_progress_goes_on_while_the_tip_stands(backhoe: bp.Robot) -> None:
     assert made == pytest.approx(0.15 + 0.05, abs=1e-3)
 
 
-# --- in words ------------------------------------------------------------------------
+# --- messages ------------------------------------------------------------------------
 
 
-def test_an_angle_beyond_a_limit_is_refused_with_the_joint_at_its_limit(backhoe: bp.Robot) -> None:
+def test_an_angle_out_of_reach_is_reported_with_the_joint_at_its_limit(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, site(at(A, -1.6), at(B, -1.6), at(B, 0.3)), effort="quick")
     assert plan.reason == "unreachable"
     assert "waypoint 3 of the path" in plan.message
@@ -227,8 +225,8 @@ def test_an_angle_beyond_a_limit_is_refused_with_the_joint_at_its_limit(backhoe:
     assert "with bucket at the limit; the position alone can be reached, with a pitch of " in plan.message
 
 
-def test_what_blocks_a_turn_is_named_with_its_place(backhoe: bp.Robot) -> None:
-    """A ball behind the bucket, which at -2.4 would be in it."""
+def test_an_obstacle_that_blocks_a_turn_is_named_with_its_place(backhoe: bp.Robot) -> None:
+    """A ball behind the bucket, which at a pitch of -2.4 would be in it."""
     angle = -2.4 + np.pi
     ball = [B[0] + 0.25 * float(np.cos(angle)), 0.0, B[2] + 0.25 * float(np.sin(angle))]
     waypoints = [at(C, -1.6), at(B, -1.6), at(B, -2.4), at(B, -1.6)]

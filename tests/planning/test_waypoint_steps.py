@@ -1,4 +1,4 @@
-"""How far the joints may move from waypoint to waypoint, and whether they may turn while the tip stands."""
+"""Limits of joint steps between waypoints and of turns on the spot."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def inward(**keys: Any) -> bp.Scene:
 
 
 def steps_at_waypoints(plan: bp.Plan) -> Matrix:
-    """(W - 1, n) how far the joints are from where they were at the waypoint before, by the nearest samples."""
+    """(W - 1, n) steps of the joints from waypoint to waypoint, at the nearest samples."""
     tips = plan.tip_path()
     path = plan.problem.path
     assert path is not None
@@ -65,7 +65,7 @@ def steps_at_waypoints(plan: bp.Plan) -> Matrix:
 
 
 @pytest.mark.parametrize("allowed", [1.001 * FIRST, {"elbow": 1.001 * FIRST}, {"shoulder": 0.5005 * FIRST}])
-def test_what_the_only_way_takes_is_allowed(elbow: bp.Robot, allowed: float | dict[str, float]) -> None:
+def test_a_joint_step_just_above_the_least_possible_is_kept(elbow: bp.Robot, allowed: float | dict[str, float]) -> None:
     plan = bp.plan(elbow, inward(max_joint_step=allowed), effort="quick")
     assert plan.verified, plan.message
     np.testing.assert_allclose(steps_at_waypoints(plan)[:, 1], [FIRST, SECOND], atol=0.02)
@@ -75,8 +75,8 @@ def test_what_the_only_way_takes_is_allowed(elbow: bp.Robot, allowed: float | di
     assert step.size == pytest.approx(FIRST if step.joint else 0.5 * FIRST, abs=1e-3)
 
 
-def test_where_no_way_is_short_enough_the_waypoint_and_the_least_step_are_said(elbow: bp.Robot) -> None:
-    """The first step takes 0.956 rad of the elbow, by either bend."""
+def test_an_impossible_joint_step_is_reported_with_the_waypoints_and_the_least_step(elbow: bp.Robot) -> None:
+    """The first step takes 0.956 rad of the elbow, whichever way it bends."""
     plan = bp.plan(elbow, inward(max_joint_step=0.95), effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "outside_limits")
     assert f"elbow moves by {FIRST:.4g} rad from waypoint 1 to 2; max_joint_step allows 0.95 rad" in plan.message
@@ -84,7 +84,7 @@ def test_where_no_way_is_short_enough_the_waypoint_and_the_least_step_are_said(e
     assert plan.findings.joints == ("elbow",)
 
 
-def test_a_certificate_holds_any_motion_to_it(elbow: bp.Robot) -> None:
+def test_the_certificate_checks_joint_steps(elbow: bp.Robot) -> None:
     free = bp.plan(elbow, inward(), effort="quick")
     certificate = bp.certify(elbow, inward(max_joint_step=0.95), free.trajectory)
     assert free.verified
@@ -96,20 +96,20 @@ def test_a_certificate_holds_any_motion_to_it(elbow: bp.Robot) -> None:
 
 
 @pytest.mark.long
-def test_a_redundant_arm_takes_another_way(backhoe: bp.Robot) -> None:
-    """The cheapest way moves some joint by 0.137 rad from one of 23 waypoints to the next."""
+def test_a_redundant_arm_keeps_a_joint_step_that_its_cheapest_motion_exceeds(backhoe: bp.Robot) -> None:
+    """The cheapest motion moves some joint by 0.137 rad between two of 23 waypoints."""
     points = np.linspace([4.4, 0.0, -0.4], [2.6, 0.4, 0.8], 23).tolist()
     free = bp.plan(backhoe, site(points), effort="quick")
     assert np.max(steps_at_waypoints(free)) > 0.12
     plan = bp.plan(backhoe, site(points, max_joint_step=0.09), effort="quick")
     assert plan.verified, plan.message
-    assert np.max(steps_at_waypoints(plan)) < 0.09 + 0.01  # the nearest samples are not quite at the waypoints
+    assert np.max(steps_at_waypoints(plan)) < 0.09 + 0.01  # the nearest samples are not exactly at the waypoints
     assert plan.certificate.tracking.joint_step is not None
     assert plan.certificate.tracking.joint_step.size <= 0.09
 
 
 @pytest.mark.long
-def test_seven_joints_keep_to_it_with_full_poses(panda: bp.Robot) -> None:
+def test_seven_joints_keep_a_joint_step_with_full_poses(panda: bp.Robot) -> None:
     poses = [{"position": [0.5, y, 0.4], "rpy": [np.pi, 0.0, 0.0]} for y in np.linspace(-0.3, 0.3, 13)]
     path = {"waypoints": poses, "max_joint_step": 0.125}
     plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")
@@ -119,8 +119,8 @@ def test_seven_joints_keep_to_it_with_full_poses(panda: bp.Robot) -> None:
 
 
 @pytest.mark.long
-def test_seven_joints_that_cannot_keep_to_it_are_no_obstacle(panda: bp.Robot) -> None:
-    """Nothing is in the way of a circle that is drawn with larger steps; at one waypoint a joint moves by 0.06 rad."""
+def test_a_joint_step_too_small_for_seven_joints_is_reported_as_a_limit(panda: bp.Robot) -> None:
+    """No obstacles; a circle is followed with larger steps, and somewhere a joint must move by 0.06 rad."""
     angle = np.linspace(0.0, 2.0 * np.pi, 41)
     points = np.column_stack((0.5 + 0.12 * np.cos(angle), 0.12 * np.sin(angle), 0.3 + 0.02 * np.sin(3.0 * angle)))
     waypoints = [{"position": point, "quaternion": [0.0, 1.0, 0.0, 0.0]} for point in points.tolist()]
@@ -131,8 +131,8 @@ def test_seven_joints_that_cannot_keep_to_it_are_no_obstacle(panda: bp.Robot) ->
     assert "from waypoint" in plan.message
 
 
-def test_the_range_of_a_joint_counts_and_a_detour_counts_with_its_legs() -> None:
-    """By hand: out and back by 0.3 within the first leg; the second and third are bridged by a detour."""
+def test_joint_steps_are_ranges_and_a_detour_counts_with_its_legs() -> None:
+    """By hand: out and back by 0.3 within the first leg; a detour bridges the second and third."""
     path = TipPath([Waypoint(position=(float(x), 0.0, 0.0)) for x in range(4)])
     stations = np.array([0.0, 0.5, 1.0, 1.2, 9.0, 2.8, 3.0])
     q = np.array([[0.0], [0.3], [0.0], [0.1], [0.7], [0.2], [0.2]])
@@ -145,13 +145,13 @@ def test_the_range_of_a_joint_counts_and_a_detour_counts_with_its_legs() -> None
     assert (step.joint, step.before, step.after) == (0, 0, 1)
     assert step.size == pytest.approx(0.3)
     assert not step.kept
-    # halfway between two samples the waypoint is passed at 0.2
+    # the waypoint is passed at 0.2, halfway between two samples
     step = longest_step(path, np.array([0.0, 0.5, 1.5]), np.array([[0.0], [0.1], [0.3]]), np.array([1.0]))
     assert step is not None
     assert step.size == pytest.approx(0.2)
 
 
-def test_a_joint_that_does_not_exist_is_said(backhoe: bp.Robot) -> None:
+def test_an_unknown_joint_is_named(backhoe: bp.Robot) -> None:
     with pytest.raises(bp.SceneError, match=r"task\.path\.max_joint_step: .*no such joint; found elbow"):
         build_problem(backhoe, site([[4.0, 0.0, 0.0], [3.0, 0.0, 0.0]], max_joint_step={"elbow": 0.1}))
 
@@ -163,7 +163,7 @@ BALL: Data = {"name": "ball", "shape": "sphere", "radius": 0.28, "position": [1.
 
 
 def largest_turn(plan: bp.Plan) -> float:
-    """How far a joint turns while the tip stays within 2 mm [rad]."""
+    """The largest turn of a joint while the tip stays within 2 mm [rad]."""
     tips, q, found = plan.tip_path(), plan.trajectory.q, 0.0
     for row in range(0, len(q), 5):
         near = np.linalg.norm(tips[row:] - tips[row], axis=1) < 0.002
@@ -173,8 +173,8 @@ def largest_turn(plan: bp.Plan) -> float:
 
 
 @pytest.mark.long
-def test_the_joints_turn_only_while_the_tip_moves_where_they_may_not_otherwise(planar4: bp.Robot) -> None:
-    """From a folded posture on the path's beginning the cheapest way goes to another one first."""
+def test_joints_turn_only_while_the_tip_moves_if_turn_on_the_spot_is_false(planar4: bp.Robot) -> None:
+    """From a folded configuration at the path's beginning the cheapest motion reconfigures first."""
     points = [[2.0, -0.6, 0.0], [2.0, 0.6, 0.0]]
     at = bp.solve_inverse_kinematics(planar4, bp.TipTarget(np.array(points[0])), start=np.array(FOLDED))
     start = {"joints": dict(zip(planar4.joint_names, at.q.tolist(), strict=True))}
@@ -184,7 +184,7 @@ def test_the_joints_turn_only_while_the_tip_moves_where_they_may_not_otherwise(p
     plan = bp.plan(planar4, site(points, obstacles=[BALL], start=start, turn_on_the_spot=False), effort="quick")
     assert plan.verified, plan.message
     assert largest_turn(plan) < 0.15
-    # the certificate judges it too
+    # the certificate checks it too
     certificate = bp.certify(planar4, plan.scene, turning.trajectory)
     assert not certificate.verified
     [problem] = certificate.problems
@@ -201,11 +201,11 @@ def by_hand(*parts: tuple[float, float, float], on: bool = True) -> dict[str, An
     return {"station": rows[:, 0], "q": rows[:, 1:2], "time": rows[:, 2], "on": np.full(len(rows), on)}
 
 
-GO = (0.0, 0.0, 0.0), (0.5, 0.4, 1.0)  # half a metre, on which the joint moves by 0.4 rad
+GO = (0.0, 0.0, 0.0), (0.5, 0.4, 1.0)  # half a metre, while the joint moves by 0.4 rad
 
 
-def test_a_turn_on_the_spot_by_hand() -> None:
-    """It stands at 0.5 m for 0.7 rad, and a step of 25 mm with 0.02 rad before is more than where it stands."""
+def test_the_size_of_a_turn_on_the_spot_equals_a_hand_calculation() -> None:
+    """The tip stands at 0.5 m for 0.7 rad; the step of 25 mm and 0.02 rad before is not part of that."""
     turn = largest_spot_turn(**by_hand(*GO, (0.5, 1.1, 1.0), (1.0, 1.1, 1.0)), tolerance=0.005)
     assert turn is not None
     assert (turn.joint, turn.station, turn.time) == (0, 0.5, 1.0)
@@ -222,14 +222,14 @@ def test_a_turn_on_the_spot_by_hand() -> None:
         (*GO, (1.0, 1.1, 1.0)),  # the tip moves all the while
         (*GO, (0.5, 0.4, 2.0), (1.0, 1.1, 1.0)),  # it stands, the joint too
         (*GO, (0.5, 0.49, 1.0), (1.0, 1.1, 1.0)),  # it turns by less than 0.1 rad
-        (*GO, (0.65, 1.0, 1.0), (1.0, 1.1, 1.0)),  # a turn of 0.6 rad that is asked for is 0.15 m of progress
+        (*GO, (0.65, 1.0, 1.0), (1.0, 1.1, 1.0)),  # a requested turn of 0.6 rad is 0.15 m of progress
     ],
 )
-def test_what_is_no_turn_on_the_spot(parts: tuple[tuple[float, float, float], ...]) -> None:
+def test_motions_without_a_turn_on_the_spot_report_none(parts: tuple[tuple[float, float, float], ...]) -> None:
     assert largest_spot_turn(**by_hand(*parts), tolerance=0.005) is None
 
 
-def test_off_the_path_and_on_the_way_to_it_a_turn_is_none() -> None:
+def test_turns_off_the_path_and_on_the_approach_do_not_count() -> None:
     motion = by_hand(*GO, (0.5, 1.1, 1.0), (1.0, 1.1, 1.0))
     off = motion["on"].copy()
     off[21:40] = False  # a detour
@@ -239,11 +239,11 @@ def test_off_the_path_and_on_the_way_to_it_a_turn_is_none() -> None:
     at_once = largest_spot_turn(**arriving, tolerance=0.005)
     assert at_once is not None
     assert at_once.size == pytest.approx(0.9)
-    arriving["on"][0] = False  # it comes from elsewhere, and turns where the path begins
+    arriving["on"][0] = False  # it comes from elsewhere and turns at the path's beginning
     assert largest_spot_turn(**arriving, tolerance=0.005) is None
 
 
-def test_a_turn_that_the_path_asks_for_is_not_forbidden(backhoe: bp.Robot) -> None:
+def test_a_turn_that_the_path_requests_is_allowed(backhoe: bp.Robot) -> None:
     at = [3.6, 0.0, 0.3]
     poses = [
         {"position": at, "pitch": -1.6},
@@ -256,8 +256,8 @@ def test_a_turn_that_the_path_asks_for_is_not_forbidden(backhoe: bp.Robot) -> No
     assert plan.certificate.tracking.followed == pytest.approx(0.8, abs=1e-6)
 
 
-def test_a_graph_without_turns_goes_by_steps_alone() -> None:
-    """Two places with the nodes 0 and 1. The step from 0 to 0 costs 5, a turn 1, from 1 to 1 it costs 1."""
+def test_a_graph_without_turns_uses_steps_only() -> None:
+    """Two layers with nodes 0 and 1. The step from 0 to 0 costs 5, that from 1 to 1 costs 1, a turn costs 1."""
     nodes = np.array([[0.0], [1.0]])
     costs = {1.0: np.array([[5.0, np.inf], [np.inf, 1.0]]), 0.1: np.ones((2, 2))}
 
@@ -278,8 +278,8 @@ def test_a_graph_without_turns_goes_by_steps_alone() -> None:
     assert [len(found) for found in short.reached(begin)] == [1, 1]
 
 
-def test_an_approach_from_beside_a_later_part_of_the_path_is_no_turn() -> None:
-    """On its way to the path the tip is nearest to 0.3 m of it, then it begins at 0; going on, it turns by 0.7 rad."""
+def test_an_approach_past_a_later_part_of_the_path_is_no_turn() -> None:
+    """On the approach the tip is nearest to station 0.3 m, then the path begins at 0; later it turns by 0.7 rad."""
     motion = by_hand((0.3, 0.0, 0.0), (0.3, 0.9, 1.0), (0.0, 0.9, 0.1), *((s, q + 0.9, 1.0) for s, q, _ in GO[1:]))
     motion["on"][:40] = False
     assert largest_spot_turn(**motion, tolerance=0.005) is None

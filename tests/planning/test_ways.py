@@ -1,4 +1,4 @@
-"""First ways of a search: which of them are alike, where they are sampled, and how their ends stay on a goal."""
+"""First paths of a search: which are alike, where they are sampled, and how their ends stay on a goal."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from backhoe_planner.planning.descent.descent import step_onto
 from backhoe_planner.site import Proximity
 
 LEFT, RIGHT = np.array([1.5, 0.0, 0.0, 0.0]), np.array([-1.5, 0.0, 0.0, 0.0])
-# the stretched arm (4 m) hits it half way; with the last joint bent by 0.4 rad the tip is at 3.94 m and passes
+# the stretched arm (4 m) hits it halfway; with the last joint bent by 0.4 rad the tip is at 3.94 m and passes
 POST: dict[str, Any] = {"name": "post", "shape": "sphere", "radius": 0.1, "position": [4.07, 0.0, 0.0]}
 
 
 def bending(angle: float) -> JointCurve:
-    """From left to right, with the last joint bent by this angle half way."""
+    """A curve from left to right with the last joint bent by this angle halfway."""
     control = np.linspace(LEFT, RIGHT, 13)
     control[3:10, 3] = angle
     return JointCurve(control)
@@ -35,7 +35,7 @@ def known_at(robot: bp.Robot, *obstacles: dict[str, Any]) -> KnownCurves:
     return KnownCurves(problem.limits, lambda: MotionCheck(problem, proximity, [LEFT], spare=0.0))
 
 
-def test_the_cheapest_curve_alike_counts(planar4: bp.Robot) -> None:
+def test_the_cheapest_similar_curve_counts(planar4: bp.Robot) -> None:
     known = known_at(planar4)
     assert known.least_alike(bending(0.4)) == np.inf
     known.add(bending(0.5), 7.0)
@@ -45,7 +45,7 @@ def test_the_cheapest_curve_alike_counts(planar4: bp.Robot) -> None:
     assert known.least_alike(bending(2.5)) == np.inf  # far from both, if nothing is in between
 
 
-def test_what_stands_between_two_curves_makes_them_different(planar4: bp.Robot) -> None:
+def test_an_obstacle_between_two_curves_makes_them_different(planar4: bp.Robot) -> None:
     free, blocked = known_at(planar4), known_at(planar4, POST)
     for known in (free, blocked):
         known.add(bending(0.4), 1.0)
@@ -54,7 +54,7 @@ def test_what_stands_between_two_curves_makes_them_different(planar4: bp.Robot) 
     assert blocked.least_alike(bending(-0.4)) == np.inf
 
 
-def test_nothing_is_sampled_where_no_motion_is_short_enough(planar4: bp.Robot) -> None:
+def test_nothing_is_sampled_if_no_motion_is_short_enough(planar4: bp.Robot) -> None:
     problem, proximity = across_bar(planar4)
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.002)
     work = Work()
@@ -64,11 +64,11 @@ def test_nothing_is_sampled_where_no_motion_is_short_enough(planar4: bp.Robot) -
     assert work.motions == before
 
 
-def test_every_corner_of_a_sampled_way_leaves_time_for_the_rest(planar4: bp.Robot) -> None:
+def test_every_corner_of_a_sampled_path_can_be_reached_and_left_in_time(planar4: bp.Robot) -> None:
     problem, proximity = across_bar(planar4)
     longest = 6.0
     v, a = problem.limits.velocity, problem.limits.acceleration
-    travel = v * (longest - v / a)  # speeding up, going on, braking
+    travel = v * (longest - v / a)  # accelerating, cruising, braking
     for seed in range(3):
         check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.002)
         way = sample_path(check, STRETCHED, [TURNED], seed=seed, work=Work(), longest=longest)
@@ -79,12 +79,12 @@ def test_every_corner_of_a_sampled_way_leaves_time_for_the_rest(planar4: bp.Robo
 @pytest.mark.parametrize(
     ("q", "step"),
     [
-        ([0.0, 0.0], [0.1, 0.1]),  # the least step shares the way between both
-        ([1.0, 0.0], [0.0, 0.2]),  # joint 1 is at its limit: the other goes all of it
-        ([1.0, 2.0], [0.0, 0.0]),  # both are: there is none
+        ([0.0, 0.0], [0.1, 0.1]),  # the least step is shared by both
+        ([1.0, 0.0], [0.0, 0.2]),  # joint 1 is at its limit: the other takes all of it
+        ([1.0, 2.0], [0.0, 0.0]),  # both are: no step
     ],
 )
-def test_a_step_back_onto_the_goal_is_made_by_the_joints_that_can(q: list[float], step: list[float]) -> None:
+def test_a_step_back_onto_the_goal_uses_the_joints_that_are_not_at_a_limit(q: list[float], step: list[float]) -> None:
     one: Vector = np.ones(2)
     limits = JointLimits(lower=-one, upper=np.array([1.0, 2.0]), velocity=one, acceleration=one, effort=one)
     found = step_onto(np.array([[1.0, 1.0]]), np.array([0.2]), np.array(q), limits)
