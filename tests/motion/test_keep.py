@@ -1,4 +1,4 @@
-"""What is to be kept along a motion: margins, gradients, and bounds between two configurations."""
+"""A pitch, height or rotation to keep: margins, gradients, and bounds between two configurations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def keep_of(robot: bp.Robot, **keep: Any) -> Keep:
     return found
 
 
-def test_a_projection_keeps_everything_and_leaves_alone_what_does(backhoe: bp.Robot) -> None:
+def test_a_projection_keeps_all_conditions_and_is_idempotent(backhoe: bp.Robot) -> None:
     keep = keep_of(backhoe, pitch=[-2.75, -2.65], above=0.2)
     rng, limits, found = np.random.default_rng(0), backhoe.limits, 0
     for _ in range(50):
@@ -40,7 +40,7 @@ def test_a_projection_keeps_everything_and_leaves_alone_what_does(backhoe: bp.Ro
             again = keep.project(projected, limits.lower, limits.upper)
             assert again is not None
             np.testing.assert_array_equal(again, projected)
-    assert found >= 25  # half of them; by chance one in a hundred is in the band alone
+    assert found >= 25  # half of them; one random configuration in a hundred is in the band of pitch
 
 
 def condition_of(robot: bp.Robot, **keep: Any) -> Condition:
@@ -62,8 +62,8 @@ def bound_between(condition: Condition, q_a: Vector, q_b: Vector, travel: Vector
 # --- margins ------------------------------------------------------------------------
 
 
-def test_the_margin_of_a_pitch_is_what_is_left_to_the_nearer_end_of_the_band(backhoe: bp.Robot) -> None:
-    """The backhoe's pitch is boom + stick + bucket: here -2.1, in the band 0.1 from its lower end."""
+def test_the_margins_of_a_pitch_are_its_distances_from_the_ends_of_the_band(backhoe: bp.Robot) -> None:
+    """The backhoe's pitch is boom + stick + bucket: here -2.1, 0.1 above the lower end of the band."""
     q = np.array([0.4, 0.4, -1.6, -0.9])
     band = keep_of(backhoe, pitch=[-2.2, -1.8])
     assert sorted(band.margins(q)) == pytest.approx([0.1, 0.3], abs=1e-12)
@@ -72,7 +72,7 @@ def test_the_margin_of_a_pitch_is_what_is_left_to_the_nearer_end_of_the_band(bac
     np.testing.assert_allclose(band.gradients(q), [[0, 1, 1, 1], [0, -1, -1, -1]], atol=1e-12)
 
 
-def test_a_band_goes_round_where_the_mouth_of_the_bucket_is_level(backhoe: bp.Robot) -> None:
+def test_a_band_of_pitch_may_pass_pi(backhoe: bp.Robot) -> None:
     """-3.3 rad and 2.98 rad are one pitch."""
     q = np.array([0.0, -0.5, -1.0, -1.8])
     for pitch in ([-3.4, -2.6], [-3.4 + 2 * np.pi, -2.6 + 2 * np.pi]):
@@ -96,7 +96,7 @@ def test_a_rotation_is_measured_as_one_angle(ur5: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("keep", [{"pitch": [-3.0, 2.0]}, {"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}])
-def test_gradients_are_those_of_central_differences(backhoe: bp.Robot, ur5: bp.Robot, keep: Data) -> None:
+def test_gradients_equal_central_differences(backhoe: bp.Robot, ur5: bp.Robot, keep: Data) -> None:
     robot = backhoe if "pitch" in keep else ur5
     kept, rng, h = keep_of(robot, **keep), np.random.default_rng(0), 1e-6
     for _ in range(20):
@@ -106,8 +106,8 @@ def test_gradients_are_those_of_central_differences(backhoe: bp.Robot, ur5: bp.R
             np.testing.assert_allclose(kept.gradients(q)[:, joint], slope, atol=1e-6)
 
 
-def test_the_tracking_error_is_deducted(backhoe: bp.Robot) -> None:
-    """Three joints turn the pitch: at most 0.01 rad each."""
+def test_the_tracking_error_of_all_joints_of_the_pitch_is_deducted(backhoe: bp.Robot) -> None:
+    """Three joints change the pitch, by 0.01 rad each at most."""
     q = dict(zip(backhoe.joint_names, [0.0, 0.4, -1.6, -0.9], strict=True))
     task = {"goal": {"joints": q}, "keep": {"pitch": [-2.2, -1.8]}}
     scene = bp.scene_from_dict({"version": 1, "start": {"joints": q}, "task": task, "tracking": {"joints": 0.01}})
@@ -119,19 +119,19 @@ def test_the_tracking_error_is_deducted(backhoe: bp.Robot) -> None:
 # --- between two configurations ---------------------------------------------------------
 
 
-def test_the_pitch_is_linear_on_straight_motions_so_that_its_bound_is_exact(backhoe: bp.Robot) -> None:
+def test_the_bound_of_the_pitch_on_straight_motions_is_exact(backhoe: bp.Robot) -> None:
     band, rng = condition_of(backhoe, pitch=[-2.5, -0.5]), np.random.default_rng(1)
     for _ in range(100):
         q_a, q_b = backhoe.random_q(rng), backhoe.random_q(rng)
         bound, least = bound_between(band, q_a, q_b, np.ones(4)), least_between(band, q_a, q_b)
-        if least > -1.0:  # it does not go round
+        if least > -1.0:  # it does not pass pi
             assert bound == pytest.approx(least, abs=1e-9)
         assert bound <= least + 1e-9
 
 
 @pytest.mark.parametrize("keep", [{"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}])
 @pytest.mark.parametrize("size", [1.0, 0.1])
-def test_no_place_between_is_below_the_bound(any_robot: bp.Robot, keep: Data, size: float) -> None:
+def test_no_margin_between_two_configurations_is_below_the_bound(any_robot: bp.Robot, keep: Data, size: float) -> None:
     condition, rng = condition_of(any_robot, **keep), np.random.default_rng(2)
     travel = tip_travel_bound(any_robot)
     for _ in range(50):
@@ -139,7 +139,7 @@ def test_no_place_between_is_below_the_bound(any_robot: bp.Robot, keep: Data, si
         q_b = q_a + size * (any_robot.random_q(rng) - q_a)
         bound, least = bound_between(condition, q_a, q_b, travel), least_between(condition, q_a, q_b)
         assert bound <= least + 1e-9
-        if size < 1.0:  # and the bound is of use: of second order in the length of the motion
+        if size < 1.0:  # and the bound is tight to second order in the length of the motion
             assert least - bound < 6.0 * float(np.sum(np.abs(q_b - q_a))) ** 2 + 1e-9
 
 
@@ -150,7 +150,7 @@ def test_a_swing_changes_no_height(backhoe: bp.Robot) -> None:
     assert bound == pytest.approx(least_between(height, q, q), abs=1e-12)
 
 
-def test_a_whole_turn_of_the_wrist_between_two_equal_orientations_is_not_kept(ur5: bp.Robot) -> None:
+def test_a_whole_turn_of_the_wrist_between_equal_orientations_breaks_a_rotation(ur5: bp.Robot) -> None:
     q = np.array([0.1, -1.2, 1.0, -0.7, 0.4, -np.pi])
     at = pin.Quaternion(bp.Kinematics(ur5).at(q).tip_rotation)
     kept = keep_of(ur5, rotation={"quaternion": [at.w, at.x, at.y, at.z], "tolerance": 0.3})
@@ -162,8 +162,8 @@ def test_a_whole_turn_of_the_wrist_between_two_equal_orientations_is_not_kept(ur
     assert not kept.segment_holds(q, q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.31]))
 
 
-def test_an_arc_over_a_height_is_not_kept_though_both_ends_are(ur5: bp.Robot) -> None:
-    """The shoulder lifts the straight arm over the top: at the ends it is lower by r (1 - cos 0.5)."""
+def test_an_arc_over_a_height_breaks_it_though_both_ends_keep_it(ur5: bp.Robot) -> None:
+    """The shoulder swings the straight arm over the top; the ends are lower by r (1 - cos 0.5)."""
     over = np.array([0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0])
     before, after = over - np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0]), over + np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
     z = [float(bp.Kinematics(ur5).at(q).tip_position[2]) for q in (before, over, after)]
@@ -176,8 +176,8 @@ def test_an_arc_over_a_height_is_not_kept_though_both_ends_are(ur5: bp.Robot) ->
     assert keep_of(ur5, below=z[1] + 0.01).segment_holds(before, after)
 
 
-def test_a_pitch_that_goes_round_the_other_way_is_not_kept(backhoe: bp.Robot) -> None:
-    """From -5.0 to 1.1 the pitch goes through all that lies between, though -5.0 is 1.283 too."""
+def test_a_pitch_that_leaves_the_band_between_two_ends_is_not_kept(backhoe: bp.Robot) -> None:
+    """From -5.0 to 1.1 the pitch passes all values between them, though -5.0 equals 1.283."""
     low, high = np.array([0.0, -0.5, -2.2, -2.3]), np.array([0.0, 0.75, -0.2, 0.55])
     kept = keep_of(backhoe, pitch=[1.0, 1.4])
     assert kept.holds(low)
@@ -185,7 +185,7 @@ def test_a_pitch_that_goes_round_the_other_way_is_not_kept(backhoe: bp.Robot) ->
     assert not kept.segment_holds(low, high)
 
 
-def test_a_round_corner_leaves_the_band_no_further_than_its_tangents(backhoe: bp.Robot) -> None:
+def test_a_rounded_corner_is_kept_only_if_its_tangents_keep_the_band(backhoe: bp.Robot) -> None:
     q_a, q_b = np.array([0.0, 0.4, -1.6, -0.9]), np.array([0.6, 0.4, -1.6, -0.9])
     inside, outside = np.array([0.3, 0.45, -1.6, -0.9]), np.array([0.3, 0.55, -1.6, -0.9])
     kept = keep_of(backhoe, pitch=[-2.2, -2.0])
@@ -209,10 +209,10 @@ def test_a_round_corner_leaves_the_band_no_further_than_its_tangents(backhoe: bp
         ((-1.0, 1.0), None),
     ],
 )
-def test_the_range_of_a_goal_is_cut_to_what_may_be_kept(
+def test_the_pitch_range_of_a_goal_is_cut_to_the_band(
     backhoe: bp.Robot, asked: tuple[float, float] | None, common: tuple[float, float] | None
 ) -> None:
-    """2.0 to 3.5 rad are -4.28 to -2.78 too."""
+    """2.0 to 3.5 rad equal -4.28 to -2.78 rad."""
     found = keep_of(backhoe, pitch=[-3.4, -2.6]).narrowed(bp.TipTarget(np.ones(3), pitch=asked))
     if common is None:
         assert found is None
@@ -238,7 +238,7 @@ def test_the_range_of_a_goal_is_cut_to_what_may_be_kept(
         ({"hight": 2.0}, "there is no such key"),
     ],
 )
-def test_what_cannot_be_kept_is_refused_by_its_key(keep: Data, said: str) -> None:
+def test_errors_in_keep_name_the_key(keep: Data, said: str) -> None:
     content = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [1, 2, 3]}, "keep": keep}}
     with pytest.raises(bp.SceneError, match=said):
         bp.scene_from_dict(content)

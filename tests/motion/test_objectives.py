@@ -1,4 +1,4 @@
-"""What a step costs: by hand, against full inverse dynamics, and searched through exhaustively."""
+"""The cost of a step: by hand, against full inverse dynamics, and in an exhaustive search."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ def test_a_pendulum_lift_costs_m_g_h(tmp_path: Path) -> None:
     lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.7))
     objective = PathCost(problem, "work")
     assert objective.value(stations, q) == pytest.approx(lift, rel=1e-3)
-    # going down the load drives the joint, which gives nothing back
+    # on the way down the load drives the joint, which recovers nothing
     assert objective.value(stations, q[::-1]) == 0.0
 
 
 def test_a_planned_lift_costs_m_g_h(tmp_path: Path) -> None:
-    """And the payload's share of it, through the whole planner."""
+    """With a payload, through the whole planner."""
     robot = machine(tmp_path, LIFT, "cage")
     scene = along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0), payload=100.0)
     plan = bp.plan(robot, scene, method="optimal", effort="quick")
@@ -83,37 +83,37 @@ def test_a_planned_lift_costs_m_g_h(tmp_path: Path) -> None:
     lift = (MASS + 100.0) * GRAVITY * 1.5
     assert plan.metrics.energy["work"] == pytest.approx(lift, rel=1e-3)
     assert comparison(plan).value == pytest.approx(lift, rel=1e-3)
-    # one joint leaves the law no choice either
+    # with one joint the law has no choice either
     assert comparison(plan).saving_percent == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize("heights", [(0.5, 2.0), (0.5, 1.1, 2.0), (0.5, 0.9, 0.9, 1.7, 2.0)])
-def test_a_hand_written_lift_costs_m_g_h_however_few_its_samples(tmp_path: Path, heights: tuple[float, ...]) -> None:
-    """At 0.1 m/s, slower than gravity brakes within a corner: the cage gives back what it gains in speed."""
+def test_a_hand_written_lift_of_few_samples_costs_m_g_h(tmp_path: Path, heights: tuple[float, ...]) -> None:
+    """At 0.1 m/s, so slow that gravity brakes within a corner: the cage gives back its kinetic energy."""
     problem = build_problem(machine(tmp_path, LIFT, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)))
     lift = MASS * GRAVITY * 1.5
     time = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(heights) / 0.1, 1.0))))
     motion = Trajectory.from_steps(time, np.array(heights)[:, None])
     assert trajectory_costs(problem, motion)["work"] == pytest.approx(lift, rel=1e-9)
-    # of the same motion with a sample every 0.02 s or 0.01 s
+    # the same motion with a sample every 0.02 s or 0.01 s
     for period in (0.02, 0.01):
         often = np.union1d(np.arange(0.0, time[-1], period), time)
         dense = Trajectory.from_steps(often, motion.at(often))
         assert trajectory_costs(problem, dense)["work"] == pytest.approx(lift, rel=3e-3)
-    # going down the load drives the hoist
+    # on the way down the load drives the hoist
     down = Trajectory.from_steps(time[-1] - time[::-1], motion.q[::-1])
     assert trajectory_costs(problem, down)["work"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_hand_written_motion_costs_what_its_corners_take(tmp_path: Path) -> None:
-    """Up by 1 m in 2 s, stand for 1 s, down again in 2 s: every corner is rounded off within 0.02 s."""
+def test_the_work_of_a_hand_written_motion_includes_its_corners(tmp_path: Path) -> None:
+    """Up by 1 m in 2 s, rest for 1 s, down again in 2 s: every corner is rounded within 0.02 s."""
     problem = build_problem(machine(tmp_path, LIFT, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)))
     motion = Trajectory.from_steps(np.array([0.0, 2.0, 3.0, 5.0]), np.array([[0.5], [1.5], [1.5], [0.5]]))
     speed, weight, period = 0.5, MASS * GRAVITY, 0.02
     energy = 0.5 * MASS * speed**2
-    way = 0.5 * speed * period  # of a corner from or to a stand
-    # it starts with the speed and the lift of the way; at the top it coasts; it is pushed down against nothing but
-    # its inertia; at the bottom it brakes, which takes nothing
+    way = 0.5 * speed * period  # of a corner from or to rest
+    # work: the start's kinetic energy and the lift; the cage coasts at the top; pushing it down works only against
+    # its inertia; braking at the bottom costs nothing
     pushed = energy - weight * way
     assert pushed > 0.0
     expected = weight * (1.0 - way) + energy + pushed
@@ -126,16 +126,16 @@ def test_a_hand_written_motion_costs_what_its_corners_take(tmp_path: Path) -> No
     assert costs["velocity_norm"] == pytest.approx(4.0 * speed**2, rel=0.01)
 
 
-def test_a_hand_written_swing_up_costs_m_g_h(tmp_path: Path) -> None:
-    """A pendulum from -0.7 to 0.8 rad in two samples, slowly: what bends between them counts too."""
+def test_a_hand_written_swing_up_of_two_samples_costs_m_g_h(tmp_path: Path) -> None:
+    """A pendulum from -0.7 to 0.8 rad in two samples, slowly: the bend between them counts too."""
     problem = build_problem(machine(tmp_path, PENDULUM, "end"), along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
     lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.7))
     motion = Trajectory.from_steps(np.array([0.0, 60.0]), np.array([[-0.7], [0.8]]))
     assert trajectory_costs(problem, motion)["work"] == pytest.approx(lift, rel=1e-3)
 
 
-def test_every_objective_of_a_pendulum_step_by_hand(tmp_path: Path) -> None:
-    """From level by 0.2 rad up over 0.4 m at 0.4 m/s, so in 1 s."""
+def test_every_objective_of_a_pendulum_step_equals_a_hand_calculation(tmp_path: Path) -> None:
+    """From level up by 0.2 rad over 0.4 m at 0.4 m/s, so in 1 s."""
     robot = machine(tmp_path, PENDULUM, "end")
     problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
     q, stations = np.array([[0.0], [0.2]]), np.array([0.0, 0.4])
@@ -149,13 +149,13 @@ def test_every_objective_of_a_pendulum_step_by_hand(tmp_path: Path) -> None:
     }
     for name, value in expected.items():
         assert PathCost(problem, name).value(stations, q) == pytest.approx(value, rel=1e-12), name
-    # a step that the joint cannot follow takes as long as the joint does: 0.5 rad at 1 rad/s
+    # a step too fast for the joint takes the joint's time: 0.5 rad at 1 rad/s
     fast = np.array([[0.0], [0.5]])
     assert PathCost(problem, "time").value(np.array([0.0, 0.04]), fast) == pytest.approx(0.5)
 
 
-def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
-    """0.1 rad and then 0.2 rad over 0.4 m each, at 0.4 m/s: 0 to 0.1 to 0.2 rad/s and back to 0, at 2 rad/s^2."""
+def test_a_change_of_rate_costs_its_time(tmp_path: Path) -> None:
+    """0.1 rad, then 0.2 rad, over 0.4 m each at 0.4 m/s: 0 to 0.1 to 0.2 rad/s and back to 0, at 2 rad/s^2."""
     robot = machine(tmp_path, PENDULUM, "end")
     problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
     assert problem.limits.acceleration.tolist() == [2.0]
@@ -165,14 +165,14 @@ def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
     assert objective.per_radian * (objective.of_run(stations, q) - objective.of_steps(stations, q)) == pytest.approx(
         taken
     )
-    # what is told of it is the time of the steps alone
+    # the reported value is the time of the steps alone
     assert objective.value(stations, q) == pytest.approx(2.0)
     for name in ("velocity_norm", "kinetic"):
         quiet = PathCost(problem, name)
         assert quiet.of_run(stations, q) == quiet.of_steps(stations, q)
 
 
-def test_the_way_to_a_path_costs_what_it_costs_in_the_least_time(tmp_path: Path) -> None:
+def test_an_approach_to_a_path_costs_that_of_its_least_duration(tmp_path: Path) -> None:
     """1.6 rad at 1 rad/s and 2 rad/s^2 take 1.6 + 1 / 2 s; 0.2 rad, too short for the full rate, 2 sqrt(0.2 / 2) s."""
     robot = machine(tmp_path, PENDULUM, "end")
     problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
@@ -182,15 +182,15 @@ def test_the_way_to_a_path_costs_what_it_costs_in_the_least_time(tmp_path: Path)
     for name, value in expected.items():
         objective = PathCost(problem, name)
         assert objective.per_radian * objective.of_approaches(start, ends) == pytest.approx(value, rel=1e-6, abs=1e-6)
-    # work is what is lifted, and nothing on the way down; the search adds terms that are small for a heavy arm
+    # work is the lift, and 0 on the way down; the search adds terms that are small for a heavy arm
     objective = PathCost(problem, "work")
     lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.8))
     up, down = (float(objective.of_approaches(a, b[None])[0]) for a, b in ((start, ends[0]), (ends[0], start)))
     assert objective.per_radian * (up - down) == pytest.approx(lift, rel=5e-3)
 
 
-def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging: Problem) -> None:
-    """The same tip path, the bucket swinging by a hand's breadth or not: the margin is on all the oil."""
+def test_motion_to_and_fro_costs_the_margin_pressure_of_its_oil(digging: Problem) -> None:
+    """The same motion with the bucket swinging by 0.1 rad or not: the margin is on all the oil."""
     s = np.linspace(0.0, 1.0, 41)[:, None]
     still = np.array([0.1, 0.3, -1.4, -0.8]) + s * np.array([0.2, 0.25, -0.5, 0.0])
     swinging = still + np.array([0.0, 0.0, 0.0, 0.1]) * np.sin(6.0 * np.pi * s)
@@ -212,14 +212,14 @@ def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging
 
 
 @pytest.mark.parametrize("name", OBJECTIVES)
-def test_the_steps_add_up_to_what_is_reported_of_a_slow_motion(digging: Problem, name: str) -> None:
-    """Slow, so that torques of inertia do not count: 1.2 m at 0.4 m/s, the same over 300 steps."""
+def test_steps_add_up_to_the_reported_cost_of_a_slow_motion(digging: Problem, name: str) -> None:
+    """So slow that torques of inertia do not count: 1.2 m at 0.4 m/s, evenly over 300 steps."""
     s = np.linspace(0.0, 1.0, 301)[:, None]
     q = np.array([0.1, 0.3, -1.4, -0.8]) + s * np.array([0.2, 0.25, -0.5, 0.4])
     time = 3.0 * s[:, 0]
     moving = Trajectory(time=time, q=q, v=np.gradient(q, time, axis=0))
     reported = trajectory_costs(digging, moving)[name]
-    if name in ("effort", "work", "hydraulic"):  # their inertia, for the motion is sudden at its ends
+    if name in ("effort", "work", "hydraulic"):  # they have inertia, and the motion is sudden at its ends
         assert PathCost(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=0.04)
     else:
         assert PathCost(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=2e-3)
@@ -252,14 +252,14 @@ def test_soil_costs_work_only_below_the_ground(backhoe: bp.Robot) -> None:
         if more:
             assert against > 1.05 * without
             assert costs[1] > 1.05 * costs[0]
-            # the trapezia and full inverse dynamics agree on what the soil takes
+            # the trapezia and full inverse dynamics agree on the work in soil
             assert against - without == pytest.approx(costs[1] - costs[0], rel=0.15)
         else:
             assert against == without
             assert costs[1] == costs[0]
 
 
-def test_power_adds_up_to_the_work_that_is_told(digging: Problem) -> None:
+def test_power_adds_up_to_the_reported_work(digging: Problem) -> None:
     plan = bp.plan(digging.robot, digging.scene, effort="quick")
     energy = trajectory_energy(digging, plan.trajectory)
     assert float(np.trapezoid(energy.power, energy.time)) == pytest.approx(plan.metrics.energy["work"], rel=1e-12)
@@ -311,7 +311,7 @@ def test_the_route_equals_an_exhaustive_search_with_the_same_cost(digging: Probl
 # --- the list -------------------------------------------------------------------------
 
 
-def test_a_scene_may_ask_for_every_objective_there_is() -> None:
+def test_a_scene_may_request_every_objective() -> None:
     names, _ = get_args(bp.Scene.model_fields["objective"].annotation)  # or none
     assert get_args(names) == tuple(OBJECTIVES)
     assert all(name == objective.name and objective.unit for name, objective in OBJECTIVES.items())
@@ -340,8 +340,8 @@ def test_soil_needs_a_bucket(panda: bp.Robot) -> None:
         build_problem(panda, scene)
 
 
-def test_an_arm_without_mass_is_planned_all_the_same(tmp_path: Path) -> None:
-    """All ways cost nothing: the quietest one is taken."""
+def test_an_arm_without_mass_is_planned(tmp_path: Path) -> None:
+    """All motions cost nothing: the quietest is taken."""
     text = LIFT.replace(f'<mass value="{MASS}"/>', '<mass value="0"/>').replace(
         '"1" iyy="1" izz="1"', '"0" iyy="0" izz="0"'
     )

@@ -31,14 +31,14 @@ def errors(robot: bp.Robot, path: TipPath, q: Vector, station: Vector) -> Vector
 
 
 @pytest.mark.parametrize(("name", "asked"), [("backhoe", PITCHES), ("planar4", ROTATIONS), ("ur5", ROTATIONS)])
-def test_bound_is_never_below_dense_sampling_and_hardly_above(
+def test_the_bound_of_the_angle_error_is_just_above_dense_sampling(
     name: str, asked: list[Data], request: pytest.FixtureRequest
 ) -> None:
     robot: bp.Robot = request.getfixturevalue(name)
     rng = np.random.default_rng(3)
     path = path_of(asked)
     for size in (0.05, 0.6, 3.0):
-        station = np.array([0.4, 0.9, 0.9, 1.5, 3.6, 3.2])  # on, standing, over a waypoint, over two, and back
+        station = np.array([0.4, 0.9, 0.9, 1.5, 3.6, 3.2])  # forward, at rest, over a waypoint, over two, and back
         q = np.cumsum(np.vstack((robot.random_q(rng), rng.uniform(-size, size, (5, robot.n)))), axis=0)
         angle = errors(robot, path, q, station)
         chosen = np.array([True, True, True, True, True])
@@ -52,7 +52,7 @@ def test_bound_is_never_below_dense_sampling_and_hardly_above(
             assert most - 1e-9 <= bound <= most + spacing + 1e-3
 
 
-def test_segments_that_are_not_asked_for_are_not_looked_at(backhoe: bp.Robot) -> None:
+def test_only_requested_segments_are_checked(backhoe: bp.Robot) -> None:
     path = path_of(PITCHES)
     q = np.zeros((3, 4))
     angle = errors(backhoe, path, q, np.zeros(3))

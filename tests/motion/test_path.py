@@ -27,7 +27,7 @@ def test_stations_are_arc_lengths() -> None:
     assert not path.asks_orientation
 
 
-def test_position_and_direction() -> None:
+def test_position_and_direction_are_those_at_the_arc_length() -> None:
     path = corner()
     np.testing.assert_allclose(path(1.0), [1.0, 0.0, 0.0])
     np.testing.assert_allclose(path(5.0), [3.0, 2.0, 0.0])
@@ -46,11 +46,13 @@ def test_position_and_direction() -> None:
         ([3.0, 7.0, 0.0], 7.0, 3.0),
     ],
 )
-def test_nearest_point(point: list[float], station: float, distance: float) -> None:
+def test_the_nearest_point_of_a_path_has_a_station_and_a_distance(
+    point: list[float], station: float, distance: float
+) -> None:
     assert corner().nearest(np.array(point)) == pytest.approx((station, distance))
 
 
-def test_nearest_point_of_a_part() -> None:
+def test_the_nearest_point_of_a_part_of_a_path_is_within_the_part() -> None:
     path = corner()
     point = np.array([1.0, 0.0, 0.0])
     assert path.nearest(point, low=2.0) == pytest.approx((2.0, 1.0))
@@ -68,15 +70,15 @@ def test_pitch_is_interpolated() -> None:
     assert path.target(2.0).pitch == pytest.approx((-2.2, -1.8))
 
 
-def test_pitch_turns_the_short_way() -> None:
-    """From 3 to -3 rad it is 2 pi - 6 over pi, not 6 back over 0."""
+def test_pitch_turns_in_the_shorter_sense() -> None:
+    """From 3 to -3 rad it turns by 2 pi - 6 over pi, not by 6 back over 0."""
     path = TipPath([Waypoint(position=(0.0, 0.0, 0.0), pitch=3.0), Waypoint(position=(1.0, 0.0, 0.0), pitch=-3.0)])
     pitch = path.target(0.5).pitch
     assert pitch is not None
     assert pitch == pytest.approx((np.pi, np.pi))
 
 
-def test_range_opens_towards_a_waypoint_without_pitch() -> None:
+def test_a_range_of_pitch_opens_towards_a_waypoint_without_pitch() -> None:
     path = TipPath(
         [
             Waypoint(position=(0.0, 0.0, 0.0)),
@@ -92,7 +94,7 @@ def test_range_opens_towards_a_waypoint_without_pitch() -> None:
 
 
 def test_rotation_turns_evenly_about_one_axis() -> None:
-    """From yaw 0 to yaw 90 deg: after a third of the way 30 deg."""
+    """From yaw 0 to yaw 90 deg: 30 deg after a third of the leg."""
     half = np.sqrt(0.5)
     path = TipPath(
         [
@@ -133,8 +135,8 @@ def pose(x: float, y: float, z: float, pitch: float | tuple[float, float] | None
     return Waypoint(position=(x, y, z), pitch=pitch)
 
 
-def test_a_leg_counts_its_turn_where_that_is_more_than_its_way() -> None:
-    """0.25 m for each radian: 2 rad on 1 m leave it 1 m long, on 0.1 m they make it 0.5 m long."""
+def test_the_length_of_a_leg_is_the_longer_of_its_distance_and_its_turn() -> None:
+    """0.25 m for each radian: with 2 rad, a leg of 1 m remains 1 m long, and one of 0.1 m becomes 0.5 m long."""
     path = TipPath(
         [pose(0.0, 0.0, 0.0, pitch=0.0), pose(1.0, 0.0, 0.0, pitch=2.0), pose(1.1, 0.0, 0.0, pitch=0.0)],
     )
@@ -147,14 +149,14 @@ def test_a_leg_counts_its_turn_where_that_is_more_than_its_way() -> None:
     assert corner().arc(5.0) == 5.0
 
 
-def test_a_range_that_only_widens_on_the_spot_is_a_leg_too() -> None:
-    """Its lower end turns by 0.4 rad. Else its first angle would never be asked."""
+def test_a_range_that_only_widens_on_the_spot_is_a_leg() -> None:
+    """Its lower end turns by 0.4 rad. Without the leg, its first angle would not be required."""
     path = TipPath([pose(0.0, 0.0, 0.0, pitch=-1.0), pose(0.0, 0.0, 0.0, pitch=(-1.4, -0.6))])
     assert path.length == pytest.approx(0.25 * 0.4)
     assert path.target(0.0).pitch == (-1.0, -1.0)
 
 
-def test_half_a_turn_goes_the_way_it_is_written() -> None:
+def test_half_a_turn_has_the_sense_in_which_it_is_written() -> None:
     for written in (np.pi, -np.pi):
         path = TipPath([pose(0.0, 0.0, 0.0, pitch=-0.5), pose(0.0, 0.0, 0.0, pitch=-0.5 + written)])
         middle = path.target(0.5 * path.length).pitch
@@ -162,14 +164,14 @@ def test_half_a_turn_goes_the_way_it_is_written() -> None:
         assert middle[0] == pytest.approx(-0.5 + 0.5 * written)
 
 
-def test_an_angle_that_is_asked_at_a_place_counts_there_before_one_that_is_free() -> None:
+def test_a_requested_angle_takes_precedence_over_a_free_one_at_the_same_place() -> None:
     path = TipPath([pose(0.0, 0.0, 0.0, pitch=-1.0), pose(0.0, 0.0, 0.0), pose(1.0, 0.0, 0.0)])
     assert path.target(0.0).pitch == (-1.0, -1.0)
     assert path.target(0.1).pitch is None
 
 
-def test_corners_of_turns() -> None:
-    """Where the tip stops to turn and where the turn reverses; not where it goes on."""
+def test_corners_are_where_the_tip_stops_to_turn_and_where_a_turn_reverses() -> None:
+    """Not where a turn goes on."""
     path = TipPath(
         [
             pose(0.0, 0.0, 0.0, pitch=-1.0),
@@ -182,7 +184,7 @@ def test_corners_of_turns() -> None:
     np.testing.assert_allclose(path.corners(0.1), [1.0, 1.25])
 
 
-def test_places_in_words() -> None:
+def test_places_on_a_path_are_described_by_waypoints() -> None:
     assert corner().describe(5.0) == "5.00 m"
     path = TipPath(
         [pose(0.0, 0.0, 0.0, pitch=-1.0), pose(1.0, 0.0, 0.0, pitch=-1.0), pose(1.0, 0.0, 0.0, pitch=-2.0)],
@@ -199,7 +201,9 @@ def test_places_in_words() -> None:
     ("pitch", "station"),
     [(-1.0, 1.0), (-1.5, 1.125), (-2.0, 1.25)],
 )
-def test_where_the_tip_is_on_a_turn(backhoe: bp.Robot, pitch: float, station: float) -> None:
+def test_the_station_of_the_tip_in_a_turn_follows_from_its_pitch(
+    backhoe: bp.Robot, pitch: float, station: float
+) -> None:
     path = TipPath([pose(2.6, 0.0, 0.3, pitch=-1.0), pose(3.6, 0.0, 0.3, pitch=-1.0), pose(3.6, 0.0, 0.3, pitch=-2.0)])
     target = bp.TipTarget(position=np.array([3.6, 0.0, 0.3]), pitch=(pitch, pitch))
     at = bp.Kinematics(backhoe).at(bp.solve_inverse_kinematics(backhoe, target).q)
@@ -208,8 +212,8 @@ def test_where_the_tip_is_on_a_turn(backhoe: bp.Robot, pitch: float, station: fl
     assert (off, angle) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_the_legs_that_are_not_looked_at_could_not_be_where_the_tip_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tip that turns to and fro where it stands and moves on, and one that is beside such a path."""
+def test_legs_that_are_skipped_do_not_change_the_station_of_the_tip(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths that turn to and fro on the spot and move on, and tips near them."""
     robot, rng = bp.load_robot("example:panda", tip="panda_hand_tcp"), np.random.default_rng(5)
     kinematics = bp.Kinematics(robot)
     looked_at = 0

@@ -1,4 +1,4 @@
-"""The targets of a path at many places are those at each of them."""
+"""The targets of a path at many stations equal those at each of them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _path(kind: str) -> TipPath:
 
 
 @pytest.mark.parametrize("kind", ["positions", "poses", "some poses", "pitches", "doubles"])
-def test_targets_are_the_same_one_by_one(kind: str) -> None:
+def test_targets_together_equal_targets_one_by_one(kind: str) -> None:
     path = _path(kind)
     rng = np.random.default_rng(1)
     s = np.concatenate(([-0.1, path.length + 0.1], path.stations, rng.uniform(0.0, path.length, 60)))
@@ -43,7 +43,7 @@ def test_targets_are_the_same_one_by_one(kind: str) -> None:
         assert np.asarray(vars(many)[name]) == pytest.approx(np.asarray(values), abs=1e-12), name
 
 
-def test_half_of_a_quarter_turn() -> None:
+def test_the_target_halfway_along_a_quarter_turn_is_turned_by_45_degrees() -> None:
     path = TipPath([Waypoint(position=(0, 0, 0), rpy=(0, 0, 0)), Waypoint(position=(4, 0, 0), rpy=(0, 0, np.pi / 2))])
     found = targets_along(path, np.array([2.0]))
     half = np.sqrt(0.5)

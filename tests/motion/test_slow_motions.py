@@ -1,4 +1,4 @@
-"""Motions that hardly get on: very slow ones, and places at which a path stands."""
+"""Motions with little progress: very slow ones, and stations without length."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from backhoe_planner.planning import resolve_along
 from backhoe_planner.site import Proximity, Waypoint
 
 
-def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot) -> None:
-    """1 m of the tip at 0.1 mm/s is 500,000 periods; then the joints turn while the tip stands."""
+def test_a_very_slow_motion_has_samples_only_where_it_moves(planar4: bp.Robot) -> None:
+    """1 m of the tip at 0.1 mm/s are 500,000 periods; then the joints turn while the tip is at rest."""
     stations = np.concatenate((np.linspace(0.0, 1.0, 101), np.ones(20)))
     turn = np.concatenate((np.linspace(0.0, 0.3, 101), np.linspace(0.3, 1.0, 21)[1:]))
     q = np.outer(turn, [1.0, -1.0, 0.5, 0.2])
@@ -21,14 +21,14 @@ def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot)
     assert len(motion) < 5000
     assert motion.duration == pytest.approx(1e4, rel=0.01)
     np.testing.assert_allclose(motion.q[[0, -1]], q[[0, -1]], atol=1e-12)
-    # a step is what is asked for, and what is done in one period of 0.02 s at full rate
+    # a step is at most the requested one plus that of one period of 0.02 s at full rate
     assert np.all(np.abs(np.diff(motion.q, axis=0)) <= 2.5e-3 + 0.02 * limits.velocity)
     assert np.all(np.abs(motion.segment_velocities()) <= limits.velocity * (1.0 + 1e-9))
     assert np.all(np.abs(motion.corner_accelerations()) <= limits.acceleration * (1.0 + 1e-9))
 
 
 @pytest.mark.long
-def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> None:
+def test_a_path_at_a_tenth_of_a_millimetre_per_second_is_planned(backhoe: bp.Robot) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [4.2, 0.0, -0.45]}]
     scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 1e-4}}})
     found = bp.plan(backhoe, scene, effort="quick")
@@ -39,8 +39,8 @@ def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> N
 
 
 @pytest.mark.parametrize("rate", [pytest.param(1e-2, marks=pytest.mark.long), 1e-3])
-def test_a_slow_joint_takes_the_time_of_its_way_and_no_more(planar4: bp.Robot, rate: float) -> None:
-    """0.8 rad at the full rate, which is reached at once."""
+def test_a_slow_joint_takes_the_time_of_its_distance_at_full_rate(planar4: bp.Robot, rate: float) -> None:
+    """0.8 rad at the full rate, which it reaches at once."""
     names = planar4.joint_names
     start, goal = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0.1) | {names[0]: 0.8}
     limits = {"velocity": {names[0]: rate}}
@@ -54,7 +54,7 @@ A, B = {"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}
 
 
 @pytest.mark.parametrize("method", ["auto", pytest.param("reactive", marks=pytest.mark.long)])
-def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: str) -> None:
+def test_repeated_waypoints_change_nothing(backhoe: bp.Robot, method: str) -> None:
     """Warnings are errors here."""
 
     def planned(*waypoints: dict[str, list[float]]) -> bp.Plan:
@@ -68,7 +68,7 @@ def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: st
     assert twice.metrics.objective == once.metrics.objective
 
 
-def test_law_takes_a_leg_without_length_in_its_stride(backhoe: bp.Robot) -> None:
+def test_the_law_follows_a_path_with_legs_without_length(backhoe: bp.Robot) -> None:
     content = {"version": 1, "task": {"path": {"waypoints": [A, B]}}}
     problem = build_problem(backhoe, bp.scene_from_dict(content))
     path = TipPath([Waypoint.model_validate(point) for point in (A, A, B, B)])

@@ -1,4 +1,4 @@
-"""Time-optimal motions against closed answers, and every limit of the machine kept."""
+"""Time-optimal motions against closed-form durations, within every limit of the machine."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def pendulum(folder: Path, effort: float) -> Robot:
 
 
 def line(q_a: object, q_b: object, count: int = 40) -> tuple[Matrix, Matrix]:
-    """Stations and joints straight from the one to the other."""
+    """Stations and joints of a straight line from q_a to q_b."""
     part = np.linspace(0.0, 1.0, count)
     a, b = np.asarray(q_a, dtype=float), np.asarray(q_b, dtype=float)
     return part, a + part[:, None] * (b - a)
@@ -65,37 +65,37 @@ def with_limits(
     )  # fmt: skip
 
 
-# --- closed answers ---------------------------------------------------------------
+# --- closed-form durations --------------------------------------------------------
 
 
-def test_acceleration_alone_takes_two_roots_of_d_over_a(planar4: Robot) -> None:
+def test_with_acceleration_limits_alone_the_duration_is_2_sqrt_d_over_a(planar4: Robot) -> None:
     limits = with_limits(planar4.limits, velocity=100.0, acceleration=(2.0, 0.5, 1.0, 1.0))
     # the second joint is the slowest: 0.9 rad at 0.5 rad/s^2
     motion = time_along(*line([0.0] * 4, [1.2, -0.9, 0.0, 0.3]), limits)
     assert motion.duration == pytest.approx(2.0 * np.sqrt(0.9 / 0.5), rel=1e-3)
 
 
-def test_a_velocity_limit_adds_d_over_v_and_v_over_a(planar4: Robot) -> None:
+def test_with_a_velocity_limit_the_duration_is_d_over_v_plus_v_over_a(planar4: Robot) -> None:
     limits = with_limits(planar4.limits, velocity=(0.4, 1.0, 1.0, 1.0), acceleration=(0.8, 2.0, 9.0, 9.0))
     motion = time_along(*line([0.0] * 4, [1.5, 0.6, 0.0, 0.0]), limits)
     assert motion.duration == pytest.approx(1.5 / 0.4 + 0.4 / 0.8, rel=1e-3)
 
 
-def test_two_joints_on_a_straight_way_share_the_tighter_of_each_limit(planar4: Robot) -> None:
+def test_two_joints_on_a_straight_line_keep_the_tighter_of_each_limit(planar4: Robot) -> None:
     # joint 1 bounds the speed (0.5 per unit), joint 2 the acceleration (0.25 per unit)
     limits = with_limits(planar4.limits, velocity=(0.5, 3.0, 1.0, 1.0), acceleration=(1.0, 0.5, 1.0, 1.0))
     motion = time_along(*line([0.0] * 4, [1.0, 2.0, 0.0, 0.0]), limits)
     assert motion.duration == pytest.approx(1.0 / 0.5 + 0.5 / 0.25, rel=1e-3)
 
 
-def test_the_tip_speed_that_is_asked_bounds_the_motion(planar4: Robot) -> None:
+def test_the_requested_tip_speed_bounds_the_motion(planar4: Robot) -> None:
     part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
     slow = time_along(2.0 * part, q, with_limits(planar4.limits, velocity=9.0, acceleration=1e3), speed=0.1)
     assert slow.duration == pytest.approx(2.0 / 0.1, rel=1e-3)
 
 
-def test_the_tip_itself_is_as_fast_as_asked_whatever_the_arc_lengths_say(planar4: Robot) -> None:
-    """Joint 1 alone, stretched out: the tip goes 0.5 rad times the arm's length, of which the arc lengths say half."""
+def test_the_tip_has_the_requested_speed_even_if_arc_lengths_are_wrong(planar4: Robot) -> None:
+    """Joint 1 turns the stretched arm: the tip moves by 0.5 rad times its length; the arc lengths are half of that."""
     kinematics = BatchKinematics(planar4)
     arm = float(np.linalg.norm(kinematics.at(np.zeros((1, 4))).tip_position[0, :2]))
     part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
@@ -104,8 +104,8 @@ def test_the_tip_itself_is_as_fast_as_asked_whatever_the_arc_lengths_say(planar4
     assert motion.duration == pytest.approx(0.5 * arm / 0.1, rel=1e-3)
 
 
-def test_samples_at_which_the_tip_would_be_too_fast_are_timed_again(planar4: Robot) -> None:
-    """A kinked way, sampled unevenly: its spline swings about it."""
+def test_samples_with_too_fast_a_tip_are_timed_again(planar4: Robot) -> None:
+    """A kinked path with uneven samples: its spline swings about it."""
     rng = np.random.default_rng(5)
     part = np.sort(np.concatenate(([0.0, 1.0], rng.uniform(0.0, 1.0, 30))))
     kinks = np.interp(part, [0.0, 0.3, 0.5, 1.0], [0.0, 0.4, 0.3, 0.9])
@@ -114,13 +114,15 @@ def test_samples_at_which_the_tip_would_be_too_fast_are_timed_again(planar4: Rob
     motion = time_along(part, q, planar4.limits, speed=0.05, kinematics=kinematics)
     moved = np.linalg.norm(np.diff(kinematics.at(motion.q).tip_position, axis=0), axis=1)
     assert np.max(moved / np.diff(motion.time)) <= 0.05 * 1.001
-    # from rest to rest, else at the speed itself
+    # at the speed itself but for the ends at rest
     assert motion.duration <= 1.02 * np.sum(moved) / 0.05
 
 
 @pytest.mark.parametrize(("begin", "end", "effort"), [(-1.2, 1.0, 400.0), (1.3, -1.3, 400.0), (-0.4, 0.4, 420.0)])
-def test_a_pendulum_under_a_torque_limit_switches_once(tmp_path: Path, begin: float, end: float, effort: float) -> None:
-    """With tau = +-T the energy is known everywhere: one switch, and T by quadrature."""
+def test_a_pendulum_at_its_torque_limit_takes_the_time_of_bang_bang_control(
+    tmp_path: Path, begin: float, end: float, effort: float
+) -> None:
+    """With tau = +-T the energy is known everywhere: one switch, and the duration by quadrature."""
     robot = pendulum(tmp_path, effort)
     inertia, weight = MASS * LENGTH**2, MASS * GRAVITY * LENGTH
     sign = np.sign(end - begin)
@@ -134,7 +136,7 @@ def test_a_pendulum_under_a_torque_limit_switches_once(tmp_path: Path, begin: fl
     switch = brentq(lambda q: speeding(q) - braking(q), begin, end)
 
     def slowness(root: float, origin: float, way: float, energy: object) -> float:
-        """dt / d root with q = origin + way root^2, which is smooth where the speed is 0."""
+        """dt / d root with q = origin + way root^2, which is smooth at zero speed."""
         q = origin + way * root**2
         assert callable(energy)
         return float(2.0 * root / np.sqrt(2.0 * max(energy(q), 1e-300) / inertia))
@@ -153,9 +155,9 @@ def slow_machine(robot: Robot, **changes: Any) -> tuple[Robot, Hydraulics]:
     return replace(robot, hydraulics=hydraulics), hydraulics
 
 
-def test_a_weak_pump_takes_volume_over_flow(backhoe: Robot) -> None:
+def test_with_a_weak_pump_the_duration_is_volume_over_flow(backhoe: Robot) -> None:
     robot, hydraulics = slow_machine(backhoe, pump_flow=2e-5)
-    # a boom that sinks extends, a stick that crowds extends: the caps are filled
+    # lowering the boom and crowding the stick extend the cylinders: the caps are filled
     stations, q = line([0.0, 0.3, -1.0, -1.0], [0.0, -0.4, -1.6, -1.0])
     swept = hydraulics.lengths(q[-1]) - hydraulics.lengths(q[0])
     caps = np.array([cylinder.cap_area for cylinder in hydraulics.cylinders])
@@ -165,7 +167,7 @@ def test_a_weak_pump_takes_volume_over_flow(backhoe: Robot) -> None:
     assert motion.duration == pytest.approx(float(caps @ swept) / 2e-5, rel=1e-3)
 
 
-def test_a_weak_engine_takes_work_over_power(backhoe: Robot) -> None:
+def test_with_a_weak_engine_the_duration_is_work_over_power(backhoe: Robot) -> None:
     robot, hydraulics = slow_machine(backhoe, engine_power=500.0, efficiency=0.8)
     stations, q = line([0.2, -0.5, -1.0, -1.0], [0.2, 0.6, -1.0, -1.0])
     load = Dynamics(robot, payload=400.0)
@@ -175,8 +177,8 @@ def test_a_weak_engine_takes_work_over_power(backhoe: Robot) -> None:
     assert motion.duration > work / hydraulics.power_limit
 
 
-def test_a_run_within_rows_is_as_a_finer_linear_program_has_it() -> None:
-    """Random rows with room at rest: no point of the run can be passed faster, by bisection."""
+def test_the_fastest_law_within_rows_equals_a_linear_program() -> None:
+    """Random rows with room at rest: no point can be passed faster."""
     rng = np.random.default_rng(3)
     grid = np.linspace(0.0, 1.0, 61)
     places = np.linspace(0.0, 2.0 * np.pi, 61)[:-1, None]
@@ -190,7 +192,7 @@ def test_a_run_within_rows_is_as_a_finer_linear_program_has_it() -> None:
     slower = fastest(grid, np.full(61, 4.0), Rows(alpha, beta, 0.5 * gamma), Rows(alpha, beta, 0.5 * gamma))
     assert slower is not None
     assert np.all(slower.x <= law.x + 1e-9)
-    # another solver's optimum of the same discrete problem: the sum of x is greatest where every x is
+    # another solver's optimum of the same discrete problem: the sum of x is greatest if every x is
     from scipy.optimize import linprog
 
     steps = np.diff(grid)[:, None]
@@ -212,7 +214,7 @@ def test_a_run_within_rows_is_as_a_finer_linear_program_has_it() -> None:
 
 
 @pytest.mark.parametrize("seed", [11, 12])
-def test_without_a_drive_it_is_as_fast_as_toppra(backhoe: Robot, seed: int) -> None:
+def test_without_a_drive_the_duration_equals_that_of_toppra(backhoe: Robot, seed: int) -> None:
     import logging
 
     import toppra
@@ -234,7 +236,7 @@ def test_without_a_drive_it_is_as_fast_as_toppra(backhoe: Robot, seed: int) -> N
     assert time_along(stations, q, limits).duration == pytest.approx(reference, rel=2e-3)
 
 
-# --- every limit, and one that binds ------------------------------------------------
+# --- all limits and the binding one -------------------------------------------------
 
 
 def posed(robot: Robot, q: Matrix, **more: object) -> Problem:
@@ -270,10 +272,10 @@ def strong(robot: Robot, changes: dict[str, float]) -> Robot:
 def test_every_limit_holds_at_ten_times_finer_sampling_and_one_binds(
     backhoe: Robot, seed: int, payload: float, changes: dict[str, float]
 ) -> None:
-    """Left out of the second claim: the ends, and the change from one limit to another.
+    """The second claim excludes the ends and changes from one limit to another.
 
-    Where the binding limit changes between two points of the grid, for that one interval
-    the speed is that which meets both; those are less than a hundredth of all moments.
+    If the binding limit changes between two points of the grid, the speed in that interval
+    is the one that meets both limits; those are less than a hundredth of all moments.
     """
     robot = strong(backhoe, changes)
     q = smooth_path(robot, seed)
@@ -294,7 +296,9 @@ def test_every_limit_holds_at_ten_times_finer_sampling_and_one_binds(
         ({"pump_flow": 1.0, "pressure": 5e6}, 0.0, "torque"),
     ],
 )
-def test_it_is_said_which_limit_binds(backhoe: Robot, changes: dict[str, float], payload: float, expected: str) -> None:
+def test_the_binding_limit_is_reported(
+    backhoe: Robot, changes: dict[str, float], payload: float, expected: str
+) -> None:
     robot = strong(backhoe, changes)
     q = line([-0.8, -0.4, -1.4, -1.2], [0.8, 0.5, -0.9, -0.8])[1]
     problem = posed(robot, q, payload=payload)
@@ -305,8 +309,8 @@ def test_it_is_said_which_limit_binds(backhoe: Robot, changes: dict[str, float],
     assert usage.ratio.shape == (len(motion), len(usage.names))
 
 
-def test_soil_takes_torque_and_power(backhoe: Robot) -> None:
-    """A cut of a weak engine: slower in soil than in air, and within its power in both."""
+def test_a_cut_in_soil_takes_longer_within_the_power_of_the_engine(backhoe: Robot) -> None:
+    """A cut with a weak engine, slower in soil than in air."""
     robot = strong(backhoe, {"engine_power": 1e3})
     q = line([0.0, -0.9, -0.6, -0.9], [0.0, -0.9, -1.4, -0.9])[1]
     stations = np.linspace(0.0, 2.0, len(q))
@@ -322,10 +326,10 @@ def test_soil_takes_torque_and_power(backhoe: Robot) -> None:
     assert "engine power" in {usage.names[index] for index in usage.binding}
 
 
-# --- what cannot be held, and what is too fast ----------------------------------------
+# --- loads that are too heavy, motions that are too fast ------------------------------
 
 
-def test_a_payload_that_cannot_be_held_is_named_with_joint_and_figures(backhoe: Robot) -> None:
+def test_a_payload_that_cannot_be_held_is_reported_with_joint_and_torque(backhoe: Robot) -> None:
     scene = scene_from_dict(
         {
             "version": 1,
@@ -376,14 +380,14 @@ def scene_at(motion: Trajectory) -> Scene:
     )
 
 
-def test_retime_keeps_every_sample_and_slows_only_where_it_must(backhoe: Robot) -> None:
+def test_retime_keeps_every_sample_and_slows_only_where_necessary(backhoe: Robot) -> None:
     robot = strong(backhoe, {"pump_flow": 1.5e-3})
     motion, drive = brisk(robot), Drive(robot)
     slower = retime(motion, robot.limits, drive=drive)
     assert np.array_equal(slower.q, motion.q)
     use, before = (drive.use_along(found.moments()) for found in (slower, motion))
     assert max(np.max(use.effort), np.max(use.speeds)) <= 1.01
-    # slowed by one factor throughout, it would take this long
+    # this long if slowed by one factor throughout
     assert motion.duration < slower.duration < motion.duration * np.max(before.speeds)
     assert retime(slower, robot.limits, drive=drive) is slower
 
@@ -399,7 +403,7 @@ def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path
     assert set(content["certificate"]["limits"]) == {"position", "velocity", "acceleration", "effort", "hydraulics"}
     again = load_plan(tmp_path / "plan.json")
     assert again.certificate.hydraulics == found.certificate.hydraulics
-    for kind in ("effort", "hydraulics"):  # as files were before
+    for kind in ("effort", "hydraulics"):  # as in older files
         del content["certificate"]["limits"][kind]
     (tmp_path / "plan.json").write_text(json.dumps(content))
     assert load_plan(tmp_path / "plan.json").certificate.effort == found.certificate.effort
@@ -407,8 +411,8 @@ def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path
 
 @pytest.mark.parametrize("method", ["auto", "reactive"])
 @pytest.mark.parametrize("moving", [{}, {"velocity": [0.1, 0.1, 0.0]}, {"appears_at": 1.0}], ids=str)
-def test_what_is_verified_can_be_driven(backhoe: Robot, method: str, moving: dict[str, object]) -> None:
-    """All joints at once at full rate would take more than twice the pump's flow."""
+def test_verified_motions_keep_the_limits_of_the_drive(backhoe: Robot, method: str, moving: dict[str, object]) -> None:
+    """All joints at full rate at once would need more than twice the pump's flow."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.5, -1.5, 2.6]}
     scene = scene_from_dict(
         {

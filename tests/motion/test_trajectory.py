@@ -1,4 +1,4 @@
-"""Samples of a motion: velocities and accelerations by hand, and what is refused."""
+"""Samples of a motion: velocities and accelerations by hand, and refused samples."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TIME = np.array([0.0, 1.0, 1.5])
 Q = np.array([[0.0], [1.0], [3.0]])
 
 
-def test_velocity_between_and_at_samples() -> None:
+def test_velocities_between_and_at_samples_equal_a_hand_calculation() -> None:
     motion = Trajectory.from_steps(TIME, Q)
     np.testing.assert_allclose(motion.segment_velocities(), [[1.0], [4.0]])
     np.testing.assert_allclose(motion.v, [[0.0], [2.5], [0.0]])
@@ -22,7 +22,7 @@ def test_velocity_between_and_at_samples() -> None:
     assert len(motion) == 3
 
 
-def test_acceleration_counts_from_rest_and_to_rest() -> None:
+def test_accelerations_begin_and_end_at_rest() -> None:
     motion = Trajectory.from_steps(TIME, Q)
     # from rest over 1 s; from 1 to 4 rad/s over 0.75 s; to rest over 0.5 s
     np.testing.assert_allclose(motion.accelerations(), [[1.0], [4.0], [-8.0]])
@@ -32,11 +32,11 @@ def test_a_change_of_velocity_takes_no_longer_than_a_period() -> None:
     motion = Trajectory.from_steps(TIME, Q)
     np.testing.assert_allclose(motion.velocity_changes(), [[1.0], [3.0], [-4.0]])
     np.testing.assert_allclose(motion.corner_accelerations(), [[50.0], [150.0], [-200.0]])
-    dense = Trajectory.from_steps(0.01 * TIME, Q)  # 10 ms and 5 ms apart: as it is
+    dense = Trajectory.from_steps(0.01 * TIME, Q)  # 10 ms and 5 ms apart: less than a period
     np.testing.assert_array_equal(dense.corner_accelerations(), dense.accelerations())
 
 
-def test_one_sample_stands_still() -> None:
+def test_a_motion_of_one_sample_is_at_rest() -> None:
     motion = Trajectory.from_steps(np.zeros(1), np.array([[0.3, -0.2]]))
     assert motion.duration == 0.0
     assert motion.segment_velocities().shape == (0, 2)
@@ -45,7 +45,7 @@ def test_one_sample_stands_still() -> None:
     np.testing.assert_array_equal(motion.at(5.0), [0.3, -0.2])
 
 
-def test_linear_between_samples_and_at_rest_outside() -> None:
+def test_a_motion_is_linear_between_samples_and_at_rest_outside() -> None:
     motion = Trajectory.from_steps(TIME, Q)
     np.testing.assert_allclose(motion.at(0.25), [0.25])
     np.testing.assert_allclose(motion.at(1.25), [2.0])

@@ -1,4 +1,4 @@
-"""What happens between two samples counts, however far apart they are."""
+"""Motion between two samples is checked, however far apart they are."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ def turntable(tmp_path_factory: pytest.TempPathFactory) -> bp.Robot:
 
 
 @pytest.mark.parametrize(("tolerance", "verified"), [(0.046, False), (0.063, True)])
-def test_a_slide_outboard_of_a_hinge(turntable: bp.Robot, tolerance: float, verified: bool) -> None:
-    """Both samples lie on the path; halfway the tip is 0.1 sin(0.5) = 0.0479 m off it.
+def test_the_error_of_a_slide_outboard_of_a_hinge_is_bounded_between_samples(
+    turntable: bp.Robot, tolerance: float, verified: bool
+) -> None:
+    """Both samples are on the path; halfway the tip is 0.1 sin(0.5) = 0.0479 m off it.
 
     The bound is (0.1 * 1 + 2 * 0.2 * 1) / 8 = 0.0625 m.
     """
@@ -57,7 +59,7 @@ SPINDLE = """<robot name="spindle"><link name="base"/><link name="carriage"/>
 
 
 def spindle(folder: Path, lever: float) -> bp.Robot:
-    """A tool that turns about the axis along which it slides; turned up, its pitch is the angle."""
+    """A tool that turns about the axis along which it slides; its pitch is the angle, upwards."""
     path = folder / "spindle.urdf"
     path.write_text(SPINDLE.format(lever=lever))
     return bp.load_robot(path, tip="tip")
@@ -66,7 +68,7 @@ def spindle(folder: Path, lever: float) -> bp.Robot:
 def along_y(
     robot: bp.Robot, turns: list[float], *, asked: list[dict[str, object]], tolerance: float = 0.005
 ) -> bp.Certificate:
-    """Of the slide from 0 to 0.4 m in equal steps with the tool at `turns`; `asked` at the path's ends."""
+    """The certificate of a slide from 0 to 0.4 m in equal steps, the tool at `turns`; `asked` at the path's ends."""
     lever = float(bp.Kinematics(robot).at(np.zeros(2)).tip_position[0])
     ends = [[lever, 0.0, 0.0], [lever, 0.4, 0.0]]
     waypoints = [{"position": p} | extra for p, extra in zip(ends, asked, strict=True)]
@@ -80,15 +82,15 @@ LEVEL: dict[str, object] = {"rpy": [0, 0, 0]}
 
 @pytest.mark.parametrize("turns", [1, -1, 3])
 @pytest.mark.parametrize("samples", [2, 3, 4])
-def test_whole_turns_between_samples_are_not_the_asked_orientation(tmp_path: Path, turns: int, samples: int) -> None:
-    """At every sample the tip is where it is to be, and turned by nothing."""
+def test_whole_turns_between_samples_break_the_requested_orientation(tmp_path: Path, turns: int, samples: int) -> None:
+    """At every sample the tip has the requested position and orientation."""
     angles = (2.0 * np.pi * turns * np.arange(samples)).tolist()
     certificate = along_y(spindle(tmp_path, 0.0), angles, asked=[LEVEL, LEVEL])
     assert not certificate.verified
     assert any("orientation" in problem for problem in certificate.problems)
 
 
-def test_a_whole_turn_between_two_samples_is_not_within_a_pitch_range(tmp_path: Path) -> None:
+def test_a_whole_turn_between_two_samples_breaks_a_range_of_pitch(tmp_path: Path) -> None:
     level: dict[str, object] = {"pitch": [-0.2, 0.2]}
     robot = spindle(tmp_path, 0.1)
     assert along_y(robot, [0.0, 0.1, -0.1], asked=[level, level], tolerance=0.8).verified
@@ -96,10 +98,10 @@ def test_a_whole_turn_between_two_samples_is_not_within_a_pitch_range(tmp_path: 
 
 
 @pytest.mark.parametrize(("off", "verified"), [(0.0, True), (0.0095, True), (0.0105, False)])
-def test_an_orientation_that_turns_with_the_path_is_kept_by_two_samples(
+def test_an_orientation_that_turns_with_the_path_is_kept_by_two_samples_within_0_01_rad(
     tmp_path: Path, off: float, verified: bool
 ) -> None:
-    """The path asks for a turn by -1 rad about y, and so does the tool; 0.01 rad are allowed."""
+    """The path requests a turn by -1 rad about y, and the tool makes it; 0.01 rad are allowed."""
     asked: list[dict[str, object]] = [LEVEL, {"rpy": [0, -1, 0]}]
     certificate = along_y(spindle(tmp_path, 0.0), [off, 1.0 + off], asked=asked)
     assert certificate.verified == verified
@@ -108,15 +110,15 @@ def test_an_orientation_that_turns_with_the_path_is_kept_by_two_samples(
         assert certificate.tracking.max_angle_error >= off
 
 
-def test_a_bump_between_samples_beside_ones_that_keep_the_orientation(tmp_path: Path) -> None:
-    """One turn in the middle of 21 samples: as with many samples, that part is off the path."""
+def test_a_turn_between_two_samples_is_a_detour(tmp_path: Path) -> None:
+    """One turn in the middle of 21 samples: that part is off the path, as with many samples."""
     robot = spindle(tmp_path, 0.0)
     still = [0.0] * 10 + [2.0 * np.pi] * 11
     few = along_y(robot, still, asked=[LEVEL, LEVEL])
     (detour,) = few.detours
     many = along_y(robot, np.interp(np.linspace(0, 20, 1001), np.arange(21), still).tolist(), asked=[LEVEL, LEVEL])
     (expected,) = many.detours
-    # the step from 0.18 to 0.20 m, and one step of few samples to each side
+    # the step from 0.18 to 0.20 m, and one step of `few` to each side
     assert detour.path_from == pytest.approx(0.16)
     assert detour.path_to == pytest.approx(0.22)
     assert few.tracking.left_out == pytest.approx(0.06)
@@ -127,8 +129,8 @@ def test_a_bump_between_samples_beside_ones_that_keep_the_orientation(tmp_path: 
 
 
 @pytest.mark.parametrize("samples", [2, 3, 4, 16, 151])
-def test_an_acceleration_is_not_hidden_by_few_samples(planar4: bp.Robot, samples: int) -> None:
-    """3 rad in 3 s at one rate: from rest to 1 rad/s, within 0.02 s that is 50 rad/s^2."""
+def test_few_samples_do_not_hide_an_acceleration(planar4: bp.Robot, samples: int) -> None:
+    """3 rad in 3 s at one rate: from rest to 1 rad/s within 0.02 s is 50 rad/s^2."""
     end = [4.0 * np.cos(3.0), 4.0 * np.sin(3.0), 0.0]
     content = {
         "version": 1,
@@ -145,8 +147,8 @@ def test_an_acceleration_is_not_hidden_by_few_samples(planar4: bp.Robot, samples
 
 
 @pytest.mark.parametrize("rest", [0.0, 10.0])
-def test_standing_first_does_not_hide_a_start(planar4: bp.Robot, rest: float) -> None:
-    """0.1 rad/s at once is 5 rad/s^2, be it from a long stand."""
+def test_rest_before_a_start_does_not_hide_its_acceleration(planar4: bp.Robot, rest: float) -> None:
+    """0.1 rad/s at once is 5 rad/s^2, also after a long rest."""
     time = np.array([0.0, 1.0]) if rest == 0.0 else np.array([0.0, rest, rest + 1.0])
     q = np.zeros((len(time), 4))
     q[-1, 0] = 0.1
@@ -169,14 +171,14 @@ def rounded(motion: bp.Trajectory, step: float) -> bp.Trajectory:
     time = np.arange(0.0, motion.duration + 2.0 * half + 0.5 * step, step)
     q = np.tile(motion.q[0], (len(time), 1))
     for moment, change in zip(motion.time, motion.velocity_changes(), strict=True):
-        since = np.clip(time - moment, 0.0, 2.0 * half)  # all of it is half a period later
+        since = np.clip(time - moment, 0.0, 2.0 * half)  # all is half a period later
         beyond = np.maximum(time - moment - 2.0 * half, 0.0)
         q += np.outer(since**2 / (4.0 * half) + beyond, change)
     return bp.Trajectory.from_steps(time, q)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_coarse_motion_uses_is_what_it_uses_with_its_corners_rounded(backhoe: bp.Robot, seed: int) -> None:
+def test_the_limit_use_of_a_coarse_motion_is_that_of_its_rounded_corners(backhoe: bp.Robot, seed: int) -> None:
     """Acceleration, torque and power at corners: not less than in 1 ms samples of the rounded motion, nor much more.
 
     In 1 ms the velocity changes by a twentieth of the jump.
@@ -195,10 +197,10 @@ def test_what_a_coarse_motion_uses_is_what_it_uses_with_its_corners_rounded(back
 
 
 @pytest.mark.parametrize(("tolerance", "verified"), [(None, False), (0.049, False), (0.051, True)])
-def test_a_path_says_how_far_the_tool_may_be_turned_from_its_angle(
+def test_the_rotation_tolerance_of_a_path_limits_the_angle_error(
     tmp_path: Path, tolerance: float | None, verified: bool
 ) -> None:
-    """The tool is 0.05 rad from the asked angle all the way."""
+    """The tool is 0.05 rad from the requested angle all along."""
     robot = spindle(tmp_path, 0.2)
     high = 0.2 * np.sin(0.35)
     ends = [{"position": [0.2 * np.cos(0.35), y, high], "pitch": 0.3} for y in (-0.5, 0.5)]
@@ -211,8 +213,8 @@ def test_a_path_says_how_far_the_tool_may_be_turned_from_its_angle(
         assert found.tracking.max_angle_error == pytest.approx(0.05, abs=1e-9)
 
 
-def test_a_tool_that_turns_round_between_two_samples_of_a_path_does_not_keep_its_pitch(tmp_path: Path) -> None:
-    """Both samples have the angle that is kept; halfway the tool points the other way."""
+def test_a_turn_between_two_samples_of_a_path_breaks_the_pitch_to_keep(tmp_path: Path) -> None:
+    """Both samples keep the pitch; halfway the tool points backwards."""
     robot = spindle(tmp_path, 0.04)
     ends = [{"position": [0.04, y, 0.0]} for y in (-0.5, 0.5)]
     task = {"path": {"waypoints": ends, "tolerance": 0.9}, "keep": {"pitch": [-0.2, 0.2]}}
@@ -225,10 +227,10 @@ def test_a_tool_that_turns_round_between_two_samples_of_a_path_does_not_keep_its
     assert use.margin == pytest.approx(0.2 - np.pi)
 
 
-def test_what_may_be_nearest_is_measured_first(
+def test_the_link_that_seems_nearest_to_the_ground_is_measured_first(
     backhoe: bp.Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the pieces above a ground only the one that seems nearest is measured however far away it is."""
+    """Only the piece that seems nearest to the ground is measured without a limit of distance."""
     heights = np.random.default_rng(4).normal(-0.6, 0.005, (81, 81))
     np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
     ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [20.0, 20.0], "clearance": 0.1}
@@ -262,7 +264,7 @@ SLIDE = """<robot name="slide"><link name="base"/>
 
 
 def passing(folder: Path, clearance: float, **obstacle: object) -> tuple[bp.Proximity, bp.Trajectory]:
-    """A ball passes a sphere in 201 samples; they are 0.06 - 0.01 - 0.03 = 0.02 m apart at 0.7 of the time."""
+    """A ball passes a sphere in 201 samples, 0.06 - 0.01 - 0.03 = 0.02 m away at 0.7 of the time."""
     path = folder / "slide.urdf"
     path.write_text(SLIDE)
     robot = bp.load_robot(path, tip="ball")
@@ -282,7 +284,7 @@ def passing(folder: Path, clearance: float, **obstacle: object) -> tuple[bp.Prox
 
 
 @pytest.mark.parametrize("clearance", [0.019, 0.021])
-def test_the_nearest_of_many_samples_is_found_and_decides(tmp_path: Path, clearance: float) -> None:
+def test_the_nearest_of_many_samples_decides_the_clearance(tmp_path: Path, clearance: float) -> None:
     proximity, motion = passing(tmp_path, clearance)
     (nearest,) = find_clearances(proximity, motion)
     assert nearest.distance == pytest.approx(0.02, abs=1.1e-4)
@@ -292,8 +294,10 @@ def test_the_nearest_of_many_samples_is_found_and_decides(tmp_path: Path, cleara
 
 
 @pytest.mark.parametrize(("appears", "distance"), [(6.0, 0.02), (7.53, np.hypot(0.106, 0.06) - 0.04)])
-def test_what_appears_between_two_samples_counts_from_then_on(tmp_path: Path, appears: float, distance: float) -> None:
-    """At 7.53 s the ball is at 0.506, 0.106 m past the sphere, from which it goes away."""
+def test_an_obstacle_that_appears_between_two_samples_counts_from_then_on(
+    tmp_path: Path, appears: float, distance: float
+) -> None:
+    """At 7.53 s the ball is at 0.506, 0.106 m past the sphere and moving away."""
     for clearance, clear in ((distance + 1e-3, False), (0.9 * distance, True)):
         proximity, motion = passing(tmp_path, clearance, appears_at=appears)
         (nearest,) = find_clearances(proximity, motion)
@@ -301,8 +305,8 @@ def test_what_appears_between_two_samples_counts_from_then_on(tmp_path: Path, ap
         assert motion_is_clear(proximity, motion.time, motion.q) == clear
 
 
-def test_what_comes_nearer_is_met_where_it_is_then(tmp_path: Path) -> None:
-    """From y = 0.16 at 0.01 m/s it is at 0.09 at 7 s, where the ball passes it."""
+def test_the_distance_to_an_approaching_obstacle_is_that_of_the_moment(tmp_path: Path) -> None:
+    """From y = 0.16 at 0.01 m/s the sphere is at 0.09 at 7 s, when the ball passes it."""
     proximity, motion = passing(tmp_path, 0.01, position=[0.4, 0.16, 0.0], velocity=[0.0, -0.01, 0.0])
     (nearest,) = find_clearances(proximity, motion)
     y = 0.16 - 0.01 * motion.time

@@ -1,7 +1,7 @@
-"""The certificate on motions whose least distance is known from plane geometry.
+"""The certificate of motions whose least distance is known from plane geometry.
 
 The stretched arm of planar4 is a bar from the axis to 4 m, 0.08 m wide. Turned by
-joint 1 past a ball at 4.3 m, a corner of its end comes nearest.
+joint 1 past a ball at 4.3 m, a corner of its end is nearest.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STILL = np.zeros(4)
 
 
 def site(obstacles: list[Data], *, q_start: Vector = STILL, **keys: Any) -> bp.Scene:
-    """A scene whose goal is where joint 1 at 1.4 rad holds the tip of the stretched arm."""
+    """A scene whose goal is the tip of the stretched arm with joint 1 at 1.4 rad."""
     return bp.scene_from_dict(
         {
             "version": 1,
@@ -95,21 +95,23 @@ def link_distances(q: Matrix, centre: Vector) -> Matrix:
 
 
 @pytest.mark.parametrize("samples", [2, 3, 7, 201])
-def test_least_distance_of_a_swing_past_a_ball(planar4: bp.Robot, samples: int) -> None:
+def test_the_least_distance_of_a_swing_past_a_ball_is_proven_from_any_number_of_samples(
+    planar4: bp.Robot, samples: int
+) -> None:
     found = to(certify(planar4, site([ball(0.63)]), swing(samples)))
     assert_proven(found, 4.3 - CORNER - 0.1)
     assert found.link == "link4"
 
 
-def test_the_moment_of_the_tightest_spot(planar4: bp.Robot) -> None:
-    """At 10 s for 1.4 rad, the corner on the left passes the ball's angle a little early."""
+def test_the_time_of_the_least_clearance_is_reported(planar4: bp.Robot) -> None:
+    """At 1.4 rad in 10 s, the left corner passes the ball's angle a little early, the right one late."""
     found = to(certify(planar4, site([ball(0.63)], clearance=0.19), straight(STILL, np.array([1.4, 0.0, 0.0, 0.0]))))
     passes = (0.63 + np.array([-1.0, 1.0]) * np.arctan2(0.04, 4.0)) / 0.14
     assert np.min(np.abs(passes - found.time)) < 0.1
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_all_joints_at_once_against_dense_sampling(planar4: bp.Robot, seed: int) -> None:
+def test_the_least_distance_with_all_joints_moving_equals_dense_sampling(planar4: bp.Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q_a, q_b = rng.uniform(-2.0, 2.0, 4), rng.uniform(-2.0, 2.0, 4)
     radius = float(rng.uniform(0.05, 0.4))
@@ -119,13 +121,13 @@ def test_all_joints_at_once_against_dense_sampling(planar4: bp.Robot, seed: int)
     centre = np.array([at * np.cos(angle), at * np.sin(angle), 0.0])
     true = float(np.min(link_distances((1.0 - part) * q_a + part * q_b, centre))) - radius
     found = to(certify(planar4, scene, straight(q_a, q_b)))
-    spacing = 5e-4  # m: how far a sampled least can lie above the true one
+    spacing = 5e-4  # m: the most by which a sampled least distance exceeds the true one
     assert found.distance <= true + 1e-9
     assert found.distance >= true - spacing - max(1e-4, 0.02 * (true - 0.05))
 
 
 def test_a_thin_pole_between_two_samples_is_found(planar4: bp.Robot) -> None:
-    """Both samples are metres away from it; the motion between goes through."""
+    """Both samples are metres away from it; the motion between them goes through it."""
     pole = {"name": "pole", "shape": "cylinder", "radius": 0.002, "length": 1.0, "position": [2.0, 2.0, 0.0]}
     certificate = certify(planar4, site([pole]), straight(STILL, np.array([1.4, 0.0, 0.0, 0.0])))
     assert not certificate.verified
@@ -134,7 +136,7 @@ def test_a_thin_pole_between_two_samples_is_found(planar4: bp.Robot) -> None:
     assert "pole" in certificate.problems[0]
 
 
-def test_a_thin_pole_is_missed_by_a_hair_and_kept(planar4: bp.Robot) -> None:
+def test_a_thin_pole_missed_by_0_2_mm_more_than_its_clearance_is_verified(planar4: bp.Robot) -> None:
     at = CORNER + 0.0052
     pole = {"name": "pole", "shape": "sphere", "radius": 0.002, "position": [at * np.cos(0.7), at * np.sin(0.7), 0.0]}
     certificate = certify(planar4, site([pole], clearance=0.003), swing())
@@ -142,7 +144,7 @@ def test_a_thin_pole_is_missed_by_a_hair_and_kept(planar4: bp.Robot) -> None:
     assert certificate.verified
 
 
-def test_exactly_the_clearance_counts_as_kept(planar4: bp.Robot) -> None:
+def test_exactly_the_clearance_counts_as_kept_and_0_3_mm_less_does_not(planar4: bp.Robot) -> None:
     distance = 4.3 - CORNER - 0.1
     kept = certify(planar4, site([ball(0.63)], clearance=distance), swing())
     assert kept.verified
@@ -154,14 +156,14 @@ def test_exactly_the_clearance_counts_as_kept(planar4: bp.Robot) -> None:
     assert "ball" in problem
 
 
-def test_an_obstacle_has_its_own_clearance(planar4: bp.Robot) -> None:
+def test_the_own_clearance_of_an_obstacle_takes_precedence(planar4: bp.Robot) -> None:
     certificate = certify(planar4, site([ball(0.63, clearance=0.25)], clearance=0.0), swing())
     assert not certificate.verified
     assert to(certificate).margin == pytest.approx(4.3 - CORNER - 0.1 - 0.25, abs=2e-4)
     assert certificate.min_clearance == to(certificate)
 
 
-def test_tightest_margin_comes_first(planar4: bp.Robot) -> None:
+def test_the_tightest_margin_comes_first(planar4: bp.Robot) -> None:
     near = ball(0.3, 0.1, 4.4) | {"name": "near"}
     demanding = ball(1.0, 0.1, 4.6, clearance=0.45) | {"name": "demanding"}
     certificate = certify(planar4, site([near, demanding]), swing())
@@ -170,7 +172,7 @@ def test_tightest_margin_comes_first(planar4: bp.Robot) -> None:
     assert certificate.clearances[0].obstacle == "demanding"
 
 
-def test_links_filter_an_obstacle(planar4: bp.Robot) -> None:
+def test_an_obstacle_with_links_counts_for_these_links_only(planar4: bp.Robot) -> None:
     inside = ball(0.7, 0.1, 1.5)  # link 2 goes through it
     assert not certify(planar4, site([inside]), swing()).verified
     certificate = certify(planar4, site([inside | {"links": ["link4"]}]), swing())
@@ -180,12 +182,12 @@ def test_links_filter_an_obstacle(planar4: bp.Robot) -> None:
     assert_proven(found, 3.0 - 1.5 - 0.1)
 
 
-def test_a_moving_obstacle_crosses_between_samples(planar4: bp.Robot) -> None:
-    """The arm stands still; the ball passes its end at 5 s, 0.4 m away, or goes through link 3."""
+def test_a_moving_obstacle_that_crosses_between_samples_is_found(planar4: bp.Robot) -> None:
+    """The arm is at rest; the ball passes its end at 5 s, 0.4 m away, or goes through link 3."""
     passing = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4.5, -3.0, 0.0], "velocity": [0, 0.6, 0]}
     found = to(certify(planar4, site([passing]), straight(STILL, STILL)))
     assert_proven(found, 0.4)
-    # nearest while |y| <= 0.04, and within the resolution for a while around it
+    # nearest while |y| <= 0.04, and for a while around that within the resolution
     assert found.time == pytest.approx(5.0, abs=0.3)
     hitting = passing | {"position": [2.5, -3.0, 0.0]}
     certificate = certify(planar4, site([hitting]), straight(STILL, STILL))
@@ -194,7 +196,7 @@ def test_a_moving_obstacle_crosses_between_samples(planar4: bp.Robot) -> None:
 
 
 def test_an_obstacle_counts_from_its_appearance_on(planar4: bp.Robot) -> None:
-    """The arm turns at 0.14 rad/s through a place at 0.2 rad where at 5 s a ball appears, 0.5 rad behind it."""
+    """The arm turns at 0.14 rad/s through 0.2 rad, where a ball appears at 5 s, 0.5 rad behind the arm."""
     late = ball(0.2, at=3.9, appears_at=5.0)
     motion = straight(STILL, np.array([1.4, 0.0, 0.0, 0.0]))
     centre = np.array([3.9 * np.cos(0.2), 3.9 * np.sin(0.2), 0.0])
@@ -206,7 +208,7 @@ def test_an_obstacle_counts_from_its_appearance_on(planar4: bp.Robot) -> None:
 
 
 def test_an_obstacle_moves_from_its_appearance_on(planar4: bp.Robot) -> None:
-    """At 2 m beside the arm it appears at 4 s, and moves 0.25 m/s towards it for 6 s."""
+    """A ball appears 2 m beside the arm at 4 s and moves towards it at 0.25 m/s for 6 s."""
     coming = {
         "name": "ball", "shape": "sphere", "radius": 0.1, "position": [3.5, 2.04, 0.0],
         "appears_at": 4.0, "velocity": [0.0, -0.25, 0.0],
@@ -216,13 +218,13 @@ def test_an_obstacle_moves_from_its_appearance_on(planar4: bp.Robot) -> None:
     assert found.time == pytest.approx(10.0)
 
 
-def test_one_that_appears_after_the_end_does_not_count(planar4: bp.Robot) -> None:
+def test_an_obstacle_that_appears_after_the_end_does_not_count(planar4: bp.Robot) -> None:
     certificate = certify(planar4, site([ball(0.7, at=3.0, appears_at=4.5)]), swing())
     assert certificate.verified
     assert [entry.obstacle for entry in certificate.clearances if entry.obstacle == "ball"] == []
 
 
-def test_the_machine_itself_is_an_obstacle(planar4: bp.Robot) -> None:
+def test_self_collision_is_found(planar4: bp.Robot) -> None:
     folded = np.array([0.0, 2.4, 2.4, 0.0])
     certificate = certify(planar4, site([]), straight(STILL, folded))
     assert certificate.min_clearance is not None
@@ -233,10 +235,10 @@ def test_the_machine_itself_is_an_obstacle(planar4: bp.Robot) -> None:
 # --- limits and task --------------------------------------------------------------
 
 
-def test_use_of_limits_of_a_slow_swing(planar4: bp.Robot) -> None:
+def test_limit_use_of_a_slow_swing_equals_that_of_a_quintic_ramp(planar4: bp.Robot) -> None:
     certificate = certify(planar4, site([]), swing(duration=4.0))
     assert certificate.verified
-    # a quintic ramp peaks at 15/8 of the mean rate, and at 10/sqrt(3) of way / time^2
+    # a quintic ramp peaks at 15/8 of the mean rate, and at 10/sqrt(3) of distance / time^2
     assert certificate.velocity.ratio == pytest.approx(1.875 * 1.4 / 4.0 / 1.0, rel=1e-3)
     assert certificate.velocity.joint == "joint1"
     assert certificate.velocity.time == pytest.approx(2.0, abs=0.03)
@@ -253,7 +255,7 @@ def test_use_of_limits_of_a_slow_swing(planar4: bp.Robot) -> None:
         ({}, 1.0, {"velocity", "acceleration"}),
     ],
 )
-def test_exceeded_rates_are_told_by_joint(planar4: bp.Robot, keys: Data, duration: float, kinds: set[str]) -> None:
+def test_exceeded_rates_are_reported_by_joint(planar4: bp.Robot, keys: Data, duration: float, kinds: set[str]) -> None:
     certificate = certify(planar4, site([], **keys), swing(duration=duration))
     assert {kind for kind in ("velocity", "acceleration") if not getattr(certificate, kind).kept} == kinds
     assert certificate.safe == certificate.verified == (not kinds)
@@ -261,7 +263,7 @@ def test_exceeded_rates_are_told_by_joint(planar4: bp.Robot, keys: Data, duratio
         assert any("joint1" in problem and kind in problem for problem in certificate.problems)
 
 
-def test_position_outside_the_limits(backhoe: bp.Robot) -> None:
+def test_a_position_outside_the_limits_is_reported_with_joint_and_time(backhoe: bp.Robot) -> None:
     low, high = backhoe.limits.lower[2], backhoe.limits.upper[2]
     inside, outside = np.array([0.0, 0.3, high, -1.0]), np.array([0.0, 0.3, high + 0.02, -1.0])
     scene = bp.scene_from_dict(
@@ -281,7 +283,7 @@ def test_position_outside_the_limits(backhoe: bp.Robot) -> None:
     assert any("stick" in problem and "position" in problem for problem in broken.problems)
 
 
-def test_the_task_must_be_done_from_the_asked_start(planar4: bp.Robot) -> None:
+def test_a_motion_must_end_at_the_goal_and_begin_at_the_start(planar4: bp.Robot) -> None:
     short = certify(planar4, site([]), swing(angle=1.3))
     assert short.safe
     assert not short.verified
@@ -292,7 +294,7 @@ def test_the_task_must_be_done_from_the_asked_start(planar4: bp.Robot) -> None:
     assert any("start" in problem for problem in elsewhere.problems)
 
 
-def test_another_number_of_joints_is_refused(planar4: bp.Robot) -> None:
+def test_a_motion_with_another_number_of_joints_is_refused(planar4: bp.Robot) -> None:
     with pytest.raises(bp.InputError):
         certify(planar4, site([]), Trajectory.from_steps(np.arange(2.0), np.zeros((2, 3))))
 
@@ -300,7 +302,7 @@ def test_another_number_of_joints_is_refused(planar4: bp.Robot) -> None:
 # --- one segment ------------------------------------------------------------------
 
 
-def test_segment_is_clear_is_never_true_where_sampling_shows_a_violation(planar4: bp.Robot) -> None:
+def test_segment_is_clear_agrees_with_sampled_distances(planar4: bp.Robot) -> None:
     rng = np.random.default_rng(7)
     spots = rng.uniform(-3.0, 3.0, (5, 2))
     radii = rng.uniform(0.1, 0.4, 5)
@@ -325,7 +327,7 @@ def test_segment_is_clear_is_never_true_where_sampling_shows_a_violation(planar4
             blocked += 1
         else:
             clear += said
-        # 2^6 pieces: each bound is good to 1/64 of the way, at most 4 joints * 4 m * 0.4 rad / 64 / 2
+        # 2^6 pieces: each bound is exact to 1/64 of the motion, at most 4 joints * 4 m * 0.4 rad / 64 / 2
         if min(balls, itself) > 0.06:
             assert said
             roomy += 1
@@ -334,7 +336,7 @@ def test_segment_is_clear_is_never_true_where_sampling_shows_a_violation(planar4
     assert roomy > 30
 
 
-def test_segment_is_clear_looks_between_its_ends(planar4: bp.Robot) -> None:
+def test_segment_is_clear_checks_between_its_ends(planar4: bp.Robot) -> None:
     pole = {"name": "pole", "shape": "cylinder", "radius": 0.002, "length": 1.0, "position": [2.0, 2.0, 0.0]}
     proximity = bp.Proximity(planar4, build_problem(planar4, site([pole])).obstacles)
     far = np.array([1.4, 0.0, 0.0, 0.0])
@@ -342,7 +344,7 @@ def test_segment_is_clear_looks_between_its_ends(planar4: bp.Robot) -> None:
     assert segment_is_clear(proximity, STILL, np.array([0.7, 0.0, 0.0, 0.0]))
 
 
-def test_segment_is_clear_knows_what_moves_and_appears(planar4: bp.Robot) -> None:
+def test_segment_is_clear_respects_motion_and_appearance_of_obstacles(planar4: bp.Robot) -> None:
     crossing = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [2.5, -3.0, 0.0], "velocity": [0, 0.6, 0]}
     proximity = bp.Proximity(planar4, build_problem(planar4, site([crossing])).obstacles)
     assert segment_is_clear(proximity, STILL, STILL, time=0.0, dt=4.0)
@@ -353,8 +355,8 @@ def test_segment_is_clear_knows_what_moves_and_appears(planar4: bp.Robot) -> Non
     assert not segment_is_clear(late, STILL, STILL, time=0.0, dt=5.1)
 
 
-def test_beyond_a_slides_limit_the_distances_are_still_proven(tmp_path: Path) -> None:
-    """1 m beyond its limit a ball of 0.1 m swings past one of 0.1 m, both 1.5 m from the hinge: 0.2 m deep."""
+def test_distances_are_proven_also_beyond_the_limit_of_a_slide(tmp_path: Path) -> None:
+    """1 m beyond its limit a ball of 0.1 m swings through one of 0.1 m, both 1.5 m from the hinge: 0.2 m deep."""
     path = tmp_path / "slide.urdf"
     path.write_text(TURNING_SLIDE)
     robot, out, angle = bp.load_robot(path), 1.5, 0.4
@@ -388,4 +390,4 @@ def test_memory_does_not_grow_with_samples_times_pairs(planar4: bp.Robot) -> Non
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert most < 8 * pairs * len(motion.time)  # B, of one number each
+    assert most < 8 * pairs * len(motion.time)  # bytes of one number each

@@ -1,4 +1,4 @@
-"""Motions that are not what they claim to be: none of them is certified."""
+"""Motions that break a condition unseen, as between samples: none is certified."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def goal_at(robot: bp.Robot, q: list[float]) -> dict[str, Any]:
     return {"goal": {"position": bp.Kinematics(robot).at(np.array(q)).tip_position.tolist()}}
 
 
-def test_time_begins_at_zero() -> None:
+def test_a_motion_must_begin_at_time_zero() -> None:
     """Before time 0 no obstacle would have appeared yet."""
     with pytest.raises(bp.InputError, match="does not start at 0"):
         bp.Trajectory(time=np.array([-1000.0, -999.0]), q=np.zeros((2, 4)), v=np.zeros((2, 4)))
 
 
 @pytest.mark.parametrize("speed", [5.0, 5000.0])
-def test_an_obstacle_that_passes_between_two_samples_is_seen(backhoe: bp.Robot, speed: float) -> None:
-    """From 50 m away through the machine that stands still, and away again, unseen at both samples."""
+def test_an_obstacle_that_passes_between_two_samples_is_found(backhoe: bp.Robot, speed: float) -> None:
+    """From 50 m away through the machine at rest and away again, far away at both samples."""
     ball = {"name": "ball", "shape": "sphere", "radius": 1.0, "position": [50.0, 1.0, 1.0], "velocity": [-speed, 0, 0]}
     given = scene(task=goal_at(backhoe, START), obstacles=[ball])
     standing = bp.Trajectory.from_steps(np.array([0.0, 20.0]), np.array([START, START]))
@@ -55,7 +55,7 @@ def test_an_obstacle_that_passes_between_two_samples_is_seen(backhoe: bp.Robot, 
         {"shape": "halfspace", "point": [0.0, 0.0, 2000.0], "normal": [0.0, 0.0, 1.0]},
     ],
 )
-def test_deep_inside_is_inside(backhoe: bp.Robot, obstacle: dict[str, Any]) -> None:
+def test_a_machine_deep_inside_an_obstacle_is_in_collision(backhoe: bp.Robot, obstacle: dict[str, Any]) -> None:
     given = scene(task=goal_at(backhoe, START), obstacles=[{"name": "rock", "clearance": 0.0} | obstacle])
     certificate = bp.certify(backhoe, given, bp.Trajectory.from_steps(np.zeros(1), np.array([START])))
     assert certificate.min_clearance is not None
@@ -63,8 +63,8 @@ def test_deep_inside_is_inside(backhoe: bp.Robot, obstacle: dict[str, Any]) -> N
     assert not certificate.verified
 
 
-def test_in_rough_ground_the_distance_is_that_of_the_deepest_piece(backhoe: bp.Robot, tmp_path: Path) -> None:
-    """Of a terrain of many cells a piece is looked at until it is known that no other is deeper."""
+def test_the_distance_in_rough_ground_is_that_of_the_deepest_piece(backhoe: bp.Robot, tmp_path: Path) -> None:
+    """The pieces of a terrain of many cells are measured until no other can be deeper."""
     x, y = np.meshgrid(np.linspace(-6.0, 6.0, 120), np.linspace(-6.0, 6.0, 120))
     heights = 0.7 * np.exp(-((x - 4.0) ** 2 + y**2)) + 0.02 * np.sin(7.0 * x) * np.cos(5.0 * y)
     np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
@@ -85,7 +85,7 @@ def test_in_rough_ground_the_distance_is_that_of_the_deepest_piece(backhoe: bp.R
     assert inside >= 4
 
 
-def test_a_start_given_by_the_tip_is_held_against_the_motion(backhoe: bp.Robot) -> None:
+def test_a_start_given_by_the_tip_is_checked_against_the_motion(backhoe: bp.Robot) -> None:
     standing = bp.Trajectory.from_steps(np.zeros(1), np.array([START]))
     tip = bp.Kinematics(backhoe).at(np.array(START)).tip_position.tolist()
     there = scene(task=goal_at(backhoe, START), start={"tip": {"position": tip}})
@@ -94,14 +94,14 @@ def test_a_start_given_by_the_tip_is_held_against_the_motion(backhoe: bp.Robot) 
     assert "start of the scene" in bp.certify(backhoe, elsewhere, standing).problems[0]
 
 
-def test_velocities_that_are_not_those_of_the_motion(backhoe: bp.Robot) -> None:
+def test_velocities_that_do_not_fit_the_motion_are_reported(backhoe: bp.Robot) -> None:
     given = scene(task=goal_at(backhoe, START))
     lying = bp.Trajectory(time=np.array([0.0, 1.0]), q=np.array([START, START]), v=np.full((2, 4), 1e6))
     assert any("velocities" in problem for problem in bp.certify(backhoe, given, lying).problems)
 
 
-def test_a_corner_that_is_cut_between_two_samples_is_not_followed(backhoe: bp.Robot) -> None:
-    """Both samples lie on the path, the chord between them passes the corner at more than the tolerance."""
+def test_a_corner_cut_between_two_samples_is_not_followed(backhoe: bp.Robot) -> None:
+    """Both samples are on the path; the chord between them misses the corner by more than the tolerance."""
     corner = [[4.6, 0.0, -0.3], [4.6, 0.4, -0.3], [4.2, 0.4, -0.3]]
     given = scene(start=None, task={"path": {"waypoints": [{"position": p} for p in corner], "speed": 0.1}})
     whole = bp.plan(backhoe, given, effort="quick")
@@ -115,8 +115,8 @@ def test_a_corner_that_is_cut_between_two_samples_is_not_followed(backhoe: bp.Ro
     assert certificate.detours or not certificate.verified
 
 
-def test_most_of_a_closed_path_left_out_is_reported(planar4: bp.Robot) -> None:
-    """A few centimetres back along the last leg and home again are not the loop."""
+def test_going_back_along_the_last_leg_does_not_follow_a_closed_path(planar4: bp.Robot) -> None:
+    """Three centimetres back along the last leg and home again are not the loop."""
     corners = [[2.0, 0.0, 0.0], [2.4, 0.0, 0.0], [2.4, 0.4, 0.0], [2.0, 0.4, 0.0], [2.0, 0.0, 0.0]]
     given = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": [{"position": p} for p in corners]}}})
     q = [np.array([1.2, -1.0, -1.0, -0.5])]
@@ -130,7 +130,7 @@ def test_most_of_a_closed_path_left_out_is_reported(planar4: bp.Robot) -> None:
 
 
 def lifted(robot: bp.Robot, samples: int, *, duration: float = 1e5) -> tuple[bp.Scene, bp.Trajectory]:
-    """The arm goes from down to up with a load that it holds only there, not stretched out level between."""
+    """The arm rises with a load that it can hold at both ends, but not stretched out level between them."""
     begin, end = np.array([0.0, -0.8, -1.2, 0.7]), np.array([0.0, 1.3, -0.3, 0.4])
     part = np.linspace(0.0, 1.0, samples)[:, None]
     q = begin + part**3 * (10.0 - 15.0 * part + 6.0 * part**2) * (end - begin)
@@ -143,7 +143,7 @@ def lifted(robot: bp.Robot, samples: int, *, duration: float = 1e5) -> tuple[bp.
 
 @pytest.mark.parametrize("samples", [2, 3, 7, 60])
 def test_a_load_that_cannot_be_held_between_two_samples_is_found(backhoe: bp.Robot, samples: int) -> None:
-    """However few the samples, it is told as with many of them."""
+    """However few the samples, the report is that of many."""
     given, dense = lifted(backhoe, 2401)
     expected = bp.certify(backhoe, given, dense)
     (said,) = [problem for problem in expected.problems if "torque" in problem or "hold" in problem]
@@ -159,7 +159,7 @@ def test_a_load_that_cannot_be_held_between_two_samples_is_found(backhoe: bp.Rob
     assert any(problem.startswith("boom cannot hold the load") for problem in found.problems)
 
 
-def test_what_drives_between_samples_is_in_the_usage(backhoe: bp.Robot) -> None:
+def test_the_use_of_limits_includes_torques_between_samples(backhoe: bp.Robot) -> None:
     given, motion = lifted(backhoe, 2)
     problem = build_problem(backhoe, given)
     usage, certificate = limit_usage(problem, motion), bp.certify(backhoe, given, motion)
@@ -170,8 +170,8 @@ def test_what_drives_between_samples_is_in_the_usage(backhoe: bp.Robot) -> None:
     assert max(torque[0], torque[-1]) < 1.0 < torque.max()
 
 
-def test_oil_that_the_pump_does_not_give_between_two_samples_is_found(backhoe: bp.Robot) -> None:
-    """At a constant rate the rod is fastest somewhere on the way."""
+def test_a_flow_beyond_the_pump_between_two_samples_is_found(backhoe: bp.Robot) -> None:
+    """At a constant joint rate the rod is fastest somewhere between the samples."""
     begin, end = np.array([0.0, 1.1, -0.6, -0.9]), np.array([0.0, -1.05, -0.6, -0.9])
     drive = Drive(backhoe)
     rate = (end - begin) / 3.0
@@ -187,8 +187,8 @@ def test_oil_that_the_pump_does_not_give_between_two_samples_is_found(backhoe: b
     assert certified.ratio >= float(np.max(found))
 
 
-def test_moments_between_samples_by_hand() -> None:
-    """0.1 rad in 2 s is four parts of 0.025 rad, the second segment is one part."""
+def test_moments_between_samples_equal_a_hand_calculation() -> None:
+    """0.1 rad in 2 s are four parts of 0.025 rad; the second segment is one part."""
     motion = bp.Trajectory.from_steps(np.array([0.0, 2.0, 3.0]), np.array([[0.0, 1.0], [0.1, 0.95], [0.1, 0.96]]))
     moments = motion.moments()
     np.testing.assert_array_equal(moments.segment, [0, 0, 0, 0, 1, 2])
@@ -199,7 +199,7 @@ def test_moments_between_samples_by_hand() -> None:
     of_samples = ((moments.q, motion.q), (moments.v, motion.v), (moments.a, motion.corner_accelerations()))
     for own, expected in of_samples:
         np.testing.assert_array_equal(own[[0, 4, 5]], expected)
-    # the corners lie 2 s, 1.5 s and 1 s apart, of which 0.02 s count
+    # the corners are 2 s, 1.5 s and 1 s apart, of which 0.02 s count
     np.testing.assert_allclose(moments.before[[4, 5], 0], [0.025 + (1.0 - 0.02 / 1.5) * 0.025, 0.0], atol=1e-15)
     np.testing.assert_allclose(moments.after[[0, 4], 0], [(1.0 - 0.02 / 2.0) * 0.05, 0.02 / 1.5 * 0.025])
     np.testing.assert_array_equal(motion.moments(longest=np.inf).q, motion.q)
@@ -209,17 +209,17 @@ def test_moments_between_samples_by_hand() -> None:
     ("ratio", "said"),
     [(1.0123, "101.23 % of"), (1.491, "149 % of"), (12.3, "12 times"), (1e6, "more than 1000 times")],
 )
-def test_how_much_of_a_limit_in_words(ratio: float, said: str) -> None:
+def test_a_ratio_to_a_limit_is_described_in_words(ratio: float, said: str) -> None:
     assert describe_ratio(ratio) == said
 
 
-# --- the asked speed of the tip ---------------------------------------------------------
+# --- the requested speed of the tip -----------------------------------------------------
 
 LINE = [np.array([2.6, 0.3, 0.0]), np.array([2.0, -0.3, 0.0])]
 
 
 def along_line(robot: bp.Robot, samples: int, *, speed: float, tolerance: float) -> tuple[bp.Scene, bp.Trajectory]:
-    """The tip runs through equal parts of a line at 0.2 m/s; the scene asks for `speed`."""
+    """The tip moves along equal parts of a line at 0.2 m/s; the scene requests `speed`."""
     q = [np.array([0.9, -0.8, -0.8, -0.5])]
     for part in np.linspace(0.0, 1.0, samples):
         target = bp.TipTarget(position=LINE[0] + part * (LINE[1] - LINE[0]))
@@ -231,7 +231,7 @@ def along_line(robot: bp.Robot, samples: int, *, speed: float, tolerance: float)
 
 
 @pytest.mark.parametrize(("asked", "kept"), [(0.3, True), (0.2, True), (0.19, False), (0.05, False)])
-def test_speed_of_the_tip_on_a_path(planar4: bp.Robot, asked: float, kept: bool) -> None:
+def test_a_tip_speed_above_the_requested_one_is_reported(planar4: bp.Robot, asked: float, kept: bool) -> None:
     given, motion = along_line(planar4, 200, speed=asked, tolerance=0.005)
     certificate = bp.certify(planar4, given, motion)
     use = certificate.tip_speed
@@ -243,8 +243,8 @@ def test_speed_of_the_tip_on_a_path(planar4: bp.Robot, asked: float, kept: bool)
     assert any("the asked" in problem for problem in certificate.problems) == (not kept)
 
 
-def test_speed_of_the_tip_between_few_samples(planar4: bp.Robot) -> None:
-    """It is that of the same motion with many samples on its straight segments, not the mean."""
+def test_the_tip_speed_between_few_samples_equals_that_of_many(planar4: bp.Robot) -> None:
+    """Not the mean speed, but that of the same motion with many samples on its straight segments."""
     given, motion = along_line(planar4, 4, speed=0.2, tolerance=0.2)
     time = np.unique(np.append(np.linspace(0.0, motion.duration, 3001), motion.time))
     dense = bp.certify(planar4, given, bp.Trajectory.from_steps(time, motion.at(time)))
@@ -255,14 +255,14 @@ def test_speed_of_the_tip_between_few_samples(planar4: bp.Robot) -> None:
     assert found.tip_speed.needed == pytest.approx(dense.tip_speed.needed, rel=0.01)
 
 
-def test_only_a_path_with_a_speed_has_one_to_keep(planar4: bp.Robot) -> None:
+def test_a_path_without_a_speed_has_no_tip_speed_to_keep(planar4: bp.Robot) -> None:
     given, motion = along_line(planar4, 50, speed=0.2, tolerance=0.005)
     content = given.to_dict()
     del content["task"]["path"]["speed"]
     assert bp.certify(planar4, bp.scene_from_dict(content), motion).tip_speed is None
 
 
-def test_a_plan_whose_file_asks_for_less_speed_is_not_verified(backhoe: bp.Robot, tmp_path: Path) -> None:
+def test_a_plan_whose_file_requests_less_speed_is_not_verified(backhoe: bp.Robot, tmp_path: Path) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}]
     whole = bp.plan(backhoe, scene(start=None, task={"path": {"waypoints": points, "speed": 0.5}}), effort="quick")
     assert whole.verified
@@ -278,7 +278,7 @@ def test_a_plan_whose_file_asks_for_less_speed_is_not_verified(backhoe: bp.Robot
     assert "125 % of the asked 0.4 m/s" in again.message
 
 
-def test_on_the_way_to_the_path_and_round_an_obstacle_the_tip_may_be_faster(backhoe: bp.Robot) -> None:
+def test_on_the_approach_and_on_a_detour_the_tip_may_be_faster(backhoe: bp.Robot) -> None:
     stone = {"name": "stone", "shape": "sphere", "radius": 0.15, "position": [4.1, 0.0, -0.35]}
     path = {"waypoints": [{"position": [4.6, 0.0, -0.3]}, {"position": [3.6, 0.0, -0.6]}], "speed": 0.1}
     found = bp.plan(backhoe, scene(task={"path": path}, obstacles=[stone]), effort="quick")

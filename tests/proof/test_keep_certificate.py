@@ -1,4 +1,4 @@
-"""The certificate of what is to be kept: at the samples, between them, and with a tracking error."""
+"""The certificate of a pitch, height or rotation to keep: at samples, between them, with a tracking error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Q = np.array([0.0, 0.4, -1.6, -0.9])  # pitch -2.1
 
 
 def scene(robot: bp.Robot, q: Vector, keep: Data, **keys: Any) -> bp.Scene:
-    """To stay where the machine stands."""
+    """A scene in which the machine stays at q."""
     joints = dict(zip(robot.joint_names, q.tolist(), strict=True))
     task = {"goal": {"joints": joints}, "keep": keep}
     return bp.scene_from_dict({"version": 1, "start": {"joints": joints}, "task": task} | keys)
@@ -32,7 +32,7 @@ def shifted(q: Vector, **joints: float) -> Vector:
     return np.asarray(q + np.array([joints.get(name, 0.0) for name in names]))
 
 
-def test_a_motion_within_the_band_is_verified_with_what_is_left_of_it(backhoe: bp.Robot) -> None:
+def test_a_motion_within_the_band_is_verified_with_its_margin(backhoe: bp.Robot) -> None:
     motion = through(Q, shifted(Q, swing=0.5, boom=0.05), Q)
     found = bp.certify(backhoe, scene(backhoe, Q, {"pitch": [-2.2, -1.9]}), motion)
     assert found.verified, found.problems
@@ -42,16 +42,16 @@ def test_a_motion_within_the_band_is_verified_with_what_is_left_of_it(backhoe: b
     assert use.value == pytest.approx(-2.1, abs=1e-12)
 
 
-def test_a_sample_outside_the_band_is_told_with_pitch_time_and_what_is_allowed(backhoe: bp.Robot) -> None:
+def test_a_sample_outside_the_band_is_reported_with_pitch_and_time_and_limits(backhoe: bp.Robot) -> None:
     motion = through(Q, shifted(Q, boom=0.3), Q)
     found = bp.certify(backhoe, scene(backhoe, Q, {"pitch": [-2.2, -2.0]}), motion)
     assert not found.verified
     assert found.problems == ("the pitch of the bucket is -103.1 deg at 1000.00 s, allowed -126.1 to -114.6 deg",)
     assert found.keep[0].margin == pytest.approx(-0.2, abs=1e-12)
-    assert found.safe  # nothing is touched, and no limit of the machine is exceeded
+    assert found.safe  # no collision, and no limit of the machine is exceeded
 
 
-def test_keep_of_the_edge_itself_is_verified(backhoe: bp.Robot) -> None:
+def test_a_motion_on_the_edge_of_the_band_is_verified(backhoe: bp.Robot) -> None:
     motion = through(Q, shifted(Q, swing=0.5, boom=0.1, stick=-0.1), Q)
     assert bp.certify(backhoe, scene(backhoe, Q, {"pitch": [-2.1, -2.1]}), motion).verified
 
@@ -59,7 +59,7 @@ def test_keep_of_the_edge_itself_is_verified(backhoe: bp.Robot) -> None:
 # --- only between the samples -----------------------------------------------------------
 
 
-def test_a_turn_of_the_wrist_that_two_samples_hide_is_found(ur5: bp.Robot) -> None:
+def test_a_turn_of_the_wrist_between_two_samples_is_found(ur5: bp.Robot) -> None:
     q = np.array([0.1, -1.2, 1.0, -0.7, 0.4, -np.pi])
     at = pin.Quaternion(bp.Kinematics(ur5).at(q).tip_rotation)
     keep = {"rotation": {"quaternion": [at.w, at.x, at.y, at.z], "tolerance": 0.3}}
@@ -71,7 +71,7 @@ def test_a_turn_of_the_wrist_that_two_samples_hide_is_found(ur5: bp.Robot) -> No
     assert any(problem.startswith("the tip is turned by ") for problem in found.problems)
 
 
-def test_a_pitch_that_two_samples_in_the_band_hide_is_found(backhoe: bp.Robot) -> None:
+def test_a_pitch_outside_the_band_between_two_samples_is_found(backhoe: bp.Robot) -> None:
     low, high = np.array([0.0, -0.5, -2.2, -2.3]), np.array([0.0, 0.75, -0.2, 0.55])  # -5.0 and 1.1: 1.283 and 1.1
     found = bp.certify(backhoe, scene(backhoe, low, {"pitch": [1.0, 1.4]}), through(low, high, low))
     (use,) = found.keep
@@ -80,8 +80,8 @@ def test_a_pitch_that_two_samples_in_the_band_hide_is_found(backhoe: bp.Robot) -
 
 
 @pytest.mark.parametrize(("side", "sense"), [("below", 1.0), ("above", -1.0)])
-def test_an_arc_over_or_under_a_height_that_two_samples_hide_is_found(ur5: bp.Robot, side: str, sense: float) -> None:
-    """The shoulder swings the straight arm over the top, or, hanging, through the bottom."""
+def test_an_arc_over_or_under_a_height_between_two_samples_is_found(ur5: bp.Robot, side: str, sense: float) -> None:
+    """The shoulder swings the straight arm over the top, or through the bottom."""
     middle = np.array([0.0, -sense * np.pi / 2, 0.0, 0.0, 0.0, 0.0])
     turn = np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
     heights = [float(bp.Kinematics(ur5).at(middle + t * turn).tip_position[2]) for t in np.linspace(-1.0, 1.0, 2001)]
@@ -94,7 +94,7 @@ def test_an_arc_over_or_under_a_height_that_two_samples_hide_is_found(ur5: bp.Ro
     assert 0.003 - 1.1e-3 <= use.margin <= 0.003 + 1e-6
 
 
-def test_the_margin_between_samples_is_proven_and_no_more_than_a_thousandth_below_the_true_one(ur5: bp.Robot) -> None:
+def test_the_margin_between_samples_is_proven_and_at_most_2_mm_or_2_mrad_below_the_true_one(ur5: bp.Robot) -> None:
     rng = np.random.default_rng(4)
     for _ in range(10):
         q_a = ur5.random_q(rng)
@@ -114,8 +114,8 @@ def test_the_margin_between_samples_is_proven_and_no_more_than_a_thousandth_belo
 # --- with a tracking error --------------------------------------------------------------
 
 
-def test_what_the_machine_may_be_off_is_deducted(backhoe: bp.Robot) -> None:
-    """Three joints of 0.01 rad take 0.03 rad of the 0.05 that are left, or, of 0.02 that are left, too much."""
+def test_the_tracking_error_is_deducted_from_the_margin(backhoe: bp.Robot) -> None:
+    """Three joints of 0.01 rad take 0.03 rad of a margin of 0.05, which is enough, or of 0.02, which is not."""
     for low, verified in ((-2.15, True), (-2.12, False)):
         asked = scene(backhoe, Q, {"pitch": [low, -1.9]}, tracking={"joints": 0.01})
         found = bp.certify(backhoe, asked, through(Q, Q))

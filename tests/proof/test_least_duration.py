@@ -1,4 +1,4 @@
-"""The lower bound of a motion's duration: hand calculations, and no certified motion below it."""
+"""The lower bound of a motion's duration: against hand calculations and certified motions."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from backhoe_planner.proof import certify_problem, least_duration
 Data = dict[str, Any]
 
 ENOUGH = 1_000  # boxes
-SAMPLED = 2.5 * SAMPLE_PERIOD  # s: what the bound is below that of a continuous motion, at these limits
+SAMPLED = 2.5 * SAMPLE_PERIOD  # s: by which the bound is below that of a continuous motion, at these limits
 
-# a ball at 1 m from a hinge that turns on and on
+# a ball at 1 m from a continuous hinge
 TURNTABLE = """<robot name="turntable"><link name="base"/>
   <link name="arm"><collision><origin xyz="1 0 0"/><geometry><sphere radius="0.1"/></geometry></collision></link>
   <link name="tip"/>
@@ -58,7 +58,7 @@ def at_pose(robot: bp.Robot, q: Vector, *, turned: bool = False) -> Data:
 
 
 def rest_to_rest(distance: float, velocity: float, acceleration: float) -> float:
-    """The least time over a distance under limits of velocity and acceleration [s]."""
+    """The least duration over a distance under limits of velocity and acceleration [s]."""
     if distance * acceleration <= velocity**2:
         return 2.0 * float(np.sqrt(distance / acceleration))
     return distance / velocity + velocity / acceleration
@@ -68,31 +68,31 @@ def rest_to_rest(distance: float, velocity: float, acceleration: float) -> float
 
 
 @pytest.mark.parametrize(("angle", "seconds"), [(2.0, 2.5), (0.32, 0.8)])
-def test_one_joint_far_away(planar4: bp.Robot, angle: float, seconds: float) -> None:
-    """1 rad/s and 2 rad/s^2: 2 rad take 2 s and 0.5 s for the ramps; 0.32 rad, all ramp, 2 sqrt(0.16) s."""
+def test_the_bound_of_one_joint_is_its_time_with_ramps(planar4: bp.Robot, angle: float, seconds: float) -> None:
+    """1 rad/s and 2 rad/s^2: 2 rad take 2 s plus 0.5 s for the ramps; 0.32 rad, all ramp, 2 sqrt(0.16) s."""
     goal = at_joints(planar4, np.array([0.1, angle, 0.0, -0.1]))
     found = least_duration(problem_of(planar4, np.zeros(4), goal), np.zeros(4), known=10.0, boxes=ENOUGH)
     assert seconds - SAMPLED < found.duration < seconds
 
 
-def test_a_stretched_arm_turned_by_one_joint(planar4: bp.Robot) -> None:
-    """At full reach there is one posture: joint 1 alone turns, but for what the 1 mm of a goal lets the others bend."""
+def test_the_bound_of_a_stretched_arm_is_that_of_its_first_joint(planar4: bp.Robot) -> None:
+    """Full reach has one configuration: joint 1 alone turns, but the goal's tolerance of 1 mm lets the others bend."""
     there = np.array([1.5, 0.0, 0.0, 0.0])
     problem = problem_of(planar4, np.zeros(4), at_pose(planar4, there))
     found = least_duration(problem, np.zeros(4), known=4.0, end=there, boxes=16 * ENOUGH)
     assert rest_to_rest(1.5 - 0.05, 1.0, 2.0) - SAMPLED < found.duration < rest_to_rest(1.5, 1.0, 2.0)
 
 
-def test_the_joints_share_the_way_where_they_can(planar4: bp.Robot) -> None:
-    """Every joint by 0.3 rad: the tip is not there, at this angle, with every joint by a tenth less."""
+def test_the_bound_lets_joints_share_a_motion(planar4: bp.Robot) -> None:
+    """Every joint moves by 0.3 rad; with a tenth less each, the tip does not reach this pose."""
     folded = np.full(4, 0.3)
     problem = problem_of(planar4, np.zeros(4), at_pose(planar4, folded, turned=True))
     found = least_duration(problem, np.zeros(4), known=2.0, end=folded, boxes=ENOUGH)
     assert 0.9 * rest_to_rest(0.3, 1.0, 2.0) - SAMPLED < found.duration < rest_to_rest(0.3, 1.0, 2.0)
 
 
-def test_the_pump_binds(backhoe: bp.Robot) -> None:
-    """Boom, stick and bucket together: the oil of all strokes over the pump's flow, by the cylinders' lengths alone."""
+def test_the_bound_includes_the_flow_of_the_pump(backhoe: bp.Robot) -> None:
+    """Boom, stick and bucket together: the oil of all strokes over the pump's flow, from the cylinder lengths alone."""
     start, end = np.array([0.0, 0.2, -0.9, -0.2]), np.array([0.0, -0.5, -1.9, -1.6])
     hydraulics = backhoe.hydraulics
     assert hydraulics is not None
@@ -104,11 +104,11 @@ def test_the_pump_binds(backhoe: bp.Robot) -> None:
     assert seconds > 1.1 * alone
     problem = problem_of(backhoe, start, at_joints(backhoe, end))
     found = least_duration(problem, start, known=20.0, boxes=ENOUGH)
-    # the certificate allows the drive 1 %, and the flow does not begin at once
+    # the certificate allows the drive 1 % more, and the flow does not begin at once
     assert 0.98 * seconds < found.duration < 1.15 * seconds
 
 
-def test_the_nearer_turn_of_a_joint_without_limits(tmp_path: Any) -> None:
+def test_the_bound_of_a_continuous_joint_takes_the_shorter_turn(tmp_path: Any) -> None:
     """From 3 rad to -3 rad it is 0.283 rad onwards, not 6 rad back; 1 rad/s is reached after 0.5 s."""
     file = tmp_path / "turntable.urdf"
     file.write_text(TURNTABLE)
@@ -119,7 +119,7 @@ def test_the_nearer_turn_of_a_joint_without_limits(tmp_path: Any) -> None:
     assert seconds - SAMPLED < found.duration < seconds
 
 
-def test_of_several_goals_the_nearest_counts(planar4: bp.Robot) -> None:
+def test_the_bound_of_several_goals_is_that_of_the_nearest(planar4: bp.Robot) -> None:
     far, near = np.array([1.5, 0.0, 0.5, 0.0]), np.array([0.0, -0.8, 0.5, 0.0])
     goals = [at_joints(planar4, far), at_joints(planar4, near)]
     alone, both = (
@@ -129,20 +129,20 @@ def test_of_several_goals_the_nearest_counts(planar4: bp.Robot) -> None:
     assert both == pytest.approx(alone, abs=1e-9)
 
 
-def test_a_motion_that_need_not_move_has_no_bound_above_0(planar4: bp.Robot) -> None:
+def test_the_bound_of_a_start_on_the_goal_is_0(planar4: bp.Robot) -> None:
     problem = problem_of(planar4, np.full(4, 0.2), at_pose(planar4, np.full(4, 0.2)))
     assert least_duration(problem, np.full(4, 0.2), known=3.0, boxes=ENOUGH).duration == 0.0
     assert least_duration(problem, np.full(4, 0.2), known=0.0, boxes=ENOUGH).duration == 0.0
 
 
-# --- no motion is faster -------------------------------------------------------------
+# --- certified motions ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 12))])
-def test_no_certified_motion_is_faster(
+def test_no_certified_motion_is_faster_than_the_bound(
     planar4: bp.Robot, backhoe: bp.Robot, panda: bp.Robot, ur5: bp.Robot, seed: int
 ) -> None:
-    """Straight for the joints, as fast as all limits allow, to the pose of the tip or its position."""
+    """Straight in the joints, as fast as all limits allow, to a pose of the tip or its position."""
     robot = (backhoe, panda, planar4, ur5)[seed % 4]
     rng = np.random.default_rng([7, seed])
     start = robot.random_q(rng)
@@ -154,14 +154,14 @@ def test_no_certified_motion_is_faster(
     assert certificate.tracking.done
     found = least_duration(problem, start, known=2.0 * motion.duration, boxes=ENOUGH)
     assert found.duration <= motion.duration
-    # with the end known it is not below, but for what the levels of the search are apart
+    # the bound with a known end holds too
     nearer = least_duration(problem, start, known=motion.duration, end=end, boxes=ENOUGH)
     assert nearer.duration <= motion.duration
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 5))])
-def test_the_fastest_motions_straight_for_the_joints_are_just_above(backhoe: bp.Robot, seed: int) -> None:
-    """Timed under velocities, accelerations and pump at their limits, and hurried as far as the certificate allows."""
+def test_the_fastest_straight_joint_motions_are_just_above_the_bound(backhoe: bp.Robot, seed: int) -> None:
+    """Timed with velocities, accelerations and pump at their limits, then sped up as far as the certificate allows."""
     rng = np.random.default_rng([11, seed])
     start = backhoe.random_q(rng)
     end = start + rng.uniform(0.2, 0.8) * (backhoe.random_q(rng) - start)
@@ -178,8 +178,8 @@ def test_the_fastest_motions_straight_for_the_joints_are_just_above(backhoe: bp.
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_uneven_samples_do_not_make_a_motion_faster(planar4: bp.Robot, seed: int) -> None:
-    """The farthest that a certified motion of one joint gets with given times of its samples: each corner as sharp as
+def test_uneven_samples_do_not_make_a_motion_faster_than_the_bound(planar4: bp.Robot, seed: int) -> None:
+    """A certified motion of one joint goes as far as its sample times allow: each corner is as sharp as
     `Trajectory.corner_accelerations` allows, with segments of all lengths from far below to far above its period."""
     rng = np.random.default_rng([3, seed])
     steps = np.exp(rng.uniform(np.log(0.2 * SAMPLE_PERIOD), np.log(4.0 * SAMPLE_PERIOD), rng.integers(2, 40)))
@@ -197,11 +197,11 @@ def test_uneven_samples_do_not_make_a_motion_faster(planar4: bp.Robot, seed: int
     assert least_duration(problem, q[0], known=3.0 * motion.duration, boxes=ENOUGH).duration <= motion.duration
 
 
-# --- how near it comes ---------------------------------------------------------------
+# --- tightness -----------------------------------------------------------------------
 
 
-def test_a_motion_at_its_joints_limits_is_bounded_within_2_percent(panda: bp.Robot) -> None:
-    """Joint 1 alone turns the stretched-up arm by 2.5 rad, in the time of a full ramp."""
+def test_a_motion_at_its_joint_limits_is_bounded_within_2_percent(panda: bp.Robot) -> None:
+    """Joint 1 alone turns the arm by 2.5 rad, in the time of a full ramp."""
     start = np.array([-1.25, 0.3, 0.0, -1.2, 0.0, 1.6, 0.5])
     end = start + np.array([2.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     problem = problem_of(panda, start, at_joints(panda, end))
@@ -220,8 +220,8 @@ def test_more_boxes_raise_the_bound(panda: bp.Robot) -> None:
     assert many.boxes > some.boxes >= 1_000
 
 
-def test_the_order_of_several_goals_does_not_matter(backhoe: bp.Robot) -> None:
-    """The boxes are spent where the bound is lowest, not on the goals that stand first."""
+def test_the_bound_does_not_depend_on_the_order_of_goals(backhoe: bp.Robot) -> None:
+    """Boxes are spent where the bound is lowest, not on the first goals."""
     rng = np.random.default_rng([7, 1])
     start, ends = backhoe.random_q(rng), [backhoe.random_q(rng) for _ in range(4)]
     goals = [{"position": bp.Kinematics(backhoe).at(q).tip_position.tolist()} for q in ends]

@@ -1,4 +1,4 @@
-"""The lower bound of the work of a motion: what it lifts."""
+"""The lower bound of the work of a motion: its gain in potential energy."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def to_height(folder: Path, start: float, end: float, **keys: object) -> bp.Prob
     return build_problem(load_robot(file, tip="end"), bp.scene_from_dict(content | keys))
 
 
-def test_a_mass_that_is_lifted(tmp_path: Path) -> None:
-    """m g times the height, less 1 % twice, and the millimetre at the goal; no motion does with less."""
+def test_the_bound_of_lifting_a_mass_is_m_g_h(tmp_path: Path) -> None:
+    """Less 1 % twice and the millimetre at the goal; no motion needs less."""
     problem = to_height(tmp_path, -0.5, 0.6)
     found = least_work(problem, LOW, end=HIGH, boxes=1_000)
     assert found is not None
@@ -35,19 +35,19 @@ def test_a_mass_that_is_lifted(tmp_path: Path) -> None:
     assert found < trajectory_costs(problem, motion)["work"]
 
 
-def test_a_payload_is_lifted_too(tmp_path: Path) -> None:
+def test_the_bound_includes_the_payload(tmp_path: Path) -> None:
     found = least_work(to_height(tmp_path, -0.5, 0.6, payload=MASS), LOW, end=HIGH, boxes=1_000)
     assert found is not None
     assert 0.975 * 2.0 * GAIN < found < 2.0 * GAIN
 
 
-def test_what_goes_down_may_cost_nothing(tmp_path: Path) -> None:
+def test_the_bound_of_lowering_is_0(tmp_path: Path) -> None:
     assert least_work(to_height(tmp_path, 0.6, -0.5), HIGH, end=LOW, boxes=1_000) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_no_posture_on_the_goal_lifts_less(backhoe: bp.Robot, seed: int) -> None:
-    """Postures with the same tip, found by inverse kinematics, are all as high."""
+def test_no_configuration_on_the_goal_lifts_less_than_the_bound(backhoe: bp.Robot, seed: int) -> None:
+    """Configurations with the same tip position, found by inverse kinematics, have no less potential energy."""
     rng = np.random.default_rng([5, seed])
     ends = sorted((backhoe.random_q(rng) for _ in range(4)), key=lambda q: bp.Kinematics(backhoe).at(q).tip_position[2])
     start, end = ends[0], ends[-1]
@@ -65,8 +65,8 @@ def test_no_posture_on_the_goal_lifts_less(backhoe: bp.Robot, seed: int) -> None
 
 
 @pytest.mark.parametrize("way", [0.002, 0.005, 0.007])
-def test_a_motion_of_few_samples_is_not_said_to_be_impossible(tmp_path: Path, way: float) -> None:
-    """What the first and the last segment lift is not in the sum over the samples."""
+def test_the_bound_is_not_above_the_work_of_a_motion_of_three_samples(tmp_path: Path, way: float) -> None:
+    """The sum over samples leaves out what the first and the last segment lift."""
     end = np.array([0.1 + way])
     problem = to_height(tmp_path, 0.1, float(end[0]), limits={"acceleration": {"hinge": 20.0}}, objective="work")
     found = least_work(problem, np.array([0.1]), end=end, boxes=100)

@@ -1,4 +1,4 @@
-"""A machine that is off its plan: what is verified holds for every motion within the tube."""
+"""Tracking errors: a verified plan holds for every motion within the tube around it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def arm(tmp_path: Path) -> bp.Robot:
 
 
 def beside_a_wall(**more: Any) -> bp.Scene:
-    """A wall at y = 0.2: the arm along x stands 0.15 m from it, where 0.12 m must be kept."""
+    """A wall at y = 0.2: the arm along x is 0.15 m from it and must keep 0.12 m."""
     wall = {"name": "wall", "shape": "halfspace", "point": [0, 0.2, 0], "normal": [0, -1, 0], "clearance": 0.12}
     content = {
         "version": 1,
@@ -45,7 +45,7 @@ def standing(robot: bp.Robot, scene: bp.Scene) -> bp.Certificate:
     return bp.certify(robot, scene, bp.Trajectory.from_steps(np.array([0.0, 1.0]), np.zeros((2, 1))))
 
 
-def test_the_margin_loses_the_joints_error_times_the_reach(arm: bp.Robot) -> None:
+def test_the_margin_is_reduced_by_the_joint_error_times_the_reach(arm: bp.Robot) -> None:
     exact = standing(arm, beside_a_wall()).min_clearance
     off = standing(arm, beside_a_wall(tracking={"joints": 0.01})).min_clearance
     assert exact is not None
@@ -58,24 +58,24 @@ def test_the_margin_loses_the_joints_error_times_the_reach(arm: bp.Robot) -> Non
 
 
 @pytest.mark.parametrize(("error", "safe"), [(0.0149, True), (0.0151, False)])
-def test_what_the_tube_can_take_decides(error: float, safe: bool, arm: bp.Robot) -> None:
-    """There are 30 mm to spare, which 0.015 rad take at 2.0006 m."""
+def test_a_plan_is_safe_only_if_its_margin_covers_the_tube(error: float, safe: bool, arm: bp.Robot) -> None:
+    """There are 30 mm to spare, which 0.015 rad use up at 2.0006 m."""
     certificate = standing(arm, beside_a_wall(tracking={"joints": {"turn": error}}))
     assert certificate.safe is safe
     assert certificate.verified is safe
 
 
-def test_a_tip_that_is_known_better_than_the_joints_takes_less(arm: bp.Robot) -> None:
-    """The far corners are 0.05 m from the tip, the near ones 2.0006 m: 5 mm and 0.01 rad about the tip."""
+def test_a_tip_error_counts_only_if_it_bounds_a_link_more_tightly_than_the_joints(arm: bp.Robot) -> None:
+    """The near corners are 2.0006 m from the tip: 5 mm plus 0.01 rad about it are more than 0.01 rad at the hinge."""
     off = standing(arm, beside_a_wall(tracking={"joints": 0.01, "tip": 0.005})).min_clearance
     assert off is not None
-    assert off.tracking == pytest.approx(0.01 * REACH, rel=1e-9)  # the near corners would take more
+    assert off.tracking == pytest.approx(0.01 * REACH, rel=1e-9)  # not the 0.025 m about the tip
     problem = bp.build_problem(arm, beside_a_wall(tracking={"joints": 0.01, "tip": 0.005}))
     assert tip_tracking_error(problem.robot) == 0.005
 
 
 def test_every_motion_within_the_tube_of_a_verified_plan_keeps_its_clearance(backhoe: bp.Robot) -> None:
-    """Over and under a pole in the way; 100 postures of each of 20 samples, at the corners of the tube."""
+    """Past a pole in the way; 100 configurations at the corners of the tube for each of 20 samples."""
     content = {
         "version": 1,
         "start": {"joints": {"swing": 0.6, "boom": 0.3, "stick": -1.4, "bucket": -0.6}},
@@ -102,8 +102,8 @@ def test_every_motion_within_the_tube_of_a_verified_plan_keeps_its_clearance(bac
     assert least > -1e-4
 
 
-def test_the_servo_keeps_the_room(arm: bp.Robot) -> None:
-    """Driven at the wall, the arm stops where the wall is 0.12 m and what 0.01 rad take from its far corner."""
+def test_the_servo_keeps_the_margin_of_the_tracking_error(arm: bp.Robot) -> None:
+    """Driven at the wall, the arm's far corner stops 0.12 m from it plus the reach times 0.01 rad."""
     servo = bp.Servo(arm, beside_a_wall(tracking={"joints": 0.01}), dt=0.01)
     for _ in range(400):
         state = servo.step(joint_velocity=np.array([0.2]))
@@ -122,12 +122,12 @@ def test_the_servo_keeps_the_room(arm: bp.Robot) -> None:
         ({"joints": 0.01, "tips": 0.03}, r"tracking.tips.*tip"),
     ],
 )
-def test_a_wrong_tracking_error_is_named(tracking: dict[str, Any], message: str, arm: bp.Robot) -> None:
+def test_errors_in_a_tracking_error_name_the_key(tracking: dict[str, Any], message: str, arm: bp.Robot) -> None:
     with pytest.raises(bp.SceneError, match=message):
         standing(arm, beside_a_wall(tracking=tracking))
 
 
-def test_a_swing_sector_is_kept_by_all_motions_within_the_tube(arm: bp.Robot) -> None:
+def test_a_swing_sector_is_reduced_by_the_tracking_error(arm: bp.Robot) -> None:
     sector = {"name": "street", "kind": "swing_sector", "from": -1.0, "to": 1.0, "stop": 0.1}
     limits = bp.build_problem(arm, beside_a_wall(zones=[sector], tracking={"joints": 0.02})).limits
     assert (limits.lower[0], limits.upper[0]) == pytest.approx((-0.88, 0.88))
