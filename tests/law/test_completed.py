@@ -15,7 +15,7 @@ EPSILON = 2e-2  # (m/rad)^2, the regularisation stated in the module
 
 
 def around(robot: Robot, *positions: tuple[float, float, float], radius: float = 0.1) -> Proximity:
-    """The machine among spheres, without contact with itself."""
+    """The machine among spheres, without self-collision."""
     scene = scene_from_dict(
         {
             "version": 1,
@@ -217,7 +217,7 @@ def test_a_joint_near_its_limit_is_slowed(planar4: Robot, joint: int) -> None:
     nothing = one_pair(1.0, np.zeros(4)).only(np.array([False]))
     changes: list[float] = []
     while len(changes) < 300:
-        q = rng.uniform(-2.0, 2.0, 4)  # the others are far from their limits
+        q = rng.uniform(-2.0, 2.0, 4)  # the other joints are far from their limits
         q[joint] = np.pi - 0.05
         at = kinematics.at(q)
         J_e = at.jacobian[:2]

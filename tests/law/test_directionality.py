@@ -104,7 +104,7 @@ def test_follow_bend_predicts_the_real_turn_of_two_links() -> None:
     v = np.linalg.solve(J, outward[:2])
     assert v[0] < 0.0  # the real link 1 turns clockwise
     predicted = turned(arm, outward[:2], follow_bend=True)[0]
-    assert predicted[0] > 0.0  # and so does the predicted one: its upper end goes to +x
+    assert predicted[0] > 0.0  # and so does the predicted one: its upper end moves to +x
 
 
 def test_link_jacobians_equal_central_differences(any_robot: Robot) -> None:

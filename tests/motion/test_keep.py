@@ -73,7 +73,7 @@ def test_the_margins_of_a_pitch_are_its_distances_from_the_ends_of_the_band(back
 
 
 def test_a_band_of_pitch_may_pass_pi(backhoe: bp.Robot) -> None:
-    """-3.3 rad and 2.98 rad are one pitch."""
+    """-3.3 rad and 2.98 rad are the same pitch."""
     q = np.array([0.0, -0.5, -1.0, -1.8])
     for pitch in ([-3.4, -2.6], [-3.4 + 2 * np.pi, -2.6 + 2 * np.pi]):
         assert np.min(keep_of(backhoe, pitch=pitch).margins(q)) == pytest.approx(0.1, abs=1e-12)

@@ -312,7 +312,7 @@ def test_the_route_equals_an_exhaustive_search_with_the_same_cost(digging: Probl
 
 
 def test_a_scene_may_request_every_objective() -> None:
-    names, _ = get_args(bp.Scene.model_fields["objective"].annotation)  # or none
+    names, _ = get_args(bp.Scene.model_fields["objective"].annotation)  # the other is None
     assert get_args(names) == tuple(OBJECTIVES)
     assert all(name == objective.name and objective.unit for name, objective in OBJECTIVES.items())
 

@@ -55,7 +55,7 @@ A, B = {"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}
 
 @pytest.mark.parametrize("method", ["auto", pytest.param("reactive", marks=pytest.mark.long)])
 def test_repeated_waypoints_change_nothing(backhoe: bp.Robot, method: str) -> None:
-    """Warnings are errors here."""
+    """Without warnings, which are errors in tests."""
 
     def planned(*waypoints: dict[str, list[float]]) -> bp.Plan:
         task = {"path": {"waypoints": list(waypoints), "speed": 0.5}}

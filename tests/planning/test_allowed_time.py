@@ -43,13 +43,13 @@ def test_the_allowed_time_is_a_multiple_of_the_bound(bound: float, fastest: floa
     assert allowed_time(bound, fastest) == pytest.approx(allowed)
 
 
-def test_a_motion_has_room_if_1_2_times_its_duration_is_within_three_times_the_bound() -> None:
+def test_a_motion_has_room_up_to_five_halves_of_the_bound() -> None:
     assert fastest_with_room(2.0) == pytest.approx(5.0)  # 1.2 times 5 s is three times 2 s
     assert has_room(2.0, 4.99)
     assert not has_room(2.0, 5.01)
 
 
-def test_the_bound_behind_an_allowed_time_gives_back_that_time() -> None:
+def test_the_bound_behind_an_allowed_time_leads_to_the_same_time_and_room() -> None:
     assert allowed_time(bound_behind(6.0), 4.9) == pytest.approx(6.0)
     assert fastest_with_room(bound_behind(6.0)) == pytest.approx(5.0)
 

@@ -131,7 +131,7 @@ def test_a_corner_that_cannot_be_cut_without_collision_is_a_stop(planar4: Robot)
     trajectory = time_way(way, planar4.limits)
     for corner in CORNERS:
         (at,) = np.flatnonzero(np.max(np.abs(trajectory.q - corner), axis=1) < 1e-9)
-        if 0 < at < len(trajectory) - 1:  # as slow there as one sample from rest can be
+        if 0 < at < len(trajectory) - 1:  # as slow as one sample from rest can be
             slow = planar4.limits.acceleration * 0.02
             assert np.all(np.abs(trajectory.v[at]) <= slow)
     assert all(on_polyline(q) for q in trajectory.q)

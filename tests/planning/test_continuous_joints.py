@@ -13,7 +13,7 @@ from backhoe_planner.motion import PathCost, build_problem
 from backhoe_planner.planning import PathLayers
 from validation.pose_arms import write_arm
 
-SHOULDER, ELBOW, RADIUS = 0.25, 0.2, 0.35  # m: the links, and how far the tip is from the base
+SHOULDER, ELBOW, RADIUS = 0.25, 0.2, 0.35  # m: the links, and the tip's distance from the base
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_nodes_of_a_layer_differ_modulo_a_turn(tmp_path: Path) -> None:
     off = nodes[:, None] - nodes[None]
     off[..., robot.continuous] = (off[..., robot.continuous] + np.pi) % (2.0 * np.pi) - np.pi
     apart = np.max(np.abs(off), axis=2) + 10.0 * np.eye(len(nodes))
-    assert np.min(apart) > 0.09  # half the grid, in cells of it
+    assert np.min(apart) > 0.09  # half of a grid cell
     for q in nodes[:5]:
         position, angle = target.distances(bp.Kinematics(robot).at(q))
         assert max(position, angle) < 1e-7

@@ -29,7 +29,7 @@ def arc(bend: float) -> bp.Scene:
 
 
 @pytest.mark.parametrize("bend", [0.1, pytest.param(0.5, marks=pytest.mark.long), 1.5])
-def test_a_corner_is_cut_by_0_4_of_the_tolerance(backhoe: bp.Robot, bend: float) -> None:
+def test_a_corner_is_cut_by_two_fifths_of_the_tolerance(backhoe: bp.Robot, bend: float) -> None:
     problem = build_problem(backhoe, arc(bend))
     assert problem.path is not None
     proximity, kinematics = bp.Proximity(backhoe, problem.obstacles), bp.Kinematics(backhoe)

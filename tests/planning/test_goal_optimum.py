@@ -234,7 +234,7 @@ def test_the_objective_work_does_less_work_but_not_less_than_the_gain_in_potenti
     assert fast.trajectory.duration <= cheap.trajectory.duration + 1e-6
 
 
-def test_the_method_optimal_takes_a_goal_and_gives_a_reason_where_it_fails(backhoe: bp.Robot) -> None:
+def test_the_method_optimal_takes_a_goal_and_gives_a_reason_if_it_fails(backhoe: bp.Robot) -> None:
     inside = {"name": "silo", "shape": "box", "size": [1.5, 1.5, 3.0], "position": [4.0, 0.0, 0.5]}
     plan = bp.plan(backhoe, digger({"position": [3.5, 1.5, 0.3]}), method="optimal", effort="quick")
     assert plan.verified, plan.message
@@ -316,7 +316,7 @@ def test_rows_of_the_linear_model_equal_the_change_of_the_limits_in_a_small_step
     room = {name: np.concatenate([rows.h for rows in program.rows if rows.name == name]) for name in by_name}
     most = {name: float(np.max(by_name[name] - room[name])) for name in by_name}  # 0 at the limit, negative within
     drive_now = max(float(np.max(part)) for part in after[2:5])
-    if drive_now > 0.85:  # else all rows were left out
+    if drive_now > 0.85:  # otherwise all rows are left out
         assert most["drive"] == pytest.approx(drive_now - 1.0, abs=2e-5)
     assert most["clearance"] == pytest.approx(-after[5], abs=2e-5)
     assert before[5] != after[5]

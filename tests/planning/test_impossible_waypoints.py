@@ -36,7 +36,7 @@ def test_a_waypoint_in_a_block_is_named_if_detours_are_not_allowed(tmp_path: Pat
     assert obstruction.obstacle == "block"
     assert problem.impossible is not None
     named = int(plan.message.split("waypoint ")[1].split()[0])
-    assert named <= problem.impossible  # the flange meets the block before the tip does
+    assert named <= problem.impossible  # the flange reaches the block before the tip does
     path = problem.scene.task.path
     assert path is not None
     assert path.waypoints is not None

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from backhoe_planner.motion import TURN_LEVER, TipPath
-from backhoe_planner.planning.paths.layer_stations import waypoint_stations  # no motion tells where they stand
+from backhoe_planner.planning.paths.layer_stations import waypoint_stations  # no motion shows them
 from backhoe_planner.planning.paths.local_resolution import sample_stations
 from backhoe_planner.site import Waypoint
 

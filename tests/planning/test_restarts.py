@@ -147,7 +147,7 @@ def test_thorough_begins_with_all_of_normal_and_keeps_its_best(
 
 
 @pytest.mark.long
-def test_thorough_costs_no_more_than_normal_where_its_own_searches_find_worse_minima(backhoe: bp.Robot) -> None:
+def test_thorough_costs_no_more_than_normal_even_if_its_own_searches_find_worse_minima(backhoe: bp.Robot) -> None:
     """Here they end 0.17 % above."""
     scene = bp.scene_from_dict({
         "version": 1,
@@ -181,7 +181,7 @@ def test_the_normal_effort_searches_again_if_the_best_makes_a_detour(
         (90, [10.0, 10.2], "search 1"),  # two costs agree
         (90, [10.0, 8.0, 8.1], "search 2"),
         (90, [10.0, 8.0, 6.0, 4.0], "search 4"),  # and no fifth
-        (90, [1e-3], "search 1"),  # less than lifts all that moves by half a millimetre
+        (90, [1e-3], "search 1"),  # less than lifting all moving links by half a millimetre
     ],
 )
 def test_long_searches_for_least_work_are_repeated_until_two_costs_agree(

@@ -304,7 +304,7 @@ def run_script(mode: str, file: Path) -> subprocess.CompletedProcess[str]:
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{SCRIPT}"
     return subprocess.run(
         [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=PATIENCE,
-        # ignored where the tests run in the background
+        # the signal is ignored if the tests run in the background
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from validation.sites import SiteKey, random_site
 
 
 def test_a_known_distance_is_reduced_by_the_motion_since() -> None:
-    """Joint 1 moved by 0.1 rad, joint 2 by 0.2 back: 2 x 0.1 off the first distance, 0.1 + 0.2 off the second."""
+    """Joint 1 moved by 0.1 rad, joint 2 by -0.2: the first distance loses 2 x 0.1, the second 0.1 + 0.2."""
     seen = SeenDistances()
     seen.keep(7, np.array([0.0, 0.0]), np.array([1.0, 0.5]))
     found = seen.bounds(np.array([3, 7]), np.array([[5.0, 5.0], [0.1, -0.2]]), np.array([[2.0, 0.0], [1.0, 1.0]]))

@@ -203,7 +203,7 @@ def test_overlapping_motions_add_up() -> None:
     assert joined.time[shared][[0, -1]] == pytest.approx([0.6, 1.0])
 
 
-NEAR, FAR = {"position": [4.0, 0.8, 0.2]}, {"position": [3.6, -1.6, 1.0]}  # from the start, of the first leg
+NEAR, FAR = {"position": [4.0, 0.8, 0.2]}, {"position": [3.6, -1.6, 1.0]}  # from the start of the first leg
 
 
 def cost(found: Any) -> float:

@@ -175,7 +175,7 @@ TO_AND_FRO = (at(A, -1.6), at(A, TURNED), at(A, -1.6))
     [
         ((-1.6, -2.2, -1.6), True),
         ((-1.6, -2.0, -1.6), False),  # turned too little
-        ((-1.6, -2.2), False),  # not back
+        ((-1.6, -2.2), False),  # does not turn back
         ((-1.6, -1.0, -1.6), False),  # the opposite sense
     ],
 )

@@ -158,7 +158,7 @@ def test_an_unknown_joint_is_named(backhoe: bp.Robot) -> None:
 
 # --- turns on the spot ------------------------------------------------------------------
 
-FOLDED = [1.5929, -2.6521, 1.1739, -1.1162]  # rad, about: the tip is then put on the path
+FOLDED = [1.5929, -2.6521, 1.1739, -1.1162]  # rad, roughly: inverse kinematics then puts the tip on the path
 BALL: Data = {"name": "ball", "shape": "sphere", "radius": 0.28, "position": [1.58, 0.865, 0.0]}
 
 
@@ -210,7 +210,7 @@ def test_the_size_of_a_turn_on_the_spot_equals_a_hand_calculation() -> None:
     assert turn is not None
     assert (turn.joint, turn.station, turn.time) == (0, 0.5, 1.0)
     assert turn.size == pytest.approx(0.7)
-    # creeping by 0.4 mm, a tenth of the tolerance is 0.5 mm
+    # creeping by 0.4 mm counts as rest, since a tenth of the tolerance is 0.5 mm
     turn = largest_spot_turn(**by_hand(*GO, (0.5004, 1.1, 1.0), (1.0, 1.1, 1.0)), tolerance=0.005)
     assert turn is not None
     assert turn.size == pytest.approx(0.7)
@@ -220,8 +220,8 @@ def test_the_size_of_a_turn_on_the_spot_equals_a_hand_calculation() -> None:
     "parts",
     [
         (*GO, (1.0, 1.1, 1.0)),  # the tip moves all the while
-        (*GO, (0.5, 0.4, 2.0), (1.0, 1.1, 1.0)),  # it stands, the joint too
-        (*GO, (0.5, 0.49, 1.0), (1.0, 1.1, 1.0)),  # it turns by less than 0.1 rad
+        (*GO, (0.5, 0.4, 2.0), (1.0, 1.1, 1.0)),  # tip and joint are at rest
+        (*GO, (0.5, 0.49, 1.0), (1.0, 1.1, 1.0)),  # the joint turns by less than 0.1 rad
         (*GO, (0.65, 1.0, 1.0), (1.0, 1.1, 1.0)),  # a requested turn of 0.6 rad is 0.15 m of progress
     ],
 )

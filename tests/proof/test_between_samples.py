@@ -98,7 +98,7 @@ def test_a_whole_turn_between_two_samples_breaks_a_range_of_pitch(tmp_path: Path
 
 
 @pytest.mark.parametrize(("off", "verified"), [(0.0, True), (0.0095, True), (0.0105, False)])
-def test_an_orientation_that_turns_with_the_path_is_kept_by_two_samples_within_0_01_rad(
+def test_an_orientation_that_turns_with_the_path_is_kept_by_two_samples(
     tmp_path: Path, off: float, verified: bool
 ) -> None:
     """The path requests a turn by -1 rad about y, and the tool makes it; 0.01 rad are allowed."""

@@ -136,7 +136,7 @@ def test_a_thin_pole_between_two_samples_is_found(planar4: bp.Robot) -> None:
     assert "pole" in certificate.problems[0]
 
 
-def test_a_thin_pole_missed_by_0_2_mm_more_than_its_clearance_is_verified(planar4: bp.Robot) -> None:
+def test_a_thin_pole_passed_just_outside_its_clearance_is_verified(planar4: bp.Robot) -> None:
     at = CORNER + 0.0052
     pole = {"name": "pole", "shape": "sphere", "radius": 0.002, "position": [at * np.cos(0.7), at * np.sin(0.7), 0.0]}
     certificate = certify(planar4, site([pole], clearance=0.003), swing())
@@ -144,7 +144,7 @@ def test_a_thin_pole_missed_by_0_2_mm_more_than_its_clearance_is_verified(planar
     assert certificate.verified
 
 
-def test_exactly_the_clearance_counts_as_kept_and_0_3_mm_less_does_not(planar4: bp.Robot) -> None:
+def test_exactly_the_clearance_counts_as_kept_and_less_does_not(planar4: bp.Robot) -> None:
     distance = 4.3 - CORNER - 0.1
     kept = certify(planar4, site([ball(0.63)], clearance=distance), swing())
     assert kept.verified
@@ -156,7 +156,7 @@ def test_exactly_the_clearance_counts_as_kept_and_0_3_mm_less_does_not(planar4: 
     assert "ball" in problem
 
 
-def test_the_own_clearance_of_an_obstacle_takes_precedence(planar4: bp.Robot) -> None:
+def test_the_clearance_of_an_obstacle_overrides_that_of_the_scene(planar4: bp.Robot) -> None:
     certificate = certify(planar4, site([ball(0.63, clearance=0.25)], clearance=0.0), swing())
     assert not certificate.verified
     assert to(certificate).margin == pytest.approx(4.3 - CORNER - 0.1 - 0.25, abs=2e-4)
@@ -173,7 +173,7 @@ def test_the_tightest_margin_comes_first(planar4: bp.Robot) -> None:
 
 
 def test_an_obstacle_with_links_counts_for_these_links_only(planar4: bp.Robot) -> None:
-    inside = ball(0.7, 0.1, 1.5)  # link 2 goes through it
+    inside = ball(0.7, 0.1, 1.5)  # link 2 moves through it
     assert not certify(planar4, site([inside]), swing()).verified
     certificate = certify(planar4, site([inside | {"links": ["link4"]}]), swing())
     assert certificate.verified

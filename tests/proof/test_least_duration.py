@@ -109,7 +109,7 @@ def test_the_bound_includes_the_flow_of_the_pump(backhoe: bp.Robot) -> None:
 
 
 def test_the_bound_of_a_continuous_joint_takes_the_shorter_turn(tmp_path: Any) -> None:
-    """From 3 rad to -3 rad it is 0.283 rad onwards, not 6 rad back; 1 rad/s is reached after 0.5 s."""
+    """From 3 rad to -3 rad it turns by 0.283 rad onwards, not by 6 rad back; 1 rad/s is reached after 0.5 s."""
     file = tmp_path / "turntable.urdf"
     file.write_text(TURNTABLE)
     robot = load_robot(file)
