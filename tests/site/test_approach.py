@@ -1,4 +1,4 @@
-"""Pairs that count because the machine moves: none is left out that could hold it back, and most are not measured."""
+"""Pairs that count because the machine moves: none that could slow it is left out, and most are not measured."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from backhoe_planner.site import Nearby, Proximity
 
 
 def rows_that_count(proximity: Proximity, plain: Nearby, lead: dict[str, Any], margin: float) -> NDArray[np.bool_]:
-    """By the words of `Proximity.at_unchecked`, from all rows."""
+    """Chosen from all rows as the docstring of `Proximity.at_unchecked` says."""
     change = lead["fastest"] - np.abs(lead["v"])
     low, high = lead["v"] - change, lead["v"] + change
     ever = proximity.travel @ lead["fastest"] + proximity.speed
@@ -29,7 +29,7 @@ def rows_that_count(proximity: Proximity, plain: Nearby, lead: dict[str, Any], m
 
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
-def test_rows_are_those_of_the_plain_version_whatever_was_asked_before(
+def test_rows_along_a_walk_equal_those_chosen_from_all_measured_pairs(
     name: str, moving: bool, request: pytest.FixtureRequest
 ) -> None:
     robot: Robot = request.getfixturevalue(name)
@@ -55,8 +55,8 @@ def test_rows_are_those_of_the_plain_version_whatever_was_asked_before(
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_what_is_not_measured_stays_as_far_as_it_is_said_to(backhoe: Robot, moving: bool) -> None:
-    """Along a walk with jumps: no bound is above the distance, and what is called proven holds at the end of a step."""
+def test_pairs_that_are_not_measured_keep_their_lower_bounds(backhoe: Robot, moving: bool) -> None:
+    """Along a walk with jumps: no bound exceeds the distance, and pairs called proven are clear after the step."""
     proximity, oracle = crowd(backhoe, 60, 12, moving=moving), crowd(backhoe, 60, 12, moving=moving)
     assert len(proximity.pairs) > 600, "so many that those around are chosen"
     rng, limits, time, near = np.random.default_rng(13), backhoe.limits, 0.0, 0
@@ -72,7 +72,7 @@ def test_what_is_not_measured_stays_as_far_as_it_is_said_to(backhoe: Robot, movi
         spare = float(rng.choice([0.0, 0.1, 0.5]))
         unproven = proximity.unproven_unchecked(q, time=time, spare=spare)
         there = oracle.distances_of(np.arange(len(oracle.pairs)), q, time=time)
-        # one that is yet to appear is not where it will be, but as far away
+        # an obstacle that has not appeared yet is elsewhere, but as far away
         missing = (there < oracle.clearance + spare).nonzero()[0]
         assert set(missing.tolist()) <= set(unproven.tolist())
         if step % 10 == 9:
@@ -82,8 +82,8 @@ def test_what_is_not_measured_stays_as_far_as_it_is_said_to(backhoe: Robot, movi
     assert near > 100
 
 
-def test_a_step_is_unproven_for_the_pairs_of_which_the_plain_bound_says_so(backhoe: Robot) -> None:
-    """What was measured, less the travel on the way, against the clearance; no other pair came near enough."""
+def test_a_step_is_unproven_for_the_pairs_whose_travel_bound_exceeds_their_margin(backhoe: Robot) -> None:
+    """The bound is the measured distance less the travel of the step, compared with the clearance."""
     proximity, oracle = crowd(backhoe, 6, 3, moving=False), crowd(backhoe, 6, 3, moving=False)
     rng, limits = np.random.default_rng(21), backhoe.limits
     none = some = 0
@@ -116,8 +116,8 @@ def test_no_pair_approaches_faster_than_its_bound(any_robot: Robot) -> None:
     assert slow > 0.3 * checked, "it says more than how far the link can travel at all"
 
 
-def test_shield_answers_as_with_all_rows(backhoe: Robot) -> None:
-    """Rows that are left out cannot bind, whatever is wished for within the limits."""
+def test_the_shield_gives_the_same_velocity_as_with_all_rows(backhoe: Robot) -> None:
+    """Rows that are left out cannot bind, whatever velocity is wished for within the limits."""
     proximity, oracle = crowd(backhoe, 40, 6, moving=False), crowd(backhoe, 40, 6, moving=False)
     rng = np.random.default_rng(9)
     shield, kinematics, limits = Shield(backhoe.limits), Kinematics(backhoe), backhoe.limits

@@ -1,4 +1,4 @@
-"""Where the machine stands: a machine and a site that are moved together are the same problem."""
+"""The pose of the machine's base: moving machine and site together does not change the problem."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 
 
 def _moved(point: list[float]) -> list[float]:
-    """The point at which the site's `point` lies after base and site were moved."""
+    """The site's `point` after base and site were moved."""
     cosine, sine = math.cos(HEADING), math.sin(HEADING)
     x, y, z = point
     return [AT[0] + cosine * x - sine * y, AT[1] + sine * x + cosine * y, z]
@@ -45,7 +45,7 @@ def _scene(*, moved: bool) -> bp.Scene:
     return bp.scene_from_dict(content)
 
 
-def test_the_tip_is_where_turning_and_moving_by_hand_put_it(backhoe: Robot) -> None:
+def test_the_base_pose_transforms_the_tip(backhoe: Robot) -> None:
     q = np.array([0.3, 0.5, -1.2, -0.8])
     here, there = (Kinematics(robot).at(q) for robot in (backhoe, backhoe.with_base(Base(AT, HEADING))))
     np.testing.assert_allclose(there.tip_position, _moved(here.tip_position.tolist()), atol=1e-12)
@@ -54,7 +54,7 @@ def test_the_tip_is_where_turning_and_moving_by_hand_put_it(backhoe: Robot) -> N
     assert there.pitch == pytest.approx(here.pitch, abs=1e-12)
 
 
-def test_links_that_do_not_move_stand_with_the_root(backhoe: Robot) -> None:
+def test_the_base_pose_transforms_links_that_no_joint_moves(backhoe: Robot) -> None:
     moved = backhoe.with_base(Base(AT, HEADING))
     fixed = [row for row, piece in enumerate(backhoe.pieces) if piece.joint == 0]
     assert fixed
@@ -67,7 +67,7 @@ def test_links_that_do_not_move_stand_with_the_root(backhoe: Robot) -> None:
             np.testing.assert_allclose(there.placement.translation, expected, atol=1e-12)
 
 
-def test_one_motion_has_the_same_certificate_wherever_machine_and_site_stand(backhoe: Robot) -> None:
+def test_the_certificate_is_the_same_when_machine_and_site_are_moved_together(backhoe: Robot) -> None:
     here = bp.plan(backhoe, _scene(moved=False), effort="quick")
     there = bp.certify(backhoe, _scene(moved=True), here.trajectory)
     assert here.verdict == "verified"
@@ -75,12 +75,10 @@ def test_one_motion_has_the_same_certificate_wherever_machine_and_site_stand(bac
     assert there.verified
     for one, other in zip(here.certificate.clearances, there.clearances, strict=True):
         assert one.obstacle == other.obstacle
-        assert one.distance == pytest.approx(
-            other.distance, abs=1e-4
-        )  # both bounds are proven to within their own slack
+        assert one.distance == pytest.approx(other.distance, abs=1e-4)  # both are bounds with a slack of their own
 
 
-def test_a_plan_of_a_machine_that_stands_elsewhere_is_verified_and_read_again(backhoe: Robot, tmp_path: Any) -> None:
+def test_a_plan_with_another_base_pose_is_verified_and_loads_again(backhoe: Robot, tmp_path: Any) -> None:
     plan = bp.plan(backhoe, _scene(moved=True), effort="quick")
     assert plan.verdict == "verified"
     plan.save(tmp_path / "plan.json")
@@ -89,23 +87,23 @@ def test_a_plan_of_a_machine_that_stands_elsewhere_is_verified_and_read_again(ba
     assert again.verdict == "verified"
 
 
-def test_the_pairs_of_own_links_do_not_depend_on_where_it_stands(backhoe: Robot) -> None:
+def test_self_collision_pairs_do_not_depend_on_the_base_pose(backhoe: Robot) -> None:
     assert self_pairs(backhoe.with_base(Base(AT, HEADING))) == self_pairs(backhoe)
 
 
-def test_tip_and_held_joints_keep_the_place(backhoe: Robot) -> None:
+def test_holding_a_joint_keeps_the_base_pose(backhoe: Robot) -> None:
     moved = backhoe.with_base(Base(AT, HEADING))
     assert moved.with_hold({"swing": 0.1}).base == moved.base
     assert moved.at_origin.base == Base()
     assert moved.with_base(Base()).model.jointPlacements[1] == backhoe.model.jointPlacements[1]
 
 
-def test_a_scene_of_its_own_puts_a_machine_back(backhoe: Robot) -> None:
+def test_a_scene_without_a_base_puts_the_machine_back_at_the_origin(backhoe: Robot) -> None:
     moved = backhoe.with_base(Base(AT, HEADING))
     assert build_problem(moved, _scene(moved=False)).robot.base == Base()
 
 
-def test_the_servo_stands_where_the_scene_says(backhoe: Robot) -> None:
+def test_the_servo_uses_the_base_pose_of_the_scene(backhoe: Robot) -> None:
     servo = bp.Servo(backhoe, _scene(moved=True), dt=0.01)
     at = Kinematics(backhoe).at(np.array(list(START.values()))).tip_position
     np.testing.assert_allclose(servo.robot.base.position, AT)
@@ -122,19 +120,19 @@ def test_the_servo_stands_where_the_scene_says(backhoe: Robot) -> None:
         ({"at": [0.0, 0.0]}, "base.at"),
     ],
 )
-def test_a_place_that_is_none_is_an_error_that_names_its_key(base: dict[str, Any], key: str) -> None:
+def test_errors_in_a_base_pose_name_the_key(base: dict[str, Any], key: str) -> None:
     content = _scene(moved=False).to_dict() | {"base": base}
     with pytest.raises(SceneError, match=key):
         bp.scene_from_dict(content)
 
 
-def test_a_base_of_other_than_finite_numbers_is_misuse() -> None:
+def test_a_base_position_must_be_finite() -> None:
     with pytest.raises(InputError, match=r"base\.position"):
         Base((math.nan, 0.0))
 
 
 def _standing(*obstacles: dict[str, Any], clearance: float = 0.05) -> bp.Scene:
-    """A machine that stands with its swing axis at x 10 m and looks along -x: its tractor lies from x 10 to 15.2 m."""
+    """A machine with its swing axis at x 10 m that looks along -x: its tractor extends from x 10 to 15.2 m."""
     return bp.scene_from_dict(
         {
             "version": 1, "start": {"joints": START}, "task": {"goal": {"joints": START}}, "clearance": clearance,
@@ -143,7 +141,7 @@ def _standing(*obstacles: dict[str, Any], clearance: float = 0.05) -> bp.Scene:
     )  # fmt: skip
 
 
-def test_a_machine_that_is_put_into_an_obstacle_is_refused_by_link_and_obstacle(backhoe: Robot) -> None:
+def test_a_base_pose_inside_an_obstacle_is_refused_naming_link_and_obstacle(backhoe: Robot) -> None:
     wall = {"name": "house", "shape": "box", "size": [1.0, 4.0, 3.0], "position": [15.2, 0.0, 1.5]}
     with pytest.raises(SceneError, match="puts loader of the machine into house"):
         build_problem(backhoe, _standing(wall))
@@ -158,12 +156,14 @@ def test_a_machine_that_is_put_into_an_obstacle_is_refused_by_link_and_obstacle(
         {"shape": "capsule", "from": [0, 1, -0.3], "to": [20, 1, -0.3], "radius": 0.2},
     ],
 )
-def test_the_ground_that_carries_a_machine_is_not_in_its_way(backhoe: Robot, ground: dict[str, Any]) -> None:
+def test_the_ground_below_the_machine_is_not_an_obstacle_to_its_fixed_parts(
+    backhoe: Robot, ground: dict[str, Any]
+) -> None:
     problem = build_problem(backhoe, _standing({"name": "ground"} | ground, clearance=0.2))
     assert stands_in(problem.robot, problem.obstacles, with_clearance=True) is None
 
 
-def test_parts_that_do_not_move_keep_the_clearance_where_it_is_asked_for(backhoe: Robot) -> None:
+def test_the_clearance_of_fixed_parts_is_checked_on_request(backhoe: Robot) -> None:
     """The cab's roof is at 2.8 m: a line at 6 m whose clearance is 3.05 m is 3.2 m away, and one at 5.8 m is 3.0 m."""
     line = {"name": "line", "shape": "halfspace", "normal": [0, 0, -1], "clearance": 3.05}
     high, low = (build_problem(backhoe, _standing(line | {"point": [0.0, 0.0, height]})) for height in (6.0, 5.8))

@@ -1,4 +1,4 @@
-"""The screen says what measuring every pair says."""
+"""The clearance screen gives the verdict of measuring every pair."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ OBSTACLES: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("time", [0.0, 3.0])
-def test_agrees_with_measuring_everything(any_robot: bp.Robot, time: float) -> None:
+def test_the_screen_agrees_with_measuring_every_pair(any_robot: bp.Robot, time: float) -> None:
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES})
     proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
     rng = np.random.default_rng(1)
@@ -49,8 +49,8 @@ def test_agrees_with_measuring_everything(any_robot: bp.Robot, time: float) -> N
 
 
 @pytest.mark.parametrize("time", [0.0, 3.0])
-def test_pairs_that_are_known_to_be_apart_are(any_robot: bp.Robot, time: float) -> None:
-    """As coal measures them, in postures near each other too, where what is known of the last one goes on."""
+def test_pairs_called_apart_are_apart(any_robot: bp.Robot, time: float) -> None:
+    """Compared with coal, also at neighbouring configurations, where the screen reuses bounds of the last one."""
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES})
     proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
     screen, rng = ClearanceScreen(proximity, time=time, spare=0.01), np.random.default_rng(3)
@@ -60,7 +60,7 @@ def test_pairs_that_are_known_to_be_apart_are(any_robot: bp.Robot, time: float) 
         for joints in q:
             apart = proximity.distances(joints, time=time) >= proximity.clearance + 0.01
             not_apart = screen.pairs_not_apart_unchecked(joints)
-            if find_compiled():  # which tells all pairs but those that are there later
+            if find_compiled():  # which decides all pairs but those of obstacles that appear later
                 np.testing.assert_array_equal(not_apart, np.flatnonzero(~apart & (proximity.appears_at <= time)))
             apart[not_apart] = True
             assert apart.all()
@@ -71,8 +71,8 @@ def test_pairs_that_are_known_to_be_apart_are(any_robot: bp.Robot, time: float) 
 @pytest.mark.parametrize(
     "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
 )
-def test_what_is_told_without_coal_is_what_coal_measures(any_robot: bp.Robot) -> None:
-    """Balls, boxes, capsules, prisms and half-spaces that overlap the machine, touch it nearly, and stand away."""
+def test_verdicts_without_coal_equal_those_of_coals_distances(any_robot: bp.Robot) -> None:
+    """Balls, boxes, capsules, prisms and half-spaces that overlap the machine, nearly touch it, and are far from it."""
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.0, "obstacles": OBSTACLES[:-1]})
     proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
     rng, told = np.random.default_rng(6), []
@@ -92,7 +92,7 @@ def test_what_is_told_without_coal_is_what_coal_measures(any_robot: bp.Robot) ->
 
 
 def _measured(robot: bp.Robot, q: Vector, first: int, second: int, bodies: Sequence[Piece]) -> float:
-    """The distance of two pieces by coal; pieces after the machine's are those of `bodies` [m]."""
+    """The distance of two pieces by coal [m]; numbers after those of the machine's pieces count through `bodies`."""
     own, data = self_pieces(robot), robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
@@ -108,8 +108,8 @@ def _measured(robot: bp.Robot, q: Vector, first: int, second: int, bodies: Seque
     return float(result.min_distance)
 
 
-def test_says_so_right_beside_the_clearance(any_robot: bp.Robot) -> None:
-    """Each pair in turn is to keep its own distance, and 0.1 um less or more; the others are to keep nothing."""
+def test_the_verdict_changes_within_0_1_um_of_the_clearance(any_robot: bp.Robot) -> None:
+    """One pair at a time must keep its own distance less or plus 0.1 um; the others need not keep any."""
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES[:-1]})
     proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
     rng = np.random.default_rng(4)
@@ -125,7 +125,7 @@ def test_says_so_right_beside_the_clearance(any_robot: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("pieces", [10, 100])
-def test_agrees_among_few_and_many_obstacles(backhoe: bp.Robot, pieces: int) -> None:
+def test_the_screen_agrees_with_measuring_among_few_and_many_obstacles(backhoe: bp.Robot, pieces: int) -> None:
     """Few and many pieces are compared in different ways."""
     rng = np.random.default_rng(5)
     boxes = [
@@ -145,7 +145,7 @@ def test_agrees_among_few_and_many_obstacles(backhoe: bp.Robot, pieces: int) -> 
 
 
 @pytest.mark.parametrize("name", ["ball", "box", "pipe", "post", "ground", "walker"])
-def test_the_space_that_is_swept_holds_the_obstacle_at_every_moment(backhoe: bp.Robot, name: str) -> None:
+def test_the_swept_shape_of_an_obstacle_contains_it_at_every_time(backhoe: bp.Robot, name: str) -> None:
     moving = next(one for one in OBSTACLES if one["name"] == name) | {"velocity": [0.3, -0.5, 0.4], "appears_at": 1.0}
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "obstacles": [moving]})
     [obstacle] = build_obstacles(scene, backhoe)
@@ -156,11 +156,11 @@ def test_the_space_that_is_swept_holds_the_obstacle_at_every_moment(backhoe: bp.
         q = backhoe.random_q(rng)
         nearest = np.min([over_time.distances(q, time=moment) for moment in (2.0, 2.7, 3.5, 4.4, 5.0)], axis=0)
         apart = still.distances(q)
-        # as near at every moment, or nearer by what the round parts are taken larger
+        # the swept shape is as near as at every time, or nearer, since its round parts are enlarged
         assert np.all((apart <= nearest + 1e-6) | (nearest < 0.0))
 
 
-def test_a_machine_without_shapes_keeps_clear(tmp_path: Path) -> None:
+def test_a_machine_without_shapes_is_always_clear(tmp_path: Path) -> None:
     file = tmp_path / "bare.urdf"
     file.write_text(
         '<robot name="bare"><link name="base"/><link name="tip"/>'
@@ -172,8 +172,8 @@ def test_a_machine_without_shapes_keeps_clear(tmp_path: Path) -> None:
     assert screen.keeps(np.zeros((3, 1))).all()
 
 
-def test_agrees_where_most_are_out_of_reach(backhoe: bp.Robot) -> None:
-    """More obstacles than are given to coal at once; what no posture brings near is not looked at."""
+def test_the_screen_agrees_with_measuring_where_most_obstacles_are_out_of_reach(backhoe: bp.Robot) -> None:
+    """More obstacles than coal gets at once; those that no configuration comes near are skipped."""
     rng = np.random.default_rng(6)
     places = [rng.normal(size=3) * [3.0, 3.0, 1.0] * (1.0 if k % 13 == 0 else 15.0) for k in range(520)]
     balls = [
@@ -189,7 +189,9 @@ def test_agrees_where_most_are_out_of_reach(backhoe: bp.Robot) -> None:
     assert ClearanceScreen(proximity, time=2.0).keeps(q).tolist() == expected
 
 
-def test_configurations_asked_about_together_are_those_that_measuring_finds_beside_clusters(backhoe: bp.Robot) -> None:
+def test_the_screen_agrees_with_measuring_beside_terrain_and_voxels_one_by_one_and_in_batches(
+    backhoe: bp.Robot,
+) -> None:
     rng = np.random.default_rng(7)
     heights = -1.2 + 0.1 * np.sin(np.arange(61) / 3.0)[:, None] + rng.normal(0.0, 0.03, (61, 61))
     turned = pin.SE3(pin.rpy.rpyToMatrix(0.05, -0.1, 0.4), np.array([0.5, 0.2, 0.0]))

@@ -1,4 +1,4 @@
-"""The joints of a machine within a scene: which are held, and within which limits the others move."""
+"""The joints of a machine in a scene: which are held, and the limits of the others."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def without(name: str) -> dict[str, float]:
 # --- held joints ------------------------------------------------------------------
 
 
-def test_the_planner_does_not_know_a_held_joint(backhoe: bp.Robot) -> None:
+def test_the_planner_leaves_out_held_joints(backhoe: bp.Robot) -> None:
     problem = bp.build_problem(backhoe, scene(without("bucket"), hold={"bucket": -0.9}))
     assert problem.robot.joint_names == ("swing", "boom", "stick")
     assert problem.start_q is not None
@@ -40,7 +40,7 @@ def test_the_planner_does_not_know_a_held_joint(backhoe: bp.Robot) -> None:
     assert bp.build_problem(problem.robot, scene()).robot.joint_names == backhoe.joint_names
 
 
-def test_start_may_name_a_held_joint_where_it_stands(panda: bp.Robot) -> None:
+def test_start_may_name_a_held_joint_at_its_held_position(panda: bp.Robot) -> None:
     fingers = {"panda_finger_joint1": 0.04, "panda_finger_joint2": 0.04}
     problem = bp.build_problem(panda, scene(READY | fingers, hold={"panda_finger_joint1": 0.04}))
     assert problem.start_q is not None
@@ -70,22 +70,22 @@ WRONG: dict[str, tuple[Data, str]] = {
 
 
 @pytest.mark.parametrize(("keys", "said"), WRONG.values(), ids=WRONG.keys())
-def test_what_does_not_fit_the_machine_is_refused(backhoe: bp.Robot, keys: Data, said: str) -> None:
+def test_joints_and_limits_that_do_not_fit_the_machine_are_refused(backhoe: bp.Robot, keys: Data, said: str) -> None:
     joints = {name: q for name, q in START.items() if name not in keys.get("hold", {})}
     with pytest.raises(SceneError, match=said):
         bp.build_problem(backhoe, scene(joints, **keys))
-    if "gains" not in keys:  # the servo has none
+    if "gains" not in keys:  # the servo has no gains
         with pytest.raises(SceneError, match=said):
             bp.Servo(backhoe, scene(joints, **keys))
 
 
-def test_a_range_is_given_from_low_to_high() -> None:
+def test_a_range_must_rise_from_low_to_high() -> None:
     with pytest.raises(SceneError, match=r"limits.position.boom: low is not below high: \[0.5, 0.5\] .*hold"):
         scene(limits={"position": {"boom": [0.5, 0.5]}})
 
 
-def test_an_opened_finger_collides_where_the_closed_one_does_not(panda: bp.Robot) -> None:
-    """A rod beside the hand: 5 cm off its middle, where an opened finger is."""
+def test_an_open_finger_collides_where_a_closed_one_does_not(panda: bp.Robot) -> None:
+    """A rod beside the hand, 5 cm off its middle, where the open finger is."""
     at = bp.Kinematics(panda).at(np.array(list(READY.values())))
     rod = (at.tip_position + at.tip_rotation @ np.array([0.0, 0.05, -0.01])).tolist()
     obstacles = [{"name": "rod", "shape": "sphere", "radius": 0.005, "position": rod, "clearance": 0.0}]
@@ -101,7 +101,7 @@ def test_an_opened_finger_collides_where_the_closed_one_does_not(panda: bp.Robot
     assert verdicts[0.0] != "start_in_collision"
 
 
-def test_a_swing_sector_does_not_limit_the_boom_where_the_swing_is_held(backhoe: bp.Robot) -> None:
+def test_a_swing_sector_does_not_limit_the_boom_when_the_swing_is_held(backhoe: bp.Robot) -> None:
     sector = {"name": "road", "kind": "swing_sector", "from": -0.5, "to": 0.5, "stop": 0.1, "slow": 0.2}
     held = scene(without("swing"), hold={"swing": 0.3}, zones=[sector])
     problem = bp.build_problem(backhoe, held)
@@ -117,7 +117,7 @@ def test_a_swing_sector_does_not_limit_the_boom_where_the_swing_is_held(backhoe:
 # --- limits -----------------------------------------------------------------------
 
 
-def test_limits_are_the_scenes_own(backhoe: bp.Robot) -> None:
+def test_the_scenes_limits_replace_those_of_the_machine(backhoe: bp.Robot) -> None:
     own = {
         "velocity": {"swing": 0.5},
         "effort": {"boom": 6e4},
@@ -150,7 +150,7 @@ def unlimited(tmp_path: Path) -> bp.Robot:
     return load_robot(tmp_path / "tiny.urdf")
 
 
-def test_what_the_urdf_does_not_say_is_assumed_and_said(unlimited: bp.Robot) -> None:
+def test_defaults_for_limits_missing_in_the_urdf_are_reported(unlimited: bp.Robot) -> None:
     np.testing.assert_array_equal(unlimited.limits.velocity, [1.0, 1.0])
     np.testing.assert_array_equal(unlimited.limits.effort, [np.inf, np.inf])
     velocity, effort, soft, mass = limit_warnings(unlimited)
@@ -161,8 +161,8 @@ def test_what_the_urdf_does_not_say_is_assumed_and_said(unlimited: bp.Robot) -> 
     assert "no link that moves has a mass" in mass
 
 
-def test_the_scene_gives_what_the_urdf_lacks(unlimited: bp.Robot) -> None:
-    """Full rate is reached in half a second, as the rate of a URDF is."""
+def test_the_scene_can_give_limits_missing_in_the_urdf(unlimited: bp.Robot) -> None:
+    """Full rate is reached in half a second, as with the rates of a URDF."""
     given = {"velocity": {"turn": 3.0, "spin": 0.2}, "effort": {"turn": 7.0}, "position": {"turn": [-0.5, 1.0]}}
     own = scene({"turn": 0.0, "spin": 0.0}, limits=given | {"position": {"turn": [-0.5, 1.0], "spin": [2.0, 4.0]}})
     limits = scaled_limits(machine_on_site(unlimited, own), own)
@@ -175,13 +175,13 @@ def test_the_scene_gives_what_the_urdf_lacks(unlimited: bp.Robot) -> None:
     assert len(limit_warnings(machine_on_site(unlimited, scene(hold={"spin": 1.0})), own)) == 1
 
 
-def test_a_machine_of_which_one_link_has_a_mass_has_one(tmp_path: Path) -> None:
+def test_one_link_with_a_mass_is_enough_to_avoid_the_warning(tmp_path: Path) -> None:
     body = '<link name="hand"><inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
     (tmp_path / "tiny.urdf").write_text(URDF.replace('<link name="hand">', f"{body}</inertial>"))
     assert not any("mass" in warning for warning in limit_warnings(load_robot(tmp_path / "tiny.urdf")))
 
 
-def test_cylinders_limit_what_the_urdf_does_not(tmp_path: Path, backhoe: bp.Robot) -> None:
+def test_cylinders_give_the_effort_limits_missing_in_the_urdf(tmp_path: Path, backhoe: bp.Robot) -> None:
     bare = tmp_path / "bare.urdf"
     bare.write_text(backhoe.urdf.path.read_text().replace('effort="90000"', 'effort="0"'))
     assert len(limit_warnings(load_robot(bare))) == 1
@@ -190,8 +190,8 @@ def test_cylinders_limit_what_the_urdf_does_not(tmp_path: Path, backhoe: bp.Robo
     assert limit_warnings(backhoe) == ()
 
 
-def test_a_machine_that_cannot_be_loaded_without_its_held_joint(panda: bp.Robot) -> None:
-    """The other finger copies the one that would move the tip."""
+def test_a_mimic_joint_that_would_move_the_tip_needs_its_leader_held(panda: bp.Robot) -> None:
+    """The other finger mimics the one that would move the tip."""
     tip = {"tip": "panda_leftfinger"}
     with pytest.raises(RobotError, match="copies joint 'panda_finger_joint1', which moves the tip"):
         load_machine("example:panda", scene(READY, **tip))
@@ -199,8 +199,8 @@ def test_a_machine_that_cannot_be_loaded_without_its_held_joint(panda: bp.Robot)
     assert robot.joint_names == panda.joint_names
 
 
-def test_a_hold_that_folds_the_machine_into_itself_is_refused(panda: bp.Robot) -> None:
-    """Panda's forearm is folded back as far as it goes beside the shoulder, and its wrist turned into that."""
+def test_held_joints_that_make_the_machine_collide_with_itself_are_refused(panda: bp.Robot) -> None:
+    """Panda's forearm is folded back beside the shoulder as far as it goes, and its wrist turned into the shoulder."""
     inward = {"panda_joint3": 1.91, "panda_joint4": -3.07, "panda_joint5": -0.78, "panda_joint6": 0.28}
     joints = {name: q for name, q in READY.items() if name not in inward}
     with pytest.raises(SceneError, match=r"site.yaml: hold: puts panda_\w+ into panda_link\d; found an overlap of"):

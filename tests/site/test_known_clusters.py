@@ -1,4 +1,4 @@
-"""Scans and terrains that are in use are taken in once, as long as their files hold the same."""
+"""Scans and terrains in use are loaded once, as long as their files do not change."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def solid(obstacle: Obstacle) -> object:
     return obstacle.cluster.solid
 
 
-def test_a_file_in_use_is_taken_in_once_whatever_stands_beside_it(planar4: Robot, tmp_path: Path) -> None:
+def test_obstacles_share_a_loaded_file_unless_resolution_or_position_differ(planar4: Robot, tmp_path: Path) -> None:
     write(tmp_path, 0)
     first = built(planar4, tmp_path)
     assert solid(built(planar4, tmp_path, name="ground", clearance=0.3, links=["link4"])) is solid(first)
@@ -40,7 +40,7 @@ def test_a_file_in_use_is_taken_in_once_whatever_stands_beside_it(planar4: Robot
         assert solid(built(planar4, tmp_path, **keys)) is not solid(first)
 
 
-def test_a_file_that_was_changed_is_read_again(planar4: Robot, tmp_path: Path) -> None:
+def test_a_changed_file_is_read_again(planar4: Robot, tmp_path: Path) -> None:
     write(tmp_path, 0)
     first = built(planar4, tmp_path)
     write(tmp_path, 1)
@@ -51,7 +51,7 @@ def test_a_file_that_was_changed_is_read_again(planar4: Robot, tmp_path: Path) -
     assert solid(second) is not solid(first)
 
 
-def test_distances_are_those_of_what_is_taken_in_anew(planar4: Robot, tmp_path: Path) -> None:
+def test_distances_to_a_shared_cluster_equal_those_to_a_newly_loaded_one(planar4: Robot, tmp_path: Path) -> None:
     write(tmp_path, 0)
     first = built(planar4, tmp_path)
     again = built(planar4, tmp_path)
@@ -65,7 +65,7 @@ def test_distances_are_those_of_what_is_taken_in_anew(planar4: Robot, tmp_path: 
         np.testing.assert_array_equal(known.distances(q), other.distances(q))
 
 
-def test_what_nobody_uses_is_forgotten(planar4: Robot, tmp_path: Path) -> None:
+def test_clusters_no_longer_in_use_are_dropped(planar4: Robot, tmp_path: Path) -> None:
     write(tmp_path, 0)
     found = built(planar4, tmp_path)
     key = known_clusters._key(found.spec, tmp_path)
@@ -75,7 +75,7 @@ def test_what_nobody_uses_is_forgotten(planar4: Robot, tmp_path: Path) -> None:
     assert key not in known_clusters._KNOWN
 
 
-def test_a_file_that_is_written_while_it_is_read_is_not_kept(
+def test_a_file_that_changes_while_it_is_read_is_not_kept(
     planar4: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path, 0)

@@ -1,4 +1,4 @@
-"""What is known of distances without measuring them: bounds by balls, and how much they change on a motion."""
+"""Bounds of distances without measuring them: by enclosing balls, and for their change along a motion."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ TWO_HINGES = """<robot name="two"><link name="base"/><link name="upper"/>
 
 
 def two_joints(folder: Path, kind: str, axis: str) -> Robot:
-    """A hinge, and 1 m beyond it a joint that carries a ball of 1 cm another metre out."""
+    """A hinge, and 1 m beyond it a joint that carries a ball of radius 1 cm another metre out."""
     path = folder / f"{kind}.urdf"
     path.write_text(TWO_HINGES.format(type=kind, axis=axis))
     return load_robot(path, tip="lower")
 
 
 def crowd(robot: Robot, seed: int) -> Proximity:
-    """Boxes, balls and capsules about a machine, a half-space above it, and one obstacle that moves."""
+    """Boxes, balls and capsules around a machine, a half-space above it, and one moving obstacle."""
     rng = np.random.default_rng(seed)
     entries: list[dict[str, Any]] = [{"name": "roof", "shape": "halfspace", "point": [0, 0, 5], "normal": [0, 0, -1]}]
     for index in range(9):
@@ -49,7 +49,7 @@ def robot(request: pytest.FixtureRequest, tmp_path: Path) -> Robot:
     return found
 
 
-def test_bounds_by_balls_are_never_above_what_is_measured_and_tell_most_pairs_apart(robot: Robot) -> None:
+def test_ball_bounds_never_exceed_the_distance_and_separate_most_distant_pairs(robot: Robot) -> None:
     rng, proximity = np.random.default_rng(3), crowd(robot, 5)
     q = np.array([robot.random_q(rng) for _ in range(80)])  # more than are bounded at once
     bounds = np.array(list(proximity.bounds_unchecked(q)))
@@ -58,13 +58,15 @@ def test_bounds_by_balls_are_never_above_what_is_measured_and_tell_most_pairs_ap
     assert (bounds <= distances).all()
     assert ((bounds > 0.0) | (bounds == -np.inf)).all()
     stands = (proximity.speed == 0.0) & (proximity.floor == -np.inf)
-    stands &= (proximity.owner >= 0) | (find_compiled() is not None)  # its own pairs where compiled
+    stands &= (proximity.owner >= 0) | (
+        find_compiled() is not None
+    )  # self-collision pairs have bounds only in the compiled version
     assert (bounds[:, ~stands] == -np.inf).all()
     apart = stands & (distances > 0.3)
     assert np.mean(bounds[apart] > 0.0) > 0.8
 
 
-def test_what_is_known_already_changes_no_rows(robot: Robot) -> None:
+def test_known_bounds_do_not_change_the_rows(robot: Robot) -> None:
     rng, proximity, plain = np.random.default_rng(4), crowd(robot, 6), crowd(robot, 6)
     q = np.array([robot.random_q(rng) for _ in range(20)])
     for row, known in zip(q, proximity.bounds_unchecked(q), strict=True):
@@ -73,8 +75,8 @@ def test_what_is_known_already_changes_no_rows(robot: Robot) -> None:
         np.testing.assert_allclose(found.distance, expected.distance, atol=1e-12)
 
 
-def test_no_distance_changes_by_more_than_its_way_on_any_part_of_a_motion(robot: Robot) -> None:
-    """Motions of the length of a sample's, and longer ones; against distances at 33 places of each."""
+def test_no_distance_changes_faster_than_its_way_along_a_motion(robot: Robot) -> None:
+    """Motions as long as one sample and longer, each measured at 33 places."""
     rng, proximity = np.random.default_rng(7), crowd(robot, 8)
     still = proximity.speed == 0.0
     part = np.linspace(0.0, 1.0, 33)
@@ -94,10 +96,10 @@ def test_no_distance_changes_by_more_than_its_way_on_any_part_of_a_motion(robot:
     assert np.mean(tightened) < 0.8
 
 
-def test_two_joints_that_cancel_each_other_leave_the_turning_and_the_bend(tmp_path: Path) -> None:
-    """Stretched out halfway: with 0.02 and -0.04 rad the ball's centre stands still there, and turns by 0.02 rad.
+def test_ways_of_two_joints_that_cancel_count_only_rotation_and_curvature(tmp_path: Path) -> None:
+    """Halfway the arm is stretched: with 0.02 and -0.04 rad the ball's centre is at rest there, and turns by 0.02 rad.
 
-    The ball's points move by 0.01 * 0.02 for that. The centre's second derivative is at most r . b with
+    This moves the ball's points by 0.01 * 0.02. The centre's second derivative is at most r . b with
     r = (2.01, 1.01) and b = (0.02^2, 0.04 (0.04 + 2 * 0.02)). The plain bound is 0.0201 * 2 + 0.0101 * 4.
     """
     robot = two_joints(tmp_path, "revolute", "0 0 1")

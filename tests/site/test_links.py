@@ -1,4 +1,4 @@
-"""An obstacle holds for links that can touch it, and a machine has shapes; else nothing is proven."""
+"""An obstacle applies to links that can touch it, and a machine has shapes; else nothing would be proven."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ TASK = {
 
 
 @pytest.mark.parametrize("links", [["chassis"], ["chassis", "cab"], ["bucket_tip"]])
-def test_an_obstacle_that_holds_for_nothing_is_an_error(links: list[str]) -> None:
-    """The chassis stands still, and the tip is a frame without a shape."""
+def test_an_obstacle_for_links_that_cannot_touch_it_is_an_error(links: list[str]) -> None:
+    """The chassis is fixed, and the tip is a frame without a shape."""
     scene = bp.scene_from_dict({**TASK, "obstacles": [{**SPHERE, "links": links}]})
     with pytest.raises(SceneError, match=r"\(ball\).links: .* has no effect.*allowed: swing_post, boom"):
         bp.plan(bp.load_robot("example:backhoe"), scene)
 
 
 @pytest.mark.parametrize("where", ["obstacles", "zones"])
-def test_no_links_at_all_is_an_error(where: str) -> None:
+def test_an_empty_list_of_links_is_an_error(where: str) -> None:
     zone = {"name": "wall", "kind": "ceiling", "height": 3.0, "stop": 0.1}
     with pytest.raises(SceneError, match="links"):
         bp.scene_from_dict({**TASK, where: [{**(SPHERE if where == "obstacles" else zone), "links": []}]})
 
 
-def test_a_live_obstacle_that_holds_for_nothing_is_an_error() -> None:
+def test_a_live_obstacle_for_links_that_cannot_touch_it_is_an_error() -> None:
     servo = bp.Servo(bp.load_robot("example:backhoe"), bp.scene_from_dict(TASK), dt=0.001)
     for links in (["chassis"], []):
         with pytest.raises(bp.InputError, match="links"):
@@ -48,7 +48,7 @@ BOX = '<geometry><box size="1 0.1 0.1"/></geometry>'
 
 @pytest.fixture
 def arm_of(tmp_path: Path) -> Callable[[str, str], bp.Robot]:
-    """An arm of two links, with what stands in each of them."""
+    """An arm of two links with the given XML in each."""
 
     def build(first: str, second: str) -> bp.Robot:
         joints = "".join(
@@ -81,7 +81,7 @@ def reach_into(robot: bp.Robot) -> bp.Certificate:
     return bp.certify(robot, scene, bp.Trajectory.from_steps(np.array([0.0, 10.0]), np.array([[0.0, 0.0], [1.5, 0.0]])))
 
 
-def test_what_is_drawn_is_the_shape_of_a_machine_without_collision_shapes(
+def test_visuals_are_the_shapes_of_a_machine_without_collision_shapes(
     arm_of: Callable[[str, str], bp.Robot],
 ) -> None:
     robot = arm_of(f"<visual>{BOX}</visual>", f"<visual>{BOX}</visual>")
@@ -93,13 +93,13 @@ def test_what_is_drawn_is_the_shape_of_a_machine_without_collision_shapes(
     assert certificate.min_clearance.obstacle == "ball"
 
 
-def test_a_drawn_link_without_a_shape_among_others_is_named(arm_of: Callable[[str, str], bp.Robot]) -> None:
+def test_a_warning_names_visible_links_without_collision_shapes(arm_of: Callable[[str, str], bp.Robot]) -> None:
     robot = arm_of(f"<visual>{BOX}</visual><collision>{BOX}</collision>", f"<visual>{BOX}</visual>")
     assert robot.link_names == ("a",)
     assert robot.warnings == ("links that are drawn but have no <collision>, so that nothing is proven of them: b",)
 
 
-def test_a_machine_without_any_shape_proves_nothing(arm_of: Callable[[str, str], bp.Robot]) -> None:
+def test_certifying_a_machine_without_shapes_is_an_error(arm_of: Callable[[str, str], bp.Robot]) -> None:
     robot = arm_of("", "")
     with pytest.raises(RobotError, match="no link that moves has a shape"):
         reach_into(robot)

@@ -1,4 +1,4 @@
-"""One rule for the names of obstacles and zones, wherever they come from."""
+"""One rule for the names of obstacles and zones, whatever their source."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def scene(**keys: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", NOT_NAMES)
-def test_what_reports_say_of_the_machine_is_no_name(name: str, backhoe: Robot) -> None:
-    """Plan files write ``self: LINK`` where a link must not touch another one of the machine."""
+def test_words_that_reports_use_for_the_machine_are_refused_as_names(name: str, backhoe: Robot) -> None:
+    """Plan files write ``self: LINK`` for a pair of the machine's own links."""
     with pytest.raises(InputError, match="name"):
         check_name(name)
     with pytest.raises(InputError, match="name"):
@@ -53,17 +53,17 @@ def test_what_reports_say_of_the_machine_is_no_name(name: str, backhoe: Robot) -
 
 
 @pytest.mark.parametrize("name", ["selfie: x", "swing ", "self", "{0}", "<img src=x>", "Baugrube 3 – Süd", "x" * 500])
-def test_any_other_word_is_a_name(name: str) -> None:
+def test_other_words_are_valid_names(name: str) -> None:
     assert check_name(name, in_use={"swing": "a zone"}) == name
 
 
 @pytest.mark.parametrize("name", [None, 3, b"ball", ["ball"]])
-def test_a_name_is_a_word(name: Any) -> None:
+def test_a_name_must_be_a_string(name: Any) -> None:
     with pytest.raises(InputError, match="is no name"):
         check_name(name)
 
 
-def test_the_message_says_who_has_the_name() -> None:
+def test_the_message_about_a_name_in_use_says_what_has_it() -> None:
     with pytest.raises(InputError) as caught:
         check_name("swing", in_use={"pole": "an obstacle", "swing": "a zone of the scene"}, key="add")
     assert str(caught.value) == "add: is the name of a zone of the scene; found swing"
@@ -71,7 +71,7 @@ def test_the_message_says_who_has_the_name() -> None:
 
 @pytest.mark.parametrize("zone", [SECTOR, CEILING], ids=["no solid", "a solid"])
 def test_a_live_obstacle_cannot_have_the_name_of_a_zone(zone: dict[str, Any], backhoe: Robot) -> None:
-    """A swing sector is no solid, so that no obstacle of the servo's has its name."""
+    """A swing sector is not a solid, so that no obstacle of the servo has its name."""
     servo = Servo(backhoe, scene_from_dict(scene(zones=[zone])))
     there = servo.obstacles
     with pytest.raises(InputError, match="is the name of a zone"):
@@ -87,7 +87,7 @@ def test_a_live_obstacle_cannot_have_the_name_of_a_zone(zone: dict[str, Any], ba
         servo.add(ball(zone["name"]))
 
 
-def test_a_zone_that_was_taken_away_can_be_put_back(backhoe: Robot) -> None:
+def test_a_removed_zone_can_be_added_again(backhoe: Robot) -> None:
     servo = Servo(backhoe, scene_from_dict(scene(zones=[CEILING])))
     (solid,) = servo.snapshot()
     servo.remove("power line")
@@ -96,6 +96,6 @@ def test_a_zone_that_was_taken_away_can_be_put_back(backhoe: Robot) -> None:
 
 
 @pytest.mark.parametrize("name", ["a\nverified", "red\x1b[31m", "\t"])
-def test_a_name_is_one_line_that_can_be_printed(name: str) -> None:
+def test_a_name_must_be_one_printable_line(name: str) -> None:
     with pytest.raises(InputError, match="is no name"):
         check_name(name)

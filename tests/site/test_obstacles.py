@@ -1,4 +1,4 @@
-"""Obstacles and their files: each becomes convex pieces where the scene puts it, or is refused by name."""
+"""Obstacles and their files: each becomes convex pieces at the pose of the scene, or an error names it."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def build(robot: Robot, folder: Path, **keys: object) -> Obstacle:
 
 
 def extent(obstacle: Obstacle) -> Matrix:
-    """(2, 3) lowest and highest corner of all pieces, world."""
+    """(2, 3) lowest and highest corner of all pieces in the world frame."""
     points = np.vstack([piece.hull for piece in obstacle.pieces])
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
-def test_what_stands_kilometres_away_is_told(planar4: Robot, tmp_path: Path) -> None:
-    """The arm reaches 4 m: what begins 4,000 m from its foot is 1,000 times as far away."""
+def test_an_obstacle_kilometres_away_gives_a_warning(planar4: Robot, tmp_path: Path) -> None:
+    """The arm reaches 4 m: an obstacle that begins 4,000 m from its base is 1,000 times as far away."""
     points = tmp_path / "millimetres.csv"
     points.write_text("5000,0,0\n5010,10,0\n5000,10,10\n")
     ground = {"shape": "halfspace", "point": [0, 0, -1], "normal": [0, 0, 1]}
@@ -149,7 +149,7 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
 
 
 @pytest.mark.parametrize(("shape", "name", "content", "keys", "said"), FILES.values(), ids=FILES.keys())
-def test_unusable_file_of_an_obstacle_is_named_with_scene_and_obstacle(
+def test_errors_in_an_obstacles_file_name_scene_obstacle_and_file(
     shape: str,
     name: str,
     content: bytes | None,
@@ -170,13 +170,13 @@ def test_unusable_file_of_an_obstacle_is_named_with_scene_and_obstacle(
     assert capfd.readouterr() == ("", "")
 
 
-def test_folder_in_place_of_a_file_is_refused(planar4: Robot, tmp_path: Path) -> None:
+def test_a_folder_instead_of_a_file_is_refused(planar4: Robot, tmp_path: Path) -> None:
     for shape, keys in (("mesh", {}), ("heightmap", {"size": [1, 1]}), ("pointcloud", {"resolution": 1.0})):
         with pytest.raises(SceneError, match=r"\(thing\)\.file"):
             build(planar4, tmp_path, shape=shape, file=".", **keys)
 
 
-def test_files_are_looked_for_beside_the_scene(planar4: Robot, tmp_path: Path) -> None:
+def test_files_are_searched_beside_the_scene(planar4: Robot, tmp_path: Path) -> None:
     folder = tmp_path / "site"
     folder.mkdir()
     trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "block.stl")
@@ -205,20 +205,20 @@ PLACED: dict[str, tuple[dict[str, object], list[list[float]]]] = {
 
 
 @pytest.mark.parametrize(("keys", "expected"), PLACED.values(), ids=PLACED.keys())
-def test_shape_lies_where_the_scene_puts_it(
+def test_shapes_have_the_pose_of_the_scene(
     keys: dict[str, object], expected: list[list[float]], planar4: Robot, tmp_path: Path
 ) -> None:
     np.testing.assert_allclose(extent(build(planar4, tmp_path, **keys)), expected, atol=1e-12)
 
 
-def test_cylinder_is_the_prism_of_32_sides_around_it(planar4: Robot, tmp_path: Path) -> None:
+def test_a_cylinder_becomes_the_32_sided_prism_around_it(planar4: Robot, tmp_path: Path) -> None:
     (piece,) = build(planar4, tmp_path, shape="cylinder", radius=1.0, length=2.0).pieces
     assert piece.hull.shape == (64, 3)
     np.testing.assert_allclose(np.abs(piece.hull[:, 2]), 1.0)
     np.testing.assert_allclose(np.hypot(piece.hull[:, 0], piece.hull[:, 1]), 1.0 / np.cos(np.pi / 32))
 
 
-def test_mesh_is_scaled_then_placed(planar4: Robot, tmp_path: Path) -> None:
+def test_a_mesh_is_scaled_before_it_is_placed(planar4: Robot, tmp_path: Path) -> None:
     trimesh.creation.box((1000.0, 1000.0, 1000.0)).export(tmp_path / "mm.stl")
     metres = build(planar4, tmp_path, shape="mesh", file="mm.stl", scale=0.001, position=[1, 0, 0])
     np.testing.assert_allclose(extent(metres), [[0.5, -0.5, -0.5], [1.5, 0.5, 0.5]], atol=1e-6)
@@ -226,15 +226,15 @@ def test_mesh_is_scaled_then_placed(planar4: Robot, tmp_path: Path) -> None:
     np.testing.assert_allclose(extent(flat), [[-0.5, -1.0, -1.5], [0.5, 1.0, 1.5]], atol=1e-6)
 
 
-def test_flat_mesh_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
-    """Qhull refuses a flat hull, and coal ends the process with it."""
+def test_a_flat_mesh_is_an_obstacle(planar4: Robot, tmp_path: Path) -> None:
+    """Qhull refuses a flat hull, and coal ends the process at one."""
     sheet = trimesh.Trimesh([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], [[0, 1, 2], [0, 2, 3]])
     sheet.export(tmp_path / "sheet.stl")
     found = extent(build(planar4, tmp_path, shape="mesh", file="sheet.stl"))
     np.testing.assert_allclose(found, [[0, 0, 1], [1, 1, 1]], atol=1e-3)
 
 
-def test_flat_mesh_in_a_tilted_plane_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
+def test_a_flat_mesh_in_a_tilted_plane_is_an_obstacle(planar4: Robot, tmp_path: Path) -> None:
     turn = trimesh.transformations.euler_matrix(0.3, 0.2, 0.1)
     sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]], [[0, 1, 2], [1, 3, 2]])
     sheet.apply_transform(turn).export(tmp_path / "sheet.stl")
@@ -249,7 +249,7 @@ def test_height_map_is_centred_and_reaches_50_m_below_its_lowest_point(planar4: 
 
 
 @pytest.mark.parametrize("text", ["0,1\n2,3\n", "0;1\r\n2;3\r\n", "\ufeff0, 1,\n2, 3,\n\n", "0,0;1,0\n2,0;3,0\n"])
-def test_heights_are_read_with_commas_semicolons_and_what_spreadsheets_leave(text: str, tmp_path: Path) -> None:
+def test_heights_are_read_with_commas_semicolons_and_spreadsheet_artefacts(text: str, tmp_path: Path) -> None:
     path = tmp_path / "heights.csv"
     path.write_text(text, encoding="utf-8")
     np.testing.assert_array_equal(read_heights(path), [[0.0, 1.0], [2.0, 3.0]])
@@ -300,7 +300,7 @@ def test_other_clouds_are_refused_with_what_makes_a_ply_of_them(name: str, tmp_p
         read_points(tmp_path / name)
 
 
-def test_voxels_of_a_scan_turn_with_it(planar4: Robot, tmp_path: Path) -> None:
+def test_the_voxels_of_a_scan_turn_with_its_pose(planar4: Robot, tmp_path: Path) -> None:
     (tmp_path / "scan.xyz").write_text("1.05 0.05 0.05\n1.15 0.05 0.05\n")
     found = build(
         planar4,
@@ -315,7 +315,7 @@ def test_voxels_of_a_scan_turn_with_it(planar4: Robot, tmp_path: Path) -> None:
     np.testing.assert_allclose(extent(found), [[-0.1, 1.0, 1.0], [0.0, 1.2, 1.1]], atol=1e-12)
 
 
-def test_record_carries_what_the_scene_says(planar4: Robot, tmp_path: Path) -> None:
+def test_an_obstacle_has_the_values_of_the_scene(planar4: Robot, tmp_path: Path) -> None:
     found = build(
         planar4, tmp_path, shape="sphere", radius=1, clearance=0.3, links=["link4"], appears_at=2.0, velocity=[0, -1, 0]
     )
@@ -332,14 +332,14 @@ def test_record_carries_what_the_scene_says(planar4: Robot, tmp_path: Path) -> N
     assert not build(planar4, tmp_path, shape="sphere", radius=1).moves
 
 
-def test_errors_of_readers_are_input_errors(tmp_path: Path) -> None:
+def test_errors_of_the_file_readers_are_input_errors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such height map file"):
         read_heights(tmp_path / "nowhere.csv")
     with pytest.raises(InputError, match="no such point cloud file"):
         read_points(tmp_path / "nowhere.xyz")
 
 
-def test_a_survey_in_the_other_form_is_refused(tmp_path: Path) -> None:
+def test_a_height_grid_given_as_points_or_points_given_as_a_grid_are_refused(tmp_path: Path) -> None:
     nodes = [(x, y, 0.1 * x - 0.2 * y) for y in range(3) for x in range(4)]
     np.savetxt(tmp_path / "nodes.csv", nodes, delimiter=",", fmt="%.3f")
     with pytest.raises(InputError, match=r"holds x, y, z of points.*12 rows of 3"):
@@ -352,7 +352,7 @@ def test_a_survey_in_the_other_form_is_refused(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "grid.xyz", np.zeros((40, 40)))
     with pytest.raises(InputError, match="too many numbers in a row for a list of points; found 40"):
         read_points(tmp_path / "grid.xyz")
-    # three columns of heights alone are none
+    # three columns of heights are not mistaken for points
     np.savetxt(tmp_path / "strip.csv", np.random.default_rng(0).normal(size=(30, 3)), delimiter=",")
     assert read_heights(tmp_path / "strip.csv").shape == (30, 3)
 
@@ -368,7 +368,7 @@ def test_a_survey_in_the_other_form_is_refused(tmp_path: Path) -> None:
         ("x,y,z\n", "holds no points"),
     ],
 )
-def test_a_broken_line_of_points_is_neither_a_header_nor_shifted(text: str, said: str, tmp_path: Path) -> None:
+def test_a_broken_line_of_points_is_an_error_and_not_taken_as_a_header(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=said):
         read_points(tmp_path / "scan.csv")
@@ -393,7 +393,7 @@ _SCAN = ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (7.5, 8.0, 9.0), (1.0, 1.0, -9.0))
         ("1,2,3,1\n4,5,6,2\n7.5,8,9,3\n1,1,-9,4\n", _SCAN),  # numbered at the end
     ],
 )
-def test_points_are_read_from_the_columns_that_the_header_names(
+def test_points_are_read_from_the_columns_named_in_the_header(
     text: str, points: Sequence[Sequence[float]], tmp_path: Path
 ) -> None:
     (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
@@ -440,7 +440,7 @@ def test_heights_that_would_be_misread_are_refused(text: str, said: str, tmp_pat
         read_heights(tmp_path / "ground.csv")
 
 
-def test_quoted_heights_with_decimal_commas_and_remarks_are_read(tmp_path: Path) -> None:
+def test_heights_with_quotes_decimal_commas_and_comments_are_read(tmp_path: Path) -> None:
     (tmp_path / "ground.csv").write_text('# of 3 May\n"0,5";"1,5"\n"2,5";"3,5"\n', encoding="utf-8")
     np.testing.assert_array_equal(read_heights(tmp_path / "ground.csv"), [[0.5, 1.5], [2.5, 3.5]])
     (tmp_path / "ground.csv").write_text('"0,5","1,5"\n"2,5","3,5"\n', encoding="utf-8")
@@ -455,7 +455,7 @@ def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: P
 
 
 @pytest.mark.parametrize(("points", "told"), [(300, True), (20_000, False)])
-def test_a_scan_with_gaps_is_told_with_a_resolution_that_closes_them(
+def test_the_warning_about_a_scan_with_gaps_names_a_resolution_that_closes_them(
     planar4: Robot, tmp_path: Path, points: int, told: bool
 ) -> None:
     """300 points on 100 m^2 are some 0.6 m apart, 20,000 nearly fill the 10,000 squares of 0.1 m."""

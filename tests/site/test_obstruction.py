@@ -1,4 +1,4 @@
-"""What is in the way: one record, and its words."""
+"""Obstructions: one record and its texts."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ def balls(robot: bp.Robot, *records: dict[str, Any]) -> tuple[Obstacle, ...]:
         ),
     ],
 )
-def test_in_words(found: Obstruction, name: str, text: str, described: str) -> None:
+def test_the_name_and_texts_of_an_obstruction(found: Obstruction, name: str, text: str, described: str) -> None:
     assert (found.name, str(found), found.describe()) == (name, text, described)
 
 
-def test_the_tightest_is_the_one_with_the_least_margin(planar4: bp.Robot) -> None:
-    """Stretched out along x, 4 m long; the links are 0.04 m thick to either side.
+def test_the_tightest_pair_has_the_least_margin(planar4: bp.Robot) -> None:
+    """The arm is stretched along x, 4 m long; its links extend 0.04 m to either side.
 
-    The demanding ball is farther away and has less margin.
+    The ball with the larger clearance is farther away and has less margin.
     """
     near = {"name": "near", "position": [1.5, 0.5, 0.0]}
     demanding = {"name": "demanding", "position": [2.5, 0.7, 0.0], "clearance": 0.4}
@@ -84,7 +84,7 @@ def test_the_tightest_is_the_one_with_the_least_margin(planar4: bp.Robot) -> Non
     assert found.margin == pytest.approx(found.distance - 0.4, abs=1e-12)
 
 
-def test_what_has_not_appeared_is_in_nobodys_way(planar4: bp.Robot) -> None:
+def test_an_obstacle_that_has_not_appeared_is_not_an_obstruction(planar4: bp.Robot) -> None:
     late = balls(planar4, {"name": "late", "position": [1.5, 0.5, 0.0], "appears_at": 3.0})
     proximity = Proximity(planar4, late, self_collision=False)
     assert proximity.tightest(np.zeros(4), time=1.0) is None
@@ -92,7 +92,7 @@ def test_what_has_not_appeared_is_in_nobodys_way(planar4: bp.Robot) -> None:
     assert Proximity(planar4, (), self_collision=False).tightest(np.zeros(4)) is None
 
 
-def test_the_machines_own_link_is_told_from_an_obstacle_of_that_name(planar4: bp.Robot) -> None:
+def test_a_link_is_distinguished_from_an_obstacle_with_the_same_name(planar4: bp.Robot) -> None:
     far = balls(planar4, {"name": "link1", "position": [9.0, 9.0, 0.0]})
     found = Proximity(planar4, far).tightest(np.array([0.0, 2.4, 2.4, 0.0]))
     assert found is not None

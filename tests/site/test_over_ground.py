@@ -1,4 +1,4 @@
-"""Links over ground: what is told of many at once beside what is measured of each."""
+"""Links over ground: results for many at once compared with measuring each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ needs_native = pytest.mark.skipif(find_compiled() is None, reason="the compiled 
 
 
 def ground_beside(robot: Robot, roughness: float, rng: np.random.Generator) -> Cluster:
-    """Uneven ground at about half a metre below the boom's foot, not level and turned about."""
+    """Uneven, tilted and turned ground about half a metre below the boom's foot."""
     heights = rng.uniform(-0.5, 1.0) + roughness * rng.uniform(size=(51, 61))
     placement = pin.SE3(pin.rpy.rpyToMatrix(0.05, -0.03, 0.4), np.array([0.3, -0.2, 0.0]))
     return Cluster(TerrainSolid(heights, (18.0, 15.0), depth=3.0, most=10**6), placement)
@@ -29,7 +29,7 @@ def ground_beside(robot: Robot, roughness: float, rng: np.random.Generator) -> C
 
 @needs_native
 @pytest.mark.parametrize("roughness", [0.0, pytest.param(0.3, marks=pytest.mark.long)])
-def test_verdicts_and_readings_are_those_of_each_link_alone(backhoe: Robot, roughness: float) -> None:
+def test_verdicts_and_readings_of_many_links_equal_those_of_each_link(backhoe: Robot, roughness: float) -> None:
     rng = np.random.default_rng(int(10 * roughness))
     pieces = [own for own in backhoe.pieces if own.joint]
     balls = LinkBalls(pieces, most=(4,))
@@ -70,8 +70,8 @@ def test_verdicts_and_readings_are_those_of_each_link_alone(backhoe: Robot, roug
 
 
 @needs_native
-def test_no_verdict_beside_the_map_or_through_its_floor(backhoe: Robot) -> None:
-    """There walls and a floor are as near as the cells."""
+def test_there_is_no_verdict_beside_the_map(backhoe: Robot) -> None:
+    """There its walls are as near as its cells."""
     pieces = [own for own in backhoe.pieces if own.joint]
     balls = LinkBalls(pieces, most=(4,))
     over = OverGround(pieces, balls)
@@ -102,10 +102,10 @@ def corners_at(robot: Robot, own: LinkPiece, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("version", ["plain", pytest.param("compiled", marks=needs_native)])
 @pytest.mark.parametrize("slope", [0.05, 0.3, -0.6])
-def test_a_sunk_link_is_as_deep_as_its_lowest_corner_under_the_plane_above_it(
+def test_a_sunk_links_depth_is_that_of_its_lowest_corner_below_the_ground_plane(
     backhoe: Robot, slope: float, version: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On ground that rises evenly along x: its normal is the way in, along which a joint's motion moves that corner."""
+    """On ground of even slope along x: the normal points into the ground, and the depth changes along it."""
     if version == "plain":
         monkeypatch.setattr(over_ground, "read_over_ground", plain_versions()["read_over_ground"])
     pieces = [own for own in backhoe.pieces if own.joint]
@@ -123,7 +123,9 @@ def test_a_sunk_link_is_as_deep_as_its_lowest_corner_under_the_plane_above_it(
         for which, own in enumerate(pieces):
             depth = corners_at(backhoe, own, q) @ normal
             lowest = int(depth.argmax())
-            if depth[lowest] <= 0.01 or np.sort(depth)[-2] > depth[lowest] - 1e-4:  # of two as low either may be taken
+            if (
+                depth[lowest] <= 0.01 or np.sort(depth)[-2] > depth[lowest] - 1e-4
+            ):  # either of two equally low corners may be the one
                 continue
             rows, those = np.arange(len(around)), np.full(len(around), which)
             readings = over.measure(cluster, poses, rows, those, np.full(len(rows), 0.2), sunk=True)
@@ -139,7 +141,7 @@ def test_a_sunk_link_is_as_deep_as_its_lowest_corner_under_the_plane_above_it(
 
 
 @needs_native
-def test_nothing_is_known_of_a_posture_that_is_no_number(backhoe: Robot) -> None:
+def test_configurations_that_are_not_finite_get_no_verdict_and_no_reading(backhoe: Robot) -> None:
     pieces = [own for own in backhoe.pieces if own.joint]
     balls = LinkBalls(pieces, most=(4,))
     over, rng = OverGround(pieces, balls), np.random.default_rng(0)
@@ -153,10 +155,8 @@ def test_nothing_is_known_of_a_posture_that_is_no_number(backhoe: Robot) -> None
 
 
 @pytest.mark.parametrize("reach", [0.0, -0.05, 0.3])
-def test_what_was_expected_changes_no_answer_but_depths_asked_for_as_roughly(
-    backhoe: Robot, reach: float, tmp_path: Path
-) -> None:
-    """Of every pair at a posture beside and in ground, expected or not; and not even those once they are forgotten."""
+def test_expecting_configurations_does_not_change_the_distances(backhoe: Robot, reach: float, tmp_path: Path) -> None:
+    """All pairs at configurations beside and in the ground; rough depths are forgotten first, as they would differ."""
     rng, data = np.random.default_rng(1), backhoe.model.createData()
     np.savetxt(tmp_path / "ground.csv", rng.uniform(-0.3, 0.0, (81, 81)), delimiter=",")
     ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [16.0, 16.0]}

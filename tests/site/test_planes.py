@@ -1,4 +1,4 @@
-"""Planes that prove that pairs stay apart on a motion, against distances along it."""
+"""Separating planes that prove that pairs stay apart on a motion, checked against distances along it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ SAMPLES = 15
 
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
-def test_what_a_plane_proves_holds_all_along_a_motion(name: str, moving: bool, request: pytest.FixtureRequest) -> None:
-    """Of random motions; and it proves most of what holds with the bend of the way to spare."""
+def test_pairs_proven_apart_by_a_plane_stay_apart_along_the_whole_motion(
+    name: str, moving: bool, request: pytest.FixtureRequest
+) -> None:
+    """Random motions; most pairs that stay apart by more than the curvature of the motion are proven."""
     robot: Robot = request.getfixturevalue(name)
     proximity, oracle = crowd(robot, 30, 21, moving=moving), crowd(robot, 30, 21, moving=moving)
     rng = np.random.default_rng(22)
@@ -44,8 +46,8 @@ def test_what_a_plane_proves_holds_all_along_a_motion(name: str, moving: bool, r
     assert proven > 0.7 * holds
 
 
-def test_sliding_along_a_wall_is_proven_where_the_way_alone_says_nothing(planar4: Robot) -> None:
-    """By hand: the arm turns about its base beside a floor below it, which it does not come nearer to."""
+def test_motion_along_a_floor_is_proven_where_the_travel_bound_cannot(planar4: Robot) -> None:
+    """By hand: the arm turns about its base above a floor and does not come nearer to it."""
     floor = {"name": "floor", "shape": "halfspace", "point": [0, 0, -0.2], "normal": [0, 0, 1], "clearance": 0.0}
     box = {"name": "box", "shape": "box", "size": [20, 20, 1], "position": [0, 0, -0.7], "clearance": 0.0}
     entries: list[dict[str, Any]] = [floor, box]
@@ -53,14 +55,14 @@ def test_sliding_along_a_wall_is_proven_where_the_way_alone_says_nothing(planar4
     proximity = Proximity(planar4, build_obstacles(scene_from_dict(scene), planar4), self_collision=False)
     q_a, q_b = np.zeros(4), np.array([0.1, 0.0, 0.0, 0.0])
     near = proximity.at(q_a)
-    spare = float(near.distance.min()) - 0.02  # the far end of the arm moves 0.4 m, and its way bends by 5 mm
+    spare = float(near.distance.min()) - 0.02  # the far end of the arm moves 0.4 m on an arc that bends by 5 mm
     measured = proximity.measured
     assert segment_is_clear(proximity, q_a, q_b, depth=0, spare=spare)
     assert proximity.measured == measured
     assert not segment_is_clear(proximity, q_a, q_b, spare=spare + 0.03)
 
 
-def test_no_plane_is_known_after_anything_but_what_is_near_was_measured(planar4: Robot) -> None:
+def test_measuring_lower_bounds_discards_the_planes(planar4: Robot) -> None:
     proximity = crowd(planar4, 20, 5, moving=False)
     q = np.zeros(4)
     near = proximity.at(q)
@@ -70,8 +72,8 @@ def test_no_plane_is_known_after_anything_but_what_is_near_was_measured(planar4:
     assert not proximity.stay_apart_unchecked(pairs, np.full(len(pairs), -1e3), q, time=0.0).any()
 
 
-def test_without_a_unit_normal_no_plane_proves_anything(planar4: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A box in the arm's way, and a motion that does not move: with a normal of 0 all gaps between corners are 0."""
+def test_planes_without_a_unit_normal_prove_nothing(planar4: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box inside the arm and a motion of length 0: with a normal of 0 all gaps between corners are 0."""
     entries: list[dict[str, Any]] = [{"name": "box", "shape": "box", "size": [0.2, 0.2, 0.2], "position": [2.5, 0, 0]}]
     scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
     proximity = Proximity(planar4, build_obstacles(scene_from_dict(scene), planar4), self_collision=False)

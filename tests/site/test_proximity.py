@@ -61,7 +61,7 @@ def ball(x: float, y: float, z: float = 0.0, radius: float = 0.3, **more: object
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a block, an L, flat and rough ground, one point and a scan."""
+    """A folder with meshes of a block and an L, flat and rough ground, one point and a scan."""
     folder = tmp_path_factory.mktemp("files")
     trimesh.creation.box((0.4, 0.4, 0.4)).export(folder / "block.stl")
     trimesh.util.concatenate(
@@ -104,7 +104,7 @@ BY_HAND = {
     "half-space touching": ({"shape": "halfspace", "point": [0, -0.04, 0], "normal": [0, 1, 0]}, 0.0),
     "half-space inside": ({"shape": "halfspace", "point": [0, 0.5, 0], "normal": [0, 2, 0]}, -0.5 - 0.04),
     "half-space overhead": ({"shape": "halfspace", "point": [0, 0, 3], "normal": [0, 0, -1]}, 3.0 - 0.04),
-    # measured as the prism of 32 sides around it, one of whose edges looks at the link
+    # measured as the prism of 32 sides around it, one of whose edges faces the link
     "cylinder": (
         {"shape": "cylinder", "radius": 0.2, "length": 2.0, "position": [2.5, 1.0, 0.0]},
         1.0 - 0.04 - 0.2 / np.cos(np.pi / 32),
@@ -122,7 +122,7 @@ BY_HAND = {
 
 
 @pytest.mark.parametrize(("obstacle", "expected"), BY_HAND.values(), ids=BY_HAND.keys())
-def test_signed_distance_to_link3_is_the_one_worked_out_by_hand(
+def test_the_signed_distance_to_link3_equals_the_hand_calculation(
     planar4: Robot, files: Path, obstacle: dict[str, Any], expected: float
 ) -> None:
     assert by_link(around(planar4, obstacle, folder=files), STRETCHED)["link3"] == pytest.approx(expected, abs=1e-6)
@@ -136,8 +136,8 @@ def test_distances_to_the_ends_of_other_links_are_those_of_their_corners(planar4
     assert "base" not in found, "what stands still cannot keep away"
 
 
-def test_record_of_a_pair_by_hand(planar4: Robot) -> None:
-    """The lever arms of joints 1 to 3 about z are 2.5, 1.5 and 0.5 m; joint 4 is beyond the link."""
+def test_the_record_of_a_pair_equals_the_hand_calculation(planar4: Robot) -> None:
+    """The lever arms about joints 1 to 3 are 2.5, 1.5 and 0.5 m; joint 4 is beyond the link."""
     proximity = around(planar4, ball(2.5, 1.0, clearance=0.1))
     near = proximity.at(STRETCHED)
     (row,) = [k for k, index in enumerate(near.pair) if proximity.pairs[index].link == "link3"]
@@ -151,7 +151,7 @@ def test_record_of_a_pair_by_hand(planar4: Robot) -> None:
     assert near.drift[row] == 0.0
 
 
-def test_normal_points_from_link_to_obstacle_inside_too(planar4: Robot) -> None:
+def test_the_normal_points_from_link_to_obstacle_also_in_overlap(planar4: Robot) -> None:
     for y in (1.0, 0.3, 0.1, 0.01):
         proximity = around(planar4, ball(2.5, y))
         near = proximity.at(STRETCHED)
@@ -160,8 +160,8 @@ def test_normal_points_from_link_to_obstacle_inside_too(planar4: Robot) -> None:
         np.testing.assert_allclose(near.gradient[row], [-2.5, -1.5, -0.5, 0.0], atol=1e-5)
 
 
-def test_distance_of_folded_arm_to_itself(planar4: Robot) -> None:
-    """Joint 2 at a right angle and joint 3 too: link3 runs back beside link1, 1 m away."""
+def test_the_distance_of_a_folded_arm_to_itself_by_hand(planar4: Robot) -> None:
+    """Joints 2 and 3 at right angles: link3 runs back beside link1, 1 m away."""
     proximity = Proximity(planar4, ())
     found = proximity.distances(np.array([0.0, np.pi / 2.0, np.pi / 2.0, 0.0]))
     names = {(pair.obstacle, pair.link): d for pair, d in zip(proximity.pairs, found, strict=True)}
@@ -217,7 +217,7 @@ def rows_against_differences(proximity: Proximity, q: Vector) -> tuple[Nearby, V
 
 
 def bodies_at(robot: Robot, q: Vector) -> list[Vector]:
-    """The middle of every moving piece, world."""
+    """The middle of every moving piece in the world frame."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     return [data.oMi[p.joint].act(p.piece.hull.mean(axis=0)) for p in robot.pieces if p.joint > 0]
@@ -256,7 +256,7 @@ def test_gradient_agrees_with_central_differences_separated_touching_and_inside(
 
 
 @pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
-def test_gradient_of_the_machines_own_pairs_agrees_with_central_differences(
+def test_gradient_of_self_collision_pairs_agrees_with_central_differences(
     name: str, request: pytest.FixtureRequest
 ) -> None:
     robot: Robot = request.getfixturevalue(name)
@@ -275,7 +275,7 @@ def test_gradient_of_the_machines_own_pairs_agrees_with_central_differences(
     assert inside > 0
 
 
-def test_moving_along_the_gradient_moves_away(any_robot: Robot) -> None:
+def test_a_step_along_the_gradient_increases_the_distance(any_robot: Robot) -> None:
     rng = np.random.default_rng(3)
     for _ in range(5):
         q = any_robot.random_q(rng)
@@ -290,7 +290,7 @@ def test_moving_along_the_gradient_moves_away(any_robot: Robot) -> None:
             assert moved > near.distance[row]
 
 
-def test_joints_beyond_a_link_do_not_change_its_distance(any_robot: Robot) -> None:
+def test_joints_beyond_a_link_have_gradient_0(any_robot: Robot) -> None:
     proximity = around(any_robot, ball(0.7, 0.4, 0.5, radius=0.1))
     near = proximity.at(any_robot.random_q(np.random.default_rng(0)))
     assert not np.any(near.gradient[~proximity.moves[near.pair]])
@@ -298,8 +298,8 @@ def test_joints_beyond_a_link_do_not_change_its_distance(any_robot: Robot) -> No
     np.testing.assert_array_equal(proximity.moves[near.pair].sum(axis=1), joints)
 
 
-def test_distance_changes_at_most_by_the_travel_bound(any_robot: Robot) -> None:
-    """The inequality on which the broad phase and the certificate rest, obstacles and own parts."""
+def test_the_distance_changes_by_at_most_the_travel_bound(any_robot: Robot) -> None:
+    """The inequality behind the broad phase and the certificate, for obstacles and self-collision pairs."""
     rng = np.random.default_rng(6)
     proximity = around(
         any_robot,
@@ -325,7 +325,7 @@ def cluttered(robot: Robot, seed: int, count: int = 25) -> Proximity:
 
 @pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
 @pytest.mark.parametrize("jumps", [False, True])
-def test_broad_phase_finds_what_brute_force_finds(name: str, jumps: bool, request: pytest.FixtureRequest) -> None:
+def test_the_broad_phase_finds_the_pairs_of_brute_force(name: str, jumps: bool, request: pytest.FixtureRequest) -> None:
     robot: Robot = request.getfixturevalue(name)
     rng = np.random.default_rng(12)
     proximity, oracle = cluttered(robot, 12), cluttered(robot, 12)
@@ -351,10 +351,10 @@ def test_broad_phase_finds_what_brute_force_finds(name: str, jumps: bool, reques
 @needs_native
 @pytest.mark.parametrize("self_collision", [True, False])
 @pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
-def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
+def test_near_pairs_of_many_configurations_equal_those_of_each(
     name: str, self_collision: bool, request: pytest.FixtureRequest
 ) -> None:
-    """The compiled distances along a motion beside coal's, with half-space, ball, box and cylinder around."""
+    """The compiled distances compared with coal's, with half-space, ball, box and cylinder around."""
     robot, rng = request.getfixturevalue(name), np.random.default_rng(4)
     obstacles = build(
         robot,
@@ -365,7 +365,7 @@ def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
     )
     proximity, other = (Proximity(robot, obstacles, self_collision=self_collision) for _ in range(2))
     rows, left = 0, 0
-    for step in range(4):  # planes that were found before are tried again
+    for step in range(4):  # separating planes of earlier steps are tried again
         q = np.array([robot.random_q(rng) for _ in range(60)])
         margin = rng.uniform(0.05, 0.4, 60)
         known = np.full((60, len(proximity.pairs)), -np.inf if step < 3 else 1e3)
@@ -385,7 +385,7 @@ def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
             nearby = other.at(q[row], margin=float(margin[row]))
             np.testing.assert_array_equal(pair[those], nearby.pair)
             np.testing.assert_allclose(distance[those], nearby.distance, atol=1e-7)
-            clear = nearby.distance > 1e-4  # a normal at a corner that just touches is no precise one
+            clear = nearby.distance > 1e-4  # a normal at a corner that just touches is not precise
             np.testing.assert_allclose(gradient[those][clear], nearby.gradient[clear], atol=1e-5)
             assert (lower[row] <= true + 1e-7).all()
             rows += len(nearby)
@@ -393,14 +393,14 @@ def test_what_is_near_in_each_of_many_postures_is_what_is_near_in_one(
     assert left < 200
 
 
-def test_only_what_stands_and_is_of_convex_pieces_is_found_in_many_postures_at_once(planar4: Robot) -> None:
+def test_near_pairs_of_many_configurations_are_not_computed_for_moving_or_later_obstacles(planar4: Robot) -> None:
     q, margin = np.zeros((1, 4)), np.full(1, 0.1)
     for more in ({"velocity": [0.1, 0, 0]}, {"appears_at": 1.0}):
         proximity = around(planar4, ball(9.0, 0.0, **more))
         assert proximity.near_in_each_unchecked(q, margin, np.full((1, len(proximity.pairs)), -np.inf)) is None
 
 
-def test_100_spheres_50_m_away_are_not_measured_until_they_are_asked_for(backhoe: Robot) -> None:
+def test_100_spheres_50_m_away_are_not_measured_within_1_m(backhoe: Robot) -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 100)
     far = [ball(50.0 * np.cos(a), 50.0 * np.sin(a), 0.0) for a in angles]
     proximity = around(backhoe, *far)
@@ -414,8 +414,8 @@ def test_100_spheres_50_m_away_are_not_measured_until_they_are_asked_for(backhoe
     assert len(proximity.at(q)) == len(proximity.pairs)
 
 
-def test_1000_obstacles_are_those_of_one_by_one(backhoe: Robot) -> None:
-    """Near and far, standing and moving: more than are given to coal at once."""
+def test_1000_obstacles_have_the_distances_of_ten_groups_of_100(backhoe: Robot) -> None:
+    """Near and far, fixed and moving: more than coal gets at once."""
     rng = np.random.default_rng(2)
     shapes = build(backhoe, *(SHAPES[name] for name in ("sphere", "box", "capsule", "halfspace")))
     places = [rng.normal(size=3) * [3.0, 3.0, 1.0] * (1.0 if k % 20 == 0 else 20.0) for k in range(999)]
@@ -438,8 +438,8 @@ def test_1000_obstacles_are_those_of_one_by_one(backhoe: Robot) -> None:
     np.testing.assert_allclose(proximity.distances(q, time=5.0), truth, atol=1e-9)
 
 
-def test_bound_that_has_worn_out_is_measured_again(planar4: Robot) -> None:
-    """The ball stands a quarter of a turn away from the stretched arm, which turns until it runs into it."""
+def test_a_pair_is_measured_again_when_its_bound_is_used_up(planar4: Robot) -> None:
+    """The ball is a quarter turn away from the stretched arm, which turns until they overlap."""
     proximity = around(planar4, ball(0.0, 2.5))
     assert len(proximity.at(STRETCHED, within=0.1)) == 0
     for angle in np.linspace(0.0, np.pi / 2.0, 30):
@@ -475,8 +475,8 @@ def test_within_and_only_select_rows(planar4: Robot) -> None:
     assert chosen.gradient.shape == (3, 4)
 
 
-def test_margin_counts_from_the_clearance_of_each_obstacle(planar4: Robot) -> None:
-    """Both balls are 0.66 m from link3; the one that must be kept 0.5 m away is 0.16 m beyond its clearance."""
+def test_the_margin_counts_from_the_clearance_of_each_obstacle(planar4: Robot) -> None:
+    """Both balls are 0.66 m from link3; the one with a clearance of 0.5 m is 0.16 m beyond it."""
     proximity = around(planar4, ball(2.5, 1.0, clearance=0.5), ball(2.5, -1.0, clearance=0.1))
     near = proximity.at(STRETCHED, margin=0.2)
     assert [(proximity.pairs[k].obstacle, proximity.pairs[k].link) for k in near.pair] == [("obstacle 0", "link3")]
@@ -486,11 +486,11 @@ def test_margin_counts_from_the_clearance_of_each_obstacle(planar4: Robot) -> No
 
 
 def is_proven(proximity: Proximity, q: Vector, time: float = 0.0) -> bool:
-    """Whether the last measurement proves the straight way from there to q."""
+    """Whether the last measurement proves the straight motion from there to q."""
     return not len(proximity.unproven_unchecked(q, time=time))
 
 
-def test_clear_without_measuring_is_said_only_while_it_is_certain(planar4: Robot) -> None:
+def test_a_motion_is_proven_without_measuring_up_to_the_travel_bound(planar4: Robot) -> None:
     """Link4's far corner is nearest; joint 4 moves it at most hypot(1, 0.04) a radian."""
     proximity = around(planar4, ball(3.5, 1.0, clearance=0.1))
     assert not is_proven(proximity, STRETCHED), "nothing was measured yet"
@@ -506,8 +506,8 @@ def test_clear_without_measuring_is_said_only_while_it_is_certain(planar4: Robot
     assert not proximity.is_at(STRETCHED, time=0.1)
 
 
-def test_a_bound_that_is_no_number_says_nothing(planar4: Robot) -> None:
-    """The ball is 0.66 m from link3; nan in place of a bound must not keep it from being measured."""
+def test_a_bound_of_nan_does_not_keep_a_pair_from_being_measured(planar4: Robot) -> None:
+    """The ball is 0.66 m from link3, and its bound is nan."""
     proximity = around(planar4, ball(2.5, 1.0, clearance=0.1))
     known = np.full(len(proximity.pairs), np.nan)
     assert proximity.at(STRETCHED, within=0.7, known=known).distance.min() == pytest.approx(0.66)
@@ -518,16 +518,16 @@ def test_a_bound_that_is_no_number_says_nothing(planar4: Robot) -> None:
     assert measured[lower.argmin()]
 
 
-def test_clear_without_measuring_counts_the_obstacles_own_way(planar4: Robot) -> None:
-    """2.66 m from link3, 0.05 m to be kept, 1 m/s."""
+def test_a_proof_without_measuring_counts_the_obstacles_own_motion(planar4: Robot) -> None:
+    """2.66 m from link3, a clearance of 0.05 m, 1 m/s."""
     proximity = around(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
     proximity.at(STRETCHED, time=0.0)
     assert is_proven(proximity, STRETCHED, time=2.60)
     assert not is_proven(proximity, STRETCHED, time=2.62)
 
 
-def test_balls_and_blocks_that_just_touch_are_at_distance_0(planar4: Robot) -> None:
-    """Where shapes just touch, coal's iterations can end without a depth and say minus infinity."""
+def test_balls_and_blocks_that_just_touch_have_distance_0(planar4: Robot) -> None:
+    """Where shapes just touch, coal's iterations can end without a depth and return minus infinity."""
     rng = np.random.default_rng(2)
     for _ in range(60):
         turn = rng.uniform(-np.pi, np.pi, 3).tolist()
@@ -543,8 +543,8 @@ def test_balls_and_blocks_that_just_touch_are_at_distance_0(planar4: Robot) -> N
         np.testing.assert_allclose(touching.distances(STRETCHED)[found.pair], found.distance, atol=1e-9)
 
 
-def test_face_on_face_is_distance_0_where_coal_says_minus_infinity(planar4: Robot) -> None:
-    """Link1 hangs down to y = -1 onto a block, link2 goes on inside it; the last digits are as they were found."""
+def test_face_on_face_has_distance_0_where_coal_returns_minus_infinity(planar4: Robot) -> None:
+    """Link1 hangs down to y = -1 onto a block, link2 continues inside it; the last digits reproduce the failure."""
     q = np.array([-1.5707963267948966, 0.0, 0.0, -1.5707963267948966])
     block = {"shape": "box", "size": [4, 1, 2], "position": [6.123233995733704e-17, -1.500000000000913, 0.0]}
     proximity = around(planar4, block)
@@ -561,13 +561,13 @@ def test_face_on_face_is_distance_0_where_coal_says_minus_infinity(planar4: Robo
 
 
 def box_distance(low: Vector, high: Vector, other_low: Vector, other_high: Vector) -> float:
-    """Signed distance of two boxes along the axes, from their lowest and highest corners."""
+    """Signed distance of two axis-aligned boxes, from their lowest and highest corners."""
     gap = np.maximum(low - other_high, other_low - high)
     return float(np.max(gap)) if np.all(gap <= 0.0) else float(np.linalg.norm(np.maximum(gap, 0.0)))
 
 
-def test_flush_faces_are_measured_as_the_closed_formula_for_boxes_has_it(planar4: Robot) -> None:
-    """A site's walls stand along the axes, and so do links at right angles: faces and middles fall together.
+def test_flush_faces_have_the_distance_of_the_closed_formula_for_boxes(planar4: Robot) -> None:
+    """Walls of a site and links at right angles are aligned with the axes: faces and middles coincide.
 
     There coal has called a block half a metre inside a link 1e-12 m away from it.
     """
@@ -589,7 +589,7 @@ def test_flush_faces_are_measured_as_the_closed_formula_for_boxes_has_it(planar4
             piece = planar4.pieces[pair.piece]
             corners = np.array([data.oMi[piece.joint].act(point) for point in piece.piece.hull])
             expected.append(box_distance(corners.min(axis=0), corners.max(axis=0), at - size / 2.0, at + size / 2.0))
-        for _ in range(2):  # coal begins where it ended last
+        for _ in range(2):  # coal starts from its last result
             np.testing.assert_allclose(proximity.at(q).distance, expected, atol=1e-6)
             np.testing.assert_allclose(proximity.distances(q), expected, atol=1e-6)
         touching += int(np.sum(np.abs(expected) < 1e-6))
@@ -598,8 +598,8 @@ def test_flush_faces_are_measured_as_the_closed_formula_for_boxes_has_it(planar4
     assert inside > 50
 
 
-def test_machine_of_one_joint_has_gradients_of_one_column(tmp_path: Path) -> None:
-    """A door 2 m wide between two balls: what comes nearer to one leaves the other."""
+def test_a_machine_of_one_joint_has_gradients_of_one_column(tmp_path: Path) -> None:
+    """A door 2 m wide between two balls: it approaches one as it leaves the other."""
     file = tmp_path / "door.urdf"
     file.write_text(
         '<robot name="door"><link name="wall"/><link name="door"><collision><origin xyz="1 0 0"/>'
@@ -612,7 +612,7 @@ def test_machine_of_one_joint_has_gradients_of_one_column(tmp_path: Path) -> Non
     np.testing.assert_allclose(near.gradient, [[-1.0], [1.5]], atol=1e-6)
 
 
-def test_nothing_near_is_an_empty_record_of_the_right_shapes(planar4: Robot) -> None:
+def test_without_near_pairs_the_record_is_empty_with_the_right_shapes(planar4: Robot) -> None:
     for proximity in (around(planar4), around(planar4, ball(100.0, 0.0))):
         near = proximity.at(STRETCHED, within=1.0)
         assert len(near) == 0
@@ -623,7 +623,7 @@ def test_nothing_near_is_an_empty_record_of_the_right_shapes(planar4: Robot) -> 
 # --- obstacles that move and appear -------------------------------------------
 
 
-def test_distance_to_a_moving_obstacle_over_time_by_hand(planar4: Robot) -> None:
+def test_the_distance_to_a_moving_obstacle_over_time_by_hand(planar4: Robot) -> None:
     """It comes from y = 3 at 1 m/s: 2.66 m away, and 1 m less each second."""
     proximity = around(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
     for time in (0.0, 1.0, 2.0, 2.66, 2.9, 0.5, 0.0):
@@ -631,14 +631,16 @@ def test_distance_to_a_moving_obstacle_over_time_by_hand(planar4: Robot) -> None
 
 
 @pytest.mark.parametrize(("velocity", "drift"), [([0, -1, 0], -1.0), ([0, 2, 0], 2.0), ([3, 0, 0], 0.0)])
-def test_drift_is_negative_where_the_obstacle_comes_nearer(planar4: Robot, velocity: list[float], drift: float) -> None:
+def test_the_drift_is_negative_where_the_obstacle_approaches(
+    planar4: Robot, velocity: list[float], drift: float
+) -> None:
     proximity = around(planar4, ball(2.5, 1.0, velocity=velocity))
     near = proximity.at(STRETCHED)
     row = [proximity.pairs[index].link for index in near.pair].index("link3")
     assert near.drift[row] == pytest.approx(drift, abs=1e-6)
 
 
-def test_drift_is_the_derivative_over_time_of_every_row(backhoe: Robot) -> None:
+def test_the_drift_is_the_time_derivative_of_every_row(backhoe: Robot) -> None:
     proximity = around(backhoe, ball(3.0, 1.0, 0.5, velocity=[-0.3, -0.4, 0.2]), ball(3.0, -2.0, 0.5))
     q = np.array([0.2, 0.3, -1.2, -0.5])
     near = proximity.at(q, time=1.0)
@@ -646,7 +648,7 @@ def test_drift_is_the_derivative_over_time_of_every_row(backhoe: Robot) -> None:
     np.testing.assert_allclose(near.drift, (ahead - behind) / (2.0 * STEP), atol=1e-6)
 
 
-def test_obstacle_is_not_there_before_it_appears_and_is_there_from_then_on(planar4: Robot) -> None:
+def test_an_obstacle_counts_from_the_time_it_appears(planar4: Robot) -> None:
     proximity = around(planar4, ball(2.5, 3.0, appears_at=2.0, velocity=[0, -1, 0]), ball(2.5, -3.0))
     assert set(proximity.owner[proximity.at(STRETCHED, time=1.999).pair]) == {1}
     assert np.all(np.isinf(proximity.distances(STRETCHED, time=1.999)[proximity.owner == 0]))
@@ -658,14 +660,14 @@ def test_obstacle_is_not_there_before_it_appears_and_is_there_from_then_on(plana
     assert set(proximity.owner[proximity.at(STRETCHED, time=0.0).pair]) == {1}, "and back in time"
 
 
-def test_offset_of_an_obstacle_starts_when_it_appears(planar4: Robot) -> None:
+def test_an_obstacle_moves_from_the_time_it_appears(planar4: Robot) -> None:
     proximity = around(planar4, ball(2.5, 3.0, appears_at=2.0, velocity=[0, -1, 0]))
     np.testing.assert_array_equal(proximity.obstacle_offset(0, 1.0), [0.0, 0.0, 0.0])
     np.testing.assert_array_equal(proximity.obstacle_offset(0, 3.5), [0.0, -1.5, 0.0])
 
 
-def test_stale_cache_does_not_hide_an_obstacle_that_moved_while_the_arm_stood(planar4: Robot) -> None:
-    """Pink's cache is keyed on q alone: an obstacle that moves is not seen."""
+def test_a_stale_cache_does_not_hide_an_obstacle_that_moved_while_the_arm_was_at_rest(planar4: Robot) -> None:
+    """Pink's cache is keyed on q alone and misses an obstacle that moves."""
     proximity = around(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
     assert len(proximity.at(STRETCHED, time=0.0, within=0.1)) == 0
     near = proximity.at(STRETCHED, time=2.6, within=0.1)
@@ -674,7 +676,7 @@ def test_stale_cache_does_not_hide_an_obstacle_that_moved_while_the_arm_stood(pl
     assert proximity.at(STRETCHED, time=2.6, within=0.1).distance == pytest.approx([0.06])
 
 
-def test_stale_cache_does_not_hide_it_in_lower_bounds_either(planar4: Robot) -> None:
+def test_a_stale_cache_does_not_hide_a_moved_obstacle_in_lower_bounds(planar4: Robot) -> None:
     proximity = around(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
     floor = np.full(4, 0.1)
     proximity.lower_bounds(STRETCHED, time=0.0, floor=floor)
@@ -684,7 +686,7 @@ def test_stale_cache_does_not_hide_it_in_lower_bounds_either(planar4: Robot) -> 
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_broad_phase_finds_what_brute_force_finds_among_moving_obstacles(planar4: Robot, seed: int) -> None:
+def test_the_broad_phase_finds_the_pairs_of_brute_force_among_moving_obstacles(planar4: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     obstacles = [
         ball(
@@ -708,10 +710,10 @@ def test_broad_phase_finds_what_brute_force_finds_among_moving_obstacles(planar4
     assert found > 0
 
 
-# --- who must keep how far ----------------------------------------------------
+# --- links and clearances -----------------------------------------------------
 
 
-def test_obstacle_for_some_links_is_none_for_the_others(planar4: Robot) -> None:
+def test_an_obstacle_for_some_links_has_no_pairs_with_the_others(planar4: Robot) -> None:
     proximity = around(planar4, ball(2.5, 1.0, links=["link4", "link2"]), ball(1.0, 1.0))
     assert [(p.obstacle, p.link) for p in proximity.pairs if p.obstacle == "obstacle 0"] == [
         ("obstacle 0", "link2"),
@@ -720,12 +722,12 @@ def test_obstacle_for_some_links_is_none_for_the_others(planar4: Robot) -> None:
     assert sum(pair.obstacle == "obstacle 1" for pair in proximity.pairs) == 4
 
 
-def test_unknown_link_is_an_error_that_names_the_nearest(planar4: Robot) -> None:
+def test_an_unknown_link_is_an_error_that_suggests_the_nearest(planar4: Robot) -> None:
     with pytest.raises(SceneError, match=r"obstacles\[0\] \(obstacle 0\)\.links: .*found lnk4.*did you mean 'link4'\?"):
         build(planar4, ball(2.5, 1.0, links=["lnk4"]))
 
 
-def test_each_obstacle_keeps_its_own_clearance_or_the_scenes(planar4: Robot) -> None:
+def test_an_obstacle_has_its_own_clearance_or_that_of_the_scene(planar4: Robot) -> None:
     obstacles = build(
         planar4, ball(2.5, 1.0, clearance=0.5), ball(2.5, -1.0), ball(2.5, 2.0, clearance=0), clearance=0.2
     )
@@ -735,7 +737,7 @@ def test_each_obstacle_keeps_its_own_clearance_or_the_scenes(planar4: Robot) -> 
     np.testing.assert_allclose(near.margin, near.distance - np.repeat([0.5, 0.2, 0.0], 4), atol=1e-15)
 
 
-def test_travel_of_own_pairs_counts_only_the_joints_between(planar4: Robot) -> None:
+def test_the_travel_of_self_collision_pairs_counts_only_the_joints_between(planar4: Robot) -> None:
     proximity = Proximity(planar4, ())
     bounds = travel_bounds(planar4)
     for pair, travel in zip(proximity.pairs, proximity.travel, strict=True):
@@ -744,7 +746,7 @@ def test_travel_of_own_pairs_counts_only_the_joints_between(planar4: Robot) -> N
         np.testing.assert_array_equal(travel[inner:], bounds[pair.piece][inner:])
 
 
-def test_two_proximities_do_not_share_their_memory(planar4: Robot) -> None:
+def test_two_proximity_objects_share_no_state(planar4: Robot) -> None:
     obstacles: Sequence[Obstacle] = build(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
     first, second = (Proximity(planar4, obstacles, self_collision=False) for _ in range(2))
     first.at(STRETCHED, time=2.0)
@@ -752,8 +754,8 @@ def test_two_proximities_do_not_share_their_memory(planar4: Robot) -> None:
     np.testing.assert_array_equal(obstacles[0].pieces[0].placement.translation, [2.5, 3.0, 0.0])
 
 
-def test_what_is_known_of_a_slide_beyond_its_limit_is_never_too_much(tmp_path: Path) -> None:
-    """A ball of 0.1 m, 1.5 m out of the hinge where 0.5 m are allowed; one turns it by 0.8 rad into another."""
+def test_bounds_for_a_slide_beyond_its_limit_stay_below_the_distance(tmp_path: Path) -> None:
+    """A ball of radius 0.1 m, 1.5 m from the hinge where 0.5 m are allowed, turns by 0.8 rad into another."""
     path = tmp_path / "slide.urdf"
     path.write_text(TURNING_SLIDE)
     robot, out, angle = load_robot(path), 1.5, 0.8

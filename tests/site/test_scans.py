@@ -1,4 +1,4 @@
-"""A machine beside thousands of cells: one obstacle, whose distances are those of all cells."""
+"""A machine beside thousands of cells: one obstacle, whose distance is the least over all cells."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Obstacle:
 
 @pytest.fixture(scope="module")
 def boxes(scan: Obstacle) -> Obstacle:
-    """The same, box by box."""
+    """The same scan as one convex piece per box."""
     assert scan.cluster is not None
     points = scan.cluster.solid.near(*scan.cluster.bounds).middle.T
     pieces = tuple(
@@ -57,7 +57,9 @@ def below(proximity: Proximity, pair: int, floor: float, q: np.ndarray) -> float
     return float(proximity.distances_below_unchecked(np.array([pair]), np.array([floor]), q, time=0.0)[0])
 
 
-def test_distances_and_bounds_are_those_of_all_cells(planar4: Robot, scan: Obstacle, boxes: Obstacle) -> None:
+def test_distances_and_bounds_of_a_scan_agree_with_those_of_its_boxes(
+    planar4: Robot, scan: Obstacle, boxes: Obstacle
+) -> None:
     one = Proximity(planar4, [scan], self_collision=False)
     many = Proximity(planar4, [boxes], self_collision=False)
     assert len(one.pairs) < 10 < 300 < len(many.pairs)
@@ -93,7 +95,7 @@ def test_distances_and_bounds_are_those_of_all_cells(planar4: Robot, scan: Obsta
     assert met == {"inside", "near", "far"}
 
 
-def test_gradient_is_that_of_the_distance(planar4: Robot, scan: Obstacle) -> None:
+def test_the_gradient_agrees_with_central_differences_of_the_distance(planar4: Robot, scan: Obstacle) -> None:
     proximity = Proximity(planar4, [scan], self_collision=False)
     rng, step, checked = np.random.default_rng(5), 1e-6, 0
     for _ in range(20):
@@ -105,13 +107,13 @@ def test_gradient_is_that_of_the_distance(planar4: Robot, scan: Obstacle) -> Non
             for joint, way in enumerate(step * np.eye(planar4.n)):
                 ends = [proximity.distance_of(pair, q + sign * way) for sign in (1.0, -1.0)]
                 slopes = [(ends[0] - near.distance[row]) / step, (near.distance[row] - ends[1]) / step]
-                if abs(slopes[0] - slopes[1]) < 1e-4:  # else another cell is as near
+                if abs(slopes[0] - slopes[1]) < 1e-4:  # otherwise another cell is as near
                     assert near.gradient[row, joint] == pytest.approx(0.5 * sum(slopes), abs=1e-4)
                     checked += 1
     assert checked > 20
 
 
-def test_plain_tables_are_read_as_line_by_line(tmp_path: Path) -> None:
+def test_fast_reading_of_plain_tables_gives_the_numbers_in_the_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     numbers = rng.normal(size=(50, 4))
     np.savetxt(tmp_path / "a.csv", numbers, delimiter=",", fmt="%.9f")
@@ -131,7 +133,9 @@ def test_plain_tables_are_read_as_line_by_line(tmp_path: Path) -> None:
         ({"shape": "pointcloud", "resolution": 0.1}, "0,0,0\n9000,0,0\n" + "0,0,0.5\n" * 3, ["90001 voxels", "65000"]),
     ],
 )
-def test_messages_name_the_file(tmp_path: Path, record: dict[str, object], text: str, parts: list[str]) -> None:
+def test_errors_in_surveys_name_file_and_place(
+    tmp_path: Path, record: dict[str, object], text: str, parts: list[str]
+) -> None:
     if record["shape"] == "pointcloud":  # more than a few boxes
         rng = np.random.default_rng(7)
         text += "\n".join(",".join(f"{value:.3f}" for value in row) for row in rng.uniform(0.0, 5.0, (200, 3)))
@@ -144,7 +148,7 @@ def test_messages_name_the_file(tmp_path: Path, record: dict[str, object], text:
 
 
 @pytest.mark.parametrize("machine", ["planar4", "backhoe"])
-def test_bounds_of_many_configurations_hold_for_each(
+def test_batched_bounds_never_exceed_the_distance_of_each_configuration(
     machine: str, scan: Obstacle, request: pytest.FixtureRequest
 ) -> None:
     robot: Robot = request.getfixturevalue(machine)
@@ -168,14 +172,14 @@ def test_bounds_of_many_configurations_hold_for_each(
     assert (fine[true < 0.0] == -np.inf).all()
 
 
-def test_what_is_expected_is_answered_alike(backhoe: Robot, scan: Obstacle) -> None:
+def test_expecting_configurations_does_not_change_bounds_and_distances(backhoe: Robot, scan: Obstacle) -> None:
     moving = replace(scan, velocity=np.array([0.1, -0.2, 0.05]))
     rng = np.random.default_rng(6)
     q = np.array([backhoe.random_q(rng) for _ in range(12)])
     for obstacle in (scan, moving):
         plain, ahead = (Proximity(backhoe, [obstacle]) for _ in range(2))
         ahead.clusters.expect(q, 1.5, needed=np.full(len(ahead.clusters), 0.2))
-        for time in (1.5, 0.5):  # the second is another moment than was expected
+        for time in (1.5, 0.5):  # the second is not the expected time
             for row in q:
                 floor = plain.clearance + rng.uniform(0.0, 0.5, len(plain.pairs))
                 (bounds, measured), (alike, also) = (
@@ -188,8 +192,8 @@ def test_what_is_expected_is_answered_alike(backhoe: Robot, scan: Obstacle) -> N
                     assert (found >= np.minimum(floor, true) - 1e-9).all()
 
 
-def test_bounds_of_what_one_joint_moves_are_tight_when_asked_again(planar4: Robot, scan: Obstacle) -> None:
-    """An interval's bound is 1 cm less than the distance in its middle, which is 1 cm off the one asked for at most."""
+def test_bounds_of_links_moved_by_one_joint_are_tight_from_the_second_call(planar4: Robot, scan: Obstacle) -> None:
+    """An interval's bound is 1 cm below the distance at its middle, which differs by at most 1 cm from any within."""
     moving = replace(scan, name="moving", velocity=np.array([0.1, -0.2, 0.05]))
     proximity = Proximity(planar4, [scan, moving], self_collision=False)
     rng = np.random.default_rng(8)
@@ -207,7 +211,7 @@ def test_bounds_of_what_one_joint_moves_are_tight_when_asked_again(planar4: Robo
     assert (bounds < true - 0.02)[near & asked & ~again[:, None]].any()
 
 
-def test_what_was_measured_is_answered_alike(planar4: Robot, scan: Obstacle) -> None:
+def test_cached_distances_equal_those_of_a_fresh_measurement(planar4: Robot, scan: Obstacle) -> None:
     proximity = Proximity(planar4, [scan], self_collision=False)
     rng = np.random.default_rng(9)
     kept = 0

@@ -1,4 +1,4 @@
-"""The scene file: what is valid is read as meant, what is not is explained."""
+"""The scene file: valid scenes are read as meant, errors are explained."""
 
 from __future__ import annotations
 
@@ -98,10 +98,10 @@ def shaped(kind: str, **keys: object) -> Data:
     return scene(obstacles=[{"name": "thing", "shape": kind, **keys}])
 
 
-# --- what is valid ------------------------------------------------------------
+# --- valid scenes -------------------------------------------------------------
 
 
-def test_scene_of_the_contract_is_read_as_written(tmp_path: Path) -> None:
+def test_a_scene_with_every_key_is_read_as_written(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(WHOLE)
     found = load_scene(file)
@@ -141,7 +141,7 @@ def test_scene_of_the_contract_is_read_as_written(tmp_path: Path) -> None:
     assert found.soil.density == 1700.0
 
 
-def test_what_is_left_out_has_the_defaults_of_the_contract() -> None:
+def test_missing_keys_have_the_documented_defaults() -> None:
     found = scene_from_dict(GOAL)
     assert (found.tip, found.name, found.obstacles, found.gains, found.objective) == (None, "", (), "auto", None)
     assert (found.clearance, found.influence, found.payload, found.soil) == (0.05, 0.6, 0.0, None)
@@ -182,7 +182,7 @@ def test_rpy_and_quaternion_of_a_quarter_turn_about_z_are_one_rotation() -> None
         np.testing.assert_allclose(found.rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
 
 
-def test_what_was_normalised_once_stays_as_it_is_to_the_last_digit() -> None:
+def test_normalising_a_unit_quaternion_or_normal_again_changes_no_digit() -> None:
     rng = np.random.default_rng(0)
     for parts in rng.normal(size=(500, 4)).tolist():
         unit = [part / math.hypot(*parts) for part in parts]
@@ -196,7 +196,7 @@ def test_what_was_normalised_once_stays_as_it_is_to_the_last_digit() -> None:
         assert twice.normal == once.normal
 
 
-def test_normal_of_any_length_becomes_a_unit_vector() -> None:
+def test_a_normal_of_any_length_becomes_a_unit_vector() -> None:
     for normal in ([0, 3, 4], [0, 3e-9, 4e-9], [0, 3e200, 4e200]):
         thing = scene_from_dict(shaped("halfspace", point=[0, 0, 0], normal=normal)).obstacles[0]
         assert isinstance(thing, HalfSpace)
@@ -223,7 +223,7 @@ def test_shipped_scenes_are_read_and_found_from_any_folder(tmp_path: Path, monke
         assert load_scene(f"scenes/{file.name}") == load_scene(file)
 
 
-def test_one_obstacle_is_read_with_keys_as_in_a_scene() -> None:
+def test_a_single_obstacle_is_read_with_the_same_keys_as_in_a_scene() -> None:
     found = obstacle_from_dict(SPHERE)
     assert found == scene_from_dict(scene(obstacles=[SPHERE])).obstacles[0]
 
@@ -238,7 +238,7 @@ NO_OBSTACLE: list[tuple[Data, list[str]]] = [
 
 
 @pytest.mark.parametrize(("data", "said"), NO_OBSTACLE)
-def test_what_is_wrong_with_one_obstacle_is_said_as_of_a_scene(data: Data, said: list[str]) -> None:
+def test_errors_in_a_single_obstacle_are_one_line_that_names_it(data: Data, said: list[str]) -> None:
     servo = Servo(load_robot("example:planar4"), scene_from_dict(scene()), q=np.zeros(4))
     for read in (obstacle_from_dict, servo.add):
         with pytest.raises(InputError) as caught:
@@ -249,7 +249,7 @@ def test_what_is_wrong_with_one_obstacle_is_said_as_of_a_scene(data: Data, said:
         assert len(str(caught.value).splitlines()) == 1
 
 
-# --- what is not --------------------------------------------------------------
+# --- errors -------------------------------------------------------------------
 
 BAD: dict[str, tuple[Data, list[str]]] = {
     "unknown key": (scene(clearence=0.1), ["clearence", "no such key", "did you mean 'clearance'?", "influence"]),
@@ -424,7 +424,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
 
 
 @pytest.mark.parametrize(("data", "said"), BAD.values(), ids=BAD.keys())
-def test_what_is_wrong_with_a_scene_is_said_with_its_key(data: Data, said: list[str]) -> None:
+def test_errors_in_a_scene_name_the_key(data: Data, said: list[str]) -> None:
     with pytest.raises(SceneError) as caught:
         scene_from_dict(data, file=Path("site/trench.yaml"))
     message = str(caught.value)
@@ -444,7 +444,7 @@ def test_what_is_wrong_with_a_scene_is_said_with_its_key(data: Data, said: list[
         ("big", "obstacles[0].scale: input should be a valid number; found 'big'"),
     ],
 )
-def test_of_a_number_or_a_list_only_what_is_wrong_with_the_given_one_is_said(scale: Any, said: str) -> None:
+def test_errors_in_a_scale_concern_only_the_form_that_was_given(scale: Any, said: str) -> None:
     with pytest.raises(SceneError) as caught:
         scene_from_dict(shaped("mesh", file="rock.stl", scale=scale))
     assert str(caught.value) == said
@@ -515,7 +515,7 @@ BAD_YAML = {
 
 
 @pytest.mark.parametrize(("text", "said"), BAD_YAML.values(), ids=BAD_YAML.keys())
-def test_what_is_wrong_with_a_file_is_said_once_with_its_line(text: str, said: list[str], tmp_path: Path) -> None:
+def test_errors_in_a_scene_file_name_the_file_once_and_the_line(text: str, said: list[str], tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         load_text(tmp_path, text)
     message = str(caught.value)
@@ -525,14 +525,14 @@ def test_what_is_wrong_with_a_file_is_said_once_with_its_line(text: str, said: l
         assert any(either in message for either in fragment.split("|")), message
 
 
-def test_file_that_is_not_utf8_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_utf8_is_named(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_bytes("name: Gräben".encode("latin-1"))
     with pytest.raises(SceneError, match=r"scene\.yaml: is not UTF-8 text: .* at byte 8"):
         load_scene(file)
 
 
-def test_missing_file_and_folder_are_named(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"nowhere\.yaml: no such scene file"):
         load_scene(tmp_path / "nowhere.yaml")
     with pytest.raises(SceneError, match="is a folder, not a scene file"):
@@ -544,14 +544,14 @@ NUMBERS = [("1e-3", 1e-3), (".5", 0.5), ("5.", 5.0), ("+2", 2.0), ("1E2", 100.0)
 
 
 @pytest.mark.parametrize(("text", "value"), NUMBERS)
-def test_numbers_are_those_of_yaml_1_2(text: str, value: float, tmp_path: Path) -> None:
+def test_numbers_are_read_as_in_yaml_1_2(text: str, value: float, tmp_path: Path) -> None:
     found = load_text(tmp_path, f"version: 1\nstart: {{joints: {{boom: {text}}}}}\n{TASK}")
     assert found.start is not None
     assert found.start.joints == {"boom": value}
 
 
 @pytest.mark.parametrize("text", ["no", "yes", "on", "off", "y", "2024-01-01", "1_000", "1:30", "0x10", "NO", "<<"])
-def test_words_that_older_yaml_takes_for_something_else_are_text(text: str, tmp_path: Path) -> None:
+def test_words_with_a_special_meaning_in_yaml_1_1_are_read_as_text(text: str, tmp_path: Path) -> None:
     found = load_text(tmp_path, f"version: 1\nname: {text}\nstart: {{joints: {{}}}}\n{TASK}")
     assert found.name == text
 
@@ -589,7 +589,7 @@ def test_path_file_with_pitch_in_any_order_of_columns(tmp_path: Path) -> None:
     assert [(waypoint.position, waypoint.pitch) for waypoint in found] == [((1, 2, 3), -1.4), ((4, 5, 6), -1.5)]
 
 
-def test_path_file_with_semicolons_has_decimal_commas_and_its_header_may_be_in_capitals(tmp_path: Path) -> None:
+def test_a_path_file_may_have_semicolons_decimal_commas_and_an_upper_case_header(tmp_path: Path) -> None:
     found = from_path_file(tmp_path, "X;Y;Z;Pitch\n1,5;2;-0,25;-1,4\n4;5;6;-1,5\n").waypoints()
     assert [(waypoint.position, waypoint.pitch) for waypoint in found] == [((1.5, 2, -0.25), -1.4), ((4, 5, 6), -1.5)]
 
@@ -604,8 +604,8 @@ def test_path_file_saved_by_a_spreadsheet(tmp_path: Path) -> None:
     assert len(from_path_file(tmp_path, b"\xef\xbb\xbfx,y,z\r\n1,2,3\r\n4,5,6\r\n").waypoints()) == 2
 
 
-def test_other_columns_of_a_path_file_are_passed_over_with_a_word(tmp_path: Path) -> None:
-    """Whatever stands in them: `time` too, since speed and limits time the motion."""
+def test_unused_columns_of_a_path_file_give_a_warning(tmp_path: Path) -> None:
+    """Whatever they contain: `time` too, since speed and limits determine the timing."""
     found = from_path_file(tmp_path, "time,x,y,z,note,pich\n0,1,2,3,begin,0.1\n,4,5,6,,\n")
     assert [waypoint.position for waypoint in found.waypoints()] == [(1, 2, 3), (4, 5, 6)]
     assert [waypoint.pitch for waypoint in found.waypoints()] == [None, None]
@@ -618,7 +618,7 @@ def test_other_columns_of_a_path_file_are_passed_over_with_a_word(tmp_path: Path
     )
 
 
-def test_a_path_file_of_known_columns_needs_no_word(tmp_path: Path) -> None:
+def test_a_path_file_of_known_columns_gives_no_warning(tmp_path: Path) -> None:
     assert from_path_file(tmp_path, "x,y,z\n1,2,3\n4,5,6\n").warnings() == ()
     assert scene_from_dict(path(*POINTS)).warnings() == ()
 
@@ -654,9 +654,7 @@ BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
 
 
 @pytest.mark.parametrize(("text", "said"), BAD_PATHS.values(), ids=BAD_PATHS.keys())
-def test_what_is_wrong_with_a_path_file_is_said_with_its_line(
-    text: str | bytes | None, said: list[str], tmp_path: Path
-) -> None:
+def test_errors_in_a_path_file_name_file_and_line(text: str | bytes | None, said: list[str], tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         from_path_file(tmp_path, text).waypoints()
     message = str(caught.value)
@@ -673,7 +671,7 @@ def moved(*waypoints: Data, **origin: object) -> Scene:
 
 
 def test_a_path_is_moved_and_turned_as_a_whole() -> None:
-    """By a quarter turn to the left, then by [10, 20, 30]: x becomes y, y becomes -x."""
+    """A quarter turn to the left, then [10, 20, 30]: x becomes y, y becomes -x."""
     waypoints: list[Data] = [{"position": [1, 0, 0], "pitch": -1.2}, {"position": [1, 2, 5]}]
     found = moved(*waypoints, position=[10.0, 20.0, 30.0], rpy=[0.0, 0.0, math.pi / 2]).waypoints()
     np.testing.assert_allclose([waypoint.position for waypoint in found], [[10, 21, 30], [8, 21, 35]], atol=1e-12)
@@ -695,15 +693,15 @@ def test_full_orientations_turn_with_their_path() -> None:
     np.testing.assert_allclose(first.rotation, [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-12)
 
 
-def test_a_path_file_is_moved_too(tmp_path: Path) -> None:
+def test_an_origin_moves_the_waypoints_of_a_path_file(tmp_path: Path) -> None:
     (tmp_path / "path.csv").write_text("x,y,z\n1,2,3\n4,5,6\n")
     task = {"path": {"file": "path.csv", "origin": {"position": [1, 1, 1]}}}
     found = scene_from_dict(scene(task=task), folder=tmp_path).waypoints()
     assert [waypoint.position for waypoint in found] == [(2, 3, 4), (5, 6, 7)]
 
 
-def test_a_pitch_is_not_tilted(tmp_path: Path) -> None:
-    """In a file it is said where the file is read."""
+def test_an_origin_that_tilts_waypoints_with_a_pitch_is_refused(tmp_path: Path) -> None:
+    """For a path file the error comes when the file is read."""
     tilted, said = [0.0, 0.1, 0.4], "a path whose waypoints ask for a pitch may turn about z alone"
     with pytest.raises(SceneError, match=said) as caught:
         moved({"position": [1, 0, 0], "pitch": -1.2}, {"position": [1, 2, 5]}, rpy=tilted)
@@ -715,13 +713,13 @@ def test_a_pitch_is_not_tilted(tmp_path: Path) -> None:
     assert len(moved(*POINTS, rpy=tilted).waypoints()) == 2
 
 
-def test_an_origin_that_is_too_far_away_is_named() -> None:
+def test_an_origin_that_puts_a_waypoint_too_far_away_is_named() -> None:
     far = moved({"position": [1, 0, 0]}, {"position": [1, 2, 5]}, position=[1e5 - 1.5, 99_999, 0.0])
     with pytest.raises(SceneError, match=r"task\.path\.origin: puts waypoint 2 too far away: .*100000; found 100001"):
         far.waypoints()
 
 
-def test_an_origin_says_where_or_how() -> None:
+def test_an_origin_needs_position_or_rpy() -> None:
     with pytest.raises(SceneError, match=r"task\.path\.origin: .*position, rpy or both"):
         moved(*POINTS)
 
@@ -738,16 +736,16 @@ def check_schema(data: object) -> None:
     validator().validate(data)
 
 
-def test_schema_is_a_schema() -> None:
+def test_the_scene_schema_is_a_valid_json_schema() -> None:
     jsonschema.Draft202012Validator.check_schema(scene_schema())
 
 
 @settings(max_examples=40)
 @given(data=scenes())
-def test_what_the_loader_accepts_is_accepted_by_the_schema_and_read_again_as_the_same_scene(
+def test_valid_scenes_pass_the_schema_and_survive_a_round_trip(
     data: Data, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """From what is written of it, and from JSON, which is YAML."""
+    """Through `to_dict`, and through a JSON file, since JSON is YAML."""
     first = scene_from_dict(data)
     check_schema(data)
     again = scene_from_dict(json.loads(json.dumps(first.to_dict())))
@@ -758,7 +756,7 @@ def test_what_the_loader_accepts_is_accepted_by_the_schema_and_read_again_as_the
     assert load_scene(file).to_dict() == first.to_dict()
 
 
-def test_schema_accepts_the_scene_of_the_contract_and_what_is_written_of_it(tmp_path: Path) -> None:
+def test_the_schema_accepts_a_scene_with_every_key_and_its_round_trip(tmp_path: Path) -> None:
     check_schema(yaml.safe_load(WHOLE))
     check_schema(load_text(tmp_path, WHOLE).to_dict())
 
@@ -817,19 +815,19 @@ SHAPELY = [
 
 
 @pytest.mark.parametrize("name", SHAPELY)
-def test_schema_refuses_what_the_loader_refuses(name: str) -> None:
-    """All that concerns one key at a time; what several keys must agree on only the loader knows."""
+def test_the_schema_refuses_what_the_loader_refuses(name: str) -> None:
+    """Errors of a single key; rules between several keys are known to the loader alone."""
     with pytest.raises(jsonschema.ValidationError):
         check_schema(BAD[name][0])
 
 
-def test_schema_describes_the_keys_in_the_words_of_the_code() -> None:
+def test_the_schema_describes_the_keys_as_the_code_does() -> None:
     schema = scene_schema()
     assert schema["properties"]["payload"]["description"] == "Mass in the bucket [kg]."
     assert set(schema["$defs"]["Capsule"]["properties"]) >= {"from", "to", "radius"}
 
 
-def test_schema_describes_soil_and_each_of_its_keys_with_its_default() -> None:
+def test_the_schema_describes_soil_and_the_default_of_each_key() -> None:
     schema = scene_schema()
     assert "digs" in schema["properties"]["soil"]["description"]
     for key, record in schema["$defs"]["Soil"]["properties"].items():
@@ -839,7 +837,7 @@ def test_schema_describes_soil_and_each_of_its_keys_with_its_default() -> None:
             assert f"{default:g} by default" in record["description"]
 
 
-def test_the_schema_beside_the_scenes_is_the_one_in_the_code() -> None:
+def test_the_shipped_schema_file_equals_that_of_the_code() -> None:
     beside = shipped_folder("scenes") / "scene.schema.json"
     assert json.loads(beside.read_text(encoding="utf-8")) == scene_schema()
 
@@ -851,7 +849,7 @@ def keeping(goal: Any, **beside: Any) -> Data:
     return GOAL | {"task": {"goal": goal, **beside}}
 
 
-def test_what_is_kept_may_stand_in_the_goal_or_beside_it() -> None:
+def test_keep_may_be_inside_the_goal_or_beside_it() -> None:
     position = {"position": [4.2, 1.0, -1.0]}
     inside = scene_from_dict(keeping(position | {"keep": LEVEL})).task
     beside = scene_from_dict(keeping(position, keep=LEVEL)).task
@@ -872,6 +870,6 @@ def test_what_is_kept_may_stand_in_the_goal_or_beside_it() -> None:
         (keeping({"position": [4, 1, -1], "keep": {"pich": [0, 1]}}), "task.goal.keep.pich.*did you mean 'pitch'"),
     ],
 )
-def test_what_is_kept_is_given_once(data: Data, said: str) -> None:
+def test_keep_given_twice_or_for_one_of_several_goals_is_refused(data: Data, said: str) -> None:
     with pytest.raises(SceneError, match=said):
         scene_from_dict(data)

@@ -1,4 +1,4 @@
-"""Sequences in a scene file: what is allowed, and what is said of what is not."""
+"""Sequences in a scene file: what is allowed, and the errors."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ def robot() -> Robot:
         ({"version": 1, "start": START, "task": {"sequence": [REACH], "goal": REACH["goal"]}}, "exactly one of goal"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_with_leg_and_key(content: dict[str, Any], words: str) -> None:
+def test_errors_in_a_sequence_name_leg_and_key(content: dict[str, Any], words: str) -> None:
     with pytest.raises(SceneError) as error:
         scene_from_dict(content)
     assert words in str(error.value)
 
 
-def test_a_leg_that_is_wrong_is_not_missed_as_well() -> None:
+def test_a_leg_with_an_error_is_not_also_reported_as_missing() -> None:
     with pytest.raises(SceneError) as caught:
         scene_from_dict(scene(REACH | {"payloads": 3.0}))
     assert "entries" not in str(caught.value)
@@ -94,7 +94,9 @@ def test_a_leg_that_is_wrong_is_not_missed_as_well() -> None:
         ({"goal": REACH["goal"], "carries": {"name": "pipe", "shape": "mesh", "file": "none.stl"}}, "carries"),
     ],
 )
-def test_what_does_not_fit_the_machine_is_named_with_leg_and_key(robot: Robot, leg: dict[str, Any], key: str) -> None:
+def test_legs_that_do_not_fit_the_machine_are_refused_by_leg_and_key(
+    robot: Robot, leg: dict[str, Any], key: str
+) -> None:
     with pytest.raises(InputError) as error:
         build_problem(robot, scene_from_dict(scene(REACH, {"name": "next"} | leg)))
     assert key in str(error.value)
@@ -119,13 +121,13 @@ def test_each_leg_has_its_own_load_and_obstacles(robot: Robot) -> None:
     assert swing.start_q is None
 
 
-def test_a_scene_with_a_sequence_is_written_and_read_again() -> None:
+def test_a_scene_with_a_sequence_survives_a_round_trip() -> None:
     content = scene(REACH, {"name": "cut", "path": PATH, "speed": 0.2}, {"name": "rest", "wait": 1.0})
     assert scene_from_dict(scene_from_dict(content).to_dict()) == scene_from_dict(content)
 
 
 def test_open_meshes_are_named_by_their_file(tmp_path: Path) -> None:
-    """A cube without its front, on the site and carried; a file that is missing is for others to name."""
+    """A cube without its front, on the site and carried; missing files are reported elsewhere."""
     corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     sides = [(1, 2, 4, 3), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4), (5, 7, 8, 6)]
     for file, faces in (("crate.obj", sides[:-1]), ("block.obj", sides)):

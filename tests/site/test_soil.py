@@ -35,7 +35,7 @@ SOILS = {
 
 
 def terms(soil: Soil, depth: float, rake: float, beta: Array, width: float) -> Array:
-    """F as the textbook prints it, term by term."""
+    """F term by term as in the textbook."""
     phi = soil.friction
     delta = 2.0 / 3.0 * phi if soil.tool_friction is None else soil.tool_friction
 
@@ -57,7 +57,7 @@ def terms(soil: Soil, depth: float, rake: float, beta: Array, width: float) -> A
 
 @pytest.mark.parametrize("soil", SOILS.values(), ids=SOILS.keys())
 @pytest.mark.parametrize("depth", [0.01, pytest.param(0.2, marks=pytest.mark.long), 1.0])
-def test_the_failure_angle_is_the_one_that_brute_force_finds(soil: Soil, depth: float) -> None:
+def test_the_failure_angle_equals_that_of_brute_force(soil: Soil, depth: float) -> None:
     for rake in np.radians([15.0, 30.0, 45.0, 60.0]):
         delta = 2.0 / 3.0 * soil.friction if soil.tool_friction is None else soil.tool_friction
         widest = math.pi - rake - delta - soil.friction
@@ -83,7 +83,7 @@ def test_an_upright_smooth_blade_meets_rankines_passive_pressure() -> None:
     assert failure_angle(np.array(depth), upright, soil) == pytest.approx(math.pi / 4.0 - phi / 2.0, abs=1e-12)
 
 
-def test_it_grows_with_depth_cohesion_density_load_and_width() -> None:
+def test_the_force_grows_with_depth_cohesion_density_load_and_width() -> None:
     depth = np.linspace(0.0, 2.0, 201)
     rake = np.radians(50.0)
     plain = {"density": 1700.0, "cohesion": 5e3, "friction": 0.55}
@@ -104,10 +104,10 @@ def test_above_the_ground_there_is_no_force() -> None:
 
 
 def wedge(soil: Soil, depth: float, rake: float, slope: float, load: float) -> float:
-    """F per width [N/m] from the equilibrium of the wedge on its two planes, for the plane that needs least.
+    """F per width [N/m] from the equilibrium of the wedge on its two planes, for the plane with the least force.
 
     The wedge is drawn in the world, the ground rising by `slope`; the forces of blade and failure plane,
-    of unknown size, hold its weight and load, cohesion and adhesion.
+    of unknown size, balance its weight and load, cohesion and adhesion.
     """
     phi, delta = soil.friction, 2.0 / 3.0 * soil.friction
 
@@ -119,7 +119,7 @@ def wedge(soil: Soil, depth: float, rake: float, slope: float, load: float) -> f
     top = depth * (1.0 / math.tan(rake) + 1.0 / np.tan(beta))
     weight = 0.5 * soil.density * 9.81 * depth * top + (soil.surcharge + load) * top
     fixed = np.stack((np.zeros_like(beta), -weight), axis=-1)
-    # the wedge slides up along the plane, so that cohesion pulls it back; down along the blade pulls adhesion
+    # the wedge slides up along the plane, so that cohesion pulls it back; adhesion pulls it down along the blade
     fixed -= (soil.cohesion * plane)[:, None] * along(beta + slope)
     up_blade = along(np.full_like(beta, np.pi - rake + slope))
     fixed -= soil.adhesion * blade * up_blade
@@ -141,7 +141,7 @@ def test_on_a_slope_the_wedge_is_in_equilibrium(name: str, slope: float) -> None
         assert float(found) == pytest.approx(0.6 * expected, rel=1e-6)
 
 
-def test_uphill_is_harder_until_the_slope_carries_the_wedge() -> None:
+def test_the_force_grows_with_the_slope_while_beta_plus_phi_plus_slope_is_below_90_deg() -> None:
     """dF/d sigma has the sign of cot(beta + phi) - tan sigma, since beta makes F least."""
     slope, rake, soil = np.linspace(-0.49, 0.5, 201), np.array(0.8), Soil()
     force = blade_force(np.array(0.2), rake, soil, width=0.6, slope=slope)
@@ -155,7 +155,7 @@ def test_uphill_is_harder_until_the_slope_carries_the_wedge() -> None:
 # --- the force on the teeth ----------------------------------------------------------------
 
 OUT = np.array([1.0, 0.0, 0.0])
-PITCH = -1.2  # the cutting plate then stands at a rake of 69.1 deg, its face towards the machine
+PITCH = -1.2  # the cutting plate then has a rake of 69.1 deg, its face towards the machine
 
 
 def vectors(*parts: Any) -> Array:
@@ -188,15 +188,17 @@ def test_the_force_turns_with_the_machine() -> None:
 
 
 @pytest.mark.parametrize("velocity", [[0, 0, 0.5], [0, 0, -0.5], [0, 0.5, 0], [0, 0, 0]])
-def test_at_rest_and_not_along_the_arm_there_is_no_force(velocity: list[float]) -> None:
+def test_there_is_no_force_at_rest_or_for_motion_across_or_vertical(velocity: list[float]) -> None:
     np.testing.assert_array_equal(push(Soil(adhesion=1e3), velocity), 0.0)
 
 
 @pytest.mark.parametrize(
     ("pitch", "rake"), [(PITCH, math.pi - LIP + PITCH), (-2.0, math.pi - LIP - 2.0), (1.2, 0.5 * math.pi)]
 )
-def test_a_bucket_that_goes_back_first_is_resisted_as_one_that_leans_the_other_way(pitch: float, rake: float) -> None:
-    """The face looks inward below LIP and outward above it: the motion is the one that it looks away from."""
+def test_a_bucket_moving_back_first_is_resisted_as_a_plate_with_the_supplementary_rake(
+    pitch: float, rake: float
+) -> None:
+    """The face points inward below LIP and outward above it: the motion is away from the side it faces."""
     soil = Soil(density=1700.0, cohesion=5e3, friction=0.55, tool_friction=0.35)
     F = float(np.min(terms(soil, 0.3, rake, np.linspace(0.05, 1.2, 1_000_001), 0.6)))
     ahead = 1.0 if pitch < LIP else -1.0
@@ -204,14 +206,14 @@ def test_a_bucket_that_goes_back_first_is_resisted_as_one_that_leans_the_other_w
     np.testing.assert_allclose(push(soil, [5.0 * ahead, 0.0, 0.0], pitch=pitch), expected, rtol=3e-3, atol=1e-9)
 
 
-def test_a_blade_that_moves_within_its_plane_slides() -> None:
+def test_a_blade_moving_within_its_plane_meets_no_resistance() -> None:
     np.testing.assert_allclose(push(Soil(), [-5.0, 0.0, 0.0], pitch=LIP - math.pi), 0.0, atol=1e-6)
-    # and as soon as it is turned out of it, to either side, it does not
+    # turned out of its plane to either side, it does
     for turned in (-0.2, 0.2):
         assert push(Soil(), [-5.0, 0.0, 0.0], pitch=LIP - math.pi + turned)[0] > 100.0
 
 
-def test_above_the_ground_the_teeth_are_free() -> None:
+def test_teeth_above_a_lowered_ground_surface_meet_no_force() -> None:
     np.testing.assert_array_equal(push(Soil(surface=-0.4), [-0.5, 0.0, 0.0], depth=-1e-6), 0.0)
     assert push(Soil(surface=-0.4), [-0.5, 0.0, 0.0], depth=0.1)[0] > 100.0
 
@@ -238,7 +240,7 @@ def test_the_soil_never_drives_the_motion(soil: Soil) -> None:
     np.testing.assert_allclose(one, force[7], rtol=1e-12, atol=1e-9)
 
 
-def test_it_is_continuous_where_the_motion_turns_and_where_the_teeth_surface() -> None:
+def test_the_force_is_continuous_in_direction_depth_and_pitch() -> None:
     soil = Soil(adhesion=2e3)
     largest = np.linalg.norm(push(soil, [-1.0, 0.0, 0.0]))
     paths = [
@@ -253,8 +255,8 @@ def test_it_is_continuous_where_the_motion_turns_and_where_the_teeth_surface() -
         assert np.max(np.linalg.norm(np.diff(path, axis=0), axis=1)) < 0.05 * largest
 
 
-def test_the_force_on_a_slope_is_that_on_level_ground_turned_with_gravity() -> None:
-    """Without weight there is no up and down: ground, blade and force turn together."""
+def test_with_negligible_weight_the_force_turns_with_the_slope() -> None:
+    """Without weight no direction is vertical: ground, blade and force turn together."""
     soil, slope, depth = Soil(density=100.0, cohesion=1e8, adhesion=1e3), 0.25, 0.3
     level = push(soil, [-5.0, 0.0, 0.0], depth=depth)
     contact = GroundContact(np.array(depth / math.cos(slope)), np.array([-math.tan(slope), 0.0]))
@@ -272,11 +274,11 @@ def test_the_force_on_a_slope_is_that_on_level_ground_turned_with_gravity() -> N
 # --- on the machine ------------------------------------------------------------------------
 
 
-def test_the_width_is_the_buckets(backhoe: bp.Robot) -> None:
+def test_the_soil_width_is_that_of_the_bucket(backhoe: bp.Robot) -> None:
     assert bucket_width(backhoe) == pytest.approx(0.61, abs=1e-9)
 
 
-def test_a_bucket_without_a_shape_has_no_width(tmp_path: Path) -> None:
+def test_a_bucket_without_a_shape_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "bare.urdf").write_text(
         """<robot name="bare"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>
         <child link="b"/><axis xyz="0 -1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>""",
@@ -287,12 +289,12 @@ def test_a_bucket_without_a_shape_has_no_width(tmp_path: Path) -> None:
         bucket_width(robot)
 
 
-def test_an_arm_without_a_pitch_meets_no_soil(planar4: bp.Robot) -> None:
+def test_soil_for_an_arm_without_a_pitch_is_an_error(planar4: bp.Robot) -> None:
     with pytest.raises(bp.InputError, match="soil: "):
         SoilReaction(planar4, Soil())
 
 
-def test_joint_torques_do_the_work_of_the_force(backhoe: bp.Robot) -> None:
+def test_the_power_of_the_joint_torques_equals_that_of_the_force(backhoe: bp.Robot) -> None:
     rng = np.random.default_rng(22)
     reaction = SoilReaction(backhoe, Soil(surface=1.0))
     q = np.array([backhoe.random_q(rng) for _ in range(200)])
@@ -336,7 +338,7 @@ class Slanted:
         return GroundContact(depth=depth, held=np.full(np.shape(depth), self.held))
 
 
-def test_level_ground_is_one_case_of_ground(backhoe: bp.Robot) -> None:
+def test_level_ground_as_an_object_gives_the_same_torques(backhoe: bp.Robot) -> None:
     rng = np.random.default_rng(23)
     q = np.array([backhoe.random_q(rng) for _ in range(50)])
     v = rng.normal(size=q.shape)
@@ -344,8 +346,8 @@ def test_level_ground_is_one_case_of_ground(backhoe: bp.Robot) -> None:
     np.testing.assert_array_equal(SoilReaction(backhoe, Soil(), LevelGround(0.7)).torques(q, v), by_soil)
 
 
-def test_what_is_held_weighs_at_its_centre(backhoe: bp.Robot) -> None:
-    """The torque is the slope of the potential energy of a mass at that point of the bucket, by differences."""
+def test_the_load_in_the_bucket_weighs_at_its_centre(backhoe: bp.Robot) -> None:
+    """The torque is the gradient of the potential energy of a mass at that point of the bucket, by differences."""
     rng = np.random.default_rng(24)
     q = backhoe.random_q(rng)
     at = np.array([0.45, 0.0, 0.16])

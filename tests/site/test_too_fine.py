@@ -1,4 +1,4 @@
-"""A survey that moves and is too fine is refused before its pieces are built; one that stands is built as one cluster.
+"""A moving survey that is too fine is refused before its pieces are built; a fixed one becomes one cluster.
 
 Counted, not timed.
 """
@@ -32,7 +32,7 @@ class Counted:
 
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch) -> list[Counted]:
-    """What is called to build boxes and hulls."""
+    """Counters of the functions that build boxes and hulls."""
     places: list[tuple[Any, str]] = [(shapes, "box"), (shapes, "convex"), (spatial, "ConvexHull")]
     found = [Counted(getattr(*place)) for place in places]
     for place, counted in zip(places, found, strict=True):
@@ -52,7 +52,7 @@ def refused(folder: Path, **keys: Any) -> str:
 
 
 def waves(points: int, length: float) -> Matrix:
-    """Heights on a square of 20 m: waves of 1 m and that length in x and y."""
+    """Heights on a square of 20 m: waves of 1 m amplitude and wavelength `length` [m] in x and y."""
     x = np.linspace(-10.0, 10.0, points)
     return np.asarray(np.sin(2.0 * np.pi * x / length)[:, None] * np.sin(2.0 * np.pi * x / length))
 
@@ -61,7 +61,9 @@ def write_map(folder: Path, heights: Matrix) -> None:
     np.savetxt(folder / "map.csv", heights, fmt="%.5f", delimiter=",")
 
 
-def test_cloud_of_single_voxels_builds_no_box(tmp_path: Path, built: list[Counted]) -> None:
+def test_a_moving_cloud_of_single_voxels_is_refused_before_boxes_are_built(
+    tmp_path: Path, built: list[Counted]
+) -> None:
     # a checkerboard in space: no two voxels share a face, so that nothing can be merged
     grid = np.argwhere(np.indices((50, 50, 50)).sum(axis=0) % 2 == 0)
     np.savetxt(tmp_path / "scan.xyz", 0.1 * grid + 0.05, fmt="%.3f")
@@ -70,7 +72,7 @@ def test_cloud_of_single_voxels_builds_no_box(tmp_path: Path, built: list[Counte
     assert calls(built) == 0
 
 
-def test_one_that_stands_builds_neither_boxes_nor_hulls(tmp_path: Path, built: list[Counted]) -> None:
+def test_fixed_surveys_become_clusters_without_building_boxes_or_hulls(tmp_path: Path, built: list[Counted]) -> None:
     grid = np.argwhere(np.indices((50, 50, 50)).sum(axis=0) % 2 == 0)
     np.savetxt(tmp_path / "scan.xyz", 0.1 * grid + 0.05, fmt="%.3f")
     write_map(tmp_path, np.random.default_rng(0).uniform(0.0, 1.0, (200, 200)))
@@ -85,14 +87,14 @@ def test_one_that_stands_builds_neither_boxes_nor_hulls(tmp_path: Path, built: l
     assert calls(built) == 0
 
 
-def test_map_of_rough_ground_builds_no_hull(tmp_path: Path, built: list[Counted]) -> None:
+def test_a_moving_map_of_rough_ground_is_refused_before_hulls_are_built(tmp_path: Path, built: list[Counted]) -> None:
     write_map(tmp_path, np.random.default_rng(0).uniform(0.0, 1.0, (200, 200)))  # 39,601 cells
     said = refused(tmp_path, shape="heightmap", file="map.csv", size=[20.0, 20.0])
     assert "found more than 20000 convex pieces; allowed: up to 20000" in said
     assert calls(built) == 0
 
 
-def test_map_of_waves_builds_no_hull(tmp_path: Path, built: list[Counted]) -> None:
+def test_a_moving_map_of_waves_is_refused_before_hulls_are_built(tmp_path: Path, built: list[Counted]) -> None:
     # neighbouring points bend by less than the tolerance: only wider blocks show that there are too many
     heights = waves(601, 0.7)
     assert np.max(np.abs(np.diff(heights, 2, axis=0))) / 2.0 < 0.06
@@ -101,7 +103,7 @@ def test_map_of_waves_builds_no_hull(tmp_path: Path, built: list[Counted]) -> No
     assert calls(built) == 0
 
 
-def test_building_ends_with_the_first_column_too_many(built: list[Counted]) -> None:
+def test_building_columns_ends_when_there_are_too_many(built: list[Counted]) -> None:
     # one hollow beside flat ground, not seen along the middle lines of any block
     heights = np.zeros((4, 400))
     heights[1:3, ::3] = 0.5
@@ -111,7 +113,7 @@ def test_building_ends_with_the_first_column_too_many(built: list[Counted]) -> N
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.long)])
-def test_counting_first_changes_no_column(seed: int) -> None:
+def test_a_maximum_number_of_columns_does_not_change_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     heights = waves(24, 5.0) + rng.uniform(0.0, 0.05 * seed, (24, 24))
     free = terrain_columns(heights, (20.0, 20.0), tolerance=0.1, depth=1.0)
@@ -123,7 +125,7 @@ def test_counting_first_changes_no_column(seed: int) -> None:
         terrain_columns(heights, (20.0, 20.0), tolerance=0.1, depth=1.0, most=len(free) - 1)
 
 
-def test_as_many_boxes_as_allowed_are_built() -> None:
+def test_exactly_as_many_boxes_as_allowed_are_accepted() -> None:
     points = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
     assert len(voxel_boxes(points, 1.0, most=3)) == 3
     with pytest.raises(InputError, match="found 3 convex pieces; allowed: up to 2"):

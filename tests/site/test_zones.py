@@ -46,7 +46,7 @@ def site(*zones: Data, q: list[float] = STANDING, **more: Any) -> bp.Scene:
 # --- the scene file ----------------------------------------------------------------------
 
 
-def test_every_kind_becomes_the_solid_it_forbids(backhoe: Robot) -> None:
+def test_every_kind_of_zone_becomes_the_solid_it_forbids(backhoe: Robot) -> None:
     scene = site(
         LINE,
         {"kind": "floor", "name": "main", "height": -2.0, "stop": 0.3, "links": ["bucket"]},
@@ -61,7 +61,7 @@ def test_every_kind_becomes_the_solid_it_forbids(backhoe: Robot) -> None:
     expected = {
         "power line": ((0, 0, 3.0), (0, 0, -1)),
         "main": ((0, 0, -2.0), (0, 0, 1)),
-        "house": ((-3, 3, 0), (0, -1, 0)),  # the machine stands at the origin, on this side of it
+        "house": ((-3, 3, 0), (0, -1, 0)),  # facing the machine at the origin
         "fence": ((0, -4, 0), (0, 1, 0)),
     }
     for name, (point, normal) in expected.items():
@@ -89,7 +89,7 @@ def test_a_wall_of_two_points_faces_the_origin(start: tuple[float, float], end: 
 
 
 @pytest.mark.parametrize(("y", "towards"), [(3.0, -1.0), (10.0, 1.0)])
-def test_a_wall_of_two_points_faces_the_machine_wherever_it_stands(backhoe: Robot, y: float, towards: float) -> None:
+def test_a_wall_of_two_points_faces_the_machines_base(backhoe: Robot, y: float, towards: float) -> None:
     road = {"kind": "wall", "name": "road", "from": [-3, 5], "to": [8, 5], "stop": 0.2}
     scene = bp.scene_from_dict(site(road).to_dict() | {"base": {"position": [0.0, y]}})
     (wall,) = build_problem(backhoe, scene).obstacles
@@ -126,14 +126,14 @@ WRONG: dict[str, tuple[list[Data], list[str]]] = {
 
 
 @pytest.mark.parametrize(("zones", "said"), WRONG.values(), ids=WRONG.keys())
-def test_what_is_wrong_with_a_zone_is_said_with_its_key(zones: list[Data], said: list[str]) -> None:
+def test_errors_in_a_zone_name_the_key(zones: list[Data], said: list[str]) -> None:
     with pytest.raises(SceneError) as caught:
         site(*zones)
     for fragment in said:
         assert fragment in str(caught.value)
 
 
-def test_what_does_not_fit_the_machine_is_named(backhoe: Robot) -> None:
+def test_zones_that_do_not_fit_the_machine_are_refused(backhoe: Robot) -> None:
     with pytest.raises(SceneError, match=r"zones\[0\] \(power line\).links.*bom.*boom"):
         build_problem(backhoe, site({**LINE, "links": ["bom"]}))
     with pytest.raises(SceneError, match=r"zones\[0\] \(road\).*no room.*swing moves from"):
@@ -143,7 +143,7 @@ def test_what_does_not_fit_the_machine_is_named(backhoe: Robot) -> None:
 # --- planner and certificate ---------------------------------------------------------------
 
 
-def test_a_sector_is_a_limit_of_the_first_joint(backhoe: Robot) -> None:
+def test_a_swing_sector_limits_the_first_joint(backhoe: Robot) -> None:
     problem = build_problem(backhoe, site(SECTOR))
     for limits in (problem.limits, problem.robot.limits):
         assert (limits.lower[0], limits.upper[0]) == pytest.approx((-0.5, 0.9))
@@ -154,7 +154,7 @@ def test_a_sector_is_a_limit_of_the_first_joint(backhoe: Robot) -> None:
     )
 
 
-def test_a_plan_keeps_the_stop_distance_and_the_line_says_what_was_passed(backhoe: Robot) -> None:
+def test_a_plan_keeps_the_stop_distance_and_the_log_reports_the_warn_distance(backhoe: Robot) -> None:
     low = {"kind": "ceiling", "name": "pipe bridge", "height": 3.2, "stop": 0.3, "warn": 3.0}
     scene = site(low, SECTOR, task={"goal": {"position": [4.2, 1.8, 0.6]}})
     plan = bp.plan(backhoe, scene, effort="quick")
@@ -169,7 +169,7 @@ def test_a_plan_keeps_the_stop_distance_and_the_line_says_what_was_passed(backho
 # --- the servo -----------------------------------------------------------------------------
 
 
-def test_pace_falls_smoothly_to_what_lets_one_leave() -> None:
+def test_the_pace_falls_smoothly_to_a_minimum_that_allows_leaving() -> None:
     assert [pace(1.0, 1.0), pace(2.0, 1.0), pace(0.0, 1.0), pace(-1.0, 1.0)] == [1.0, 1.0, 0.15, 0.15]
     assert pace(0.25, 0.5) == pytest.approx(0.575)  # halfway: the middle of 0.15 and 1
     falling = [pace(margin, 0.5) for margin in np.linspace(0.6, -0.1, 300)]
@@ -196,7 +196,7 @@ def test_the_servo_slows_down_and_stops_before_a_ceiling(backhoe: Robot) -> None
     assert slower
     assert paces[0] == 1.0
     assert paces[-1] < 0.3
-    for _ in range(1200):  # and it can leave
+    for _ in range(1200):  # it can leave
         state = servo.step([0.0, 0.0, -0.6])
     assert state.pace == 1.0
     assert state.tip_position[2] < 0.0
@@ -251,7 +251,7 @@ def test_the_log_measures_depth_from_the_deepest_link(backhoe: Robot) -> None:
     assert depth["slow"] == pytest.approx(1.0 - distance.min())
 
 
-def test_a_tremble_at_the_edge_is_one_visit_and_two_visits_are_two(backhoe: Robot) -> None:
+def test_trembling_at_the_edge_counts_as_one_visit(backhoe: Robot) -> None:
     log = ZoneLog(backhoe, site({**SECTOR, "slow": 0.1, "warn": 0.4}))
     for k in range(20):
         log.note(0.1 * k, [0.6 + 0.001 * (-1) ** k, 0.3, -0.9, -0.5])
