@@ -23,7 +23,7 @@ settings.load_profile("seeded")
 
 
 def pytest_collection_finish() -> None:
-    """What is there before the first test stays to the end: no search for cycles goes through it again."""
+    """Objects from before the first test stay to the end: garbage collection skips them from here on."""
     gc.collect()
     gc.freeze()
 
@@ -55,7 +55,7 @@ def panda() -> Robot:
 
 @pytest.fixture(scope="session")
 def around_a_ball(planar4: Robot) -> bp.Plan:
-    """Along a path of 2 m at 0.4 m/s, and around a ball of 30 cm in its middle."""
+    """A plan along a path of 2 m at 0.4 m/s, around a ball of radius 30 cm in its middle."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.0, 0.0, 0.0]}
     task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-1.0, 1.0)], "speed": 0.4}}
     content = {"version": 1, "task": task, "clearance": 0.02, "influence": 0.4, "obstacles": [ball]}
@@ -69,12 +69,12 @@ def any_robot(request: pytest.FixtureRequest) -> Robot:
     return robot
 
 
-# ten frames a second: without a graphics card a frame costs as much as all else that a page does in that time
+# ten frames a second: without a graphics card a frame costs as much as all other work of a page in that time
 FEWER_FRAMES = """
     window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
     window.cancelAnimationFrame = clearTimeout;
 """
-# all but the triangles themselves, which without a graphics card cost half of all that a page does
+# everything but the triangles, which without a graphics card cost half of the work of a page
 NO_TRIANGLES = """
     for (const context of [WebGLRenderingContext, WebGL2RenderingContext])
         context.prototype.clear = context.prototype.drawElements = context.prototype.drawArrays = () => {};
@@ -82,7 +82,7 @@ NO_TRIANGLES = """
 
 
 class Browser:
-    """Opens pages that draw few frames, and nothing of the scene in them but where a test looks at it."""
+    """Opens pages that draw few frames, and the scene in them only where a test looks at it."""
 
     def __init__(self, opened: Any) -> None:
         self._opened = opened
@@ -94,7 +94,7 @@ class Browser:
 
     @staticmethod
     def complaints_of(page: Any) -> list[str]:
-        """What goes wrong on a page from now on, but for what a browser says because it has no graphics card."""
+        """The errors on a page from now on, without those of a browser that has no graphics card."""
         complaints: list[str] = []
 
         def take(message: Any) -> None:

@@ -41,7 +41,7 @@ def crowd(robot: Robot, count: int, seed: int, *, moving: bool) -> Proximity:
 
 
 def lead_at(robot: Robot, v: Vector) -> dict[str, Any]:
-    """As a loop has it that moves at v (n,)."""
+    """Arguments of `at_unchecked` in a loop that moves at v (n,)."""
     shield, change = Shield(robot.limits), robot.limits.acceleration * DT
     stop, longest = shield.stopping_time(np.abs(v) + change), shield.stopping_time(robot.limits.velocity)
     return {"v": v, "fastest": np.abs(v) + change, "stop": stop, "longest": longest}

@@ -1,4 +1,4 @@
-"""What a plan has to say, or the test fails: what is in the way, the nearest pose, the comparison."""
+"""Parts of a plan that must exist, or the test fails: its obstruction, the nearest pose, the comparison."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from backhoe_planner.site import Obstruction
 
 
 def obstruction(plan: Plan) -> Obstruction:
-    """What is in the way."""
+    """The plan's obstruction."""
     found = plan.findings.obstruction
     assert found is not None
     return found
 
 
 def span(found: Obstruction) -> tuple[float, float]:
-    """The part of the path that it is about [m]."""
+    """The obstructed part of the path [m]."""
     assert found.path_from is not None
     assert found.path_to is not None
     return found.path_from, found.path_to
@@ -35,6 +35,6 @@ def comparison(plan: Plan) -> LawComparison:
 
 
 def law_cost(found: LawComparison) -> float:
-    """What the local law needs."""
+    """The cost of the local law."""
     assert found.law is not None
     return found.law

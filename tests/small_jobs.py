@@ -26,7 +26,7 @@ def tiny_plan() -> JobPlan:
 
 
 def small_job(**keys: Any) -> Job:
-    """The job, with some of its keys replaced."""
+    """The job with some of its keys replaced."""
     content: dict[str, Any] = {
         "version": 1,
         "name": "short trench",

@@ -1,4 +1,4 @@
-"""The project's own Python as trees, for rules that its files keep."""
+"""The project's Python files as syntax trees, for the rules they must follow."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 @cache
 def nodes(file: Path) -> list[ast.AST]:
-    """Everything in a file, read once for all rules.
+    """All nodes of a file, read once for all rules.
 
-    Without a search for cycles meanwhile: nodes are in none, and it takes thrice as long as reading them.
+    Garbage collection is off meanwhile: nodes form no cycles, and it takes three times as long as reading them.
     """
     gc.disable()
     try:

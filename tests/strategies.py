@@ -1,4 +1,4 @@
-"""What hypothesis may draw: whole scenes, as plain data."""
+"""Strategies for hypothesis: whole scenes as plain data."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ limits = record({}, velocity_scale=st.floats(0.01, 1.0), acceleration=st.diction
 
 @st.composite
 def scenes(draw: st.DrawFn) -> Data:
-    """A scene that is valid, with every shape of obstacle among them."""
+    """A valid scene; every shape of obstacle occurs."""
     data: Data = draw(
         record(
             {"version": st.just(1)},

@@ -56,7 +56,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 @cache
 def validator_of(schema: str) -> jsonschema.Draft202012Validator:
-    """Of a schema as it is printed; that it is one itself is checked here, once, since that takes the longest."""
+    """Of a printed schema; that it is a valid schema is checked here, once, since that takes the longest."""
     jsonschema.Draft202012Validator.check_schema(json.loads(schema))
     return jsonschema.Draft202012Validator(json.loads(schema))
 
@@ -67,11 +67,11 @@ def scene_file(folder: Path, content: Data | str = REACH) -> Path:
     return file
 
 
-# --- what works -------------------------------------------------------------------
+# --- valid input ------------------------------------------------------------------
 
 
-def test_which_goal_is_reached_and_what_is_kept_are_lines_of_plan_and_check(run: Run, tmp_path: Path) -> None:
-    """A planar arm stays at z = 0: a metre above what is kept."""
+def test_plan_and_check_print_the_reached_goal_and_the_margin_of_keep(run: Run, tmp_path: Path) -> None:
+    """A planar arm stays at z = 0, a metre above the limit of `keep`."""
     goals = [{"position": [9.0, 0.0, 0.0]}, {"joints": {**JOINTS, "joint1": 0.4}}]
     scene = scene_file(tmp_path, {**REACH, "task": {"goal": goals, "keep": {"above": -1.0}}})
     status, planned, _ = run("plan", PLANAR4, scene, "-o", "out.json", *QUICK)
@@ -84,7 +84,7 @@ def test_which_goal_is_reached_and_what_is_kept_are_lines_of_plan_and_check(run:
     assert content["keep"][0]["margin"] == pytest.approx(1.0)
 
 
-def test_what_zones_were_passed_is_one_line_of_plan_and_a_row_of_check(run: Run, tmp_path: Path) -> None:
+def test_plan_prints_zones_in_one_line_and_check_one_row_for_each(run: Run, tmp_path: Path) -> None:
     sector = {"kind": "swing_sector", "name": "road", "from": -0.2, "to": 1.5, "stop": 0.1, "warn": 0.3}
     scene = scene_file(tmp_path, {**REACH, "zones": [sector]})
     status, planned, _ = run("plan", PLANAR4, scene, "-o", "out.json", *QUICK)
@@ -119,7 +119,7 @@ def test_check_lists_every_zone(run: Run, tmp_path: Path) -> None:
     assert float(rows[0][3]) - float(rows[1][3]) == pytest.approx(0.2, abs=1e-3)
 
 
-def test_the_machine_itself_and_what_is_asked_of_the_tip_are_said_in_words(run: Run, tmp_path: Path) -> None:
+def test_self_collision_pairs_objective_and_tip_speed_are_printed_in_words(run: Run, tmp_path: Path) -> None:
     points = [{"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}]
     scene = {"version": 1, "objective": "effort", "task": {"path": {"waypoints": points, "speed": 0.4}}}
     _, planned, _ = run("plan", "example:backhoe", scene_file(tmp_path, scene), "-o", "out.json", *QUICK)
@@ -148,7 +148,7 @@ def test_the_machine_itself_and_what_is_asked_of_the_tip_are_said_in_words(run: 
         (0.0, "rad^2/s", "0 rad^2/s"),
     ],
 )
-def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -> None:
+def test_quantities_are_printed_with_an_si_prefix(value: float, unit: str, said: str) -> None:
     assert describe_quantity(value, unit) == said
 
 
@@ -162,7 +162,7 @@ def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -
         pytest.param("effort", r"objective +effort [\d.]+ \(kN m\)\^2 s\n", marks=pytest.mark.long),
     ],
 )
-def test_the_objective_of_a_motion_to_a_goal_is_told_with_its_unit(
+def test_the_objective_of_a_motion_to_a_goal_is_printed_once_with_its_unit(
     run: Run, tmp_path: Path, objective: str | None, line: str
 ) -> None:
     content = REACH if objective is None else REACH | {"objective": objective}
@@ -181,7 +181,7 @@ def test_the_objective_of_a_motion_to_a_goal_is_told_with_its_unit(
         ({}, ({"objective": "work"}, {}), None),
     ],
 )
-def test_the_objective_that_all_legs_of_a_sequence_have_is_told_as_of_one_motion(
+def test_an_objective_common_to_all_legs_of_a_sequence_is_printed_once(
     run: Run, tmp_path: Path, given: Data, legs: tuple[Data, Data], line: str | None
 ) -> None:
     goals = [{**JOINTS, "joint1": angle} for angle in (0.2, 0.4)]
@@ -196,7 +196,7 @@ def test_the_objective_that_all_legs_of_a_sequence_have_is_told_as_of_one_motion
     assert line is None or (legs[0] | given).get("objective", "time") == cost["objective"]
 
 
-def test_plan_check_export(run: Run, tmp_path: Path) -> None:
+def test_plan_check_and_export_work_one_after_the_other(run: Run, tmp_path: Path) -> None:
     chosen = ("--seed", "3", *QUICK)
     status, said, _ = run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json", *chosen)
     assert status == 0
@@ -210,7 +210,7 @@ def test_plan_check_export(run: Run, tmp_path: Path) -> None:
     assert status == 0
     assert said.startswith("verified\nplanned with method auto, seed 3, effort quick\n")
     assert re.search(r"velocity +\d+\.\d % of its limit", said)
-    for name in ("motion:key:.csv", "motion.npz", "motion.yaml"):  # no picture of a key in its name
+    for name in ("motion:key:.csv", "motion.npz", "motion.yaml"):  # `:key:` in a name is not replaced by an emoji
         status, said, _ = run("export", "out.json", name)
         assert (status, said) == (0, f"wrote {name}\n")
         assert (tmp_path / name).stat().st_size > 0
@@ -220,7 +220,7 @@ def test_plan_check_export(run: Run, tmp_path: Path) -> None:
     assert "allowed: .csv, .npz, .yaml" in told
 
 
-def test_a_path_tells_its_speed_and_its_approach(run: Run, tmp_path: Path) -> None:
+def test_plan_prints_the_kept_speed_and_the_approach_of_a_path(run: Run, tmp_path: Path) -> None:
     points = [{"position": [2.0, -0.6, 0.0]}, {"position": [2.0, 0.6, 0.0]}]
     scene = {"version": 1, "start": {"joints": JOINTS}, "task": {"path": {"waypoints": points, "speed": 0.4}}}
     file = scene_file(tmp_path, scene | {"objective": "velocity_norm"})
@@ -233,8 +233,8 @@ def test_a_path_tells_its_speed_and_its_approach(run: Run, tmp_path: Path) -> No
     assert f"{whole:.4g} rad^2/s with the approach to it; the local law after the same approach" in said
 
 
-def test_check_says_what_of_a_path_is_left_out(run: Run, around_a_ball: bp.Plan) -> None:
-    """A ball of 0.3 m stands in the middle of the path, and nothing may come nearer to it than 0.02 m."""
+def test_check_prints_the_length_of_the_path_left_out_by_a_detour(run: Run, around_a_ball: bp.Plan) -> None:
+    """A ball of radius 0.3 m is in the middle of the path, with a clearance of 0.02 m."""
     around_a_ball.save("plan.json")
     status, said, _ = run("check", "plan.json")
     assert status == 0
@@ -243,7 +243,7 @@ def test_check_says_what_of_a_path_is_left_out(run: Run, around_a_ball: bp.Plan)
     assert 0.64 <= float(found[1]) < 1.4
 
 
-def test_check_says_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
+def test_check_prints_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
     far = REACH | {"start": {"joints": JOINTS | {"joint2": 9.0}}}
     assert run("plan", PLANAR4, scene_file(tmp_path, far), "-o", "far.json")[0] == 1
     status, said, _ = run("check", "far.json")
@@ -268,7 +268,7 @@ def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     assert "joint1 exceeds its velocity limit" in said
 
 
-def test_json_is_all_that_is_printed(run: Run, tmp_path: Path) -> None:
+def test_with_json_nothing_else_is_printed(run: Run, tmp_path: Path) -> None:
     status, said, told = run("plan", PLANAR4, scene_file(tmp_path), "--json", "--seed", "4", *QUICK)
     content = json.loads(said)
     assert (status, told) == (0, "")
@@ -276,7 +276,7 @@ def test_json_is_all_that_is_printed(run: Run, tmp_path: Path) -> None:
     assert content["trajectory"]["file"] == "plan.json"
 
 
-def test_schema_is_a_json_schema(run: Run) -> None:
+def test_the_printed_schema_accepts_a_scene_and_refuses_an_unknown_key(run: Run) -> None:
     status, said, _ = run("schema")
     validator_of(said).validate(REACH)
     with pytest.raises(jsonschema.ValidationError):
@@ -285,7 +285,9 @@ def test_schema_is_a_json_schema(run: Run) -> None:
 
 
 @pytest.mark.parametrize(("kind", "folder"), [("job", "scenes/jobs"), ("study", "scenes/studies")])
-def test_the_schema_of_a_job_or_study_takes_the_examples_and_is_named_in_them(run: Run, kind: str, folder: str) -> None:
+def test_the_schemas_of_jobs_and_studies_accept_the_examples_which_refer_to_them(
+    run: Run, kind: str, folder: str
+) -> None:
     status, said, _ = run("schema", kind)
     assert status == 0
     beside = ROOT / folder
@@ -310,7 +312,7 @@ def test_the_schema_of_a_job_or_study_takes_the_examples_and_is_named_in_them(ru
         ("study", {"best": {"smallest": "duration"}}),
     ],
 )
-def test_the_schema_of_a_job_or_study_refuses_what_is_wrong(run: Run, kind: str, wrong: Data) -> None:
+def test_the_schemas_of_jobs_and_studies_refuse_wrong_values(run: Run, kind: str, wrong: Data) -> None:
     _, said, _ = run("schema", kind)
     example = {"job": "scenes/jobs/long_trench.yaml", "study": "scenes/studies/clearance_and_place.yaml"}[kind]
     content = yaml.safe_load((ROOT / example).read_text(encoding="utf-8"))
@@ -319,13 +321,13 @@ def test_the_schema_of_a_job_or_study_refuses_what_is_wrong(run: Run, kind: str,
         validator_of(said).validate(content | wrong)
 
 
-def test_a_schema_of_another_file_is_refused_with_those_there_are(run: Run) -> None:
+def test_an_unknown_schema_name_is_refused_with_the_allowed_ones(run: Run) -> None:
     status, _, told = run("schema", "plan")
     assert status == 2
     assert "found plan; allowed: scene, job, study" in told
 
 
-def test_inspect_tells_the_working_envelope(run: Run) -> None:
+def test_inspect_prints_the_working_envelope(run: Run) -> None:
     status, said, _ = run("inspect", "example:backhoe")
     assert status == 0
     for word in ("swing", "stick", "bucket_tip", "Denavit-Hartenberg", "working envelope", "digging depth"):
@@ -333,7 +335,7 @@ def test_inspect_tells_the_working_envelope(run: Run) -> None:
     assert "greatest height of the teeth  5.50 m" in said
 
 
-def test_inspect_shows_a_machine_as_a_scene_has_it(run: Run, tmp_path: Path) -> None:
+def test_inspect_applies_tip_held_joints_and_limits_of_a_scene(run: Run, tmp_path: Path) -> None:
     joints = {"swing": 0.0, "boom": 0.4, "stick": -1.6}
     content = REACH | {"start": {"joints": joints}, "hold": {"bucket": -0.6}, "tip": "bucket"}
     content["limits"] = {"velocity": {"swing": 0.25}, "position": {"stick": [-2.0, -1.0]}}
@@ -349,8 +351,8 @@ def test_inspect_shows_a_machine_as_a_scene_has_it(run: Run, tmp_path: Path) -> 
     assert (status, said) == (2, "error: --tip: is not the scene's tip; found stick; allowed: bucket\n")
 
 
-def test_inspect_says_where_the_obstacles_of_a_scene_stand(run: Run, tmp_path: Path) -> None:
-    """A box of 2 x 1 x 1 m turned by 90 degrees, a cube of 2 x 2 x 2 voxels of 1 m, and what lies below and beside."""
+def test_inspect_prints_the_extent_of_each_obstacle(run: Run, tmp_path: Path) -> None:
+    """A box of 2 x 1 x 1 m turned by 90 degrees, a cube of 2 x 2 x 2 voxels of 1 m, half-spaces and a ceiling."""
     cells = [[x, y, z] for x in (5.5, 6.5) for y in (0.5, 1.5) for z in (0.5, 1.5)]
     (tmp_path / "scan.csv").write_text("\n".join(",".join(map(str, cell)) for cell in cells))
     scene = tmp_path / "scene.yaml"
@@ -372,13 +374,13 @@ def test_inspect_says_where_the_obstacles_of_a_scene_stand(run: Run, tmp_path: P
     assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1 piece"
 
 
-def test_inspect_says_where_joints_stand_that_no_scene_holds(run: Run) -> None:
+def test_inspect_prints_the_position_of_joints_that_do_not_move_the_tip(run: Run) -> None:
     status, said, _ = run("inspect", "example:panda", "--tip", "panda_hand")
     assert status == 0
     assert "at 0, since they do not move the tip: panda_finger_joint1, panda_finger_joint2" in said
 
 
-def test_inspect_and_plan_warn_of_limits_that_the_urdf_does_not_give(run: Run, tmp_path: Path) -> None:
+def test_inspect_and_plan_warn_of_limits_missing_in_the_urdf(run: Run, tmp_path: Path) -> None:
     urdf = tmp_path / "bare.urdf"
     urdf.write_text(Path(PLANAR4).read_text().replace('velocity="', 'velocity="0" was="'))
     status, said, warned = run("inspect", urdf)
@@ -392,11 +394,11 @@ def test_inspect_and_plan_warn_of_limits_that_the_urdf_does_not_give(run: Run, t
         assert (status, warned.count("no velocity limit")) == (0, count)
 
 
-def test_a_mesh_that_is_open_is_said_once_by_plan_check_and_inspect(run: Run, tmp_path: Path) -> None:
-    """Two crates without a front of one file, and a closed ring; a flat sheet has no inside."""
+def test_plan_check_and_inspect_warn_once_of_an_open_mesh(run: Run, tmp_path: Path) -> None:
+    """Two crates without a front from one file, a closed ring, and a flat sheet, which has no inside."""
     crate = trimesh.creation.box((1.0, 1.0, 1.0))
     trimesh.creation.annulus(r_min=0.5, r_max=1.0, height=0.2).export(tmp_path / "ring.stl")
-    for _ in range(4):  # fine enough to be no set of hulls
+    for _ in range(4):  # too fine for a set of hulls
         crate = crate.subdivide()
     trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 0] < 0.5]).export(tmp_path / "crate.stl")
     trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 0] > 0.5]).export(tmp_path / "sheet.stl")
@@ -415,7 +417,7 @@ def test_a_mesh_that_is_open_is_said_once_by_plan_check_and_inspect(run: Run, tm
         assert "fill its holes" in warned
 
 
-def test_one_run_as_a_program(tmp_path: Path) -> None:
+def test_the_command_runs_as_a_program(tmp_path: Path) -> None:
     done = subprocess.run(
         [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), *QUICK, "-o", str(tmp_path / "plan.json")],
         capture_output=True, text=True, timeout=PATIENCE, env=ENVIRONMENT, check=False,
@@ -431,7 +433,7 @@ LOST = "error: the output cannot be written: {}\n"
 @pytest.mark.parametrize(
     "command", [pytest.param(["schema"], marks=pytest.mark.long), ["inspect", PLANAR4], ["--help"]]
 )
-def test_where_the_output_is_lost_there_is_no_traceback(command: list[str]) -> None:
+def test_an_output_that_cannot_be_written_is_one_message_without_traceback(command: list[str]) -> None:
     assert with_output("/dev/full", command) == (2, LOST.format("No space left on device"))
 
 
@@ -444,7 +446,7 @@ def test_a_plan_and_its_page_are_written_before_anything_is_printed(tmp_path: Pa
     assert json.loads(written[0].read_text(encoding="utf-8"))["verdict"] == "verified"
 
 
-def test_where_the_page_cannot_be_written_the_plan_is_told_all_the_same(
+def test_a_page_that_cannot_be_written_does_not_lose_the_plan(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(plan: bp.Plan, file: Path) -> tuple[str, ...]:
@@ -461,15 +463,15 @@ def test_where_the_page_cannot_be_written_the_plan_is_told_all_the_same(
 
 
 @pytest.mark.parametrize("command", [["inspect", PLANAR4], ["--help"]])
-def test_where_nobody_reads_the_output_that_is_said(command: list[str]) -> None:
-    """A pipe whose other end is closed, as `| head -1` leaves it."""
+def test_a_closed_output_is_reported(command: list[str]) -> None:
+    """A pipe whose other end is closed, as after `| head -1`."""
     reading, writing = os.pipe()
     os.close(reading)
     assert with_output(writing, command) == (2, LOST.format("Broken pipe"))
 
 
-def test_without_an_output_a_command_works_and_its_file_is_its_own(tmp_path: Path) -> None:
-    """Closed as by `>&-`: the plan file would get its number, and whatever a library prints."""
+def test_without_an_output_a_command_works_and_writes_only_its_plan_to_the_file(tmp_path: Path) -> None:
+    """Closed as by `>&-`: the plan file would get descriptor 1, and with it whatever a library prints."""
     plan_file = tmp_path / "plan.json"
     arguments = ["plan", PLANAR4, str(scene_file(tmp_path)), *QUICK, "-o", str(plan_file)]
     done = subprocess.run(
@@ -482,7 +484,7 @@ def test_without_an_output_a_command_works_and_its_file_is_its_own(tmp_path: Pat
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
 @pytest.mark.parametrize("unbuffered", ["", pytest.param("1", marks=pytest.mark.long)])
-def test_where_the_error_stream_is_lost_too_the_exit_status_says_so(unbuffered: str) -> None:
+def test_without_output_and_error_stream_the_exit_status_is_2(unbuffered: str) -> None:
     environment = ENVIRONMENT | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("wb") as full:
         for command in (["--help"], ["plan", "none.urdf", "none.yaml"]):
@@ -493,8 +495,8 @@ def test_where_the_error_stream_is_lost_too_the_exit_status_says_so(unbuffered: 
 
 
 def with_output(output: str | int, command: list[str]) -> tuple[int, str]:
-    """The exit status of a command whose output goes there, and its messages."""
-    with open(output, "wb") as stream:  # noqa: PTH123  a number or a name
+    """The exit status of a command whose output goes to `output`, and its messages."""
+    with open(output, "wb") as stream:  # noqa: PTH123  a descriptor or a name
         done = subprocess.run(
             [*COMMAND, *command], stdout=stream, stderr=subprocess.PIPE, text=True, timeout=PATIENCE, env=ENVIRONMENT,
             check=False,
@@ -513,14 +515,14 @@ TO_AND_FRO = {
 }
 
 
-def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
-    """A path of half a kilometre, to and fro, which takes its time to resolve."""
+def test_an_interrupted_plan_leaves_no_file(tmp_path: Path) -> None:
+    """A path of half a kilometre, to and fro, which takes long to plan."""
     scene = scene_file(tmp_path, TO_AND_FRO)
     plan_file = tmp_path / "plan.json"
     with subprocess.Popen(
         [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "600"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
-        # ignored where the tests run in the background
+        # SIGINT is ignored when the tests run in the background
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as running:  # fmt: skip
         assert running.stdout is not None
@@ -528,7 +530,7 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
         clock.sleep(1.5)
         assert running.poll() is None, running.communicate()
         running.send_signal(signal.SIGINT)
-        _, told = running.communicate(timeout=PATIENCE)  # not the ten minutes that it has
+        _, told = running.communicate(timeout=PATIENCE)  # not the ten minutes of its budget
     assert running.returncode == 130
     assert "Traceback" not in told
     assert told.strip() == "interrupted"
@@ -536,7 +538,7 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("after", [0.05, 0.3, 0.7, *(pytest.param(t, marks=pytest.mark.long) for t in (0.15, 0.5))])
-def test_interrupted_while_it_still_imports_there_is_no_traceback(tmp_path: Path, after: float) -> None:
+def test_an_interrupt_during_imports_gives_no_traceback(tmp_path: Path, after: float) -> None:
     scene, plan_file = scene_file(tmp_path, TO_AND_FRO), tmp_path / "plan.json"
     with subprocess.Popen(
         [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
@@ -552,7 +554,7 @@ def test_interrupted_while_it_still_imports_there_is_no_traceback(tmp_path: Path
     assert not plan_file.exists()
 
 
-def test_without_a_command_the_help_is_shown_and_no_error(run: Run) -> None:
+def test_without_a_command_the_help_is_shown(run: Run) -> None:
     status, said, errors = run()
     assert status == 2
     assert not said
@@ -560,7 +562,7 @@ def test_without_a_command_the_help_is_shown_and_no_error(run: Run) -> None:
     assert "teleop" in errors
 
 
-def test_the_version_is_told_and_every_command_in_a_whole_sentence(run: Run) -> None:
+def test_the_version_is_printed_and_the_help_cuts_no_sentence(run: Run) -> None:
     status, out, error = run("--version")
     native = native_version()
     told = f"backhoe-planner {bp.__version__}" + ("" if native is None else f", native {native}")
@@ -570,7 +572,7 @@ def test_the_version_is_told_and_every_command_in_a_whole_sentence(run: Run) -> 
     assert "..." not in out.partition("Commands:")[2]
 
 
-def test_help_does_not_wait_for_the_robot_libraries() -> None:
+def test_help_does_not_load_the_robot_libraries() -> None:
     asked = (
         "import sys\n"
         "from backhoe_planner.__main__ import main\n"
@@ -598,7 +600,9 @@ def test_help_does_not_wait_for_the_robot_libraries() -> None:
         ),
     ],
 )
-def test_without_a_motion_the_plan_file_says_why(run: Run, tmp_path: Path, keys: Data, reason: str, word: str) -> None:
+def test_without_a_motion_output_and_plan_file_give_the_reason(
+    run: Run, tmp_path: Path, keys: Data, reason: str, word: str
+) -> None:
     status, said, _ = run("plan", PLANAR4, scene_file(tmp_path, REACH | keys))
     assert status == 1
     assert said.startswith(f"failed: {reason}\n")
@@ -608,7 +612,7 @@ def test_without_a_motion_the_plan_file_says_why(run: Run, tmp_path: Path, keys:
     assert word in content["message"]
 
 
-def test_a_machine_that_already_stands_on_its_goal_has_a_duration_and_a_bound(run: Run, tmp_path: Path) -> None:
+def test_a_machine_already_at_its_goal_has_duration_and_bound_0(run: Run, tmp_path: Path) -> None:
     status, said, _ = run("plan", PLANAR4, scene_file(tmp_path, REACH | {"task": {"goal": {"joints": JOINTS}}}))
     assert status == 0
     assert re.search(r"^duration +0\.00 s \(the machine already stands there\)", said, re.MULTILINE)
@@ -619,7 +623,7 @@ def test_a_machine_that_already_stands_on_its_goal_has_a_duration_and_a_bound(ru
 
 
 def refused(run: Run, folder: Path, *arguments: str | Path) -> str:
-    """The one message; nothing but the inputs lies in the folder afterwards."""
+    """The one message; afterwards the folder holds only the inputs."""
     before = sorted(folder.iterdir())
     status, said, told = run(*arguments)
     assert status == 2
@@ -664,7 +668,7 @@ PLAIN = yaml.safe_dump(REACH)
         ("version: 1\ntask: {path: {file: empty.xyz}}\n", ["empty.xyz", "empty"]),
     ],
 )
-def test_a_bad_scene(run: Run, tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_bad_scene_is_refused_with_one_message(run: Run, tmp_path: Path, text: str, words: list[str]) -> None:
     (tmp_path / "empty.xyz").touch()
     told = refused(run, tmp_path, "plan", PLANAR4, scene_file(tmp_path, text))
     for word in words:
@@ -687,7 +691,9 @@ def test_a_bad_scene(run: Run, tmp_path: Path, text: str, words: list[str]) -> N
         (lambda text: text.replace('radius="0.06"', 'radius="-0.06"'), []),
     ],
 )
-def test_a_bad_urdf(run: Run, tmp_path: Path, change: Callable[[str], str], words: list[str]) -> None:
+def test_a_bad_urdf_is_refused_with_its_file_and_joint(
+    run: Run, tmp_path: Path, change: Callable[[str], str], words: list[str]
+) -> None:
     urdf = tmp_path / "broken.urdf"
     urdf.write_text(change(Path(PLANAR4).read_text(encoding="utf-8")), encoding="utf-8")
     told = refused(run, tmp_path, "plan", urdf, scene_file(tmp_path))
@@ -695,7 +701,7 @@ def test_a_bad_urdf(run: Run, tmp_path: Path, change: Callable[[str], str], word
         assert word in told
 
 
-def test_files_that_are_not_there(run: Run, tmp_path: Path) -> None:
+def test_missing_files_and_folders_are_named(run: Run, tmp_path: Path) -> None:
     scene = scene_file(tmp_path)
     assert "none.yaml: no such scene file" in refused(run, tmp_path, "plan", PLANAR4, "none.yaml")
     assert "none.urdf" in refused(run, tmp_path, "plan", "none.urdf", scene)
@@ -719,7 +725,7 @@ def test_files_that_are_not_there(run: Run, tmp_path: Path) -> None:
         (["plan", PLANAR4, "scene.yaml", "--html", "page.pdf"], ".html, .htm"),
     ],
 )
-def test_a_bad_command_line(run: Run, tmp_path: Path, arguments: list[str], word: str) -> None:
+def test_a_bad_command_line_names_the_wrong_argument(run: Run, tmp_path: Path, arguments: list[str], word: str) -> None:
     scene_file(tmp_path)
     assert word in refused(run, tmp_path, *arguments)
 
@@ -738,7 +744,7 @@ def test_a_machine_with_one_joint_is_inspected(run: Run, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("given", "shown"), [("0.3", "0.3 N m"), ("87.5", "87.5 N m"), ("25000", "25,000 N m")])
-def test_inspect_shows_small_limits_of_torques(run: Run, tmp_path: Path, given: str, shown: str) -> None:
+def test_inspect_prints_torque_limits_of_any_size(run: Run, tmp_path: Path, given: str, shown: str) -> None:
     (tmp_path / "arm.obj").write_text(WEDGE, encoding="utf-8")
     (tmp_path / "one.urdf").write_text(ONE_JOINT.replace('effort="1"', f'effort="{given}"'), encoding="utf-8")
     status, said, _ = run("inspect", "one.urdf")
@@ -746,7 +752,7 @@ def test_inspect_shows_small_limits_of_torques(run: Run, tmp_path: Path, given: 
     assert f" {shown}" in said
 
 
-def test_the_page_does_not_overwrite_the_plan(run: Run, tmp_path: Path) -> None:
+def test_plan_and_page_cannot_be_the_same_file(run: Run, tmp_path: Path) -> None:
     assert "where another output goes" in refused(
         run, tmp_path, "plan", PLANAR4, scene_file(tmp_path), "-o", "both.json", "--html", "both.json"
     )
@@ -783,7 +789,7 @@ def test_no_output_replaces_an_input(run: Run, site_of_files: Path, name: str, o
     assert {file: file.read_bytes() for file in folder.iterdir()} == before
 
 
-def test_what_is_written_of_a_plan_replaces_no_file_of_it(run: Run, tmp_path: Path) -> None:
+def test_view_and_export_do_not_replace_the_inputs_of_a_plan(run: Run, tmp_path: Path) -> None:
     shutil.copy(ROOT / "models" / "backhoe.urdf", tmp_path)
     shutil.copy(ROOT / "models" / "backhoe.hydraulics.yaml", tmp_path)
     joints = {"swing": 0.0, "boom": 0.3, "stick": -0.9, "bucket": -0.5}
@@ -797,7 +803,7 @@ def test_what_is_written_of_a_plan_replaces_no_file_of_it(run: Run, tmp_path: Pa
         assert "input of this command" in refused(run, tmp_path, *arguments)
 
 
-def test_the_plan_of_a_job_is_not_plotted_nor_played_live(run: Run, tmp_path: Path) -> None:
+def test_plot_and_live_view_refuse_the_plan_of_a_job(run: Run, tmp_path: Path) -> None:
     file = tmp_path / "job.json"
     file.write_text('{"format": "backhoe-planner/job"}\n', encoding="utf-8")
     for command in (("plot", file, "job.png"), ("view", file)):

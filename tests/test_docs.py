@@ -1,4 +1,4 @@
-"""What README and docs show is run, loaded or parsed, and every link leads somewhere."""
+"""The code, scenes and commands in README and docs run, load or parse, and every link has a target."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def heading_anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_readme_is_short() -> None:
+def test_the_readme_is_short() -> None:
     assert (ROOT / "README.md").stat().st_size <= LARGEST_README
 
 
 @pages_with("python")
-def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_in_the_docs_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for folder in ("models", "scenes"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
@@ -51,8 +51,8 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pages_with("yaml")
-def test_scenes_load(page: Path) -> None:
-    """A snippet without a `version` is a part of the first whole scene of its page."""
+def test_scenes_in_the_docs_load(page: Path) -> None:
+    """A snippet without a `version` belongs to the first whole scene of its page."""
     whole: dict[str, Any] = {}
     for snippet in snippets(page, "yaml"):
         content = yaml.safe_load(snippet)
@@ -66,7 +66,7 @@ def test_scenes_load(page: Path) -> None:
 
 
 @pages_with("sh")
-def test_commands_parse(page: Path) -> None:
+def test_commands_in_the_docs_parse(page: Path) -> None:
     command: Any = typer.main.get_command(app)
     for line in "\n".join(snippets(page, "sh")).splitlines():
         words = shlex.split(line, comments=True)
@@ -77,7 +77,7 @@ def test_commands_parse(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_in_the_docs_have_targets(page: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if "://" in target:
             continue

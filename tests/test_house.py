@@ -34,7 +34,7 @@ def module_name(file: Path) -> str:
 
 @cache
 def imported(file: Path) -> set[str]:
-    """Full names of all modules that a file imports, wherever in it."""
+    """Full names of all modules that a file imports, at any level."""
     found = set()
     for node in nodes(file):
         if isinstance(node, ast.Import):
@@ -51,7 +51,7 @@ def load(file: Path) -> ModuleType:
     return importlib.import_module(module_name(file))
 
 
-# one test holds a rule for all files, and names every place that breaks it: 1600 tests cost more than their rules
+# one test checks a rule in all files and names every violation: 1600 tests would cost more than their rules
 
 
 def test_imports_run_one_way() -> None:
@@ -89,7 +89,7 @@ SUITES = {
 
 
 @pytest.mark.parametrize("floor", SUITES)
-def test_imports_run_one_way_within_a_room(floor: str) -> None:
+def test_imports_within_a_room_run_one_way(floor: str) -> None:
     order = SUITES[floor]
     inner = {path.name for path in (PACKAGE / floor).iterdir() if (path / "__init__.py").is_file()}
     assert inner == set(order) - {""}
@@ -109,11 +109,11 @@ def test_no_file_is_longer_than_600_lines() -> None:
     assert not {str(file): length for file, length in lengths.items() if length > 600}
 
 
-# modules whose own name says where a thing is from: `obstacle_shapes.Sphere`, `shapes.Sphere`
+# modules whose name tells the origin: `obstacle_shapes.Sphere`, `shapes.Sphere`
 VOCABULARIES = {"backhoe_planner.site.schema.obstacle_shapes", "backhoe_planner.machine.shape.shapes"}
 
 
-def test_rooms_are_entered_by_their_doors() -> None:
+def test_rooms_are_imported_through_their_doors() -> None:
     wrong = []
     for file in FILES:
         own = module_name(file).split(".")[1:2]
@@ -128,7 +128,7 @@ def test_rooms_are_entered_by_their_doors() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def test_every_room_is_in_the_order() -> None:
+def test_every_room_has_a_place_in_the_order_of_imports() -> None:
     rooms = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
     assert rooms - {"__init__"} == set(FLOORS)
 
@@ -142,8 +142,8 @@ def test_importing_the_package_loads_no_viewer() -> None:
     assert json.loads(result.stdout) == []
 
 
-def test_public_names_are_explained() -> None:
-    """A name without an underscore is public in its room; the doors say which are public outside of it."""
+def test_public_names_have_docstrings() -> None:
+    """A name without an underscore is public in its room; the doors list those that are public outside."""
     wrong = []
     for file in FILES:
         tree = nodes(file)[0]
@@ -161,11 +161,11 @@ ROOMS = [file for file in FILES if file.name == "__init__.py"]
 
 
 @pytest.mark.parametrize("file", ROOMS, ids=module_name)
-def test_doors_are_sorted_and_open(file: Path) -> None:
+def test_all_of_a_door_is_sorted_and_can_be_imported(file: Path) -> None:
     module = load(file)
     if file.parent.parent not in (PACKAGE, PACKAGE.parent):
         assert not hasattr(module, "__all__"), "only a room has a door, not a room within it"
-    elif hasattr(module, "__all__"):  # where it has not, nothing of it is used outside
+    elif hasattr(module, "__all__"):  # without it nothing of the module is used outside
         names: list[str] = module.__all__
         in_order = sorted(names, key=lambda name: (not name.isupper(), not name[0].isupper(), name))
         assert names in (sorted(names), in_order), f"{file}: __all__ is not sorted"

@@ -1,4 +1,4 @@
-"""`backhoe-planner job` where it was interrupted: what is told, what goes on, and what is not overwritten."""
+"""`backhoe-planner job` after an interruption: its messages, how it resumes, and what it does not overwrite."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Run = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def resumed() -> list[bp.JobPlan | None]:
-    """With what each planning went on."""
+    """The plans from which each planning resumed."""
     return []
 
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, resumed: list[Any]) -> Run:
-    """Call the command line in this process; planning is interrupted after a cycle, on a survey before the first."""
+    """Call the command line in this process; planning is interrupted after one cycle, on a survey before the first."""
     monkeypatch.chdir(tmp_path)
     Path("job.yaml").write_text(yaml.safe_dump(TINY))
 
@@ -55,7 +55,9 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
     return call
 
 
-def test_an_interrupted_job_says_what_is_done_and_goes_on(run: Run, resumed: list[bp.JobPlan | None]) -> None:
+def test_an_interrupted_job_reports_its_cycles_and_resumes_with_the_same_settings(
+    run: Run, resumed: list[bp.JobPlan | None]
+) -> None:
     status, _, told = run("job", "job.yaml", "-o", "part.json")
     assert (status, told) == (130, "interrupted after 1 cycle, kept in part.json; the same command goes on there")
     status, said, _ = run("check", "part.json")
@@ -77,10 +79,8 @@ def test_an_interrupted_job_says_what_is_done_and_goes_on(run: Run, resumed: lis
     assert resumed[2:] == [None]
 
 
-def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A machine without masses, a crate without its front on its site, and a pipe whose place is in millimetres."""
+def test_job_and_stand_warn_of_machine_meshes_and_far_obstacles(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine without masses, an open crate on its site, and a pipe whose position is in millimetres."""
     urdf = bp.load_robot("example:backhoe").urdf.path.read_text()
     Path("light.urdf").write_text(re.sub("<inertial>.*?</inertial>", "", urdf, flags=re.DOTALL))
     corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
@@ -100,15 +100,19 @@ def test_a_job_and_where_to_stand_for_it_warn_of_the_machine_as_a_plan_does(
     for command in ("job", "stand"):
         _, _, told = run(command, "light.yaml", "-o", "light.json")
         assert told.count("warning: no link that moves has a mass in the URDF") == 1
-        assert "those of payload and soil alone" in told  # cuts take work all the same
+        assert "those of payload and soil alone" in told  # cuts need work nevertheless
         assert told.count("warning: the mesh crate.obj (crate) is not closed") == 1
         assert re.search(r"warning: pipe is \d,\d{3} m away, .*; sizes, positions and points of files are in", told)
         assert "warning" not in run(command, "job.yaml", "-o", "part.json")[2]
 
 
 @pytest.mark.long
-def test_a_part_from_a_survey_goes_on_with_the_same_survey_alone(run: Run, resumed: list[bp.JobPlan | None]) -> None:
-    for name, height in (("survey.csv", -0.04), ("again.csv", -0.04), ("other.csv", -0.06)):  # beyond noise
+def test_a_job_on_a_survey_resumes_only_with_the_same_survey(run: Run, resumed: list[bp.JobPlan | None]) -> None:
+    for name, height in (
+        ("survey.csv", -0.04),
+        ("again.csv", -0.04),
+        ("other.csv", -0.06),
+    ):  # differs by more than noise
         np.savetxt(name, np.full((111, 101), height), delimiter=",")
     begin = ("job", "job.yaml", "-o", "part.json")
     assert run(*begin, "--from-terrain", "survey.csv")[0] == 130

@@ -1,7 +1,7 @@
-"""Whatever is handed to a public name: what is wrong is an `InputError` that names the argument, lists count as arrays.
+"""Arguments of public names: wrong ones raise an `InputError` that names the argument, lists count as arrays.
 
-`CALLS` has one entry for every public function, constructor and method that takes arguments: how it is
-called, with good arguments, and what each argument is. From this the bad values follow.
+`calls` has one entry for every public function, constructor and method that takes arguments: how it is
+called, with good arguments, and the kind of each argument, from which the bad values follow.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def limits() -> bp.JointLimits:
     return robot().limits
 
 
-# --- what an argument is ---------------------------------------------------------------
+# --- kinds of arguments ----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ FLAG = Kind((None, "yes", {"a": 1}, OBJECT, [], NAN, 2))
 TEXT = Kind((None, {"a": 1}, OBJECT, [], 3.0, "no such name"))
 PATH = Kind((None, {"a": 1}, OBJECT, [], 3.0, "no/such/file", "a\0b", ""))
 HOLD = ({"no": 0.1}, {"boom": None}, {"boom": "0.1"}, {"boom": NAN}, {"boom": 9.0}, {3: 0.1}, OBJECT, 3.0)
-THING = Kind((None, "text", {"a": 1}, OBJECT, [], 3.0, np.zeros(4)))  # of a class of this package
+THING = Kind((None, "text", {"a": 1}, OBJECT, [], 3.0, np.zeros(4)))  # an object of a class of this package
 
 
 def optional(kind: Kind) -> Kind:
@@ -156,16 +156,16 @@ def only(*bad: Any) -> Kind:
 
 @dataclass(frozen=True)
 class Call:
-    """How something is called: good arguments, and what each is."""
+    """How something is called: good arguments, and the kind of each."""
 
     function: Callable[..., Any]
     good: dict[str, Any]
     kinds: dict[str, Kind]
-    lists: bool = True  # whether the answer is compared for arrays and lists
+    lists: bool = True  # whether results for arrays and lists are compared
 
 
 def call(function: Callable[..., Any], *, lists: bool = True, **arguments: Any) -> Call:
-    """Each argument is a pair: a good value, and what it is."""
+    """Each argument is a pair: a good value and its kind."""
     good = {name: value for name, (value, _) in arguments.items()}
     return Call(function, good, {name: kind for name, (_, kind) in arguments.items()}, lists)
 
@@ -536,7 +536,7 @@ def recording() -> bp.Plan:
 
 # --- all of them ----------------------------------------------------------------------
 
-# what only holds values, made by this package; their methods are above
+# records of values made by this package; their methods are above
 RESULTS = {
     "Beside", "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
     "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
@@ -577,7 +577,7 @@ def to_cover() -> Iterator[str]:
                 yield f"{name}.{method}"
 
 
-def test_every_public_name_that_takes_arguments_is_here() -> None:
+def test_every_public_name_that_takes_arguments_has_an_entry() -> None:
     assert sorted(set(to_cover()) - set(calls())) == []
 
 
@@ -613,7 +613,7 @@ def same(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_lists_count_as_arrays(name: str) -> None:
+def test_lists_give_the_same_results_as_arrays(name: str) -> None:
     found = calls()[name]
     arrays = {key: value for key, value in found.good.items() if isinstance(value, np.ndarray)}
     if not found.lists or not arrays:
@@ -623,7 +623,7 @@ def test_lists_count_as_arrays(name: str) -> None:
 
 @pytest.mark.parametrize("name", RECORDS)
 @pytest.mark.parametrize("bad", [None, "text", OBJECT, [], NAN])
-def test_record_refuses_what_is_no_key_and_what_is_no_value(name: str, bad: Any) -> None:
+def test_records_refuse_unknown_keys_and_wrong_values(name: str, bad: Any) -> None:
     first = next(iter(PUBLIC[name].model_fields))
     for keys in ({"no_such_key": bad}, {first: OBJECT}):
         with pytest.raises(InputError, match=next(iter(keys))):
@@ -631,19 +631,19 @@ def test_record_refuses_what_is_no_key_and_what_is_no_value(name: str, bad: Any)
 
 
 @pytest.mark.parametrize("wish", ["tip_velocity", "joint_velocity", "pitch_rate"])
-def test_step_of_a_servo_raises_nothing(wish: str) -> None:
+def test_a_step_of_the_servo_raises_nothing(wish: str) -> None:
     for bad in vector(4 if wish == "joint_velocity" else 3).bad:
         state = servo().step(**{wish: bad})
         assert bad is None or state.command is bp.Command.INVALID
         assert servo().last_error is None
 
 
-# --- what was silent ------------------------------------------------------------------
+# --- misuse that once passed silently -------------------------------------------------
 
 
 @pytest.mark.parametrize("joint", range(4))
 @pytest.mark.parametrize("value", [NAN, INF])
-def test_nothing_is_said_of_a_posture_that_is_none(joint: int, value: float) -> None:
+def test_a_configuration_that_is_not_finite_is_refused_naming_the_joint(joint: int, value: float) -> None:
     q = Q.copy()
     q[joint] = value
     named = robot().joint_names[joint]
@@ -653,7 +653,7 @@ def test_nothing_is_said_of_a_posture_that_is_none(joint: int, value: float) -> 
     assert np.isfinite(proximity().distances(Q)).all(), "and what comes after is right"
 
 
-def test_log_of_zones_refuses_times_that_run_backwards_and_goes_on() -> None:
+def test_the_zone_log_refuses_decreasing_times_and_stays_usable() -> None:
     log = bp.ZoneLog(robot(), scene())
     log.note(1.0, Q)
     for time in (0.5, NAN, -INF):
@@ -663,7 +663,7 @@ def test_log_of_zones_refuses_times_that_run_backwards_and_goes_on() -> None:
     log.note(2.0, Q)
 
 
-def test_what_is_made_of_a_scene_does_not_change_in_it() -> None:
+def test_a_scene_is_read_only_and_is_no_list_of_obstacles() -> None:
     with pytest.raises(InputError, match=r"Scene\.clearance: does not change once it is made"):
         scene().clearance = 0.3
     with pytest.raises(InputError, match=r"obstacles: is a scene; .*build_obstacles\(scene, robot\)"):

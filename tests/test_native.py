@@ -1,7 +1,7 @@
-"""The compiled functions give what their plain versions give, and the plain versions what is known of them.
+"""The compiled functions agree with their plain versions, and the plain versions with hand calculations.
 
 Each function has a source of random arguments here, as it is called in a step. Where the package
-`backhoe_planner_native` is not installed, nothing is compared, and the plain versions are looked at alone.
+`backhoe_planner_native` is not installed, nothing is compared, and only the plain versions are tested.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pytest
 from backhoe_planner import Robot, native
 from backhoe_planner.law import CompletedLaw, CriticalRows
 from backhoe_planner.law.completed import LawSettings
-from backhoe_planner.live import Feedback, Servo  # noqa: F401  loads all functions that are marked
+from backhoe_planner.live import Feedback, Servo  # noqa: F401  loads all marked functions
 from backhoe_planner.live.servo.feedback import HandSettings
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Rows  # noqa: F401  the same
@@ -41,7 +41,7 @@ def joints(rng: Rng) -> int:
 
 
 def chosen(rng: Rng, of: int) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Some of so many, ascending."""
+    """Some of the first `of` numbers, ascending."""
     return np.sort(rng.choice(of, size=int(rng.integers(0, of + 1)), replace=False)).astype(np.intp)
 
 
@@ -151,7 +151,7 @@ def place_tip(rng: Rng) -> Arguments:
 
 
 def quick_terms(rng: Rng) -> Arguments:
-    """With a task of three and four joints, for which the plain version answers, too."""
+    """With a task of three and four joints, which the plain version can solve too."""
     count = some(rng, 60)
     s_e, s_o = rng.choice([1.0, 0.5], 2).tolist()
     settings = LawSettings(s_e, s_o, 0.6, 0.2, 0.1, float(rng.integers(2)))
@@ -163,7 +163,7 @@ def quick_terms(rng: Rng) -> Arguments:
 
 
 def soft_solution(rng: Rng) -> Arguments:
-    """Some of whose rows cannot all be kept within the bounds."""
+    """Problems some of whose rows cannot all be kept within the bounds."""
     n, rows = joints(rng), some(rng, 30)
     A = rng.normal(size=(n, n))
     return (
@@ -365,7 +365,7 @@ def rows_of_path(rng: Rng) -> Arguments:
 
 
 def turn_along_surface(rng: Rng) -> Arguments:
-    """Of wishes beside a surface and straight into it, with and without a sense of before."""
+    """Wishes along a surface and straight into it, with and without a previous sense of turning."""
     normal = rotation(rng)[0]
     tip = rng.uniform(0.1, 1.0) * normal + rng.choice([0.0, 0.1, 1.0]) * rotation(rng)[0]
     return tip, normal, float(rng.integers(2)) * rotation(rng)[0], bool(rng.integers(2))
@@ -450,7 +450,7 @@ def next_within(rng: Rng) -> Arguments:
 
 
 def velocity_within_rows(rng: Rng) -> Arguments:
-    """Where some of the rows cannot be kept, too, and no rates cut the velocity by which the two solvers differ."""
+    """Some of the rows cannot be kept; no rates limit the velocity, for there the two solvers differ."""
     n, count = joints(rng), some(rng, 25)
     v, change = 0.3 * rng.normal(size=n), rng.uniform(0.05, 0.5, n)
     return (
@@ -594,7 +594,7 @@ def off_turned_box(rng: Rng) -> Arguments:
 
 
 def cells_of_tiles(rng: Rng) -> Arguments:
-    """Of cells in a heap of tiles, some of them empty."""
+    """Cells in a heap of tiles, some of them empty."""
     counts = rng.integers(1, 6, 3)
     number = chosen(rng, int(counts.prod()))
     start = np.append(0, rng.integers(1, 5, len(number)).cumsum())
@@ -631,7 +631,7 @@ def boxes_of_cells(rng: Rng) -> Arguments:
 
 
 def boxes_of_voxels(rng: Rng) -> Arguments:
-    """Of cells in two heaps of tiles."""
+    """Cells in two heaps of tiles."""
 
     def tiles() -> tuple[int, Arguments]:
         while True:
@@ -709,7 +709,7 @@ def distances_within(rng: Rng) -> Arguments:
 
 
 def fastest_run(rng: Rng) -> Arguments:
-    """Of a path that can be run in most cases."""
+    """A path that can be timed in most cases."""
     count = 1 + some(rng)
     grid, ends = np.append(0.0, rng.uniform(0.5, 1.5, count).cumsum()), []
     for rows in rng.integers(1, 6, 2).tolist():
@@ -733,7 +733,7 @@ def nearest_on_ground(rng: Rng) -> Arguments:
 
 
 def read_over_ground(rng: Rng) -> Arguments:
-    """Of pieces with a few corners each, over and in uneven ground, and beside it."""
+    """Pieces with a few corners each, over, in and beside uneven ground."""
     configurations, carriers, pieces, asked = 1 + some(rng, 3), 1 + some(rng, 2), 1 + some(rng, 3), some(rng)
     starts = np.append(0, rng.integers(1, 6, pieces).cumsum())
     rows, columns = rng.integers(2, 9, 2)
@@ -781,10 +781,10 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
 ]  # fmt: skip
 
 
-# those whose whole numbers are no indices, or too many to look at
+# functions whose integers are not indices, or too many to check
 UNLOOKED = pairs_within, cells_of_tiles, boxes_of_voxels, lower_on_grid
 
-# those that write to what they are given, and how many of the last arguments
+# functions that write to their last arguments, and how many of them
 WRITERS: dict[Callable[[Rng], Arguments], int] = {
     corner_gaps: 1, count_travel: 3, gaps_along_path: 3, keep_placements: 2, keep_proven: 1, near_gaps: 1, note_gaps: 1,
     most_urgent_boxes: 2, place_on_line: 2, place_tip: 2,
@@ -792,7 +792,7 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 }  # fmt: skip
 
 
-# those that may answer instead of coal, which their plain versions leave to it
+# functions that may answer instead of coal; their plain versions leave the answer to coal
 OF_COAL = (
     first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, distances_within,
     kept_over_ground, read_over_ground,
@@ -800,7 +800,7 @@ OF_COAL = (
 
 
 def leaves_open(source: Callable[[Rng], Arguments], expected: Any) -> bool:
-    """Whether the plain version leaves the answer to what is slower: the general law, or coal."""
+    """Whether the plain version leaves the answer to the slower general law or to coal."""
     return source in OF_COAL or (source is quick_terms and expected is None)
 
 
@@ -809,7 +809,7 @@ def copied(arguments: Arguments) -> Arguments:
 
 
 def same(found: Any, plain: Any) -> bool:
-    """Whether two results are equal to rounding, in kind, shape and type too."""
+    """Whether two results are equal within rounding and have the same kind, shape and type."""
     if isinstance(plain, tuple):
         return isinstance(found, tuple) and len(found) == len(plain) and all(map(same, found, plain))
     if isinstance(plain, np.ndarray):
@@ -821,7 +821,7 @@ def same(found: Any, plain: Any) -> bool:
 
 
 def agree(source: Callable[[Rng], Arguments], found: Any, plain: Any) -> bool:
-    """The same; of two solvers the solutions alone, to the tolerance of the general one."""
+    """As `same`; of two solvers only the solutions, within the tolerance of the general one."""
     if source not in (soft_solution, velocity_within_rows, velocity_held_as_before) or plain is None:
         return same(found, plain)
     counts = all(isinstance(count, int) for count in found[1:]) and len(found) == len(plain)
@@ -854,8 +854,8 @@ def test_compiled_and_plain_versions_agree(source: Callable[[Rng], Arguments]) -
 
 @needs_native
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.__name__))
-def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Arguments]) -> None:
-    """An array of another type, of a length that does not fit, or an index out of range, is refused and not read."""
+def test_compiled_versions_refuse_arrays_of_wrong_type_shape_or_index_range(source: Callable[[Rng], Arguments]) -> None:
+    """Such an array is refused before it is read."""
     rng = np.random.default_rng(11)
     compiled = getattr(find_compiled(), source.__name__)
     with pytest.raises(TypeError, match="takes"):
@@ -865,7 +865,7 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
         arguments = source(rng)
         for place, one in enumerate(arguments):
             if isinstance(one, np.ndarray):
-                swapped = one.astype(one.dtype.newbyteorder())  # as on a machine of the other byte order
+                swapped = one.astype(one.dtype.newbyteorder())  # the other byte order
                 other_kind = np.float32 if one.dtype != np.float32 else float
                 wrong: list[Any] = [one.astype(other_kind), one[None], *([swapped] if one.dtype.kind != "b" else [])]
                 if one.dtype.kind == "i" and len(one):
@@ -880,7 +880,7 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
                         found = compiled(*copied(shorter))
                     except (TypeError, ValueError, IndexError):
                         refused += 1
-                    else:  # there may be one less of it
+                    else:  # a shorter array may be valid
                         expected = plain(*copied(shorter))
                         assert agree(source, found, expected) or leaves_open(source, expected)
     assert refused > 5
@@ -888,10 +888,10 @@ def test_compiled_versions_refuse_what_does_not_fit(source: Callable[[Rng], Argu
 
 @needs_native
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.__name__))
-def test_with_more_joints_than_there_is_room_for_the_plain_version_answers(
+def test_with_40_joints_the_compiled_versions_agree_with_the_plain_ones(
     source: Callable[[Rng], Arguments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As for a snake of 40 joints."""
+    """That is more than the compiled versions have room for: the plain version answers."""
     monkeypatch.setattr(sys.modules[__name__], "joints", lambda _: 40)
     rng = np.random.default_rng(17)
     plain, compiled = plain_versions()[source.__name__], getattr(find_compiled(), source.__name__)
@@ -902,8 +902,8 @@ def test_with_more_joints_than_there_is_room_for_the_plain_version_answers(
 
 
 @needs_native
-def test_the_plain_version_reads_the_same_depths_in_ground() -> None:
-    """Other distances are left to coal by it."""
+def test_compiled_and_plain_versions_read_the_same_depths_in_ground() -> None:
+    """The plain version leaves other distances to coal."""
     rng, depths = np.random.default_rng(7), 0
     for _ in range(100):
         arguments = read_over_ground(rng)
@@ -920,10 +920,8 @@ def test_the_plain_version_reads_the_same_depths_in_ground() -> None:
 @pytest.mark.parametrize(
     ("source", "outputs"), [(corner_gaps, 1), (keep_placements, 2), (keep_proven, 1), (note_gaps, 1), (place_tip, 2)]
 )
-def test_compiled_versions_write_to_no_array_that_is_read_only(
-    source: Callable[[Rng], Arguments], outputs: int
-) -> None:
-    """The last arguments are written to: a read-only one is refused by both versions, and stays as it is."""
+def test_read_only_outputs_are_refused_and_stay_unchanged(source: Callable[[Rng], Arguments], outputs: int) -> None:
+    """By both versions; the last arguments are the outputs."""
     rng = np.random.default_rng(13)
     for function in (plain_versions()[source.__name__], getattr(find_compiled(), source.__name__)):
         for place in range(-outputs, 0):
@@ -938,10 +936,10 @@ def test_compiled_versions_write_to_no_array_that_is_read_only(
 @needs_native
 @pytest.mark.parametrize("rows", [3, 6])
 @pytest.mark.parametrize("least", [0.5, 0.0801, 0.0799, 0.01, 1e-3, 0.0])
-def test_the_compiled_law_is_the_general_one_on_any_arm(panda: Robot, rows: int, least: float) -> None:
-    """Seven joints, a task of three or six, the smallest singular value on both sides of where damping begins.
+def test_the_compiled_law_equals_the_general_one_for_seven_joints(panda: Robot, rows: int, least: float) -> None:
+    """A task of three or six, the smallest singular value on both sides of the threshold of damping.
 
-    The plain quick way is for one null line away from singularities, the compiled one for all.
+    The plain quick version covers a one-dimensional null space away from singularities, the compiled one all cases.
     """
     rng, law, at = np.random.default_rng(3), CompletedLaw(panda, influence=0.5), Kinematics(panda).at(np.zeros(7))
     for _ in range(10):
@@ -958,7 +956,7 @@ def test_the_compiled_law_is_the_general_one_on_any_arm(panda: Robot, rows: int,
 
 @needs_native
 @pytest.mark.parametrize("s", [(1.0, 1.0, 1.0, 0.01, 0.01, 0.01), (1.0, 1.0, 1.0, 0.5, 0.0, 0.0), (2.0, 2.0, 0.01)])
-def test_the_compiled_law_answers_where_singular_values_are_equal(panda: Robot, s: tuple[float, ...]) -> None:
+def test_the_compiled_law_equals_the_general_one_with_equal_singular_values(panda: Robot, s: tuple[float, ...]) -> None:
     rng, law, at = np.random.default_rng(0), CompletedLaw(panda, influence=0.5), Kinematics(panda).at(np.zeros(7))
     nothing = CriticalRows(np.zeros(0), np.zeros((0, 7)), np.zeros(0))
     for _ in range(150):
@@ -969,18 +967,18 @@ def test_the_compiled_law_answers_where_singular_values_are_equal(panda: Robot, 
         assert found[0] == pytest.approx(law.wish(at, J, xdot, nothing).primary, rel=1e-9, abs=1e-10)
 
 
-# --- what is known of the plain versions ------------------------------------------------------
+# --- plain versions by hand -------------------------------------------------------------------
 
 
-def test_bounds_fall_by_the_way_of_each_joint() -> None:
+def test_bounds_decrease_by_travel_times_the_motion_of_each_joint() -> None:
     """3 - (2 * 0.5 + 1 * 0.25) and 1 - (0 * 0.5 + 4 * 0.25)."""
     bounds = plain_versions()["bounds_after"]
     travel = np.array([[2.0, 1.0], [0.0, 4.0]])
     assert bounds(np.array([3.0, 1.0]), travel, np.array([1.0, 1.0]), np.array([0.5, 1.25])).tolist() == [1.75, 0.0]
 
 
-def test_a_pair_is_proven_where_it_has_as_much_left_as_it_may_use() -> None:
-    """Two radians at 0.5 m/rad and 0.1 s at 1 m/s use 1.1 m: of two pairs the one with 1.0 m is not proven."""
+def test_a_pair_is_proven_if_its_margin_exceeds_the_travel() -> None:
+    """Two radians at 0.5 m/rad and 0.1 s at 1 m/s use 1.1 m: the pair with a margin of 1.0 m is not proven."""
     unproven = plain_versions()["unproven_of_near"]
     pairs, travel, speed = np.array([4, 7]), np.full((8, 1), 0.5), np.ones(8)
 
@@ -989,10 +987,10 @@ def test_a_pair_is_proven_where_it_has_as_much_left_as_it_may_use() -> None:
         return unproven(pairs, left, beyond, travel, speed, np.array([0.5]), 1.0, q, q + 2.0, 0.1, 0.0)
 
     assert asked(1.3).tolist() == [7]
-    assert asked(1.0) is None  # the others may have less than they may use
+    assert asked(1.0) is None  # other pairs may have a smaller margin than they use
 
 
-def test_a_gap_is_what_a_plane_leaves_to_the_nearest_corner() -> None:
+def test_a_gap_is_the_distance_from_the_plane_to_the_nearest_corner() -> None:
     """Corners at x = 1 and 2 on a link that is shifted by 0.5 along x, and a wall at x = 4: 2.5 and 1.5 m."""
     gaps, T = np.zeros((1, 1, 2)), np.tile(np.eye(4), (1, 2, 1, 1))
     T[0, 1, 0, 3] = 0.5
@@ -1004,16 +1002,16 @@ def test_a_gap_is_what_a_plane_leaves_to_the_nearest_corner() -> None:
     assert (nearest.tolist(), least.tolist()) == ([[1]], [[1.5]])
 
 
-def test_what_stands_must_keep_no_less_than_before() -> None:
-    """0.03 m were to be kept of 0.1 m: of 0.02 m proven what stands goes on with 0.03, what moves with 0.02."""
+def test_the_distance_required_of_a_fixed_pair_does_not_decrease() -> None:
+    """Required: 0.03 m, at most 0.1 m. With 0.02 m proven, a fixed pair still requires 0.03 m, a moving one 0.02 m."""
     required, pairs = np.full(3, 0.03), np.arange(3)
     bound, stands = np.array([0.02, 0.02, 0.4]), np.array([True, False, True])
     plain_versions()["keep_proven"](pairs, bound, np.full(3, 0.1), stands, required)
     assert required.tolist() == [0.03, 0.02, 0.1]
 
 
-def test_points_travel_by_the_way_of_each_joint() -> None:
-    """Radii of 1 and 3 m, joints that turn by 0.1 and -0.2 rad: 0.7 m more, and of the path's end nothing is known."""
+def test_travel_adds_the_motion_of_each_joint_times_its_radius() -> None:
+    """Radii of 1 and 3 m, joints that turn by 0.1 and -0.2 rad: 0.7 m; without the path's motion its travel stays."""
     start, path, proven = np.array([5.0]), np.array([2.0]), np.array([0.4])
     travel, moved, nobody = np.array([[1.0, 3.0]]), np.array([0.1, -0.2]), np.zeros(1, dtype=np.intp)
     count = plain_versions()["count_travel"]
@@ -1030,7 +1028,7 @@ def test_compiled_functions_of_another_version_are_not_used(monkeypatch: pytest.
     assert find_compiled.__wrapped__() is None
 
 
-def test_a_function_that_the_installed_package_does_not_have_runs_in_plain_python(
+def test_functions_missing_in_the_installed_compiled_package_run_in_plain_python(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def later(x: float, /) -> float:
@@ -1042,7 +1040,7 @@ def test_a_function_that_the_installed_package_does_not_have_runs_in_plain_pytho
     assert native.compiled(later) is later
 
 
-def test_compiled_functions_are_left_alone_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_environment_variable_turns_compiled_functions_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BACKHOE_PLANNER_PLAIN", "1")
     assert find_compiled.__wrapped__() is None
 

@@ -1,4 +1,4 @@
-"""What is public is listed once, whole and in use."""
+"""The list of public names is complete, and every name in it is used."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 ROOMS = sorted(door.parent.name for door in PACKAGE.glob("*/__init__.pyi"))
 PUBLIC = {name: getattr(backhoe_planner, name) for name in dir(backhoe_planner) if not name.startswith("_")}
-# what a scene file holds is described by `scene_schema`, a machine by its URDF, a scan by its file
+# scene files are described by `scene_schema`, machines by their URDF, scans by their file
 FILE_ENTRIES = tuple(
     f"backhoe_planner.{part}"
     for part in (
@@ -37,12 +37,12 @@ FILE_ENTRIES = tuple(
 
 
 def listed(door: Path) -> list[str]:
-    """The names that a stub hands on."""
+    """The names that a stub re-exports."""
     nodes = ast.parse(door.read_text(encoding="utf-8")).body
     return [alias.name for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
 
 
-def test_the_list_is_what_can_be_imported() -> None:
+def test_the_listed_names_are_those_that_can_be_imported() -> None:
     names = listed(PACKAGE / "__init__.pyi")
     assert len(set(names)) == len(names)
     assert sorted(names) == sorted(PUBLIC)
@@ -83,7 +83,7 @@ def annotated(thing: Any) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
-def test_what_a_public_name_takes_and_returns_is_public(name: str) -> None:
+def test_types_that_a_public_name_takes_and_returns_are_public(name: str) -> None:
     for thing in annotated(PUBLIC[name]):
         for field, hint in typing.get_type_hints(thing, localns={"Self": Any}).items():
             for part in () if field.startswith("_") else parts(hint):
@@ -93,7 +93,7 @@ def test_what_a_public_name_takes_and_returns_is_public(name: str) -> None:
 
 
 def names_taken(file: Path) -> Iterator[tuple[str, str]]:
-    """(room, name) of everything that a file imports by a door."""
+    """(room, name) of everything that a file imports through a door."""
     for node in nodes(file):
         if isinstance(node, ast.ImportFrom) and node.module:
             room = node.module if node.level == 1 else node.module.removeprefix("backhoe_planner.")
@@ -106,7 +106,7 @@ def names_taken(file: Path) -> Iterator[tuple[str, str]]:
                         yield whole[used.value.id], used.attr
 
 
-def test_nothing_in_a_door_is_unused() -> None:
+def test_every_name_of_a_door_is_used() -> None:
     taken = set()
     for folder in (PACKAGE, ROOT / "tests", ROOT / "validation", ROOT / "scripts"):
         for file in folder.rglob("*.py"):

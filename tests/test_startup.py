@@ -1,4 +1,4 @@
-"""What a command loads: nothing that it does not need, so that it starts at once."""
+"""Commands load only the modules they need, so that they start fast."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from backhoe_planner.machine.description.urdf_tree import read_tree
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# loading any of these takes a tenth of a second or more, or is of no use to a motion to a goal
+# loading any of these takes a tenth of a second or more, or is useless for a motion to a goal
 SLOW = [
     "scipy", "trimesh", "yourdfpy", "networkx", "shapely", "vhacdx", "ompl", "PIL", "matplotlib", "meshcat", "tornado",
     "umsgpack", "toppra", "backhoe_planner.live.servo", "backhoe_planner.show.viewer", "backhoe_planner.show.plots",
@@ -39,7 +39,7 @@ obstacles:
 
 
 def loaded(arguments: list[str], of: list[str]) -> tuple[int, list[str]]:
-    """The exit status of the command line in a process of its own, and which modules it loaded."""
+    """The exit status of the command line in a process of its own, and which modules of `of` it loaded."""
     code = (
         "import json, sys\n"
         f"sys.argv = ['backhoe-planner', *{arguments!r}]\n"
@@ -53,7 +53,7 @@ def loaded(arguments: list[str], of: list[str]) -> tuple[int, list[str]]:
     return status, names
 
 
-def test_help_loads_nothing_that_computes() -> None:
+def test_help_loads_no_numerical_modules() -> None:
     computing = ["numpy", "pydantic", "yaml", "lxml", "pinocchio", "coal", "daqp", "backhoe_planner.machine.robot"]
     assert loaded(["--help"], [*SLOW, *computing]) == (0, [])
 
@@ -84,13 +84,13 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(arm: Path) -> None:
-    """Convex pieces come from the cache folder, and so does what yourdfpy said of the URDF."""
+    """Convex pieces come from the cache folder, and so does what yourdfpy read from the URDF."""
     assert {"trimesh", "yourdfpy"} <= set(loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)[1])
     assert loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES) == (0, [])
 
 
 @pytest.mark.long
-def test_what_is_cached_is_known_by_its_content(arm: Path) -> None:
+def test_a_changed_urdf_is_not_read_from_the_cache(arm: Path) -> None:
     loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)
     trimesh.creation.box(extents=[0.1, 0.2, 0.4]).export(arm.with_suffix(".stl"))
     assert "yourdfpy" not in loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)[1]
@@ -99,8 +99,8 @@ def test_what_is_cached_is_known_by_its_content(arm: Path) -> None:
 
 
 @pytest.mark.parametrize(("asked", "given"), [(None, "1"), ("3", "3")])
-def test_a_command_gives_linear_algebra_one_thread_unless_it_is_told_how_many(asked: str | None, given: str) -> None:
-    """And what it leaves behind is not searched for cycles at its end, which takes a sixth of a simple plan's time."""
+def test_a_command_uses_one_thread_for_linear_algebra_unless_set(asked: str | None, given: str) -> None:
+    """Its objects are frozen at the end: a last garbage collection takes a sixth of a simple plan's time."""
     code = (
         "import gc, os, sys\n"
         "sys.argv = ['backhoe-planner', '--help']\n"
@@ -118,8 +118,8 @@ def test_a_command_gives_linear_algebra_one_thread_unless_it_is_told_how_many(as
 
 
 @pytest.mark.parametrize("scene", [pytest.param("yard", marks=pytest.mark.long), "wall"])
-def test_a_step_of_the_servo_loads_nothing(scene: str) -> None:
-    """Loading would stall the loop."""
+def test_a_step_of_the_servo_imports_nothing(scene: str) -> None:
+    """An import would stall the loop."""
     code = (
         "import sys, backhoe_planner as bp\n"
         f"servo = bp.Servo(bp.load_robot('example:backhoe'), bp.load_scene('scenes/{scene}.yaml'), dt=0.01)\n"
@@ -133,7 +133,7 @@ def test_a_step_of_the_servo_loads_nothing(scene: str) -> None:
     assert "near_obstacle" in done.stdout or "sliding" in done.stdout or "stopped" in done.stdout
 
 
-def test_machines_are_read_as_yourdfpy_reads_them() -> None:
+def test_urdfs_are_read_as_yourdfpy_reads_them() -> None:
     text = """
     <robot name="r"><material name="red"><color rgba="1 0 0 1"/></material><material name="none"/>
     <link name="a"><visual><origin xyz="1 2 3" rpy="0.1 -1.2 2.5"/><geometry><box size="1 2 3"/></geometry>
@@ -161,7 +161,7 @@ def assert_same(ours: Any, theirs: Any) -> None:
     """Every field of our record is in theirs, with the same value."""
     if dataclasses.is_dataclass(ours):
         for field in dataclasses.fields(ours):
-            if hasattr(theirs, field.name) or field.name != "material":  # only what is drawn has one
+            if hasattr(theirs, field.name) or field.name != "material":  # only visuals have one
                 assert_same(getattr(ours, field.name), getattr(theirs, field.name))
     elif isinstance(ours, list):
         assert isinstance(theirs, list)

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-# s; a blink on an idle machine, some seconds on a busy one, and whoever waits this long waits in vain
+# s; the wait takes milliseconds on an idle machine and seconds on a busy one; this long means failure
 PATIENCE = 120.0

@@ -1,4 +1,4 @@
-"""A file that is given to the wrong command is refused with what it is and with the command that takes it."""
+"""A file given to the wrong command is refused; the message says what it is and which command takes it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ READERS: dict[str, tuple[Callable[[Path], object], type[bp.InputError]]] = {
 @pytest.mark.parametrize(
     ("name", "reader"), [(name, reader) for name in FILES for reader in READERS if TAKEN[name][0] != reader]
 )
-def test_a_file_of_another_kind_is_refused_with_the_command_that_takes_it(
+def test_a_file_of_another_kind_is_refused_naming_the_command_that_takes_it(
     name: str, reader: str, tmp_path: Path
 ) -> None:
     file = tmp_path / name
@@ -63,7 +63,9 @@ def test_a_file_of_another_kind_is_refused_with_the_command_that_takes_it(
 
 
 @pytest.mark.parametrize("text", ["dig: {depth: 1}\ntask: {wait: 1.0}\n", "obstacles: []\n", "- task\n", "{task: ["])
-def test_what_has_the_keys_of_a_scene_or_of_nothing_is_told_its_own_mistakes(text: str, tmp_path: Path) -> None:
+def test_errors_in_a_file_with_keys_of_a_scene_or_of_no_kind_suggest_no_other_command(
+    text: str, tmp_path: Path
+) -> None:
     (tmp_path / "scene.yaml").write_text(text)
     with pytest.raises(bp.SceneError) as raised:
         bp.load_scene(tmp_path / "scene.yaml")

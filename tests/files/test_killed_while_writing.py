@@ -1,4 +1,4 @@
-"""Whatever moment a writing process is killed at, the old file or the new one is there, whole."""
+"""Whenever a writing process is killed, the old file or the new one exists, complete."""
 
 from __future__ import annotations
 
@@ -79,10 +79,10 @@ print("whole")
 
 
 @pytest.mark.long
-def test_what_is_written_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
-    """Child processes are killed in the middle of writing, and between the calls that make the file appear.
+def test_a_file_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
+    """Child processes are killed in the middle of writing, and between the calls that put the file in place.
 
-    What they leave behind begins with a point, ends with .part, and is in nobody's way.
+    Their remains begin with a dot, end with .part, and disturb nothing.
     """
     done = subprocess.run(
         [sys.executable, "-c", KILLED_AT_MANY_MOMENTS, str(tmp_path)],
@@ -119,7 +119,7 @@ print("whole")
 """
 
 
-def test_a_process_that_is_killed_at_any_time_leaves_whole_files(tmp_path: Path) -> None:
+def test_a_process_killed_at_a_random_time_leaves_a_complete_file(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", KILLED_AT_RANDOM, str(tmp_path / "file.json")],
         capture_output=True, text=True, timeout=PATIENCE, check=False,
@@ -129,7 +129,7 @@ def test_a_process_that_is_killed_at_any_time_leaves_whole_files(tmp_path: Path)
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_what_a_link_leads_to_is_written(tmp_path: Path, there: bool) -> None:
+def test_writing_to_a_link_replaces_its_target(tmp_path: Path, there: bool) -> None:
     target, link = tmp_path / "target.txt", tmp_path / "link.txt"
     if there:
         target.write_text("old")

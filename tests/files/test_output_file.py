@@ -1,4 +1,4 @@
-"""Where results may go, and names that no file can have."""
+"""Output paths: links, and names that no file can have."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from backhoe_planner.files.output_file import check_apart, check_writable, whole
 from backhoe_planner.files.text_file import read_text
 
 
-def test_links_that_lead_round_in_a_circle_are_refused(tmp_path: Path) -> None:
+def test_circular_links_are_refused(tmp_path: Path) -> None:
     one, other = tmp_path / "one.json", tmp_path / "other.json"
     one.symlink_to(other)
     other.symlink_to(one)
@@ -21,7 +21,7 @@ def test_links_that_lead_round_in_a_circle_are_refused(tmp_path: Path) -> None:
             check(one)
 
 
-def test_what_is_written_to_a_link_goes_where_it_leads(tmp_path: Path) -> None:
+def test_a_link_counts_as_its_target(tmp_path: Path) -> None:
     link, file = tmp_path / "link.json", tmp_path / "file.json"
     link.symlink_to(file)
     assert check_writable(link) == file.resolve()
@@ -35,7 +35,7 @@ def test_what_is_written_to_a_link_goes_where_it_leads(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a\0b"])
-def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path, name: str) -> None:
+def test_a_name_that_no_file_can_have_is_neither_readable_nor_writable(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     assert not is_file(path)
     assert not is_folder(path)

@@ -1,4 +1,4 @@
-"""A file of points or triangles that was cut short is refused, and none that is whole."""
+"""A truncated file of points or triangles is refused, a complete one is not."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_points_without_the_last_ones_are_refused(tmp_path: Path) -> None:
         read_points(path)
 
 
-def test_what_is_binary_has_no_lines_to_be_counted(tmp_path: Path) -> None:
+def test_binary_meshes_are_read_and_refused_when_truncated(tmp_path: Path) -> None:
     for suffix in (".ply", ".stl"):
         path = tmp_path / f"box{suffix}"
         BOX.export(path)
@@ -73,8 +73,8 @@ BROKEN_OBJ = {
 
 
 @pytest.mark.parametrize(("text", "said"), BROKEN_OBJ.values(), ids=BROKEN_OBJ.keys())
-def test_what_is_no_vertex_or_face_of_an_obj_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    """The reader lets numbers run on: without this, the first of these is a triangle elsewhere."""
+def test_invalid_vertices_and_faces_of_an_obj_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    """The reader lets numbers run on: without the check the first of these would be another triangle."""
     file = tmp_path / "broken.obj"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(bp.InputError, match=said):
@@ -89,7 +89,7 @@ def test_what_is_no_vertex_or_face_of_an_obj_is_refused(text: str, said: str, tm
         "v 3 0 0 .5 .5 .5\nv 3 1 0 .5 .5 .5\nv 4 1 1 .5 .5 .5\nf 1/1/1 2/2/1 3/3/1\n",
     ],
 )
-def test_an_obj_may_be_written_in_several_ways(text: str, tmp_path: Path) -> None:
+def test_obj_files_with_backward_indices_normals_and_colours_are_read(text: str, tmp_path: Path) -> None:
     file = tmp_path / "triangle.obj"
     file.write_text(text, encoding="utf-8")
     mesh = load_mesh(file)

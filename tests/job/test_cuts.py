@@ -1,4 +1,4 @@
-"""One cut: its volume by hand, what the cylinders hold, and why there is none."""
+"""One cut: its volume by hand, the limits of the cylinders, and the reasons for having no cut."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def test_the_capacity_is_the_struck_volume_and_a_heap_of_one_to_one(digger: Digg
     assert digger.bucket.capacity == pytest.approx(0.55 * area + roof, rel=0.02)
     assert digger.bucket.width == pytest.approx(0.61, abs=1e-9)
     assert digger.bucket.mouth == pytest.approx(0.855, abs=0.01)
-    # buckets of this width hold 0.2 m^3, the maker's sheets say
+    # buckets of this width hold 0.2 m^3 according to the maker's sheets
     assert 0.15 < digger.bucket.capacity < 0.22
 
 
-def test_a_given_capacity_and_width_are_taken(backhoe: bp.Robot) -> None:
+def test_a_given_capacity_and_width_are_used(backhoe: bp.Robot) -> None:
     bucket = Bucket.of(backhoe, width=0.76, capacity=0.3)
     assert (bucket.width, bucket.capacity) == (0.76, 0.3)
 
 
-def test_a_machine_without_a_pitch_digs_no_cut(planar4: bp.Robot) -> None:
+def test_digging_with_a_machine_without_a_pitch_is_an_error(planar4: bp.Robot) -> None:
     with pytest.raises(bp.InputError, match="upright plane"):
         Digger(planar4, Soil())
 
@@ -61,7 +61,7 @@ def test_a_machine_without_a_pitch_digs_no_cut(planar4: bp.Robot) -> None:
 # --- the volume -------------------------------------------------------------------------------
 
 
-def test_a_box_by_hand(digger: Digger) -> None:
+def test_the_volume_of_a_cut_with_level_floor_by_hand(digger: Digger) -> None:
     """1 m long and 0.2 m deep, less the ramps at both ends and two rounded corners of radius R = 0.1 m.
 
     A ramp at an angle a leaves d^2 / (2 tan a), a corner that turns by a leaves R^2 (tan(a/2) - a/2).
@@ -78,21 +78,21 @@ def test_a_box_by_hand(digger: Digger) -> None:
 
 
 @pytest.mark.parametrize("depth", [0.1, 0.15, 0.3])
-def test_the_bucket_is_filled_and_no_more(digger: Digger, depth: float) -> None:
+def test_a_cut_ends_when_the_bucket_is_full(digger: Digger, depth: float) -> None:
     found = cut(digger, depth=depth)
     assert found.is_full
     assert found.loose_volume <= digger.bucket.capacity
     assert found.greatest_depth == pytest.approx(depth, rel=0.01)
 
 
-def test_an_operators_first_cut(digger: Digger) -> None:
-    """75 to 100 mm deep over 1.2 m, as the operator's manual has it: 30 to 50 % of the bucket in bank soil."""
+def test_an_operators_first_cut_fills_30_to_50_percent_of_the_bucket(digger: Digger) -> None:
+    """75 to 100 mm deep over 1.2 m as in the operator's manual; the share is of bank soil."""
     found = cut(digger, start=4.2, end=3.0, depth=0.0875)
     assert found.greatest_depth == pytest.approx(0.0875, rel=0.01)
     assert 0.3 < found.bank_volume / digger.bucket.capacity < 0.5
 
 
-def test_loose_soil_is_not_swollen_again(digger: Digger) -> None:
+def test_loose_soil_does_not_swell_again(digger: Digger) -> None:
     r = LEVEL.r
     heaped = Profile(r, np.full((len(r), 1), -0.5), np.full((len(r), 1), 0.5))
     found = cut(digger, heaped, depth=0.2)
@@ -101,8 +101,8 @@ def test_loose_soil_is_not_swollen_again(digger: Digger) -> None:
     assert found.held[-1] == pytest.approx(1700.0 / 1.25 * found.loose_volume, rel=1e-9)
 
 
-def test_the_edge_stays_above_the_floor_and_within_the_depth(digger: Digger) -> None:
-    """Over a pipe whose protection reaches up into the trench, on rough ground."""
+def test_the_edge_stays_above_the_floor_and_within_the_depth_of_cut(digger: Digger) -> None:
+    """On rough ground, over a pipe whose clearance extends into the trench."""
     rng = np.random.default_rng(5)
     r = np.arange(1.5, 5.5, 0.025)
     rough = np.convolve(rng.normal(size=len(r) + 8), np.ones(9) / 9.0, mode="valid")[:, None] * 0.05
@@ -112,7 +112,7 @@ def test_the_edge_stays_above_the_floor_and_within_the_depth(digger: Digger) -> 
     below = found.z < ground.height(found.r) - 0.02
     assert np.count_nonzero(below) > 20
     assert np.all(found.z[below] >= np.interp(found.r[below], *bed) - 0.005)
-    assert np.all(found.depth <= 0.25 + 0.15)  # what is followed is the mean over 0.3 m, or the ground where lower
+    assert np.all(found.depth <= 0.25 + 0.15)  # the edge follows the mean over 0.3 m, or the ground where that is lower
     motion = digger.motion(found)
     r_at, z_at, _ = digger.plane.place(motion.q)
     dug = z_at < ground.height(r_at) - 0.02
@@ -120,8 +120,8 @@ def test_the_edge_stays_above_the_floor_and_within_the_depth(digger: Digger) -> 
 
 
 @pytest.mark.parametrize("swing", [0.0, 0.35])
-def test_a_cut_promises_what_its_sweep_takes(digger: Digger, swing: float) -> None:
-    """Three cuts one below the other at the end of a trench, each by its edge and by the teeth of its motion."""
+def test_the_volume_of_a_cut_equals_that_of_its_sweep(digger: Digger, swing: float) -> None:
+    """Three cuts one below the other at the end of a trench; the sweep of the edge and of the teeth of the motion."""
     terrain = Terrain.level(0.0, (1.0, -2.0), (6.0, 4.0))
     for layer in (-0.2, -0.4, -0.6):
         ground = Profile.of_terrain(terrain, digger.plane, swing, width=digger.bucket.width)
@@ -139,8 +139,8 @@ def test_a_cut_promises_what_its_sweep_takes(digger: Digger, swing: float) -> No
 # --- the forces -------------------------------------------------------------------------------
 
 
-def test_no_cylinder_is_asked_for_more_than_it_holds(digger: Digger) -> None:
-    """By the cylinders' own forces and the relief pressure, not by the ratio that the search used."""
+def test_no_cylinder_exceeds_85_percent_of_its_force_at_relief_pressure(digger: Digger) -> None:
+    """Computed from the cylinders' forces and the relief pressure, not from the ratio that the search used."""
     hydraulics = digger.robot.hydraulics
     assert hydraulics is not None
     for cohesion in (5e3, 60e3, 200e3):
@@ -153,7 +153,7 @@ def test_no_cylinder_is_asked_for_more_than_it_holds(digger: Digger) -> None:
 
 
 @pytest.mark.long
-def test_deeper_and_harder_soil_is_harder_and_a_cut_in_it_is_shallower(digger: Digger) -> None:
+def test_depth_and_cohesion_raise_the_forces_and_make_cuts_shallower(digger: Digger) -> None:
     stiff = Digger(digger.robot, Soil(cohesion=50e3))
     uses = [cut(stiff, depth=depth, end=3.2).holding.ratio for depth in (0.04, 0.08, 0.12, 0.16)]
     assert np.all(np.diff(uses) > 0.0)
@@ -167,7 +167,7 @@ def test_deeper_and_harder_soil_is_harder_and_a_cut_in_it_is_shallower(digger: D
 
 
 def test_the_plate_keeps_its_angle_to_the_path(digger: Digger) -> None:
-    """In the ground the plate stands 6 to 90 degrees above the path, but for corners that are rounded."""
+    """In the ground the plate is 6 to 90 degrees above the path, except at rounded corners."""
     some: list[dict[str, Any]] = [{"depth": 0.15}, {"depth": 0.3, "start": 5.0}, {"depth": 0.2, "entry": 0.8}]
     for asked in some:
         found = cut(digger, **asked)
@@ -181,7 +181,7 @@ def test_the_plate_keeps_its_angle_to_the_path(digger: Digger) -> None:
         assert found.pitch[-1] == pytest.approx(digger.bucket.level_pitch, abs=0.2)  # 11 degrees
 
 
-def test_rock_names_the_cylinder_and_by_how_much(digger: Digger) -> None:
+def test_a_cut_in_rock_fails_naming_the_cylinder_and_its_excess(digger: Digger) -> None:
     found = find_cut(Digger(digger.robot, Soil(cohesion=5e6)), LEVEL, swing=0.0, start=4.5, end=2.0, depth=0.15)
     assert isinstance(found, NoCut)
     assert found.kind == "cylinder"
@@ -194,8 +194,8 @@ def test_rock_names_the_cylinder_and_by_how_much(digger: Digger) -> None:
     assert "cannot be cut at any depth" in found.reason
 
 
-def test_the_certificate_sees_the_same_forces_along_the_motion(digger: Digger) -> None:
-    """The limits that a certificate reports, with the ground of the cut, are kept by its motion."""
+def test_the_certificate_confirms_the_forces_along_the_motion(digger: Digger) -> None:
+    """With the ground of the cut, its motion keeps the limits that a certificate reports."""
     hard = Digger(digger.robot, Soil(cohesion=60e3))
     found = cut(hard, depth=0.3)
     motion = hard.motion(found)
@@ -214,8 +214,8 @@ def test_the_certificate_sees_the_same_forces_along_the_motion(digger: Digger) -
     np.testing.assert_allclose(motion.q[[0, -1]], found.q[[0, -1]], atol=1e-9)
 
 
-def test_after_the_cut_the_load_is_a_payload_at_its_centre(digger: Digger) -> None:
-    """What holds the full bucket at the end of the cut is what a drive with that payload says."""
+def test_after_the_cut_the_load_acts_as_a_payload_at_its_centre(digger: Digger) -> None:
+    """The torques for the full bucket at the end of the cut are those of the drive with that payload."""
     found = cut(digger)
     still = np.zeros_like(found.q[-1:])
     carries = Drive(digger.robot, payload=float(found.held[-1]), payload_at=found.bucket.payload_at)
@@ -225,8 +225,8 @@ def test_after_the_cut_the_load_is_a_payload_at_its_centre(digger: Digger) -> No
 # --- back, reach, nothing ---------------------------------------------------------------------
 
 
-def test_the_back_stays_clear_of_ground_and_fresh_cut(digger: Digger) -> None:
-    """Every corner of the collision shape that is not at the teeth, along the motion, against the line that is cut."""
+def test_the_back_of_the_bucket_stays_clear_of_ground_and_fresh_cut(digger: Digger) -> None:
+    """Along the motion, corners of the collision shape away from the teeth are compared with the line of the cut."""
     found = cut(digger, depth=0.3)
     assert found.back >= 0.0
     motion = digger.motion(found)
@@ -237,11 +237,11 @@ def test_the_back_stays_clear_of_ground_and_fresh_cut(digger: Digger) -> None:
         at_r, at_z = r + x * np.cos(pitch) - y * np.sin(pitch), z + x * np.sin(pitch) + y * np.cos(pitch)
         behind = (at_r > r) & (at_r < found.r[0]) & (at_r > found.r[-1])
         assert np.all(at_z[behind] > np.interp(at_r[behind], cut_r, np.minimum(cut_z, 0.0)) + 0.01)
-        ahead = ~behind & (at_r < r - 0.15)  # nearer, soil is entering the bucket
+        ahead = ~behind & (at_r < r - 0.15)  # nearer to the teeth soil enters the bucket
         assert np.all(at_z[ahead] > 0.0)
 
 
-def test_out_of_reach_and_nothing_to_dig_are_said(digger: Digger) -> None:
+def test_being_out_of_reach_and_having_nothing_to_dig_are_reported(digger: Digger) -> None:
     far = find_cut(digger, LEVEL, swing=0.0, start=5.9, end=3.0, depth=0.15)
     assert isinstance(far, NoCut)
     assert far.kind == "reach"
@@ -253,7 +253,7 @@ def test_out_of_reach_and_nothing_to_dig_are_said(digger: Digger) -> None:
     assert turned.kind == "reach"
 
 
-def test_what_is_asked_wrongly_is_named(digger: Digger) -> None:
+def test_wrong_arguments_of_a_cut_are_named(digger: Digger) -> None:
     good: dict[str, Any] = {"swing": 0.0, "start": 4.5, "end": 3.0, "depth": 0.15}
     for bad in ({"start": 2.0}, {"end": 0.0}, {"depth": 0.0}, {"depth": math.nan}, {"swing": "left"}, {"volume": -1.0}):
         with pytest.raises(bp.InputError, match=next(iter(bad)) if "start" not in bad else "end"):
@@ -263,7 +263,7 @@ def test_what_is_asked_wrongly_is_named(digger: Digger) -> None:
 # --- the plane --------------------------------------------------------------------------------
 
 
-def test_the_joints_of_the_plane_put_the_teeth_there(digger: Digger) -> None:
+def test_the_closed_form_joints_of_the_arms_plane_invert_its_kinematics(digger: Digger) -> None:
     rng = np.random.default_rng(7)
     q = np.array([digger.robot.random_q(rng) for _ in range(200)])
     r, z, pitch = digger.plane.place(q)
@@ -278,8 +278,8 @@ def test_the_joints_of_the_plane_put_the_teeth_there(digger: Digger) -> None:
     np.testing.assert_allclose(digger.plane.world(float(q[0, 0]), r[:1], z[:1]), at.tip_position, atol=1e-12)
 
 
-def test_a_search_finds_the_same_joints(digger: Digger, backhoe: bp.Robot) -> None:
-    """An arm of other joints is searched; here the same arm, so that both can be compared."""
+def test_numerical_search_finds_the_closed_form_joints(digger: Digger, backhoe: bp.Robot) -> None:
+    """Other arms need the search; here it runs on the same arm for comparison."""
     other = Digger(backhoe, Soil())
     other.plane._hinges = None
     assert not other.plane.closed

@@ -1,4 +1,4 @@
-"""The volume of designs on a grid is that of their geometry."""
+"""The volume of designs on a grid equals that of their geometry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDes
 
 
 def volume(design: Design, low: Vector, cell: float, z: float = 0.0) -> float:
-    """Between level ground at `z` and the design [m^3]."""
+    """The volume between level ground at `z` and the design [m^3]."""
     x, y = (low[axis] + cell * np.arange(int(12.0 / cell)) for axis in (0, 1))
     share, height = design.columns(x, y, cell)
     assert (np.isfinite(height) == (share > 0.0)).all()
@@ -26,13 +26,13 @@ def trench(start: Matrix | tuple[float, float], end: Matrix | tuple[float, float
     return TrenchDesign(Trench.model_validate(content), 0.0)
 
 
-def test_a_trench_of_three_metres_has_the_volume_of_its_geometry() -> None:
+def test_a_trench_of_three_metres_has_its_geometric_volume() -> None:
     found = volume(trench((4.9, 0.0), (1.9, 0.0)), np.array([-1.0, -6.0]), 0.05)
     assert found == pytest.approx(3.0 * 0.6 * 1.2, rel=1e-9)
 
 
 @pytest.mark.long
-def test_oblique_trenches_that_fall_have_it_too_on_any_columns() -> None:
+def test_oblique_sloping_trenches_have_their_geometric_volume_on_any_columns() -> None:
     rng = np.random.default_rng(11)
     for _ in range(12):
         start, turn, length = rng.uniform(-1.5, 1.5, 2), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.5, 4.0)
@@ -43,7 +43,7 @@ def test_oblique_trenches_that_fall_have_it_too_on_any_columns() -> None:
         assert volume(design, rng.uniform(-6.1, -6.0, 2), cell) == pytest.approx(wanted, rel=1e-9)
 
 
-def test_a_surface_with_holes_has_it_on_columns_of_another_size() -> None:
+def test_a_surface_with_holes_has_its_geometric_volume_on_columns_of_other_sizes() -> None:
     z = np.array([[-0.5, -0.3, np.nan], [-0.4, -0.2, -0.1]])
     design = SurfaceDesign(np.array([0.13, 0.41]), 0.2, z)
     assert volume(design, np.array([-3.0, -3.0]), 0.05) == pytest.approx(0.2**2 * 1.5, rel=1e-9)

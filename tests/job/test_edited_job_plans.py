@@ -1,4 +1,4 @@
-"""The plan of a job that was changed after it was planned: what its motions do not have is said, and not verified."""
+"""Job plans that were edited: statements that their motions do not confirm are reported and not verified."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from backhoe_planner.site import Soil
 
 
 def content() -> dict[str, Any]:
-    """The plan as its file has it, its first cycle alone."""
+    """The content of the plan's file with the first cycle alone."""
     from backhoe_planner.job.result.job_plan_file import job_plan_record
 
     part = replace(tiny_plan(), cycles=tiny_plan().cycles[:1])
@@ -33,14 +33,14 @@ def read(edited: dict[str, Any], folder: Path) -> bp.JobPlan:
     return bp.load_job_plan(file)
 
 
-def test_what_is_read_back_is_verified_and_has_the_same_figures(tmp_path: Path) -> None:
+def test_an_unchanged_plan_loads_verified_with_the_same_figures(tmp_path: Path) -> None:
     tiny_plan().save(tmp_path / "job.json")
     found = bp.load_job_plan(tmp_path / "job.json")
     assert (found.verdict, found.note) == ("verified", "")
     assert [cycle.depth for cycle in found.cycles] == [cycle.depth for cycle in tiny_plan().cycles]
 
 
-def test_motions_and_loads_that_do_not_dig_what_the_file_says(tmp_path: Path) -> None:
+def test_edited_motions_loads_and_settings_are_reported(tmp_path: Path) -> None:
     edited = content()
     cycle = edited["cycles"][0]
     cycle["place"][0] += 0.3
@@ -61,20 +61,20 @@ def test_motions_and_loads_that_do_not_dig_what_the_file_says(tmp_path: Path) ->
         assert said in found.note, said
 
 
-def test_a_survey_that_there_was_not(tmp_path: Path) -> None:
+def test_a_claimed_survey_that_did_not_take_place_is_reported(tmp_path: Path) -> None:
     note = read(content() | {"surveyed": True}, tmp_path).note
     assert "the file says that the ground was surveyed, which is that of the job" in note
 
 
-def test_one_place_at_which_the_bucket_is_said_to_be_empty(tmp_path: Path) -> None:
+def test_a_bucket_claimed_empty_at_one_place_of_the_cut_is_reported(tmp_path: Path) -> None:
     edited = content()
     load = edited["cycles"][0]["load"]
-    there = int(np.argmax(load["mass"])) + 1  # between places at which it is as full
+    there = int(np.argmax(load["mass"])) + 1  # between places with the same load
     load["mass"][there] = 0.0
     assert "during the cut the file says 0 kg in the bucket with the teeth at r" in read(edited, tmp_path).note
 
 
-def test_figures_that_are_not_those_of_the_motions(tmp_path: Path) -> None:
+def test_figures_that_differ_from_those_of_the_motions_are_reported(tmp_path: Path) -> None:
     edited = content()
     cycle = edited["cycles"][0]
     wrong = {"bank": 9.0, "taken": 0.5, "spilt": 0.5, "filled": 0.1, "depth": 3.0}
@@ -94,7 +94,7 @@ def test_figures_that_are_not_those_of_the_motions(tmp_path: Path) -> None:
         ("cycles[0].legs[2].name", "return"), ("ground.shape", [100000, 100000]),
     ],
 )  # fmt: skip
-def test_numbers_that_cannot_be_are_refused_with_file_and_key(key: str, value: Any, tmp_path: Path) -> None:
+def test_impossible_values_are_refused_naming_file_and_key(key: str, value: Any, tmp_path: Path) -> None:
     edited: Any = content()
     path = key.replace("[", ".").replace("]", "").split(".")
     *above, last = [int(part) if part.isdigit() else part for part in path]
@@ -105,7 +105,7 @@ def test_numbers_that_cannot_be_are_refused_with_file_and_key(key: str, value: A
     assert f"{tmp_path / 'job.json'}: {'ground' if key.startswith('ground') else key}: " in str(refused.value)
 
 
-def test_what_is_dug_beside_the_design_is_said_and_not_verified(tmp_path: Path) -> None:
+def test_digging_beside_the_design_is_reported_and_not_verified(tmp_path: Path) -> None:
     assert tiny_plan().beside == 0.0
     edited = content()
     edited["job"]["dig"]["trench"] |= {"from": [4.2, 0.0], "to": [3.9, 0.0]}  # the cuts go on to 3.2
@@ -118,7 +118,7 @@ def test_what_is_dug_beside_the_design_is_said_and_not_verified(tmp_path: Path) 
     assert not nothing.is_met
 
 
-def test_a_dump_where_the_job_dumps_nothing_is_said(tmp_path: Path) -> None:
+def test_dumping_away_from_the_jobs_heap_is_reported(tmp_path: Path) -> None:
     edited = content()
     edited["job"]["dump"]["heap"]["at"] = [2.4, -3.1]
     found = read(edited, tmp_path)
@@ -134,7 +134,7 @@ def test_a_dump_where_the_job_dumps_nothing_is_said(tmp_path: Path) -> None:
         ("cycles.0.legs.3.q", [[0.0] * 5] * 2, "cycles[0].legs[3]: dump.q: is no motion"),
     ],
 )
-def test_what_makes_no_job_or_motion_is_refused_with_file_and_key(
+def test_invalid_jobs_and_motions_are_refused_naming_file_and_key(
     key: str, value: Any, said: str, tmp_path: Path
 ) -> None:
     edited: Any = content()
@@ -152,7 +152,7 @@ def test_a_cycle_without_its_swing_and_dump_is_refused(tmp_path: Path) -> None:
         read(edited, tmp_path)
 
 
-def test_only_an_interrupted_plan_of_the_same_job_goes_on() -> None:
+def test_only_an_interrupted_plan_of_the_same_job_can_be_resumed() -> None:
     with pytest.raises(bp.InputError, match="not the plan of a job that was interrupted"):
         bp.plan_job(bp.job_from_dict(TINY), resume=tiny_plan())
     other = copy.deepcopy(TINY) | {"bucket": {"capacity": 0.19}}
@@ -165,7 +165,7 @@ def digger() -> Digger:
     return Digger(bp.load_robot("example:backhoe"), Soil())
 
 
-def test_a_cut_that_was_found_breaks_no_rule_and_its_detours_do(digger: Digger) -> None:
+def test_a_found_cut_breaks_no_rule_of_digging_and_changed_cuts_do(digger: Digger) -> None:
     ground = Profile.level(0.0, 1.0, 6.0)
     cut = find_cut(digger, ground, swing=0.0, start=4.2, end=2.5, depth=0.2)
     assert isinstance(cut, Cut)

@@ -1,4 +1,4 @@
-"""What a job asks for against machine, ground and trucks: refused before it is planned, or said why it is not dug."""
+"""Jobs that machine, ground or trucks do not allow: refused before planning, or ended with a reason."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def trench(**keys: Any) -> dict[str, Any]:
     [
         ({"ground": {"cell": 0.5}}, "ground.cell", "too coarse"),
         ({"dig": trench(depth=4.0)}, "dig.trench.depth", "deeper than the machine digs"),
-        # at least 0.3 m deep over half of 1.2 m x 0.6 m: 0.11 m^3 as it lies, 0.13 m^3 loose, in a truck of 0.12
+        # at least 0.3 m deep over half of 1.2 m x 0.6 m: 0.11 m^3 in place, 0.13 m^3 loose, for a truck of 0.12
         (
             {"dump": {"truck": {**_TRUCK, "capacity": 0.12}}, "bucket": {"capacity": 0.1}, "ground": _WIDE},
             "dump.truck.count", "take less than what is to be dug",
         ),
     ],
 )  # fmt: skip
-def test_what_cannot_come_out_is_refused_before_anything_is_planned(keys: dict[str, Any], key: str, said: str) -> None:
+def test_jobs_that_cannot_succeed_are_refused_before_planning(keys: dict[str, Any], key: str, said: str) -> None:
     with pytest.raises(bp.SceneError, match=said) as refused:
         plan_job(small_job(**keys), effort="quick")
     assert refused.value.key == key
@@ -64,12 +64,12 @@ def test_what_cannot_come_out_is_refused_before_anything_is_planned(keys: dict[s
         ({"dig": trench(depth="0,6")}, r"dig\.trench\.depth: a number takes a decimal point.*allowed: 0\.6"),
     ],
 )
-def test_what_no_job_can_be_is_refused_by_its_key(keys: dict[str, Any], said: str) -> None:
+def test_impossible_values_in_a_job_are_refused_naming_the_key(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(bp.SceneError, match=said):
         small_job(**keys)
 
 
-def test_a_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
+def test_a_design_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "surface.csv"
     np.savetxt(file, np.full((7, 11), -0.3), delimiter=",")
     dig = {"surface": {"file": str(file), "low": [5.9, -0.3], "cell": 0.1}}
@@ -78,7 +78,7 @@ def test_a_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
     assert refused.value.key == "dig.surface"
 
 
-def test_a_pattern_that_digs_less_than_another_is_not_finished_and_not_chosen() -> None:
+def test_a_pattern_that_digs_much_less_than_another_is_not_chosen() -> None:
     def estimate(name: str, bank: float, cost: float) -> PatternEstimate:
         return PatternEstimate(name, 3, bank, 1.0, 1.0, cost, True)
 
@@ -97,14 +97,14 @@ def test_a_truck_on_the_trench_or_in_the_machine_is_refused(position: list[float
     assert refused.value.key == "dump.truck.bed.position"
 
 
-def test_a_heap_beyond_the_ground_of_the_job_is_refused_with_its_key() -> None:
+def test_a_heap_outside_the_ground_of_the_job_is_refused_naming_the_key() -> None:
     site = build_worksite(small_job(ground={"low": [0.5, -2.0], "high": [6.0, 1.5]}))
     with pytest.raises(bp.SceneError, match="beyond the ground") as refused:
         check_dump(site, site.design_heights())
     assert refused.value.key == "dump.heap.at"
 
 
-def test_a_heap_that_no_bucket_reaches_is_unreachable_and_says_how_far_it_reaches() -> None:
+def test_an_unreachable_heap_is_reported_with_the_range_in_which_the_bucket_empties() -> None:
     site = build_worksite(
         small_job(dump={"heap": {"at": [0.6, -1.0]}}, ground={"low": [-1.5, -4.5], "high": [6.0, 1.5]})
     )
@@ -120,7 +120,7 @@ def test_a_heap_that_no_bucket_reaches_is_unreachable_and_says_how_far_it_reache
     assert np.hypot(0.6, 1.0) < least < 3.0 < most  # a bucket is emptied at 3 m, as in the job itself
 
 
-def test_a_job_that_is_stopped_on_its_way_to_the_dump_is_blocked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_without_a_swing_motion_to_the_dump_ends_as_blocked(monkeypatch: pytest.MonkeyPatch) -> None:
     words = "no way past the wall"
     monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("swing", words))
     found = plan_job(small_job(), effort="quick")
@@ -128,7 +128,7 @@ def test_a_job_that_is_stopped_on_its_way_to_the_dump_is_blocked(monkeypatch: py
 
 
 @pytest.mark.long
-def test_a_job_of_which_only_a_last_cut_along_a_wall_has_no_way_is_not_blocked(
+def test_a_job_whose_cuts_along_a_wall_alone_fail_ends_as_not_done(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan = CyclePlanner.plan
@@ -146,7 +146,7 @@ def test_a_job_of_which_only_a_last_cut_along_a_wall_has_no_way_is_not_blocked(
 
 
 @pytest.mark.long
-def test_a_cut_that_takes_too_much_force_is_dug_slower_or_less_deep(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cut_that_exceeds_a_limit_is_planned_slower_or_shallower(monkeypatch: pytest.MonkeyPatch) -> None:
     site = build_worksite(small_job())
     lanes = lanes_of(site)
     chosen = next_cut(site, lanes, Pattern("layers", 0.3), site.ground)
@@ -177,21 +177,21 @@ def test_a_cut_that_takes_too_much_force_is_dug_slower_or_less_deep(monkeypatch:
 
 @pytest.fixture(scope="module")
 def steps() -> list[bp.JobPlan]:
-    """The plans before the first cycle, after it, and at the end: the truck has no room for a second bucketful."""
+    """The plans before the first cycle, after it, and at the end: the truck holds a single bucketful."""
     found: list[bp.JobPlan] = []
     job = small_job(dump={"truck": {**_TRUCK, "capacity": 0.21}}, ground=_WIDE)
     found.append(plan_job(job, effort="quick", watch=lambda step: found.append(step.plan)))
     return found
 
 
-def test_what_no_truck_takes_is_told_as_that(steps: list[bp.JobPlan]) -> None:
+def test_a_job_ends_as_full_when_no_truck_has_room(steps: list[bp.JobPlan]) -> None:
     assert (steps[-1].reason, len(steps[-1].cycles)) == ("full", 1)
     left = [one for one in steps[-1].undug if one.reason == "left"]
     assert left
     assert all("no soil could be dumped any more" in one.words and not one.by for one in left)
 
 
-def test_a_job_that_digs_nothing_of_what_it_should_is_not_verified(steps: list[bp.JobPlan]) -> None:
+def test_a_job_that_digs_nothing_of_its_design_is_not_verified(steps: list[bp.JobPlan]) -> None:
     before = steps[0]
     may = np.where(np.isfinite(before.design), before.start.surface, np.nan)
     nothing = replace(before, allowed=may, failure="")
@@ -202,7 +202,7 @@ def test_a_job_that_digs_nothing_of_what_it_should_is_not_verified(steps: list[b
     assert asked_for_nothing.verified
 
 
-def test_a_plan_has_the_load_of_the_truck_after_each_cycle(steps: list[bp.JobPlan]) -> None:
+def test_a_cycle_contains_the_load_of_the_truck_after_it(steps: list[bp.JobPlan]) -> None:
     (cycle,) = steps[-1].cycles
     assert cycle.truck_load is not None
     assert cycle.truck_load.loose_volume == pytest.approx(cycle.held, rel=1e-9)
@@ -212,21 +212,21 @@ def test_a_plan_has_the_load_of_the_truck_after_each_cycle(steps: list[bp.JobPla
     assert body.volume == pytest.approx(cycle.held, rel=0.1)  # drawn through every third column
 
 
-def test_a_start_beyond_a_joints_limits_is_refused_before_anything_is_planned() -> None:
+def test_a_start_outside_joint_limits_is_refused_before_planning() -> None:
     job = small_job(start={"swing": 0.0, "boom": 40.0, "stick": -1.6, "bucket": -1.8})
     with pytest.raises(bp.SceneError, match=r"start\.boom: .*found 40; .*40 degrees are 0\.698"):
         plan_job(job)
 
 
-def test_soil_that_is_too_hard_below_a_first_scratch_ends_as_too_hard() -> None:
-    """Of 80 times the cohesion of common earth: 3 cm of it hold as 2.4 m of that would."""
+def test_soil_too_hard_for_a_cut_of_3_cm_ends_as_too_hard() -> None:
+    """With 80 times the cohesion of common earth, 3 cm resist like 2.4 m of it."""
     plan = plan_job(small_job(soil={"cohesion": 400e3}), effort="quick")
     assert plan.reason == "too_hard"
     assert "cannot be cut at any depth" in plan.note
     assert plan.undug[0].reason == "too_hard"
 
 
-def test_a_trench_askew_to_the_arm_is_not_said_to_have_steep_ends() -> None:
+def test_a_trench_askew_to_the_arm_is_not_reported_as_having_steep_ends() -> None:
     site = build_worksite(small_job(dig=trench(**{"from": [4.4, -0.4], "to": [2.8, 0.4], "width": 0.8})))
     lanes, design = lanes_of(site), site.design_heights()
     undug = find_undug(site, lanes, (design, *allowed_heights(site, lanes, design)), site.ground)
@@ -235,7 +235,7 @@ def test_a_trench_askew_to_the_arm_is_not_said_to_have_steep_ends() -> None:
     assert not any("the ends are too steep" in one.words for one in undug)
 
 
-def test_a_wide_trench_in_line_with_the_arm_is_not_askew() -> None:
+def test_a_wide_trench_in_line_with_the_arm_is_not_reported_as_askew() -> None:
     """Its lanes fan out along the walls, the near ones by more than a tenth."""
     site = build_worksite(small_job(dig=trench(**{"from": [4.4, 0.0], "to": [2.2, 0.0], "width": 1.5})))
     lanes, design = lanes_of(site), site.design_heights()
@@ -245,7 +245,7 @@ def test_a_wide_trench_in_line_with_the_arm_is_not_askew() -> None:
 
 
 @pytest.mark.parametrize("pattern", ["layer", {"layer": 0.2}, 3, ["face"], None])
-def test_what_is_no_pattern_is_said_in_one_line(pattern: object) -> None:
+def test_an_invalid_pattern_is_one_line_with_the_allowed_ones(pattern: object) -> None:
     with pytest.raises(bp.InputError) as refused:
         small_job(pattern=pattern)
     assert "pattern: is no pattern; found" in str(refused.value)
@@ -253,14 +253,14 @@ def test_what_is_no_pattern_is_said_in_one_line(pattern: object) -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_soil_that_no_cut_is_shallow_enough_for_ends_as_too_hard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_whose_cuts_all_exceed_the_limits_ends_as_too_hard(monkeypatch: pytest.MonkeyPatch) -> None:
     words = "stick has too little torque"
     monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("limits", words))
     found = plan_job(small_job(), effort="quick")
     assert (found.verdict, found.reason, found.note) == ("failed", "too_hard", words)
 
 
-def test_the_ground_of_a_csv_lies_where_its_first_height_does(tmp_path: Path) -> None:
+def test_the_ground_of_a_csv_keeps_its_corner_cell_and_heights(tmp_path: Path) -> None:
     heights = np.zeros((41, 61))
     heights[:, 30:] = -0.1
     np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
@@ -279,12 +279,12 @@ def test_the_ground_of_a_csv_lies_where_its_first_height_does(tmp_path: Path) ->
         ({"file": "ground.csv", "high": [0.0, 0.0]}, "high is given without low"),
     ],
 )
-def test_a_corner_of_the_ground_alone_is_refused(keys: dict[str, Any], said: str) -> None:
+def test_a_single_corner_of_the_ground_is_refused(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(bp.InputError, match=said):
         small_job(ground=keys)
 
 
-def test_a_design_with_figures_for_what_is_missing_is_dug_where_there_are_heights(tmp_path: Path) -> None:
+def test_missing_values_of_a_design_surface_are_left_out_of_the_design(tmp_path: Path) -> None:
     heights = [["-9999", "-9999", "-9999"], ["-9999", "-0,2", "-0,2"], ["-9999", "-0,2", "-0,2"]]
     (tmp_path / "pad.csv").write_text("\n".join(";".join(row) for row in heights), encoding="utf-8")
     surface = {"file": str(tmp_path / "pad.csv"), "low": [3.0, -0.3], "cell": 0.3}

@@ -1,4 +1,4 @@
-"""A job of a few cycles: its volumes, its proof, its file, its going on after an interruption, its refusals."""
+"""A job of a few cycles: volumes, proof, file, resuming after an interruption, and errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from validation.job_check import leg_refutations, volume_errors
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.5, "position": [3.7, 0.0, 0.5]}
 
 
-def test_every_motion_is_proven_and_the_design_met() -> None:
+def test_every_motion_is_proven_and_the_design_is_met() -> None:
     assert tiny_plan().verified, tiny_plan().note
     assert tiny_plan().over <= 0.05
     assert tiny_plan().under <= 0.05
@@ -36,17 +36,19 @@ def test_no_soil_is_lost() -> None:
     assert tiny_plan().end.loose_volume == pytest.approx(1.25 * gone, abs=1e-9)
 
 
-def test_what_is_dug_and_what_stays_make_up_the_design() -> None:
+def test_dug_and_remaining_volume_add_up_to_that_of_the_design() -> None:
     assert tiny_plan().design_volume == pytest.approx(1.0 * 0.6 * 0.4, rel=1e-9)
     stays = sum(one.volume for one in tiny_plan().undug)
-    # the bucket is 0.61 m wide, and what stays by less than the tolerance is not told
+    # the bucket is 0.61 m wide, and remains within the tolerance are not listed
     assert stays + tiny_plan().bank * 0.6 / 0.61 == pytest.approx(0.24, rel=0.03)
     told = " ".join(one.words for one in tiny_plan().undug)
     assert "no plane of the arm" not in told
 
 
-def test_a_cycle_that_takes_nothing_leaves_the_ground_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second cut is said to take nothing; the ground after it was taken for that before the next one."""
+def test_the_next_cycle_starts_from_the_ground_after_a_cycle_that_takes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The second cut claims to take nothing; every cycle must start from the ground that the previous one left."""
     planned, count = CyclePlanner.plan, itertools.count(1)
 
     def plan(self: CyclePlanner, *given: Any) -> tuple[Cycle, SiteState] | Failed:
@@ -70,7 +72,7 @@ def test_the_independent_check_does_not_refute_a_cycle() -> None:
 
 
 @pytest.mark.long
-def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path: Path) -> None:
+def test_a_resumed_job_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     parts: list[bp.JobPlan] = []
     file = tmp_path / "job.json"
 
@@ -108,7 +110,7 @@ def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path:
         ("site", {"obstacles": [BALL | {"velocity": [0.0, -0.2, 0.0]}]}, "does not stand still"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_key(key: str, change: dict[str, Any], said: str) -> None:
+def test_impossible_jobs_are_refused_naming_the_key(key: str, change: dict[str, Any], said: str) -> None:
     content = copy.deepcopy(TINY) | {key: change}
     with pytest.raises(bp.SceneError, match=said) as refused:
         bp.plan_job(bp.job_from_dict(content), effort="quick")
@@ -120,14 +122,14 @@ def test_what_cannot_be_is_refused_with_its_key(key: str, change: dict[str, Any]
     [("-0.3,deep", "row 1, column 2"), ("-0.3,-0.3\n-0.3", "different lengths"), (",\n,", "does not say how deep"),
      ("-0.3,-1e308", "row 1, column 2")],
 )  # fmt: skip
-def test_a_design_surface_that_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_an_invalid_design_surface_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "design.csv").write_text(text)
     surface = {"surface": {"file": "design.csv", "low": [3.2, -0.3], "cell": 0.1}}
     with pytest.raises(bp.SceneError, match=said):
         bp.plan_job(bp.job_from_dict(TINY | {"dig": surface}, folder=tmp_path), effort="quick")
 
 
-def test_a_surface_of_which_nothing_can_be_dug_is_refused(tmp_path: Path) -> None:
+def test_a_design_surface_blocked_by_an_obstacle_is_refused_naming_it(tmp_path: Path) -> None:
     (tmp_path / "design.csv").write_text("\n".join([",".join(["-0.3"] * 11)] * 7))
     surface = {"surface": {"file": "design.csv", "low": [3.2, -0.3], "cell": 0.1}}
     slab = {"name": "slab", "shape": "box", "size": [3.0, 3.0, 0.2], "position": [3.7, 0.0, -0.15]}
@@ -136,19 +138,21 @@ def test_a_surface_of_which_nothing_can_be_dug_is_refused(tmp_path: Path) -> Non
         bp.plan_job(bp.job_from_dict(job, folder=tmp_path), effort="quick")
 
 
-def test_depth_counts_from_the_ground_of_the_job_whatever_a_survey_says() -> None:
+def test_the_depth_of_the_design_counts_from_the_ground_of_the_job_not_the_survey() -> None:
     found = bp.plan_job(bp.job_from_dict(TINY), effort="quick", terrain=tiny_plan().end)
     assert np.nanmin(found.design) == pytest.approx(-0.4, abs=1e-12)
 
 
-def test_level_ground_does_not_end_with_its_grid() -> None:
-    below = {"start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}}  # the bucket at z -3 m, off the grid
+def test_level_ground_extends_beyond_its_grid() -> None:
+    below = {
+        "start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}
+    }  # the bucket is at z -3 m, outside the grid
     with pytest.raises(bp.SceneError, match="inside the ground north of what is known"):
         bp.plan_job(bp.job_from_dict(TINY | below), effort="quick")
 
 
 @pytest.mark.long
-def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:
+def test_a_soil_that_no_cylinder_can_cut_ends_as_too_hard() -> None:
     found = bp.plan_job(bp.job_from_dict(TINY | {"soil": {"cohesion": 5e6}}), effort="quick")
     assert (found.verdict, found.reason) == ("failed", "too_hard")
     assert "stick" in found.note or "boom" in found.note or "bucket" in found.note

@@ -1,4 +1,4 @@
-"""A pattern's cuts one after the other on the changing ground, without the motions between them."""
+"""The successive cuts of a pattern on the changing ground, without the motions between them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, allowed_heigh
 
 
 @pytest.mark.parametrize(("cell", "off"), [pytest.param(0.025, 0.009, marks=pytest.mark.long), (0.05, 0.031)])
-def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: float, off: float) -> None:
-    """A trench of 1.4 m, 0.8 m deep: near its end boom and stick only clear the ground with the bucket drawn in."""
+def test_a_trench_is_dug_to_its_design_on_any_columns_of_the_ground(cell: float, off: float) -> None:
+    """A trench of 1.4 m, 0.8 m deep: near its end boom and stick clear the ground only with the bucket curled in."""
     low = np.array([0.5, -1.5]) + off
     ground = {"low": low.tolist(), "high": (low + np.array([5.0, 3.0])).tolist(), "cell": cell}
     dig = {"trench": {"from": [3.8, 0.0], "to": [2.4, 0.0], "width": 0.6, "depth": 0.8}}
@@ -35,14 +35,14 @@ def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: 
         assert cuts < 10
     assert found is None
     assert np.max((now.surface - allowed)[site.share > 1.0 - 1e-9]) <= 0.05
-    # the section less the wedges at its ends, as wide as the blade
+    # the section less the wedges at its ends, over the width of the blade
     wedges = 0.5 * 0.8**2 * (1.0 / np.tan(ENTRY) + 1.0 / np.tan(LEAVE))
     assert bank == pytest.approx((1.4 * 0.8 - wedges) * site.bucket.width, rel=0.05)
 
 
 @pytest.mark.parametrize("width", [0.7, pytest.param(0.9, marks=pytest.mark.long)])
 def test_a_trench_wider_than_the_bucket_is_dug_to_its_walls(width: float) -> None:
-    """In a trench of 1.5 m, 0.4 m deep, no whole column stands more than the tolerance above what may be dug."""
+    """A trench of 1.5 m, 0.4 m deep: no whole column remains more than the tolerance above the allowed heights."""
     dig = {"trench": {"from": [4.2, 0.0], "to": [2.7, 0.0], "width": width, "depth": 0.4}}
     ground = {"low": [0.5, -1.5], "high": [5.5, 1.5]}
     site = build_worksite(
@@ -58,19 +58,19 @@ def test_a_trench_wider_than_the_bucket_is_dug_to_its_walls(width: float) -> Non
         assert cuts < 15
     whole = site.share > 1.0 - 1e-9
     assert np.max((now.surface - allowed)[whole]) <= 0.05
-    # the middle of its length has no wedges: from wall to wall it is as deep as the design
+    # the middle of its length has no wedges: it has the depth of the design from wall to wall
     middle = whole & (np.abs(site.nodes[..., 0] - 3.45) < 0.3)
     assert np.ptp(site.nodes[..., 1][middle]) >= width - 0.11
     assert np.max(now.surface[middle]) <= -0.35
-    # beside it at most the tolerance on each side, and less than the wedges at both ends is left
+    # at most the tolerance is dug beside it on each side, and less than the wedges at both ends is left
     assert bank <= 1.5 * (width + 0.1) * 0.4
     assert bank >= 0.9 * (1.5 * 0.4 - 0.5 * 0.4**2 * (1.0 / np.tan(ENTRY) + 1.0 / np.tan(LEAVE))) * width
 
 
-def test_of_a_column_that_a_blade_covers_in_part_only_that_part_may_be_dug() -> None:
-    """Of one whose middle is 1 cm within the edge of a lane of 0.5 m 0.7 belongs to that, 0.3 to another of 0.2 m."""
+def test_only_the_part_of_a_column_covered_by_the_blade_may_be_dug() -> None:
+    """A column with its middle 1 cm inside a lane 0.5 m deep: 0.7 of it belongs to that, 0.3 to a lane 0.2 m deep."""
     dig = {"trench": {"from": [4.2, 0.0], "to": [2.7, 0.0], "width": 1.2, "depth": 0.5}}
-    ground = {"low": [0.5, -1.505], "high": [5.5, 1.495]}  # with columns at y = 0.295 and 0.345
+    ground = {"low": [0.5, -1.505], "high": [5.5, 1.495]}  # has columns at y = 0.295 and 0.345
     site = build_worksite(
         small_job(ground=ground, dig=dig, site={"clearance": 0.1}, dump={"heap": {"at": [2.5, -1.3]}})
     )
@@ -93,7 +93,7 @@ def test_of_a_column_that_a_blade_covers_in_part_only_that_part_may_be_dug() -> 
 
 @cache
 def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
-    """A trench of 3 m, 1.2 m deep, across a pipe, and its lanes; the machine stands at `x` [m], in line with it."""
+    """A trench of 3 m, 1.2 m deep, across a pipe, and its lanes; the machine is at `x` [m], in line with it."""
     pipe = {"name": "pipe", "shape": "capsule", "from": [4.1, -4, -0.95], "to": [4.1, 4, -0.95], "radius": 0.08}
     site = build_worksite(
         small_job(
@@ -115,8 +115,8 @@ def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
     ("x", "depth"),
     [(0.3, 0.4), (0.3, 0.55), (0.0, 0.2)],
 )
-def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
-    """Nothing is left beside the steep ground that stays above the pipe, and the bucket comes down to every cut."""
+def test_everything_that_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
+    """Nothing is left beside the steep ground that stays above the pipe, and every cut has a path to it."""
     site, lanes = across_a_pipe(x)
     allowed, _ = allowed_heights(site, lanes, site.design_heights())
     now, cuts = site.ground, 0
@@ -131,8 +131,8 @@ def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
 
 
 @pytest.mark.parametrize("x", [0.3, pytest.param(0.0, marks=pytest.mark.long)])
-def test_the_bucket_has_room_behind_the_teeth_wherever_the_lowest_line_leads_them(x: float) -> None:
-    """At the best of many pitches, against the ground that is left there; a cut keeps 3 cm."""
+def test_the_bucket_has_room_behind_the_teeth_along_the_lowest_line(x: float) -> None:
+    """At the best of many pitches, against the ground that remains; a cut keeps a gap of 3 cm."""
     site, (lane,) = across_a_pipe(x)
     back_x, back_y = site.bucket.back.T  # from the teeth
     pitches = np.arange(-3.0, -0.3, 0.01)
@@ -167,8 +167,8 @@ def test_the_arm_clears_level_ground_up_to_the_lowest_corner_of_boom_and_stick()
             np.testing.assert_array_equal(site.arm.clears(q, (r, level))[k], clear)
 
 
-def test_rows_of_places_have_the_joints_that_each_row_has_alone() -> None:
-    """And all of them put the teeth where they are asked to be."""
+def test_joints_for_many_rows_of_places_equal_those_for_each_row() -> None:
+    """All of them put the teeth at the requested places."""
     site, (lane,) = across_a_pipe(0.3)
     r, z = np.meshgrid(np.linspace(1.0, 5.5, 10), np.linspace(-2.0, 3.0, 7), indexing="ij")
     pitch = np.linspace(-2.5, 0.5, 7)
@@ -182,8 +182,8 @@ def test_rows_of_places_have_the_joints_that_each_row_has_alone() -> None:
 
 
 @pytest.mark.parametrize("width", [0.67, pytest.param(0.75, marks=pytest.mark.long)])
-def test_the_proof_of_a_cut_along_a_wall_has_all_of_the_soil_and_is_found_again(width: float, tmp_path: Path) -> None:
-    """Along a wall the ends of the blade take what a profile of its middle does not see."""
+def test_the_proof_of_a_cut_along_a_wall_counts_all_soil_and_holds_after_loading(width: float, tmp_path: Path) -> None:
+    """Along a wall the ends of the blade take soil that a profile of its middle does not contain."""
     dig = {"trench": {"from": [4.2, 0.0], "to": [2.9, 0.0], "width": width, "depth": 0.4}}
     plan = plan_job(small_job(dig=dig, pattern={"face": 0.4}), effort="quick")
     assert plan.verified, plan.note

@@ -1,4 +1,4 @@
-"""The ground in the arm's plane, from a grid of heights; and cuts to choose from."""
+"""The ground profile in the arm's plane from a grid of heights, and the cuts to choose from."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def digger(backhoe: bp.Robot) -> Digger:
 
 @dataclass(frozen=True)
 class Grid:
-    """Heights from x = -1, y = -4 m on."""
+    """Heights on a grid that begins at x = -1, y = -4 m."""
 
     bank: Matrix
     loose: Matrix
@@ -36,7 +36,7 @@ X, Y = np.meshgrid(-1.0 + 0.05 * np.arange(141), -4.0 + 0.05 * np.arange(161))
 
 
 @pytest.mark.parametrize("swing", [0.0, 0.4, -0.7])
-def test_a_plane_is_seen_as_a_line(digger: Digger, swing: float) -> None:
+def test_sloping_ground_has_a_straight_profile(digger: Digger, swing: float) -> None:
     profile = Profile.of_terrain(Grid.of(0.1 * X - 0.05 * Y + 0.2), digger.plane, swing, width=0.61)
     expected = profile.r * (0.1 * np.cos(swing) - 0.05 * np.sin(swing)) + 0.2
     np.testing.assert_allclose(profile.mean, expected, atol=1e-9)
@@ -45,8 +45,8 @@ def test_a_plane_is_seen_as_a_line(digger: Digger, swing: float) -> None:
 
 
 @pytest.mark.parametrize("swing", [0.0, 0.35])
-def test_walls_stand_upright_and_keep_the_volume(digger: Digger, swing: float) -> None:
-    """A trench of 1.03 m depth and 2.013 m length in the plane, on a grid whose columns know mean heights only."""
+def test_the_profile_of_a_trench_has_upright_walls_and_the_right_volume(digger: Digger, swing: float) -> None:
+    """A trench of 1.03 m depth and 2.013 m length in the plane, on a grid that has only mean heights of columns."""
     along = np.array([np.cos(swing), np.sin(swing)])
     fine = (np.arange(5) - 2.0) * 0.01
     dug = np.zeros_like(X)
@@ -59,15 +59,15 @@ def test_walls_stand_upright_and_keep_the_volume(digger: Digger, swing: float) -
     area = float(np.sum(0.5 * (profile.mean[1:] + profile.mean[:-1]) * np.diff(profile.r)))
     assert -area == pytest.approx(1.03 * 2.013, rel=0.01)
     drawn_out = (profile.mean < -0.02) & (profile.mean > -1.01)
-    assert np.count_nonzero(drawn_out) * 0.0125 < 0.08  # by interpolation alone 0.2 m at both walls together
+    assert np.count_nonzero(drawn_out) * 0.0125 < 0.08  # plain interpolation gives 0.2 m at both walls together
 
 
-def test_a_grid_that_the_plane_misses_is_said(digger: Digger) -> None:
+def test_a_grid_outside_the_arms_plane_is_an_error(digger: Digger) -> None:
     with pytest.raises(bp.InputError, match=r"swing: .*no ground under the blade"):
         Profile.of_terrain(Grid(X, 0.0 * X, np.array([2.0, 2.0])), digger.plane, -0.7, width=0.61)
 
 
-def test_profiles_are_checked() -> None:
+def test_invalid_profiles_are_refused() -> None:
     r, flat = np.array([1.0, 2.0, 3.0]), np.zeros((3, 1))
     for bad in (
         (r[::-1], flat, flat), (r, flat[:2], flat), (r, flat, flat - 0.1), (r, flat * np.nan, flat), (r[:1], flat, flat)

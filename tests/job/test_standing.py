@@ -1,4 +1,4 @@
-"""A job whose machine and site are moved together is the same job."""
+"""Moving machine and site together does not change a job."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from small_jobs import small_job
 
 from backhoe_planner.job import plan_job
 
-AT = (20.0, 10.0)  # m, whole columns of the ground
+AT = (20.0, 10.0)  # m, a whole number of columns of the ground
 
 
 def _moved(*point: float) -> list[float]:
-    """A point of the site after it was turned by a quarter and moved by `AT`."""
+    """A point of the site after a quarter turn and a shift by `AT`."""
     x, y, *z = point
     return [AT[0] - y, AT[1] + x, *z]
 
 
 @pytest.mark.long
-def test_a_job_that_is_moved_with_its_machine_takes_as_long_and_digs_as_much() -> None:
+def test_moving_a_job_with_its_machine_keeps_duration_and_volume() -> None:
     trench = {"width": 0.6, "depth": 0.15}
     here = plan_job(small_job(dig={"trench": {"from": [4.4, 0.0], "to": [3.6, 0.0], **trench}}), effort="quick")
     there = plan_job(

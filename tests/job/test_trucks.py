@@ -1,4 +1,4 @@
-"""Trucks of a job: what their beds hold by hand, how they fill, and what is refused before anything is planned."""
+"""Trucks of a job: the volume of their beds by hand, how they fill, and what is refused before planning."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def truck_job(**keys: Any) -> bp.Job:
         ({"bed": _LOW_BED | {"size": [900.0, 900.0, 0.3]}}, "bed.size", "is no bed"),
     ],
 )
-def test_a_truck_that_cannot_be_is_refused_with_its_key(keys: dict[str, Any], key: str, said: str) -> None:
+def test_an_impossible_truck_is_refused_naming_the_key(keys: dict[str, Any], key: str, said: str) -> None:
     with pytest.raises(bp.SceneError, match=said) as refused:
         dump_of(build_worksite(truck_job(**keys)))
     assert refused.value.key == f"dump.truck.{key}"
@@ -42,13 +42,13 @@ def test_a_truck_that_cannot_be_is_refused_with_its_key(keys: dict[str, Any], ke
         assert float(words[2]) == pytest.approx(_MOST, rel=0.01)
 
 
-def test_a_truck_for_less_than_a_bucketful_is_refused_before_anything_is_planned() -> None:
+def test_a_truck_smaller_than_a_bucketful_is_refused_before_planning() -> None:
     with pytest.raises(bp.SceneError, match=r"less than one bucketful.*0\.20 m\^3 or more") as refused:
         plan_job(truck_job(capacity=0.15, count=1000), effort="quick")
     assert refused.value.key == "dump.truck.capacity"
 
 
-def test_bucketfuls_fill_a_bed_up_to_its_walls_and_then_the_next_truck_comes() -> None:
+def test_a_bed_is_filled_up_to_its_walls_before_the_next_truck_is_used() -> None:
     site = build_worksite(truck_job(count=2))
     dump = TruckDump(site, site.job.dump.truck)  # type: ignore[arg-type]
     state = dump.first(site.ground, ground_obstacle(site, site.ground))

@@ -1,4 +1,4 @@
-"""Where to stand: what the map says is known from the geometry of the site."""
+"""Where to place the machine: maps whose values follow from the geometry of the site."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from backhoe_planner.standing import MachineFootprint, SiteMap, layout, site_map
 from backhoe_planner.standing.reach_map import reach_map
 
 TRENCH = {"width": 0.6, "depth": 0.3}
-AT = (30.0, -12.0)  # m, to where machine and site are moved together
+AT = (30.0, -12.0)  # m, the shift of machine and site together
 
 
 def nobody(*_: object) -> None:
-    """Tell nobody."""
+    """Ignore all messages."""
 
 
 def _job(**keys: Any) -> Job:
-    """A trench of 1.2 m on the x axis, on coarse ground without obstacles, with a heap on either side."""
+    """A trench of 1.2 m on the x axis, on coarse ground without obstacles, with heaps on both sides."""
     content = {
         "site": {}, "ground": {"cell": 0.1}, "dig": {"trench": {"from": [4.4, 0.0], "to": [3.2, 0.0], **TRENCH}},
         "dump": {"heap": {"at": [[3.8, -3.0], [3.8, 3.0]]}},
@@ -50,7 +50,7 @@ def answer() -> bp.StandPlan:
     job = _job(
         ground={"cell": 0.1, "low": [0.5, -4.5], "high": [6.0, 1.5]}, dump={"heap": {"at": [2.5, -3.0]}},
         dig={"trench": {"from": [4.4, 0.0], "to": [3.7, 0.0], **TRENCH}},
-        site={"base": {"position": [-0.25, 0.0], "heading": 0.0}},  # a place of the map
+        site={"base": {"position": [-0.25, 0.0], "heading": 0.0}},  # a place on the map
     )  # fmt: skip
     return bp.stand(job, count=1)
 
@@ -62,21 +62,21 @@ def answer() -> bp.StandPlan:
         pytest.param({"bucket": {"capacity": 1.5}}, id="large bucket"),
     ],
 )
-def test_where_no_cut_fills_the_bucket_the_fullest_count(keys: dict[str, Any]) -> None:
-    """Such jobs are dug; that no cut is full was told as a soil in which none can be made."""
+def test_if_no_cut_fills_the_bucket_the_fullest_cuts_count(keys: dict[str, Any]) -> None:
+    """Such jobs can be dug; they were once reported as having soil that cannot be cut."""
     found = reach_map(_job(**keys), ground=0.0, depth=0.3)
     assert len(found.cuts) > 3
     assert (found.bank > 0.0).all()
     assert found.bank.min() > 0.4 * found.bank.max()
-    assert found.bank.max() < build_worksite(_job(**keys)).volume / 1.25  # of loose soil, with the swell by default
+    assert found.bank.max() < build_worksite(_job(**keys)).volume / 1.25  # in loose soil, with the default swell
 
 
-def test_soil_in_which_no_cut_is_made_is_told_with_what_a_cut_would_take() -> None:
+def test_soil_that_cannot_be_cut_is_reported_with_the_force_of_a_3_cm_cut() -> None:
     with pytest.raises(bp.SceneError, match=r"makes no cut in this soil; found .*even at 3 cm it takes \w+: \d+ of"):
         reach_map(_job(soil={"cohesion": 1e6}), ground=0.0, depth=0.3)
 
 
-def test_a_trench_as_wide_as_the_bucket_is_dug_from_its_own_line(plain: SiteMap) -> None:
+def test_a_trench_as_wide_as_the_bucket_is_dug_only_from_its_own_line(plain: SiteMap) -> None:
     stands = np.isfinite(plain.cost)
     assert stands.any()
     assert np.abs(plain.y[stands]).max() < 1e-9
@@ -89,15 +89,15 @@ def test_a_trench_as_wide_as_the_bucket_is_dug_from_its_own_line(plain: SiteMap)
                 assert 0.8 < away < 5.65 + 0.6
 
 
-def test_a_site_that_is_symmetric_costs_the_same_from_both_sides(plain: SiteMap) -> None:
-    """The heaps lie beside the middle of the trench."""
+def test_a_symmetric_site_has_the_same_cost_from_both_sides(plain: SiteMap) -> None:
+    """The heaps are beside the middle of the trench."""
     np.testing.assert_allclose(plain.cost, plain.cost[:, ::-1], rtol=1e-9)
     np.testing.assert_allclose(plain.share, plain.share[:, ::-1], atol=1e-9)
 
 
-def test_a_site_that_is_moved_has_the_same_map(plain: SiteMap) -> None:
+def test_moving_the_site_moves_its_map(plain: SiteMap) -> None:
     def moved(x: float, y: float) -> list[float]:
-        return [AT[0] - y, AT[1] + x]  # a quarter turn, then moved
+        return [AT[0] - y, AT[1] + x]  # a quarter turn, then a shift
 
     job = _job(
         site={"base": {"position": list(AT), "heading": math.pi / 2.0}},
@@ -110,8 +110,8 @@ def test_a_site_that_is_moved_has_the_same_map(plain: SiteMap) -> None:
     np.testing.assert_allclose(there.y, AT[1] + plain.x, atol=1e-9)
 
 
-def test_a_machine_does_not_stand_where_an_obstacle_is(plain: SiteMap) -> None:
-    """A wall crosses the line at x 7.6 m: the tractor that looks along -x would stand in it, or ends before it."""
+def test_places_where_the_machine_would_overlap_an_obstacle_are_left_out(plain: SiteMap) -> None:
+    """A wall crosses the line at x 7.6 m: a tractor that looks along -x either overlaps it or ends before it."""
     wall = {"name": "wall", "shape": "box", "size": [0.3, 20.0, 2.0], "position": [7.6, 0.0, 1.0]}
     walled = _map(_job(site={"obstacles": [wall]}))
     line = len(plain.spots) // 2
@@ -125,7 +125,7 @@ def test_a_machine_does_not_stand_where_an_obstacle_is(plain: SiteMap) -> None:
 
 
 @pytest.mark.long
-def test_the_arm_does_not_start_in_a_wall_beside_the_trench(plain: SiteMap) -> None:
+def test_the_arm_does_not_start_inside_a_wall_beside_the_trench(plain: SiteMap) -> None:
     """The wall is 1.65 m beside the trench, and the arm starts 1.2 rad off the machine's heading."""
     wall = {"name": "garage", "shape": "box", "size": [30.0, 0.3, 3.0], "position": [5.0, 1.8, 1.5]}
     start = {"swing": 1.2, "boom": 0.9, "stick": -1.6, "bucket": -1.8}
@@ -140,8 +140,8 @@ def test_the_arm_does_not_start_in_a_wall_beside_the_trench(plain: SiteMap) -> N
         assert tip[1] < 1.65 - 0.05  # m, the wall's face and the scene's clearance
 
 
-def test_the_ground_that_the_machine_covers_is_that_of_its_fixed_parts(backhoe: Robot) -> None:
-    """By the model: the stabilizers reach 1.43 m to either side, the loader 5.24 m back, and nothing ahead of x 0."""
+def test_the_ground_covered_by_the_machine_is_that_of_its_fixed_parts(backhoe: Robot) -> None:
+    """In the model the stabilizers extend 1.43 m to both sides, the loader 5.24 m back, and nothing beyond x 0."""
     footprint = MachineFootprint(backhoe)
     base = Base((2.0, 1.0), math.pi / 2.0)  # looks along y: its x axis is the world's y
     points = np.array([[2.0 + 1.3, 0.9], [2.0, 1.0 - 5.0], [2.0, 3.0], [2.0 + 2.43, 0.9]])
@@ -154,36 +154,36 @@ def test_the_ground_that_the_machine_covers_is_that_of_its_fixed_parts(backhoe: 
 
 
 @pytest.mark.long
-def test_nine_metres_take_several_places_whose_sections_cover_all() -> None:
+def test_a_trench_of_nine_metres_takes_several_places_whose_sections_cover_it() -> None:
     trench = {"from": [4.0, 0.0], "to": [-5.0, 0.0], "width": 0.6, "depth": 0.3, "slope": -0.02}
     heaps = [[x, -3.4] for x in (4.5, 3.0, 1.5, 0.0, -1.5, -3.0, -4.5)]
     job = _job(dig={"trench": trench}, dump={"heap": {"at": heaps, "edge_distance": 0.6}})
     finder = spot_finder(job, nobody)
     sections = layout(job, finder)
     assert not isinstance(sections, str)
-    assert 2 <= len(sections) <= 3  # 9 m of at most 4.4 m each, less what overlaps
+    assert 2 <= len(sections) <= 3  # 9 m in sections of at most 4.4 m, less their overlap
     assert sections[0].start == 0.0
     assert sections[-1].end == pytest.approx(9.0)
     begin = np.array(sections[0].dig["trench"]["from"])
     forth = np.allclose(begin, [4.0, 0.0])
     for before, after in itertools.pairwise(sections):
-        assert after.start < before.end < after.end  # the slope that is left belongs to the next one
+        assert after.start < before.end < after.end  # the remaining slope belongs to the next section
     for one in sections:
         own = one.dig["trench"]
         assert np.linalg.norm(np.subtract(own["from"], begin)) == pytest.approx(one.start, abs=1e-5)
-        # the bottom is that of the whole trench: 0.3 m deep at x 4 m, and 2 cm less every metre
+        # the floor is that of the whole trench: 0.3 m deep at x 4 m, and 2 cm less every metre
         assert own["depth"] == pytest.approx(0.3 - 0.02 * (4.0 - own["from"][0]), abs=1e-5)
         assert own["slope"] == (-0.02 if forth else 0.02)
         ahead = 1.0 if not forth else -1.0
         for spot in one.spots:
             gap = ahead * (spot.base.position[0] - own["to"][0])
-            assert gap >= 0.6  # it stands beyond the section, on ground that is not dug yet
+            assert gap >= 0.6  # the machine is beyond the section, on ground that is not dug yet
             assert abs(spot.base.position[1]) < 1e-9
 
 
 @pytest.mark.long
-def test_a_job_whose_dump_no_place_reaches_says_so() -> None:
-    """The trench lies 20 m from the heap, and the machine reaches 5.65 m to either side."""
+def test_a_job_whose_dump_cannot_be_reached_from_any_place_fails_with_that_reason() -> None:
+    """The trench is 20 m from the heap, and the machine reaches 5.65 m to both sides."""
     found = bp.stand(_job(dump={"heap": {"at": [24.0, 0.0]}}))
     assert (found.verdict, found.reason, found.places) == ("failed", "unreachable", ())
     assert "no dump in reach" in found.note
@@ -212,7 +212,7 @@ def test_the_given_place_is_planned_once(answer: bp.StandPlan) -> None:
     assert [one.given for one in near] == [True]
 
 
-def test_an_answer_is_written_with_jobs_and_plans_that_are_taken_again(answer: bp.StandPlan, tmp_path: Path) -> None:
+def test_the_files_of_an_answer_can_be_loaded_as_jobs_and_plans(answer: bp.StandPlan, tmp_path: Path) -> None:
     answer.save(tmp_path / "stand.json")
     content = json.loads((tmp_path / "stand.json").read_text())
     assert content["verdict"] == "verified"

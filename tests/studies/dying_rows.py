@@ -1,4 +1,4 @@
-"""Instead of planning: rows at which the process dies."""
+"""A stand-in for planning that kills its process at some rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from backhoe_planner.studies.rows.drawing import StudyRow
 
 
 def dies_at_one(root: str, row: StudyRow) -> Outcome:
-    """The process dies at row 1, each time; every other row is verified."""
+    """Kill the process at row 1 each time; every other row is verified."""
     assert Path(root).is_dir()
     if row.number == 1:
         os.kill(os.getpid(), signal.SIGKILL)

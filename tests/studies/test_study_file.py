@@ -1,4 +1,4 @@
-"""The study file: what a parameter takes, which rows follow, and what is told before anything runs."""
+"""The study file: values of parameters, the rows they give, and errors before anything runs."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def rows(parameters: dict[str, Any], **keys: Any) -> list[dict[str, Any]]:
         ({"from": 2.0, "to": 2.0, "count": 1}, (2.0,)),
     ],
 )
-def test_values_one_by_one_and_ranges(given: Any, listed: tuple[Any, ...]) -> None:
+def test_values_may_be_listed_or_given_as_ranges(given: Any, listed: tuple[Any, ...]) -> None:
     assert read_values(given).listed == listed
 
 
@@ -64,7 +64,7 @@ def test_values_one_by_one_and_ranges(given: Any, listed: tuple[Any, ...]) -> No
         ({"choice": [1.0, 3.0]}, 2.0, 1.0, 3.0),
     ],
 )
-def test_distributions_have_their_mean_and_ends(given: Any, mean: float, low: float, high: float) -> None:
+def test_distributions_have_the_expected_mean_and_bounds(given: Any, mean: float, low: float, high: float) -> None:
     rng, values = np.random.default_rng(1), read_values(given)
     drawn = [values.one(rng) for _ in range(4000)]
     assert min(drawn) >= low
@@ -91,7 +91,7 @@ def test_distributions_have_their_mean_and_ends(given: Any, mean: float, low: fl
         ([0.1, float("nan")], "finite numbers"),
     ],
 )
-def test_what_is_no_value_is_told_with_its_key(given: Any, said: str) -> None:
+def test_invalid_values_are_refused_naming_the_key(given: Any, said: str) -> None:
     with pytest.raises(bp.StudyError, match=r"parameters\.clearance: .*" + said):
         study({"clearance": given})
 
@@ -102,12 +102,12 @@ def test_a_grid_has_every_combination_and_the_last_parameter_changes_first() -> 
     ]
 
 
-def test_zip_takes_the_first_of_each_and_one_value_for_all() -> None:
+def test_zip_combines_values_by_position_and_repeats_a_single_value() -> None:
     found = rows({"clearance": [0.1, 0.2], "seed": [5, 6], "effort": "quick"}, combine="zip")
     assert found == [{"clearance": 0.1, "seed": 5, "effort": "quick"}, {"clearance": 0.2, "seed": 6, "effort": "quick"}]
 
 
-def test_a_larger_count_adds_rows_and_changes_none() -> None:
+def test_a_larger_count_adds_rows_without_changing_the_others() -> None:
     parameters = {"clearance": {"uniform": [0.1, 0.3]}, "seed": [0, 1, 2]}
     few, many = (rows(parameters, combine="random", count=count, seed=4) for count in (5, 50))
     assert many[:5] == few
@@ -131,7 +131,7 @@ def test_a_larger_count_adds_rows_and_changes_none() -> None:
         ({"best": {"lest": "duration"}}, r"^best\.lest: there is no such key; did you mean 'least'"),
     ],
 )  # fmt: skip
-def test_studies_that_make_no_rows_are_refused(keys: dict[str, Any], said: str) -> None:
+def test_inconsistent_studies_are_refused(keys: dict[str, Any], said: str) -> None:
     content = {"version": 1, "machine": "example:planar4", "scene": SCENE, "parameters": {"clearance": [0.1]}}
     with pytest.raises(bp.StudyError, match=said):
         study_from_dict(content | keys)
@@ -154,7 +154,7 @@ def test_studies_that_make_no_rows_are_refused(keys: dict[str, Any], said: str) 
         ("seed", ()),
     ],
 )
-def test_key_paths_lead_where_the_schema_has_a_key(path: str, address: tuple[Any, ...]) -> None:
+def test_key_paths_address_the_keys_of_the_schema(path: str, address: tuple[Any, ...]) -> None:
     template, _ = build_template(study({path: [1]}))
     assert template.addresses[path] == address
     content, settings = template.filled({path: 7})
@@ -177,7 +177,7 @@ def test_key_paths_lead_where_the_schema_has_a_key(path: str, address: tuple[Any
         ("clearance.deep", "there is no key 'deep'"),
     ],
 )
-def test_a_key_path_that_leads_nowhere_is_told_with_the_nearest(path: str, said: str) -> None:
+def test_an_unknown_key_path_is_refused_with_the_nearest_key(path: str, said: str) -> None:
     with pytest.raises(bp.StudyError, match=said) as caught:
         build_template(study({path: [1]}))
     assert caught.value.key == f"parameters.{path}"
@@ -201,12 +201,12 @@ def test_a_key_path_that_leads_nowhere_is_told_with_the_nearest(path: str, said:
         ({"scene": SCENE | {"clearence": 1}}, "scene: clearence: there is no such key"),
     ],
 )
-def test_what_does_not_exist_is_told_before_anything_runs(keys: dict[str, Any], said: str) -> None:
+def test_unknown_settings_metrics_and_files_are_refused_before_anything_runs(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(bp.InputError, match=said):
         build_template(study(**({"parameters": {"clearance": [0.1]}} | keys)))
 
 
-def test_a_file_says_the_line(tmp_path: Path) -> None:
+def test_errors_in_a_study_file_name_the_line(tmp_path: Path) -> None:
     file = tmp_path / "study.yaml"
     text = f"version: 1\nmachine: example:planar4\nscene: {ROOT}/scenes/paper_planar.yaml\nparameters:\n  CLEAR: [1]\n"
     file.write_text(text.replace("CLEAR", "clearence"))
@@ -220,7 +220,7 @@ def test_a_file_says_the_line(tmp_path: Path) -> None:
         bp.load_study(file)
 
 
-def test_keys_of_a_job_and_of_its_site() -> None:
+def test_parameters_may_address_keys_of_a_job_and_of_its_site() -> None:
     content = {"version": 1, "job": "scenes/jobs/trench_beside_gas_pipe.yaml"}
     site = bp.load_job(ROOT / "scenes/jobs/trench_beside_gas_pipe.yaml").site_scene
     name = site.obstacles[0].name
@@ -235,7 +235,7 @@ def test_keys_of_a_job_and_of_its_site() -> None:
         build_template(study_from_dict(content | {"parameters": {"method": ["auto"]}}))
 
 
-def test_the_studies_that_come_with_the_package_can_be_run() -> None:
+def test_the_shipped_studies_can_be_prepared() -> None:
     files = sorted((ROOT / "scenes" / "studies").glob("*.yaml"))
     assert files
     for file in files:

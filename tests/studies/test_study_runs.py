@@ -34,7 +34,9 @@ pq = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 pytest.importorskip("pandas", reason="pandas is not installed")
 
 ROOT = Path(bp.__file__).resolve().parents[1]
-GOAL = {"joints": {"joint1": 1.5, "joint2": 1.8, "joint3": 1.7, "joint4": 1.1}}  # half a second away: quickly planned
+GOAL = {
+    "joints": {"joint1": 1.5, "joint2": 1.8, "joint3": 1.7, "joint4": 1.1}
+}  # half a second away, so that planning is quick
 MESH = """solid rock
 facet normal 0 0 -1\nouter loop\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 0 0\nendloop\nendfacet
 facet normal 0 -1 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet
@@ -46,7 +48,7 @@ endsolid rock
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A study file whose scene names a mesh, and whose machine lies beside it; one row is no scene, one collides."""
+    """A study file with its machine beside it and a scene with a mesh; one value is no valid scene, one collides."""
     folder = tmp_path_factory.mktemp("given")
     shutil.copy(ROOT / "models" / "planar4.urdf", folder / "arm.urdf")
     (folder / "site").mkdir()
@@ -71,13 +73,13 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(given: Path, tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
-    """The study, undisturbed."""
+    """The result of an undisturbed run."""
     return run_study(bp.load_study(given), tmp_path_factory.mktemp("whole") / "new" / "results", jobs=1)
 
 
 @pytest.fixture
 def copied(whole: StudyResult, tmp_path: Path) -> Path:
-    """Its folder, copied."""
+    """A copy of its folder."""
     return Path(shutil.copytree(whole.folder, tmp_path / "copied"))
 
 
@@ -86,7 +88,7 @@ def table_of(folder: Path) -> bytes:
 
 
 def cut(folder: Path, lines: int, torn: int = 0) -> bytes:
-    """Leave the journal as a killed run would: some lines, and a part of the next; no tables."""
+    """Leave the journal of a killed run: some lines and a part of the next; no tables."""
     journal = folder / "journal.jsonl"
     kept = journal.read_bytes().splitlines(keepends=True)
     (folder / "table.parquet").unlink()
@@ -95,7 +97,7 @@ def cut(folder: Path, lines: int, torn: int = 0) -> bytes:
 
 
 def planned_as(whole: StudyResult, monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Have rows come from an undisturbed run instead of processes; returns the list that gets their numbers."""
+    """Take rows from an undisturbed run instead of processes; returns the list that collects their numbers."""
     asked: list[int] = []
 
     def plan(_: Any, rows: list[StudyRow], *__: Any, **___: Any) -> Iterator[Outcome]:
@@ -107,7 +109,7 @@ def planned_as(whole: StudyResult, monkeypatch: pytest.MonkeyPatch) -> list[int]
     return asked
 
 
-# --- what a run leaves ------------------------------------------------------------------
+# --- results of a run -------------------------------------------------------------------
 
 
 def test_every_row_has_its_verdict_reason_and_figures(whole: StudyResult) -> None:
@@ -127,7 +129,7 @@ def test_every_row_has_its_verdict_reason_and_figures(whole: StudyResult) -> Non
     assert not (whole.folder / ".work").exists()
 
 
-def test_a_row_is_the_plan_that_the_library_makes(whole: StudyResult, given: Path) -> None:
+def test_a_row_equals_the_plan_of_the_library(whole: StudyResult, given: Path) -> None:
     content = whole.template.filled(whole.rows[4].values)[0]
     robot = bp.load_robot(given.parent / "arm.urdf")
     plan = bp.plan(robot, bp.scene_from_dict(content, folder=given.parent / "site"), effort="quick")
@@ -138,8 +140,8 @@ def test_a_row_is_the_plan_that_the_library_makes(whole: StudyResult, given: Pat
     assert kept.scene.folder.samefile(given.parent / "site")
 
 
-def test_a_worker_needs_none_of_the_files(whole: StudyResult, given: Path, tmp_path: Path) -> None:
-    """A machine whose mesh is named by its package, and a scene whose mesh is beside it."""
+def test_a_worker_needs_only_the_bundle_of_files(whole: StudyResult, given: Path, tmp_path: Path) -> None:
+    """A machine with a mesh in a package, and a scene with a mesh beside it."""
     here, there = tmp_path / "here", tmp_path / "there"
     shutil.copytree(given.parent, here / "arms")
     (here / "arms" / "meshes").mkdir()
@@ -182,7 +184,7 @@ def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path
     ("other", "said"),
     [(1.019, "1 other is within 2 %, by which plans with other seeds may differ"), (1.05, "")],
 )
-def test_rows_that_are_about_as_good_as_the_best_are_told(whole: StudyResult, other: float, said: str) -> None:
+def test_rows_within_2_percent_of_the_best_are_counted(whole: StudyResult, other: float, said: str) -> None:
     metric = whole.template.best.metric
     outcomes = dict(whole.outcomes)
     for number, value in ((0, 1.0), (4, other)):
@@ -193,7 +195,7 @@ def test_rows_that_are_about_as_good_as_the_best_are_told(whole: StudyResult, ot
 # --- interrupted, killed, refused -------------------------------------------------------
 
 
-def test_a_torn_line_is_planned_again_and_nothing_else(
+def test_only_missing_and_torn_rows_of_the_journal_are_planned_again(
     whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = planned_as(whole, monkeypatch)
@@ -208,7 +210,9 @@ def test_a_torn_line_is_planned_again_and_nothing_else(
     assert len(asked) == 3
 
 
-def test_a_damaged_line_is_planned_again(whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_with_a_damaged_line_is_planned_again(
+    whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked = planned_as(whole, monkeypatch)
     journal = copied / "journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b'"row":2,', b'"row":7,'))
@@ -217,7 +221,7 @@ def test_a_damaged_line_is_planned_again(whole: StudyResult, copied: Path, monke
     assert table_of(copied) == table_of(whole.folder)
 
 
-def test_an_interrupt_leaves_the_table_of_what_is_done(
+def test_an_interrupt_leaves_the_table_of_the_finished_rows(
     whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planned_as(whole, monkeypatch)
@@ -237,7 +241,7 @@ def test_an_interrupt_leaves_the_table_of_what_is_done(
 
 
 @pytest.mark.parametrize("at", ["journal", "table"])
-def test_a_full_disk_ends_with_a_message_and_loses_nothing(
+def test_a_full_disk_ends_with_a_message_and_loses_no_finished_row(
     whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch, at: str
 ) -> None:
     asked = planned_as(whole, monkeypatch)
@@ -283,7 +287,9 @@ def test_a_full_disk_ends_with_a_message_and_loses_nothing(
     assert table_of(copied) == table_of(whole.folder)
 
 
-def test_a_folder_is_of_one_study_and_of_one_run(whole: StudyResult, copied: Path, given: Path, tmp_path: Path) -> None:
+def test_a_folder_belongs_to_one_study_and_one_run_at_a_time(
+    whole: StudyResult, copied: Path, given: Path, tmp_path: Path
+) -> None:
     content = whole.study.to_dict()
     before = {file.name: file.read_bytes() for file in copied.glob("*.*")}
     for keys, said in (
@@ -311,14 +317,16 @@ def test_a_folder_is_of_one_study_and_of_one_run(whole: StudyResult, copied: Pat
         run_study(whole.study, given)
 
 
-def test_begun_anew_all_rows_are_planned(whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_anew_all_rows_are_planned_again(
+    whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked = planned_as(whole, monkeypatch)
     run_study(whole.study, copied, anew=True)
     assert asked == list(range(6))
     assert table_of(copied) == table_of(whole.folder)
 
 
-def test_rows_that_a_smaller_count_leaves_out_are_told_and_come_back(
+def test_rows_left_out_by_a_smaller_count_are_reported_and_return_with_a_larger_one(
     whole: StudyResult, given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     planned_as(whole, monkeypatch)
@@ -346,7 +354,7 @@ def test_rows_that_a_smaller_count_leaves_out_are_told_and_come_back(
     assert pq.read_table(tmp_path / "r" / "table.parquet").num_rows == 6
 
 
-def test_while_many_rows_are_laid_out_it_is_told_how_many(
+def test_the_number_of_rows_laid_out_is_reported_meanwhile(
     whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planned_as(whole, monkeypatch)
@@ -360,7 +368,7 @@ def test_while_many_rows_are_laid_out_it_is_told_how_many(
 
 
 @pytest.mark.long
-def test_a_row_at_which_the_process_dies_twice_has_crashed_and_the_others_are_planned(
+def test_a_row_that_kills_its_process_twice_is_crashed_and_the_others_are_planned(
     whole: StudyResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(local_rows, "_plan_row", dies_at_one)
@@ -371,7 +379,7 @@ def test_a_row_at_which_the_process_dies_twice_has_crashed_and_the_others_are_pl
 
 
 @pytest.mark.long
-def test_a_cluster_of_which_a_worker_dies_goes_on_with_the_journal_of_this_computer(
+def test_a_cluster_run_survives_a_dead_worker_and_resumes_from_the_local_journal(
     whole: StudyResult, copied: Path
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="distributed is not installed")
@@ -397,7 +405,7 @@ def test_a_cluster_of_which_a_worker_dies_goes_on_with_the_journal_of_this_compu
 # --- the command and the library --------------------------------------------------------
 
 
-def test_the_command_prints_a_summary_and_one_message_for_what_is_wrong(
+def test_the_command_prints_a_summary_and_one_message_for_an_error(
     whole: StudyResult, copied: Path, given: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     planned_as(whole, monkeypatch)
@@ -438,7 +446,7 @@ def test_the_command_prints_a_summary_and_one_message_for_what_is_wrong(
         assert said in err
 
 
-def test_the_library_gives_a_data_frame(
+def test_the_library_returns_a_data_frame(
     whole: StudyResult, given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planned_as(whole, monkeypatch)
@@ -455,7 +463,9 @@ def test_the_library_gives_a_data_frame(
     assert (tmp_path / "r" / "table.parquet").is_file()
 
 
-def test_a_missing_package_is_told_with_what_to_install(whole: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_an_error_that_says_what_to_install(
+    whole: StudyResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyarrow" else object())
     with pytest.raises(bp.InputError, match=r"studies need pyarrow \(pip install \"backhoe_planner\[studies\]\"\)"):
@@ -477,7 +487,7 @@ def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
         if cell["cell_type"] == "code":
             assert cell["outputs"] == [], "is kept without outputs"
             code = compile("".join(cell["source"]), f"cell {cell['id']}", "exec")
-            if "long" in cell["metadata"].get("tags", ()):  # takes minutes: only what it calls is looked at
+            if "long" in cell["metadata"].get("tags", ()):  # takes minutes: only the names of its calls are checked
                 assert {"load_job", "stand"} <= set(code.co_names) & set(dir(bp))
             else:
                 exec(code, names)
