@@ -1,4 +1,4 @@
-"""Many configurations at once are the same as one after the other."""
+"""Kinematics of many configurations at once equals that of each one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _random(robot: bp.Robot, count: int, seed: int = 0) -> NDArray[np.float64]:
     return np.array([robot.random_q(rng) for _ in range(count)])
 
 
-def test_agrees_with_pinocchio(any_robot: bp.Robot) -> None:
+def test_batch_kinematics_agree_with_pinocchio(any_robot: bp.Robot) -> None:
     q = _random(any_robot, 50)
     at = BatchKinematics(any_robot).at(q)
     np.testing.assert_allclose(BatchKinematics(any_robot).tip_positions(q), at.tip_position, atol=1e-12)
@@ -40,7 +40,7 @@ def test_agrees_with_pinocchio(any_robot: bp.Robot) -> None:
             np.testing.assert_allclose(at.pitch_rows()[row], one.pitch_row, atol=1e-12)
 
 
-def test_a_sliding_joint_agrees_with_pinocchio(tmp_path: object) -> None:
+def test_batch_kinematics_of_a_slide_agree_with_pinocchio(tmp_path: object) -> None:
     from pathlib import Path
 
     file = Path(str(tmp_path)) / "slider.urdf"
@@ -55,7 +55,7 @@ def test_a_sliding_joint_agrees_with_pinocchio(tmp_path: object) -> None:
         np.testing.assert_allclose(at.rotation_jacobian()[row], one.jacobian[3:], atol=1e-12)
 
 
-def test_errors_are_those_of_single_targets(any_robot: bp.Robot) -> None:
+def test_batch_errors_and_jacobians_equal_those_of_single_targets(any_robot: bp.Robot) -> None:
     kinematics = bp.Kinematics(any_robot)
     goals, places = _random(any_robot, 20, seed=1), _random(any_robot, 20, seed=2)
     targets = []
@@ -79,7 +79,7 @@ def test_errors_are_those_of_single_targets(any_robot: bp.Robot) -> None:
         assert np.count_nonzero(np.delete(errors[row], rows)) == 0
 
 
-def test_what_is_found_is_on_the_target_and_within_the_limits(any_robot: bp.Robot) -> None:
+def test_solutions_are_on_the_target_and_within_the_joint_limits(any_robot: bp.Robot) -> None:
     kinematics = bp.Kinematics(any_robot)
     goals = _random(any_robot, 60, seed=3)
     full = any_robot.n >= 6
@@ -99,15 +99,15 @@ def test_what_is_found_is_on_the_target_and_within_the_limits(any_robot: bp.Robo
     assert np.all(q <= any_robot.limits.upper)
 
 
-def test_out_of_reach_is_not_reached(backhoe: bp.Robot) -> None:
+def test_targets_out_of_reach_are_not_reached(backhoe: bp.Robot) -> None:
     batch = TargetBatch.of([TipTarget(np.array([50.0, 0.0, 0.0]))] * 8)
     _, reached = solve_batch(BatchKinematics(backhoe), batch, _random(backhoe, 8))
     assert not reached.any()
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 2.6, 2.7, np.pi - 1e-3, np.pi - 1e-9, np.pi - 1e-13])
-def test_errors_of_orientation_are_the_turn_that_is_left(panda: bp.Robot, angle: float) -> None:
-    """The asked orientation is the tip's, turned about a known axis by a known angle, up to half a turn."""
+def test_orientation_errors_are_the_remaining_rotation_vectors(panda: bp.Robot, angle: float) -> None:
+    """The target orientation is the tip's, turned about a known axis by a known angle, up to half a turn."""
     rng = np.random.default_rng(int(1e6 * angle))
     q = np.array([panda.random_q(rng) for _ in range(5)])
     axes = rng.standard_normal((5, 3))

@@ -1,4 +1,4 @@
-"""How far points leave the chord of a motion: known cases, and random chains of hinges and slides."""
+"""How far points deviate from the chord of a motion: known cases, and random chains of hinges and slides."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def chain(kinds: str, rng: np.random.Generator, file: Path) -> Robot:
 
 
 def off_chord(robot: Robot, begin: Vector, end: Vector) -> float:
-    """The tip's greatest distance from where it would be if it moved straight and evenly [m]."""
+    """The tip's greatest distance from its position in straight, uniform motion [m]."""
     data = robot.model.createData()
     parts = np.linspace(0.0, 1.0, 65)
     places = []
@@ -49,7 +49,7 @@ def off_chord(robot: Robot, begin: Vector, end: Vector) -> float:
 
 
 @pytest.mark.parametrize("kinds", CHAINS)
-def test_no_tip_of_a_random_chain_is_further_off_its_chord_than_the_bound(kinds: str, tmp_path: Path) -> None:
+def test_the_tip_of_a_random_chain_deviates_from_its_chord_by_at_most_the_bound(kinds: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(CHAINS.index(kinds))
     used = []
     for _ in range(3):
@@ -69,7 +69,7 @@ def test_a_slide_through_the_axis_of_its_turntable_by_hand() -> None:
     """From 0.1 m before the axis to 0.1 m behind it while the table turns by 1 rad."""
     weights = bend_weights(np.array([1.0, 0.2]), np.array([1.0, 0.0]))
     np.testing.assert_allclose(weights, [1.0, 0.2 * 2.0 * 1.0])  # the table alone; Coriolis, 2 omega v
-    # with levers of 0.1 m and 1, 0.5 / 8; halfway the tip is on the axis, which is 0.1 sin(0.5) off the chord
+    # with levers of 0.1 m and 1, 0.5 / 8; halfway the tip is on the axis, 0.1 sin(0.5) from the chord
     assert 0.1 * np.sin(0.5) < float(np.array([0.1, 1.0]) @ weights) / 8.0 == pytest.approx(0.0625)
 
 

@@ -1,4 +1,4 @@
-"""What a mesh contains, told by balls and boxes of which that is known by hand."""
+"""The inside of meshes, for balls and boxes where it is known by hand."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ ONE, TWO, HOLED = ball(1.0), [ball(1.0), ball(1.0, 0.8)], trimesh.Trimesh(ball(1
 EDGE = trimesh.util.concatenate([block(0.0, 0.0), block(1.0, 1.0)])
 EDGE.merge_vertices()
 MIRRORED = block(0.0, 0.0)
-MIRRORED.apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))  # its faces at the sides have the same diagonals
+MIRRORED.apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))  # its side faces have the same diagonals
 MIRRORED.apply_translation([1.0, 0.0, 0.0])
 FACE = trimesh.util.concatenate([block(0.0, 0.0), MIRRORED])
 FACE.merge_vertices()
-MESHES = {  # mesh, places along x that are inside, and outside
+MESHES = {  # mesh, x of points inside, x of points outside
     "a ball": (ONE, [0.0, 0.8], [1.3]),
     "inside out": (ball(1.0, inwards=True), [0.0, 0.8], [1.3]),
     "faces at random": (mixed_up(ONE), [0.0, 0.8], [1.3]),
@@ -69,7 +69,7 @@ MESHES = {  # mesh, places along x that are inside, and outside
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_what_is_inside(name: str) -> None:
+def test_points_inside_a_mesh_are_distinguished_from_those_outside(name: str) -> None:
     mesh, inside, outside = MESHES[name]
     cluster = Cluster(MeshSolid(mesh, most=10**5), HERE)
     grid = cluster.grid(np.zeros(3), 2.5)
@@ -84,14 +84,14 @@ def test_what_is_inside(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_whether_all_of_a_mesh_closes(name: str) -> None:
+def test_a_mesh_is_closed_unless_a_part_of_it_is_open(name: str) -> None:
     assert is_closed(MESHES[name][0]) == (name != "one that is open" and "sheet" not in name)
     assert not is_closed(two_sided(SHEET))
     assert not is_closed(trimesh.util.concatenate([FACE, two_sided(SHEET)]))
 
 
-def test_a_coarse_body_with_a_fine_detail_is_solid_right_below_its_surface() -> None:
-    ground = trimesh.creation.box((200.0, 200.0, 60.0))  # its top at height 0
+def test_a_coarse_body_with_a_fine_detail_is_solid_just_below_its_surface() -> None:
+    ground = trimesh.creation.box((200.0, 200.0, 60.0))  # its top is at height 0
     ground.apply_translation([0.0, 0.0, -30.0])
     detail = ball(0.2)
     detail.apply_translation([0.0, 0.0, 5.0])

@@ -1,4 +1,4 @@
-"""Distances from thousands of cells: by hand, by brute force over all cells, and what their bounds promise."""
+"""Distances from thousands of cells: by hand, by brute force over all cells, and their bounds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from backhoe_planner.machine import (
     voxel_keys,
 )
 
-# opens the wall: which cells are left out is seen within
+# imports inner modules: only they show which cells are left out
 from backhoe_planner.machine.clusters import cluster as cluster_module
 from backhoe_planner.machine.clusters import terrain as terrain_module
 from backhoe_planner.machine.clusters.link_box import LinkBox, LinkReach
@@ -36,7 +36,7 @@ from backhoe_planner.native import find_compiled, plain_versions
 needs_native = pytest.mark.skipif(find_compiled() is None, reason="backhoe_planner_native is not installed")
 
 BALL = (np.zeros(3), 3.0)
-SLACK = 0.15  # of the distance by which boxes may be nearer, as the servo has it
+SLACK = 0.15  # share of the distance by which boxes may be nearer, as in the servo
 HERE = pin.SE3.Identity()
 
 
@@ -72,7 +72,7 @@ def random_place(rng: np.random.Generator, size: float) -> pin.SE3:
 
 
 def gap(first: Piece, place: pin.SE3, second: Piece) -> float:
-    """Between two convex pieces, the second in the world."""
+    """The distance between two convex pieces, the second in the world frame."""
     here, there = place * first.placement, second.placement
     T = [shapes.transform(T.rotation, T.translation) for T in (here, there)]
     return shapes.Gauge().measure(first.shape, T[0], second.shape, T[1])[0]
@@ -81,7 +81,7 @@ def gap(first: Piece, place: pin.SE3, second: Piece) -> float:
 # --- by hand -----------------------------------------------------------------------------
 
 
-def test_plane_of_points_is_a_slab_of_voxels() -> None:
+def test_a_plane_of_points_is_a_slab_of_voxels() -> None:
     # points at z = 0.01 lie in voxels from 0 to 0.05
     x = np.arange(-1.0, 1.0, 0.02)
     cloud = scan(np.column_stack((np.repeat(x, 100), np.tile(x, 100), np.full(10_000, 0.01))), 0.05)
@@ -96,8 +96,8 @@ def test_plane_of_points_is_a_slab_of_voxels() -> None:
     assert cloud.measure(ball(0.1), at(0.3, 0.2, 0.4), 0.24) is None
 
 
-def test_corner_between_two_walls_is_two_boxes() -> None:
-    # a floor below z = 0.05 and a wall beyond x = 0.5, a ball 0.15 from the one and 0.2 from the other
+def test_a_corner_of_floor_and_wall_is_two_boxes() -> None:
+    # a floor below z = 0.05 and a wall beyond x = 0.5, a ball 0.15 from the floor and 0.2 from the wall
     x = np.arange(-1.0, 0.5, 0.02)
     floor = np.column_stack((np.repeat(x, 75), np.tile(x, 75), np.full(75 * 75, 0.01)))
     wall = np.column_stack((np.full(75 * 75, 0.51), np.repeat(x, 75), np.tile(x, 75) + 1.0))
@@ -112,7 +112,7 @@ def test_corner_between_two_walls_is_two_boxes() -> None:
     np.testing.assert_allclose(near[1].normal, [1.0, 0.0, 0.0], atol=1e-6)
 
 
-def test_staircase_terrain() -> None:
+def test_distances_over_beside_and_inside_a_staircase_by_hand() -> None:
     # steps of 0.2 m, two cells of 0.5 m wide: between them a slope from (0, 0.2) to (0.5, 0.4)
     heights = np.tile(np.repeat(0.2 * np.arange(5), 2)[:9], (9, 1))
     ground = terrain(heights, 4.0)
@@ -122,7 +122,7 @@ def test_staircase_terrain() -> None:
     normal = np.array([-0.2, 0.0, 0.5]) / np.hypot(0.2, 0.5)
     centre = np.array([-0.25, 0.0, 0.3]) + 0.3 * normal
     assert distance(ground, ball(0.1), at(*centre)) == pytest.approx(0.2, abs=1e-9)
-    # beside the map its wall counts, below the ground how far up it is
+    # beside the map the distance to its wall counts, below the ground the way up
     assert distance(ground, ball(0.1), at(-2.5, 0.0, -1.0)) == pytest.approx(0.4, abs=1e-9)
     inside = ground.measure(ball(0.1), at(0.25, 0.0, -0.4))
     assert inside is not None
@@ -131,14 +131,14 @@ def test_staircase_terrain() -> None:
     assert inside.normal[2] < 0.0
 
 
-def test_bounds_beside_ground_with_a_step() -> None:
-    """Cells of 0.05 m, each corner at 0 up to x = 0 and at -1 from x = 0.05 on: over x < 0 a point is z above it."""
+def test_bounds_over_and_beside_ground_with_a_step_by_hand() -> None:
+    """Cells of 0.05 m, corners at 0 up to x = 0 and at -1 from x = 0.05 on: over x < 0 the distance of a point is z."""
     heights = np.where(np.arange(81) <= 40, 0.0, -1.0) + np.zeros((81, 1))
     bounds = terrain(heights, 4.0).grid(np.zeros(3), 2.0)
     z = np.array([-0.2, 0.0, 0.1, 0.7, 1.3])
     above = bounds.lower(np.array((np.full(5, -0.51), np.full(5, 0.31), z)))
     assert above == pytest.approx(np.maximum(z, 0.0), abs=1e-6)
-    # 0.525 m beside the upper edge of the step, by whole cells in between 0.5 m, and 0.7 m over the ground below
+    # 0.525 m beside the upper edge of the step, 0.5 m counted in whole cells, and 0.7 m above the ground below
     beside = float(bounds.lower(np.array([[0.525], [0.3], [-0.3]]))[0])
     assert 0.3 <= beside <= 0.525 + 0.05
     beyond = bounds.lower(np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 30.0]]).T)
@@ -146,7 +146,7 @@ def test_bounds_beside_ground_with_a_step() -> None:
     assert beyond[1] > 1.0
 
 
-def test_hollow_cloud_has_room_inside_and_a_closed_mesh_has_none() -> None:
+def test_a_cloud_is_hollow_and_a_closed_mesh_is_solid() -> None:
     rng = np.random.default_rng(0)
     shell = rng.normal(size=(60_000, 3))
     shell /= np.linalg.norm(shell, axis=1)[:, None]
@@ -161,7 +161,7 @@ def test_hollow_cloud_has_room_inside_and_a_closed_mesh_has_none() -> None:
     assert distance(hole, ball(0.1), at(1.0, 0.0, 0.0)) < 0.0
 
 
-def test_too_many_cells_are_named() -> None:
+def test_too_many_cells_are_refused_with_their_number() -> None:
     points = np.arange(30.0).reshape(10, 3)
     with pytest.raises(InputError, match="found 10 voxels; allowed: up to 9"):
         VoxelSolid(voxel_keys(points, 0.1), 0.1, most=9)
@@ -175,7 +175,7 @@ def test_too_many_cells_are_named() -> None:
 
 
 def solids(rng: np.random.Generator) -> dict[str, tuple[Cluster, list[Piece]]]:
-    """Clusters, each with convex pieces that have the same union."""
+    """Clusters, each with convex pieces of the same union."""
     place = random_place(rng, 0.3)
     points = rng.uniform(-1.0, 1.0, (200, 3)) * [1.0, 1.0, 0.3]
     boxes = [shapes.box(size, place * at(*centre)) for centre, size in voxel_boxes(points, 0.1)]
@@ -210,7 +210,7 @@ LINKS = (
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
-def test_distance_is_that_of_all_cells(kind: str) -> None:
+def test_the_distance_of_a_cluster_is_the_least_over_all_cells(kind: str) -> None:
     rng = np.random.default_rng(7)
     cluster, pieces = solids(rng)[kind]
     signs = [0, 0]
@@ -235,7 +235,7 @@ def test_distance_is_that_of_all_cells(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
-def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
+def test_boxes_around_a_link_contain_all_cells_near_it(kind: str) -> None:
     rng = np.random.default_rng(8)
     cluster, _ = solids(rng)[kind]
     for number in range(30):
@@ -247,7 +247,7 @@ def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
         parts = found.parts if found.rest is None else (*found.parts, found.rest)
         for part in found.parts:
             assert gap(link, place, part.piece) == pytest.approx(part.reading.distance, abs=1e-6)
-        # moved and turned by what is covered, the link is no nearer to the cells than to the boxes
+        # moved and turned within the covered region, the link is no nearer to the cells than to the boxes
         for _ in range(5):
             by = pin.SE3(Rotation.from_rotvec(rng.normal(0.0, 0.1, 3)).as_matrix(), rng.normal(0.0, 0.1, 3))
             moved = place * by
@@ -260,8 +260,8 @@ def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
 @needs_native
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 @pytest.mark.parametrize("most", [3, 16])
-def test_compiled_boxes_are_those_that_coal_finds(kind: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wherever the solid stands, from a link that touches no cell; boxes of coal are wanted where it does."""
+def test_compiled_boxes_equal_those_found_by_coal(kind: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For upright and turned solids and links that touch no cell; for links in contact coal finds the boxes."""
     rng = np.random.default_rng(14)
     upright, _ = solids(rng)[kind]
     turned = upright.moved_to(random_place(rng, 0.3))
@@ -302,7 +302,7 @@ def test_compiled_boxes_are_those_that_coal_finds(kind: str, most: int, monkeypa
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
-def test_bounds_hold_where_the_grid_is_smaller_than_the_solid(kind: str) -> None:
+def test_bounds_hold_if_the_grid_is_smaller_than_the_solid(kind: str) -> None:
     rng = np.random.default_rng(9)
     cluster, _ = solids(rng)[kind]
     known = 0
@@ -318,10 +318,15 @@ def test_bounds_hold_where_the_grid_is_smaller_than_the_solid(kind: str) -> None
 
 
 @pytest.mark.parametrize("reach", [-0.1, 0.0, 1e-9])
-def test_what_touches_is_found_at_any_reach(reach: float) -> None:
+def test_contact_is_found_at_any_reach(reach: float) -> None:
     flat = terrain(np.zeros((21, 21)), 4.0)
     scanned = scan(np.array([[x, y, -0.01] for x in (-0.05, 0.05) for y in (-0.05, 0.05)]), 0.1)
-    for height, depth in ((0.2, 0.1), (0.0, 0.3), (-0.2, 0.5), (-1.0, 1.3)):  # of a ball of 0.3 m, until it is out
+    for height, depth in (
+        (0.2, 0.1),
+        (0.0, 0.3),
+        (-0.2, 0.5),
+        (-1.0, 1.3),
+    ):  # of a ball of radius 0.3 m, until it has passed through
         found = flat.measure(ball(0.3), at(0.03, 0.03, height), reach)
         assert found is not None
         assert found.distance == pytest.approx(-depth, abs=1e-6)
@@ -332,8 +337,8 @@ def test_what_touches_is_found_at_any_reach(reach: float) -> None:
 
 
 @pytest.mark.parametrize("cell", [0.01, 0.04])
-def test_a_shape_beside_the_wall_of_a_map_is_as_far_as_the_wall(cell: float) -> None:
-    """Walls of 50 m are of triangles a few centimetres wide, on which coal's iterations may break down."""
+def test_the_distance_of_a_shape_beside_a_map_is_that_to_its_wall(cell: float) -> None:
+    """Walls of 50 m consist of triangles a few centimetres wide, on which coal's iterations may break down."""
     rng, rows = np.random.default_rng(1), round(1.5 / cell)
     for _ in range(60):
         ground = TerrainSolid(rng.uniform(-0.05, 0.0, (rows + 1, 9)), (4.0, rows * cell), depth=50.0, most=10**6)
@@ -348,8 +353,8 @@ def test_a_shape_beside_the_wall_of_a_map_is_as_far_as_the_wall(cell: float) -> 
 
 
 @pytest.mark.parametrize("roughness", [0.0, pytest.param(0.3, marks=pytest.mark.long)])
-def test_what_is_in_the_ground_is_at_least_as_deep_as_is_said(roughness: float) -> None:
-    """Moved by less than its depth, whichever way, it still touches; out of even ground it gets straight up."""
+def test_the_reported_depth_in_ground_never_exceeds_the_true_one(roughness: float) -> None:
+    """A shape moved by less than its depth in any direction still touches; straight up it leaves even ground."""
     rng, sunk = np.random.default_rng(8), 0
     for _ in range(25):
         ground = terrain(roughness * rng.uniform(size=(41, 41)), 8.0)
@@ -382,8 +387,10 @@ def test_what_is_in_the_ground_is_at_least_as_deep_as_is_said(roughness: float) 
 
 @needs_native
 @pytest.mark.parametrize("roughness", [0.0, pytest.param(0.02, marks=pytest.mark.long), 0.5])
-def test_ground_is_as_near_as_its_trees_say(roughness: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiled search of the cells beside coal's trees of triangles, for every kind of piece."""
+def test_the_compiled_distance_to_ground_equals_that_of_coals_trees(
+    roughness: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiled search of the cells compared with coal's trees of triangles, for every kind of piece."""
     rng = np.random.default_rng(int(100 * roughness))
     counted = []
     compiled = terrain_module.nearest_on_ground
@@ -415,9 +422,9 @@ def test_ground_is_as_near_as_its_trees_say(roughness: float, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.2, 0.4, 1.0])
-def test_boxes_of_coarse_cells_do_not_reach_a_link_above_them(cell: float) -> None:
+def test_boxes_of_coarse_cells_stay_below_a_link_above_them(cell: float) -> None:
     flat = terrain(np.zeros((25, 25)), 24 * cell)
-    for height in (0.05, 0.24, 0.26, 0.5):  # of a ball above the ground
+    for height in (0.05, 0.24, 0.26, 0.5):  # of the lowest point of a ball above the ground
         place = at(0.03, 0.05, height + 0.1)
         parts = flat.around(ball(0.1), place, 0.65, ball=BALL, most=15, slack=SLACK).parts
         least = min(gap(ball(0.1), place, part.piece) for part in parts)
@@ -425,7 +432,7 @@ def test_boxes_of_coarse_cells_do_not_reach_a_link_above_them(cell: float) -> No
         assert (0.0 if coarse else 0.85) * height <= least <= height + 1e-9
 
 
-def test_bounds_are_true_where_the_ground_is_dug_and_heaped() -> None:
+def test_bounds_hold_after_digging_and_heaping_the_ground() -> None:
     rng = np.random.default_rng(11)
     heights = 0.1 * rng.uniform(size=(41, 41))
     ground = TerrainSolid(heights, (8.0, 8.0), depth=5.0, most=10**6)
@@ -446,12 +453,12 @@ def test_bounds_are_true_where_the_ground_is_dug_and_heaped() -> None:
         known += int((lower > 0.7 * true).sum())
         closer += int((old > np.maximum(true, 0.0) + 1e-6).sum())
     assert known > 500
-    assert closer > 0  # the old bounds would have been wrong
+    assert closer > 0  # the old bounds would be wrong
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain"])
-def test_no_box_is_near_where_no_cell_is_if_asked_to_be_exact(kind: str) -> None:
-    # a bar 0.5 m above ground that is level to 1 cm, of cells of 5 cm; cubes of 10 cm would come to within 0.4 m
+def test_exact_boxes_are_no_nearer_than_the_cells(kind: str) -> None:
+    # a bar 0.5 m above ground that is level to 1 cm, in cells of 5 cm; cubes of 10 cm would come within 0.4 m
     rng = np.random.default_rng(12)
     heights = rng.uniform(-0.01, -0.001, (81, 81))
     x = np.linspace(-2.0, 2.0, 400)
@@ -466,7 +473,7 @@ def test_no_box_is_near_where_no_cell_is_if_asked_to_be_exact(kind: str) -> None
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
-def test_cells_near_a_box_are_all_that_touch_it(kind: str) -> None:
+def test_the_cells_near_a_box_include_all_with_their_middle_in_it(kind: str) -> None:
     solid = solids(np.random.default_rng(13))[kind][0].solid
     rng = np.random.default_rng(14)
     every = solid.near(solid.bounds[0] - 1.0, solid.bounds[1] + 1.0)
@@ -476,14 +483,14 @@ def test_cells_near_a_box_are_all_that_touch_it(kind: str) -> None:
         low = rng.uniform(-1.2, 1.0, 3)
         high = low + rng.uniform(0.0, 0.6, 3)
         found = {tuple(row) for row in np.round(solid.near(low, high).around()[0].T, 9).tolist()}
-        # cells that have their middle in the box touch it
+        # cells with their middle in the box touch it
         own = middle.T[np.abs(middle.T - 0.5 * (low + high)).max(axis=1) <= 0.5 * (high - low).min()]
         assert {tuple(row) for row in np.round(own, 9).tolist()} <= found
     assert (radius > 0.0).all()
 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
-def test_cells_within_reach_of_a_link_are_all_found_by_tiles(kind: str) -> None:
+def test_tiles_find_all_cells_within_reach_of_a_link(kind: str) -> None:
     solid = solids(np.random.default_rng(16))[kind][0].solid
     rng = np.random.default_rng(17)
     middle, _ = solid.near(solid.bounds[0] - 1.0, solid.bounds[1] + 1.0).around()
@@ -495,7 +502,7 @@ def test_cells_within_reach_of_a_link_are_all_found_by_tiles(kind: str) -> None:
         all_there = {tuple(row) for row in np.round(solid.near(*placed.box(reach)).around()[0].T, 9).tolist()}
         few = solid.near(*placed.box(reach), LinkReach(box, reach)).around()[0].T
         found = {tuple(row) for row in np.round(few, 9).tolist()}
-        own = placed.R.T @ middle  # along the axes of the box
+        own = placed.R.T @ middle  # in the axes of the box
         corners = placed.R.T @ placed.hull.T
         low, high = corners.min(axis=1)[:, None], corners.max(axis=1)[:, None]
         off = np.linalg.norm(np.maximum(np.maximum(low - own, own - high), 0.0), axis=0) - placed.radius
@@ -506,7 +513,7 @@ def test_cells_within_reach_of_a_link_are_all_found_by_tiles(kind: str) -> None:
     assert kind == "terrain" or left_out > 20
 
 
-def test_ground_around_a_sunken_link_lies_in_boxes_with_a_face_above_it() -> None:
+def test_boxes_around_a_sunken_link_contain_the_ground_and_face_upward() -> None:
     rng = np.random.default_rng(15)
     x = np.linspace(-2.0, 2.0, 81)
     heights = 0.2 * np.sin(2.0 * x)[:, None] * np.cos(1.5 * x) + rng.normal(0.0, 0.01, (81, 81))
@@ -533,8 +540,8 @@ def test_ground_around_a_sunken_link_lies_in_boxes_with_a_face_above_it() -> Non
     assert cluster.ground_under(LINKS[0], at(0.0, 0.0, 1.5), 0.8) is None
 
 
-def test_the_edge_that_closes_a_scan_is_a_power_of_two_times_the_own_one() -> None:
-    """Points 0.45 m apart each way; in voxels of 0.4 m two that follow each other lie in neighbouring voxels."""
+def test_the_voxel_edge_that_closes_a_scan_is_a_power_of_two_times_its_own() -> None:
+    """Points 0.45 m apart in x and y; in voxels of 0.4 m, successive ones lie in neighbouring voxels."""
     nodes = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0]), axis=-1).reshape(-1, 3)
     thin = VoxelSolid(voxel_keys(0.45 * nodes + 0.01, 0.1), 0.1, most=10**6)
     assert thin.closed_edge() == pytest.approx(0.4)
@@ -542,14 +549,14 @@ def test_the_edge_that_closes_a_scan_is_a_power_of_two_times_the_own_one() -> No
     assert whole.closed_edge() == 0.1
 
 
-def test_a_scanned_cable_has_no_gaps_and_one_voxel_neither() -> None:
+def test_a_scanned_cable_and_a_single_voxel_have_no_gaps() -> None:
     along = np.arange(0.0, 5.0, 0.04)
     cable = np.column_stack((along, 0.3 * along, 2.0 + 0.05 * (along - 2.5) ** 2))
     assert VoxelSolid(voxel_keys(cable, 0.1), 0.1, most=10**6).closed_edge() == 0.1
     assert VoxelSolid(voxel_keys(cable[:1], 0.1), 0.1, most=10**6).closed_edge() == 0.1
 
 
-def test_which_voxels_touch_no_other_is_seen_by_brute_force() -> None:
+def test_the_share_of_isolated_voxels_equals_that_of_brute_force() -> None:
     keys = voxel_keys(np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3)), 0.25)
     steps = np.abs(keys[:, None] - keys[None]).max(axis=2)
     assert lone_part(keys) == pytest.approx(float(((steps == 1).sum(axis=1) == 0).mean()))

@@ -1,4 +1,4 @@
-"""Which parts of the machine may not touch each other."""
+"""Self-collision pairs of the machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def links_of(robot: Robot) -> Counter[tuple[str, str]]:
     return Counter((self_pieces(robot)[a].link, self_pieces(robot)[b].link) for b, a in self_pairs(robot).kept)
 
 
-def test_planar_arm_keeps_every_pair_but_neighbours(planar4: Robot) -> None:
+def test_the_planar_arm_has_all_pairs_but_neighbours(planar4: Robot) -> None:
     assert links_of(planar4) == Counter(
         [
             ("base", "link2"),
@@ -27,7 +27,7 @@ def test_planar_arm_keeps_every_pair_but_neighbours(planar4: Robot) -> None:
     )
 
 
-def test_backhoe_counts_every_piece_of_boom_against_every_piece_of_chassis(backhoe: Robot) -> None:
+def test_the_backhoe_pairs_every_piece_of_the_boom_with_every_piece_of_the_chassis(backhoe: Robot) -> None:
     """The chassis has 3 boxes, the boom 2, the stick 2, the bucket 7."""
     pairs = links_of(backhoe)
     assert pairs["chassis", "boom"] == 3 * 2
@@ -36,7 +36,7 @@ def test_backhoe_counts_every_piece_of_boom_against_every_piece_of_chassis(backh
     assert pairs["cab", "bucket"] == 1 * 7
 
 
-def test_neighbours_and_parts_of_one_body_are_left_out(backhoe: Robot) -> None:
+def test_neighbours_and_pieces_of_one_body_are_not_paired(backhoe: Robot) -> None:
     pairs = links_of(backhoe)
     for neighbours in (("chassis", "swing_post"), ("swing_post", "boom"), ("boom", "stick"), ("stick", "bucket")):
         assert pairs[neighbours] == 0
@@ -44,8 +44,8 @@ def test_neighbours_and_parts_of_one_body_are_left_out(backhoe: Robot) -> None:
     assert ("chassis", "cab") not in pairs
 
 
-def test_parts_that_touch_in_every_posture_are_left_out(tmp_path: Path) -> None:
-    """Three hinges 1 cm apart carry balls of 0.5 m: 0-2 and 1-3 always overlap, the far end does not."""
+def test_pieces_that_touch_in_every_configuration_are_not_paired(tmp_path: Path) -> None:
+    """Three hinges 1 cm apart carry balls of radius 0.5 m: 0-2 and 1-3 always overlap, the far end does not."""
     ball = '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
     links = "".join(f'<link name="l{k}">{ball}</link>' for k in range(4))
     joints = "".join(
@@ -58,12 +58,12 @@ def test_parts_that_touch_in_every_posture_are_left_out(tmp_path: Path) -> None:
     assert links_of(load_robot(path)) == Counter([("l0", "l3"), ("l1", "l3")])
 
 
-def test_pairs_are_the_same_every_time() -> None:
+def test_pairs_are_reproducible() -> None:
     first, second = (self_pairs(load_robot("example:backhoe")) for _ in range(2))
     assert first == second
 
 
-def test_geometry_model_holds_the_pieces_in_their_order_and_no_pairs(backhoe: Robot) -> None:
+def test_the_geometry_model_has_the_pieces_in_order_and_no_pairs(backhoe: Robot) -> None:
     model = geometry_model(backhoe)
     assert [geometry.name for geometry in model.geometryObjects] == [piece.name for piece in backhoe.pieces]
     assert [geometry.parentJoint for geometry in model.geometryObjects] == [piece.joint for piece in backhoe.pieces]

@@ -1,4 +1,4 @@
-"""Solids as convex pieces: nothing of the solid is left out, its cavities stay open."""
+"""Solids as convex pieces, which cover the whole solid and keep its cavities open."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ROUNDING = 1e-9
 
 
 def inside_any(points: Matrix, pieces: Sequence[Matrix]) -> NDArray[np.bool_]:
-    """(n,) which points lie in at least one of the pieces' hulls."""
+    """(n,) whether each point lies in at least one of the pieces' hulls."""
     depth = np.full(len(points), np.inf)
     for piece in pieces:
         equations = ConvexHull(piece).equations
@@ -41,7 +41,7 @@ def inside_any(points: Matrix, pieces: Sequence[Matrix]) -> NDArray[np.bool_]:
 
 
 def extruded(profile: Sequence[tuple[float, float]], height: float) -> trimesh.Trimesh:
-    """A prism over a polygon that can be seen whole from its first corner."""
+    """A prism over a polygon that is star-shaped from its first corner."""
     n = len(profile)
     floor, top = [[(x, y, z) for x, y in profile] for z in (0.0, height)]
     fan = [(0, k, k + 1) for k in range(1, n - 1)]
@@ -86,7 +86,7 @@ SOLIDS = {
         for name, solid in SOLIDS.items()
     ],
 )
-def test_cover_holds_the_whole_surface_and_leaves_the_cavity_open(
+def test_the_cover_contains_the_whole_surface_and_keeps_the_cavity_open(
     mesh: trimesh.Trimesh, open_at: list[tuple[float, float, float]]
 ) -> None:
     cover = convex_cover(mesh)
@@ -96,7 +96,7 @@ def test_cover_holds_the_whole_surface_and_leaves_the_cavity_open(
 
 
 @pytest.mark.long
-def test_cover_holds_every_point_of_the_surface_of_a_crumpled_ball() -> None:
+def test_the_cover_contains_every_surface_point_of_a_crumpled_ball() -> None:
     rng = np.random.default_rng(0)
     mesh = trimesh.creation.icosphere(1)
     mesh.vertices = mesh.vertices * rng.uniform(0.5, 1.0, (len(mesh.vertices), 1))
@@ -105,13 +105,13 @@ def test_cover_holds_every_point_of_the_surface_of_a_crumpled_ball() -> None:
     assert np.all(inside_any(np.vstack((points, samples(mesh))), convex_cover(mesh, pieces=6)))
 
 
-def test_convex_mesh_is_its_own_cover() -> None:
+def test_a_convex_mesh_is_its_own_cover() -> None:
     (corners,) = convex_cover(trimesh.creation.box((1.0, 2.0, 3.0)))
     assert len(corners) == 8
     assert ConvexHull(corners).volume == pytest.approx(6.0)
 
 
-def test_cover_lies_where_the_mesh_lies() -> None:
+def test_the_cover_is_at_the_place_of_the_mesh() -> None:
     mesh = ell()
     mesh.apply_translation((10.0, -20.0, 5.0))
     points = np.vstack(convex_cover(mesh))
@@ -129,7 +129,7 @@ FLAT = {
 
 
 @pytest.mark.parametrize(("corners", "faces"), FLAT.values(), ids=FLAT.keys())
-def test_flat_mesh_becomes_a_solid_that_coal_can_measure(corners: list[list[float]], faces: list[list[int]]) -> None:
+def test_a_flat_mesh_becomes_a_solid_that_coal_can_measure(corners: list[list[float]], faces: list[list[int]]) -> None:
     mesh = trimesh.Trimesh(corners, faces, process=False)
     cover = convex_cover(mesh)
     assert np.all(inside_any(samples(mesh), cover))
@@ -139,8 +139,8 @@ def test_flat_mesh_becomes_a_solid_that_coal_can_measure(corners: list[list[floa
         assert np.max(np.abs(piece - mesh.vertices.mean(axis=0))) <= np.ptp(mesh.vertices) + 1e-3
 
 
-def test_flat_mesh_in_any_tilted_plane_is_measured_half_a_millimetre_above_it() -> None:
-    """To rounding a tilted sheet has a volume, so that Qhull takes it; inside coal it ends the process."""
+def test_a_flat_mesh_in_a_tilted_plane_has_the_right_distance_half_a_millimetre_above() -> None:
+    """By rounding a tilted sheet has a volume, so that Qhull accepts it, but inside coal it ends the process."""
     rng = np.random.default_rng(7)
     quad = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]])
     for _ in range(20):
@@ -174,8 +174,8 @@ SPREAD = [10.0**power for power in (-320, -12, -9, -8, -7, -6, -5, 0)]
         1e5,
     ],
 )
-def test_points_spread_by_however_little_make_a_piece_that_holds_them(size: float) -> None:
-    """What is nearly flat, a needle or a point, and bundles of points that nearly coincide."""
+def test_nearly_coinciding_points_make_a_piece_that_contains_them(size: float) -> None:
+    """Nearly flat, needle-like or point-like sets, and bundles of nearly coinciding points."""
     rng = np.random.default_rng(11)
     for thin in SPREAD:
         for thinner in SPREAD:
@@ -188,14 +188,14 @@ def test_points_spread_by_however_little_make_a_piece_that_holds_them(size: floa
                     assert gap(piece, point, radius=0.001) <= 1e-8 * max(size, 1.0)
 
 
-def test_shape_far_from_its_origin_keeps_its_size() -> None:
-    """As a mesh in map coordinates; 1 mm wide, 4,000 km north."""
+def test_a_shape_far_from_its_origin_keeps_its_size() -> None:
+    """Like a mesh in map coordinates: 1 mm wide, 4,000 km north."""
     corners = 0.001 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) + [5e5, 4e6, 100.0]
     piece = shapes.convex(corners, pin.SE3.Identity())
     assert gap(piece, np.array([5e5 + 2.0, 4e6 + 0.0005, 100.0005]), radius=1.0) == pytest.approx(0.999, abs=1e-8)
 
 
-def test_flat_cylinder_is_a_disc() -> None:
+def test_a_flat_cylinder_is_a_disc() -> None:
     for radius, length in ((1.0, 1e-9), (10.0, 1e-7), (100.0, 1e-6), (1e5, 1e-3), (1e-300, 1e-300)):
         disc = shapes.cylinder(radius, length, pin.SE3.Identity())
         half = 0.5 * max(1e-3, 2.0e-5 * radius / np.cos(np.pi / 32))
@@ -204,7 +204,7 @@ def test_flat_cylinder_is_a_disc() -> None:
         )
 
 
-def test_mesh_beyond_every_map_is_refused() -> None:
+def test_a_mesh_with_coordinates_beyond_any_map_is_refused() -> None:
     mesh = trimesh.creation.box((1e9, 1.0, 1.0))
     with pytest.raises(
         InputError, match=r"too large; found a vertex 5e\+08 m from the origin; allowed: up to 1e\+07 m"
@@ -230,7 +230,7 @@ clouds: st.SearchStrategy[Matrix] = st.lists(st.tuples(*[st.floats(-2.0, 2.0)] *
 
 
 @given(clouds, st.sampled_from([0.1, 0.25, 0.37, 1.0]))
-def test_boxes_fill_exactly_the_voxels_that_hold_a_point(points: Matrix, resolution: float) -> None:
+def test_boxes_fill_exactly_the_voxels_that_contain_a_point(points: Matrix, resolution: float) -> None:
     boxes = voxel_boxes(points, resolution)
     cells = cells_of(boxes, resolution)
     wanted = {tuple(int(c) for c in np.floor(point / resolution)) for point in points}
@@ -244,14 +244,14 @@ def test_boxes_fill_exactly_the_voxels_that_hold_a_point(points: Matrix, resolut
         assert np.any(np.all((low - ROUNDING <= point) & (point <= high + ROUNDING), axis=1))
 
 
-def test_full_block_of_voxels_is_one_box() -> None:
+def test_a_full_block_of_voxels_is_one_box() -> None:
     grid = np.stack(np.meshgrid(np.arange(4), np.arange(3), np.arange(2)), axis=-1).reshape(-1, 3)
     ((centre, size),) = voxel_boxes(np.asarray(0.5 * grid + 0.1, dtype=np.float64), 0.5)
     np.testing.assert_allclose(size, [2.0, 1.5, 1.0])
     np.testing.assert_allclose(centre, [1.0, 0.75, 0.5])
 
 
-def test_one_point_is_one_voxel_on_the_grid_of_the_origin() -> None:
+def test_one_point_is_one_voxel_of_the_grid_through_the_origin() -> None:
     ((centre, size),) = voxel_boxes(np.array([[-0.05, 0.05, 0.25]]), 0.1)
     np.testing.assert_allclose(centre, [-0.05, 0.05, 0.25])
     np.testing.assert_allclose(size, [0.1] * 3)
@@ -261,7 +261,7 @@ def test_one_point_is_one_voxel_on_the_grid_of_the_origin() -> None:
 
 
 def bilinear(heights: Matrix, size: tuple[float, float], count: int) -> Matrix:
-    """(count^2, 3) points of the surface, and all grid points."""
+    """(count^2, 3) points of the bilinear surface on a regular grid."""
     rows, columns = heights.shape
     found = []
     for u in np.linspace(0.0, rows - 1, count):
@@ -294,7 +294,7 @@ terrains = st.tuples(st.integers(2, 6), st.integers(2, 6)).flatmap(
 
 
 @given(terrains, st.sampled_from([0.0, 0.02, 0.3]))
-def test_columns_cover_the_surface_and_the_ground_below(heights: Matrix, tolerance: float) -> None:
+def test_columns_contain_the_surface_and_the_ground_below(heights: Matrix, tolerance: float) -> None:
     size = (4.0, 6.0)
     columns = terrain_columns(heights, size, tolerance=tolerance, depth=1.0)
     surface = bilinear(heights, size, 9)
@@ -317,14 +317,14 @@ def test_columns_rise_at_most_the_tolerance_above_a_grid_point() -> None:
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.25])
-def test_even_ground_is_one_column(slope: float) -> None:
+def test_evenly_sloping_ground_is_one_column(slope: float) -> None:
     heights = np.tile(slope * np.linspace(-2.0, 2.0, 7), (5, 1))
     (column,) = terrain_columns(heights, (4.0, 3.0), tolerance=0.0, depth=2.0)
     # a box of 4 x 3 m, as deep as the mean height above the floor
     assert ConvexHull(column).volume == pytest.approx(4.0 * 3.0 * (2.0 + 2.0 * slope))
 
 
-def test_rows_run_along_y_and_columns_along_x_from_the_low_corner() -> None:
+def test_rows_of_heights_run_along_y_and_columns_along_x_from_the_low_corner() -> None:
     heights = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     columns = terrain_columns(heights, (4.0, 2.0), tolerance=0.0, depth=1.0)
     assert max(height_of(column, 2.0, 1.0) for column in columns) == pytest.approx(1.0)
@@ -337,7 +337,7 @@ def test_rows_run_along_y_and_columns_along_x_from_the_low_corner() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
-def test_mesh_files_are_read_as_their_author_placed_them(suffix: str, tmp_path: Path) -> None:
+def test_meshes_are_read_in_the_coordinates_of_their_file(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"block.{suffix}"
     mesh = trimesh.creation.box((1.0, 2.0, 3.0))
     mesh.apply_translation((5.0, 0.0, 0.0))
@@ -359,7 +359,7 @@ def test_mesh_files_are_read_as_their_author_placed_them(suffix: str, tmp_path: 
         ("of_normals.obj", b"v 9 9 9\nv 1 0 0\nv 0 0 0\nv 0 1 nan\nvn 0 0 1\nf 4//1 2//1 3//1\n", "vertex 4, c"),
     ],
 )
-def test_unusable_mesh_files_are_named(
+def test_errors_in_mesh_files_name_the_file(
     name: str, content: bytes, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / name
@@ -372,8 +372,8 @@ def test_unusable_mesh_files_are_named(
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "dae", "glb", "3mf"])
-def test_one_coordinate_that_is_not_finite_is_named_in_every_format(suffix: str, value: float, tmp_path: Path) -> None:
-    """Its triangles would be left out, and a plan would go through the hole."""
+def test_a_coordinate_that_is_not_finite_is_refused_in_every_format(suffix: str, value: float, tmp_path: Path) -> None:
+    """Its triangles would be dropped, and a plan could pass through the hole."""
     path = tmp_path / f"block.{suffix}"
     mesh = trimesh.creation.box((1.0, 2.0, 3.0))
     mesh = trimesh.Trimesh(np.where(mesh.vertices == mesh.vertices[3], value, mesh.vertices), mesh.faces, process=False)
@@ -385,7 +385,7 @@ def test_one_coordinate_that_is_not_finite_is_named_in_every_format(suffix: str,
 
 
 @pytest.mark.parametrize("corner", ["1e30 0 0", "1 1 0"])
-def test_a_mesh_that_is_huge_or_encloses_nothing_is_read_in_silence(corner: str, tmp_path: Path) -> None:
+def test_a_huge_or_open_mesh_is_read_without_warnings(corner: str, tmp_path: Path) -> None:
     path = tmp_path / "open.obj"
     path.write_text(f"v 0 0 0\nv 1 0 0\nv {corner}\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 2 5\n")
     with np.errstate(all="raise"):
@@ -399,7 +399,7 @@ def test_a_mesh_that_is_huge_or_encloses_nothing_is_read_in_silence(corner: str,
 
 
 def torn(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same with corners of its own for every triangle, each with the triangle's normal."""
+    """The same mesh with separate corners for every triangle, each with the triangle's normal."""
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
     return trimesh.Trimesh(corners, faces, vertex_normals=mesh.face_normals.repeat(3, axis=0), process=False)
@@ -421,8 +421,8 @@ def test_a_closed_body_with_normals_by_face_is_solid(suffix: str, tmp_path: Path
     assert [is_inside(mesh, x) for x in (-0.6, -0.4, 0.0, 0.4, 0.6)] == [False, True, True, True, False]
 
 
-def test_closed_bodies_side_by_side_stay_bodies(tmp_path: Path) -> None:
-    """Two such blocks side by side: the triangles of the faces between them coincide, and belong to one block each."""
+def test_closed_bodies_side_by_side_stay_solid(tmp_path: Path) -> None:
+    """Two such blocks side by side: the triangles of their common faces coincide but belong to different blocks."""
     block = trimesh.creation.box((1.0, 2.0, 3.0))
     other = block.copy().apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0])).apply_translation([1.0, 0.0, 0.0])
     trimesh.Scene([torn(block), torn(other)]).export(tmp_path / "blocks.glb")
@@ -431,8 +431,8 @@ def test_closed_bodies_side_by_side_stay_bodies(tmp_path: Path) -> None:
     assert [is_inside(mesh, x) for x in (-0.6, 0.0, 1.0, 1.6)] == [False, True, True, False]
 
 
-def test_a_body_of_which_every_face_has_its_own_material_is_solid(tmp_path: Path) -> None:
-    """A cube in OBJ as six groups with a material each: every group is open, the cube is not."""
+def test_a_closed_body_with_a_material_for_each_face_is_solid(tmp_path: Path) -> None:
+    """A cube in OBJ as six groups with a material each: every group is open, the cube is closed."""
     corners = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
     sides = [(1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6)]
     lines = ["mtllib cube.mtl", *(f"v {x} {y} {z}" for x, y, z in corners)]
@@ -456,9 +456,9 @@ def test_a_box_without_a_lid_stays_open(tmp_path: Path) -> None:
     assert not MeshSolid(mesh, most=100).is_full
 
 
-def test_a_mesh_closes_where_every_edge_belongs_to_an_even_number_of_triangles() -> None:
+def test_a_mesh_is_closed_if_every_edge_has_an_even_number_of_triangles() -> None:
     block = trimesh.creation.box((1.0, 2.0, 3.0))
-    touching = block.copy().apply_translation([1.0, 2.0, 0.0])  # along one edge, where four faces meet
+    touching = block.copy().apply_translation([1.0, 2.0, 0.0])  # they share one edge, where four faces meet
     both = trimesh.util.concatenate([block, touching])
     both.merge_vertices()
     assert len(both.vertices) == 14
@@ -468,15 +468,15 @@ def test_a_mesh_closes_where_every_edge_belongs_to_an_even_number_of_triangles()
     for vertices, faces, closed in (
         (block.vertices, block.faces, True),
         (both.vertices, both.faces, True),
-        (block.vertices, np.vstack((block.faces, block.faces[lid][:, ::-1], line)), True),  # a lid of two sides
+        (block.vertices, np.vstack((block.faces, block.faces[lid][:, ::-1], line)), True),  # a two-sided lid
         (block.vertices, open_faces, False),
-        (block.vertices, np.vstack((open_faces, open_faces[:, ::-1])), False),  # of two sides all over
+        (block.vertices, np.vstack((open_faces, open_faces[:, ::-1])), False),  # two-sided all over
         (both.vertices, both.faces[1:], False),
     ):
         assert is_closed(trimesh.Trimesh(vertices, faces, process=False)) == closed
 
 
-def test_missing_mesh_file_and_folder_are_named(tmp_path: Path) -> None:
+def test_a_missing_mesh_file_and_a_folder_are_named(tmp_path: Path) -> None:
     for path in (tmp_path / "nowhere.stl", tmp_path):
         with pytest.raises(InputError, match="no such mesh file") as caught:
             load_mesh(path)

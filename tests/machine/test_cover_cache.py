@@ -1,4 +1,4 @@
-"""Pieces of meshes that are kept: equal to those that were made, also of damaged entries and two processes at once."""
+"""Cached pieces of meshes equal newly made ones, also after damage and with two processes at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from backhoe_planner.machine import cache_folder, convex_cover, load_mesh, load_
 
 
 def write_angle(path: Path) -> Path:
-    """An L of two bars 1 m long and 0.1 m thick, which no single hull stands for."""
+    """An L of two bars 1 m long and 0.1 m thick, which needs more than one hull."""
     bars = [trimesh.creation.box((1.0, 0.1, 0.1)), trimesh.creation.box((0.1, 0.1, 1.0))]
     bars[1].apply_translation((0.45, 0.0, 0.45))
     trimesh.util.concatenate(bars).export(path)
@@ -28,7 +28,7 @@ def write_angle(path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache folder that is empty."""
+    """An empty cache folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path
 
@@ -43,7 +43,7 @@ def assert_equal(found: list[Matrix], expected: list[Matrix]) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_second_time_the_pieces_are_the_same_and_from_the_folder(home: Path) -> None:
+def test_a_second_call_returns_the_same_pieces_from_the_cache(home: Path) -> None:
     mesh = write_angle(home / "angle.stl")
     first, second = mesh_cover(mesh, 2.0, pieces=4), mesh_cover(mesh, np.full(3, 2.0), pieces=4)
     doubled = load_mesh(mesh)
@@ -56,7 +56,7 @@ def test_the_second_time_the_pieces_are_the_same_and_from_the_folder(home: Path)
     assert [entry.suffix for entry in entries()] == [".pieces"]
 
 
-def test_another_mesh_scale_or_bound_is_another_entry(home: Path) -> None:
+def test_mesh_scale_and_bounds_have_separate_entries(home: Path) -> None:
     mesh = write_angle(home / "angle.stl")
     assert not mesh_cover(mesh, 1.0, pieces=4).cached
     assert not mesh_cover(mesh, 1.1, pieces=4).cached
@@ -71,13 +71,13 @@ def test_another_mesh_scale_or_bound_is_another_entry(home: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut off", "one bit", "empty", "another entry's"])
-def test_a_damaged_entry_is_made_anew(home: Path, damage: str) -> None:
+def test_a_damaged_entry_is_replaced(home: Path, damage: str) -> None:
     mesh = write_angle(home / "angle.stl")
     made = mesh_cover(mesh, 1.0).pieces
     (entry,) = entries()
     content = entry.read_bytes()
     if damage == "another entry's":
-        body = content[32:]  # whole in itself, but its checksum is not that of this key
+        body = content[32:]  # intact, but its checksum does not belong to this key
         entry.write_bytes(hashlib.sha256(body).digest() + body)
     else:
         flipped = bytearray(content)
@@ -91,12 +91,14 @@ def test_a_damaged_entry_is_made_anew(home: Path, damage: str) -> None:
 
 
 @pytest.mark.parametrize("why", ["a file is in its place", "it may not be written"])
-def test_a_folder_that_cannot_be_written_only_costs_time(home: Path, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_writable_cache_folder_the_pieces_are_computed_each_time(
+    home: Path, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     mesh = write_angle(home / "angle.stl")
     above = home / "cache"
     if why == "it may not be written":
         cache_folder().mkdir(parents=True)
-        monkeypatch.setattr(os, "access", lambda *_: False)  # the permission bits do not bind everybody
+        monkeypatch.setattr(os, "access", lambda *_: False)  # permission bits do not stop every user
         cache_folder().chmod(0o500)
     else:
         above.write_text("in the way")
@@ -111,7 +113,7 @@ def test_a_folder_that_cannot_be_written_only_costs_time(home: Path, why: str, m
 
 
 @pytest.mark.long
-def test_two_processes_at_once_write_one_whole_entry(home: Path) -> None:
+def test_two_processes_at_once_write_one_complete_entry(home: Path) -> None:
     mesh = write_angle(home / "angle.stl")
     code = (
         "import sys\nfrom pathlib import Path\nfrom backhoe_planner.machine import mesh_cover\n"
@@ -126,7 +128,7 @@ def test_two_processes_at_once_write_one_whole_entry(home: Path) -> None:
     for process in both:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
-    for process in both:  # both begin before either has ended
+    for process in both:  # both start before either ends
         assert process.stdin is not None
         process.stdin.write("go\n")
         process.stdin.flush()
@@ -140,7 +142,7 @@ def test_two_processes_at_once_write_one_whole_entry(home: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"), [(None, "no such mesh file"), (b"", "empty"), (b"solid", "mesh|triangles")]
 )
-def test_what_is_no_mesh_is_refused_and_not_kept(home: Path, content: bytes | None, said: str) -> None:
+def test_invalid_meshes_are_refused_and_not_cached(home: Path, content: bytes | None, said: str) -> None:
     mesh = home / "none.stl"
     if content is not None:
         mesh.write_bytes(content)
@@ -150,8 +152,8 @@ def test_what_is_no_mesh_is_refused_and_not_kept(home: Path, content: bytes | No
     assert entries() == []
 
 
-def test_a_mesh_whose_parts_lie_in_other_files_is_not_kept(home: Path) -> None:
-    """The bytes of a glTF file do not say what its buffers hold."""
+def test_a_mesh_with_data_in_other_files_is_not_cached(home: Path) -> None:
+    """The bytes of a glTF file do not determine the content of its buffers."""
     mesh = home / "box.gltf"
     for name, part in trimesh.creation.box((1.0, 1.0, 1.0)).scene().export(file_type="gltf").items():
         (home / ("box.gltf" if name.endswith(".gltf") else name)).write_bytes(part)
@@ -160,14 +162,14 @@ def test_a_mesh_whose_parts_lie_in_other_files_is_not_kept(home: Path) -> None:
 
 
 @pytest.mark.parametrize("relative", ["", "some/where"])
-def test_a_cache_home_that_is_no_absolute_path_does_not_count(relative: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_relative_cache_home_is_ignored(relative: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", relative)
     monkeypatch.setenv("HOME", "/home/somebody")
     monkeypatch.setattr(sys, "platform", "linux")
     assert cache_folder() == Path("/home/somebody/.cache/backhoe_planner/convex_pieces")
 
 
-def test_a_robot_says_which_of_its_pieces_were_kept(home: Path) -> None:
+def test_a_robot_records_which_of_its_pieces_came_from_the_cache(home: Path) -> None:
     write_angle(home / "angle.stl")
     urdf = home / "arm.urdf"
     urdf.write_text(

@@ -73,7 +73,7 @@ def test_lifting_a_pendulum_with_a_payload_costs_its_weight_too(pendulum: bp.Rob
     assert work == pytest.approx((MASS + 200.0) * GRAVITY * height, rel=1e-3)
 
 
-def test_lowering_costs_nothing_and_gives_nothing_back(pendulum: bp.Robot) -> None:
+def test_lowering_a_pendulum_takes_no_energy_and_returns_none(pendulum: bp.Robot) -> None:
     time, q, v, a = smooth(np.array([0.8]), np.array([-0.7]), 60.0)
     energy = motion_energy(pendulum, time, q=q, v=v, a=a)
     height = LENGTH * (np.sin(0.8) - np.sin(-0.7))
@@ -83,7 +83,7 @@ def test_lowering_costs_nothing_and_gives_nothing_back(pendulum: bp.Robot) -> No
     assert np.trapezoid(energy.joint_power[:, 0], time) == pytest.approx(-MASS * GRAVITY * height, rel=1e-3)
 
 
-def test_pressing_level_with_a_force_at_the_tip_by_hand(pendulum: bp.Robot) -> None:
+def test_the_torque_of_a_level_pendulum_with_a_force_at_the_tip_by_hand(pendulum: bp.Robot) -> None:
     """At rest and level, a push up of 1 kN at 2 m takes 2 kN m off the 5886 N m of the weight."""
     level = np.zeros(1)
     torque = Dynamics(pendulum).torques(level, level, level, tip_force=np.array([500.0, 300.0, 1000.0]))
@@ -113,7 +113,7 @@ def digging(backhoe: bp.Robot) -> tuple[tuple[Array, Array, Array, Array], Array
     return motion, SoilReaction(backhoe, Soil()).force(q, v), tip
 
 
-def test_digging_costs_what_the_soil_takes(backhoe: bp.Robot) -> None:
+def test_digging_takes_additionally_the_work_done_on_the_soil(backhoe: bp.Robot) -> None:
     (time, q, v, a), force, tip = digging(backhoe)
     free = motion_energy(backhoe, time, q=q, v=v, a=a)
     held = motion_energy(backhoe, time, q=q, v=v, a=a, tip_force=force)
@@ -124,7 +124,7 @@ def test_digging_costs_what_the_soil_takes(backhoe: bp.Robot) -> None:
     assert held.work[-1] > free.work[-1]
 
 
-def test_a_load_sensing_pump_puts_in_no_less_than_the_work(backhoe: bp.Robot) -> None:
+def test_a_load_sensing_pump_delivers_at_least_the_work(backhoe: bp.Robot) -> None:
     (time, q, v, a), force, _ = digging(backhoe)
     energy = motion_energy(backhoe, time, q=q, v=v, a=a, payload=200.0, tip_force=force)
     assert energy.hydraulic_power is not None
@@ -133,7 +133,7 @@ def test_a_load_sensing_pump_puts_in_no_less_than_the_work(backhoe: bp.Robot) ->
     assert energy.hydraulic[-1] > 1.05 * energy.work[-1]  # three functions at once, at one pressure
 
 
-def test_torques_with_a_force_at_the_tip_are_pinocchios(any_robot: bp.Robot) -> None:
+def test_torques_with_a_force_at_the_tip_equal_pinocchios(any_robot: bp.Robot) -> None:
     model = any_robot.model
     data = model.createData()
     rng = np.random.default_rng(31)
@@ -153,7 +153,7 @@ def test_torques_with_a_force_at_the_tip_are_pinocchios(any_robot: bp.Robot) -> 
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-8)
 
 
-def test_torques_of_many_moments_are_those_of_each(panda: bp.Robot) -> None:
+def test_torques_along_a_motion_equal_those_of_each_sample(panda: bp.Robot) -> None:
     rng = np.random.default_rng(3)
     q, v, a = rng.normal(size=(3, 20, panda.n))
     dynamics = Dynamics(panda, payload=2.0)
@@ -163,7 +163,7 @@ def test_torques_of_many_moments_are_those_of_each(panda: bp.Robot) -> None:
 
 
 @pytest.mark.parametrize("payload", [0.0, 40.0])
-def test_the_slopes_of_torques_are_those_of_central_differences(any_robot: bp.Robot, payload: float) -> None:
+def test_the_derivatives_of_torques_agree_with_central_differences(any_robot: bp.Robot, payload: float) -> None:
     rng = np.random.default_rng(4)
     q = np.array([any_robot.random_q(rng) for _ in range(3)])
     dynamics = Dynamics(any_robot, payload=payload)

@@ -22,7 +22,7 @@ from backhoe_planner.machine import (
 SHEET = {"digging_depth": 4.39, "reach_at_ground": 5.65, "loading_height": 3.61, "loading_reach": 1.73}
 
 
-def test_the_backhoe_agrees_with_the_published_sheet_within_two_percent(backhoe: Robot) -> None:
+def test_the_backhoe_agrees_with_the_published_data_sheet_within_two_percent(backhoe: Robot) -> None:
     envelope = working_envelope(backhoe)
     assert envelope is not None
     for name, published in SHEET.items():
@@ -32,7 +32,7 @@ def test_the_backhoe_agrees_with_the_published_sheet_within_two_percent(backhoe:
     assert np.degrees(envelope.swing_arc) == pytest.approx(180.0, rel=0.02)
 
 
-def test_no_random_posture_leaves_the_envelope(backhoe: Robot) -> None:
+def test_no_random_configuration_leaves_the_envelope(backhoe: Robot) -> None:
     envelope = working_envelope(backhoe)
     assert envelope is not None
     kinematics, rng = Kinematics(backhoe), np.random.default_rng(4)
@@ -40,7 +40,7 @@ def test_no_random_posture_leaves_the_envelope(backhoe: Robot) -> None:
     assert np.max(-tips[:, 2]) <= envelope.digging_depth + 1e-9
     assert np.max(tips[:, 2]) <= envelope.largest_height + 1e-9
     assert np.max(np.hypot(tips[:, 0], tips[:, 1])) <= envelope.largest_reach + 1e-9
-    # and it is not far too large either
+    # it is not far too large either
     assert np.max(-tips[:, 2]) > 0.9 * envelope.digging_depth
     assert np.max(np.hypot(tips[:, 0], tips[:, 1])) > 0.95 * envelope.largest_reach
 
@@ -82,8 +82,8 @@ def test_a_payload_adds_its_weight_at_the_tip(backhoe: Robot) -> None:
     np.testing.assert_allclose(loaded - empty, J.T @ np.array([0.0, 0.0, 250.0 * GRAVITY]), rtol=1e-9, atol=1e-6)
 
 
-def test_a_payload_beside_the_tip_weighs_there(backhoe: Robot) -> None:
-    """Its torque is the slope of m g z of that point, by differences."""
+def test_a_payload_beside_the_tip_weighs_at_its_own_place(backhoe: Robot) -> None:
+    """Its torque is the gradient of m g z of that point, by differences."""
     q, still, at = np.array([0.3, 0.2, -0.9, -0.6]), np.zeros(4), np.array([-0.5, 0.1, 0.16])
 
     def height(q: Vector) -> float:
@@ -102,8 +102,8 @@ def test_a_payload_leaves_the_robot_as_it_was(backhoe: Robot) -> None:
     assert [inertia.mass for inertia in backhoe.model.inertias] == before
 
 
-def test_lifting_slowly_costs_the_gain_in_potential_energy(backhoe: Robot) -> None:
-    """Raising all joints smoothly: the work is the change of potential energy, nothing comes back."""
+def test_lifting_slowly_takes_the_gain_in_potential_energy(backhoe: Robot) -> None:
+    """The boom rises smoothly: the work is the change of potential energy, and none is recovered."""
     time = np.linspace(0.0, 60.0, 4001)
     part = time / 60.0
     ramp = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
@@ -116,7 +116,7 @@ def test_lifting_slowly_costs_the_gain_in_potential_energy(backhoe: Robot) -> No
     assert work == pytest.approx(dynamics.potential_energy(end) - dynamics.potential_energy(start), rel=1e-3)
 
 
-def test_torques_are_pinocchios(planar4: Robot) -> None:
+def test_torques_equal_pinocchios(planar4: Robot) -> None:
     rng = np.random.default_rng(6)
     q, v, a = rng.normal(size=(3, 4))
     expected = pin.rnea(planar4.model, planar4.model.createData(), q, v, a)

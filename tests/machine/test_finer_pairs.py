@@ -1,4 +1,4 @@
-"""Pairs whose convex pieces overlap though their meshes do not: measured by smaller pieces, and never too far apart."""
+"""Pairs whose convex pieces overlap though their meshes do not: smaller pieces never give too large distances."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ def cross_slide(folder: Path, edge: float, more: str = "") -> Robot:
 
 
 def in_the_hole(corners: np.ndarray) -> bool:
-    """Whether all `corners` (k, 2) are within the polygon of the hole, whose first corner is on the x axis."""
+    """Whether all `corners` (k, 2) are inside the polygon of the hole, whose first corner is on the x axis."""
     middle = 2.0 * np.pi / SIDES * (np.arange(SIDES) + 0.5)
     normals = np.column_stack((np.cos(middle), np.sin(middle)))
     return bool(np.max(corners @ normals.T) < HOLE * np.cos(np.pi / SIDES))
 
 
-def test_a_part_that_cannot_be_told_from_one_within_the_material_stays_with_the_hull(tmp_path: Path) -> None:
-    """A cube of 20 mm is as a whole in the ring's material at 0.2 m, where it touches no triangle.
+def test_a_part_that_may_be_inside_the_material_keeps_the_hull(tmp_path: Path) -> None:
+    """At 0.2 m a cube of 20 mm is completely in the ring's material, where it touches no triangle.
 
-    A second box of its link, far above the ring, does not hang together with it and says nothing about it.
+    A second box of its link, far above the ring, is not connected to it and gives no information about it.
     """
     above = '<collision><origin xyz="0 0 2"/><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
     robot = cross_slide(tmp_path, 0.02, above)
@@ -53,13 +53,13 @@ def test_a_part_that_cannot_be_told_from_one_within_the_material_stays_with_the_
 
 @pytest.fixture(scope="module")
 def with_mast(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    """A cube of 100 mm with a mast that stands out of the ring's hull."""
+    """A cube of 100 mm with a mast that rises out of the ring's hull."""
     mast = '<collision><origin xyz="0 0 0.2"/><geometry><box size="0.02 0.02 0.5"/></geometry></collision>'
     return cross_slide(tmp_path_factory.mktemp("mast"), 0.1, mast)
 
 
-def test_what_is_free_in_the_hole_is_free_and_nothing_that_touches_is(with_mast: Robot) -> None:
-    """The cube is free where its four corners are within the hole; smaller pieces see so but close to the rim."""
+def test_smaller_pieces_free_a_cube_in_the_hole_and_never_one_that_touches(with_mast: Robot) -> None:
+    """The cube is free where its four corners are inside the hole; smaller pieces miss this only close to the rim."""
     robot = with_mast
     assert self_pairs(robot).finer
     proximity = Proximity(robot)
@@ -75,17 +75,17 @@ def test_what_is_free_in_the_hole_is_free_and_nothing_that_touches_is(with_mast:
     assert seen > 0.9 * free
 
 
-def test_a_distance_by_smaller_pieces_is_no_more_than_the_true_one(with_mast: Robot) -> None:
-    """In the middle: from a corner at 70.7 mm along the diagonal to the hole's side, at 150 mm times cos(7.5 deg)."""
+def test_the_distance_by_smaller_pieces_never_exceeds_the_true_one(with_mast: Robot) -> None:
+    """In the middle: from a corner 70.7 mm along the diagonal to the side of the hole at 150 mm times cos(7.5 deg)."""
     least = Proximity(with_mast).distances(np.zeros(2)).min()
-    # a diagonal at 45 deg goes through a corner of the hole, 7.5 deg from the normals of both sides there
+    # the diagonal at 45 deg passes through a corner of the hole, 7.5 deg from the normals of both its sides
     corner = 0.05 * np.array([1.0, 1.0])
     normal = np.array([np.cos(np.radians(37.5)), np.sin(np.radians(37.5))])
     exact = HOLE * np.cos(np.pi / SIDES) - corner @ normal
     assert 0.0 < least <= exact + 1e-9
 
 
-def test_the_gradient_of_smaller_pieces_is_that_of_their_distance(with_mast: Robot) -> None:
+def test_the_gradient_of_smaller_pieces_agrees_with_central_differences(with_mast: Robot) -> None:
     proximity, q, step = Proximity(with_mast), np.array([0.021, -0.013]), 1e-6
     near = proximity.at(q, within=0.2)
     for column in range(2):
@@ -94,8 +94,8 @@ def test_the_gradient_of_smaller_pieces_is_that_of_their_distance(with_mast: Rob
         np.testing.assert_allclose(near.gradient[:, column], (ahead - behind) / (2.0 * step), atol=1e-5)
 
 
-def test_smaller_pieces_hold_all_triangles_and_lie_within_their_parents(with_mast: Robot) -> None:
-    """Of the divided pairs' ring the parts meet every corner; none reaches out of the hull by more than rounding."""
+def test_smaller_pieces_contain_all_triangles_and_lie_inside_their_parents(with_mast: Robot) -> None:
+    """The parts of the ring in divided pairs include every corner; none leaves the hull by more than rounding."""
     pairs, pieces = self_pairs(with_mast), self_pieces(with_mast)
     assert pieces[: len(with_mast.pieces)] == with_mast.pieces
     (ring,) = {index for pair in pairs.divided for index in pair if with_mast.pieces[index].link == "ring"}
@@ -108,14 +108,14 @@ def test_smaller_pieces_hold_all_triangles_and_lie_within_their_parents(with_mas
     assert np.abs(np.vstack(parts)).max(axis=0) == pytest.approx(np.abs(around).max(axis=0), abs=1e-4)
 
 
-def test_smaller_pieces_are_read_from_the_cache_as_they_were(with_mast: Robot) -> None:
+def test_pairs_with_smaller_pieces_are_read_unchanged_from_the_cache(with_mast: Robot) -> None:
     assert read_pairs(key_of(with_mast)) == self_pairs(with_mast)
 
 
-def test_own_links_that_overlap_wherever_their_joint_stands_are_left_out(tmp_path: Path) -> None:
-    """A bar 0.5 to 1 m from the axis, in a bed of two halves: in one or the other of them all the way round.
+def test_links_that_overlap_over_the_whole_range_of_their_joint_are_not_paired(tmp_path: Path) -> None:
+    """A bar 0.5 to 1 m from the axis in a bed of two halves overlaps one or the other over the whole turn.
 
-    In one of them alone, it is not over half of the turn, and counts.
+    With a single half it does not over half of the turn, and the pair counts.
     """
 
     def machine(*halves: float) -> Robot:

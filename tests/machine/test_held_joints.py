@@ -1,4 +1,4 @@
-"""Joints that are held: they stand where they are put, whatever part of the machine they are."""
+"""Held joints stay at their positions, wherever in the machine they are."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from backhoe_planner.machine import (
     working_envelope,
 )
 
-# beyond the tip and beside it, in the chain; solo12's legs beside the one that moves
+# held joints beyond the tip, beside it and in the chain; of solo12, legs beside the moving one
 FINGERS = ("example:panda", "panda_hand", {"panda_finger_joint1": 0.04})
 ELBOW = ("example:panda", "panda_hand_tcp", {"panda_joint3": 0.5, "panda_finger_joint1": 0.021})
 LEGS = ("example:solo12", "FL_FOOT", {"FR_HAA": 0.3, "HL_KFE": np.pi / 2.0, "HR_HFE": -np.pi / 2.0, "HR_KFE": 2.0})
@@ -41,7 +41,7 @@ def held(request: pytest.FixtureRequest) -> Robot:
 
 
 class Whole:
-    """Pinocchio's own model of all joints, with some standing still."""
+    """Pinocchio's own model of all joints, with some at fixed positions."""
 
     def __init__(self, robot: Robot) -> None:
         self.model = pin.buildModelFromUrdf(str(robot.urdf.path))
@@ -52,13 +52,13 @@ class Whole:
             self._standing[self.model.joints[self.model.getJointId(joint.name)].idx_q] = joint.position
 
     def q(self, q: Vector) -> Vector:
-        """Positions of all joints, for those of the ones that move."""
+        """Positions of all joints from those of the moving ones."""
         found: Vector = self._standing.copy()
         found[self.columns] = q
         return found
 
 
-def test_every_link_is_where_the_whole_machine_has_it(held: Robot) -> None:
+def test_every_link_has_the_pose_of_the_machine_with_all_joints(held: Robot) -> None:
     whole, data, rng = Whole(held), held.model.createData(), np.random.default_rng(1)
     for _ in range(4):
         q = held.random_q(rng)
@@ -72,8 +72,8 @@ def test_every_link_is_where_the_whole_machine_has_it(held: Robot) -> None:
             )
 
 
-def test_torques_and_inertia_are_those_of_the_whole_machine(held: Robot) -> None:
-    """What is held weighs as before; a joint that stands still neither turns nor is turned."""
+def test_torques_and_inertia_equal_those_of_the_machine_with_all_joints(held: Robot) -> None:
+    """Held parts keep their weight; held joints have no velocity and no torque of their own."""
     whole, dynamics, rng = Whole(held), Dynamics(held), np.random.default_rng(2)
     for _ in range(4):
         q, v, a = held.random_q(rng), rng.normal(size=held.n), rng.normal(size=held.n)
@@ -91,7 +91,7 @@ def test_torques_and_inertia_are_those_of_the_whole_machine(held: Robot) -> None
         np.testing.assert_allclose(dynamics.torques(q, v, a), torques, atol=1e-10 * scale)
 
 
-def test_shapes_and_pictures_move_with_a_held_finger(panda: Robot) -> None:
+def test_collision_shapes_and_visuals_move_with_a_held_finger(panda: Robot) -> None:
     """Panda's fingers slide along y of the hand, away from each other."""
     opened = panda.with_hold({"panda_finger_joint1": 0.04})
     moved = {"panda_leftfinger": 0.04, "panda_rightfinger": -0.04}
@@ -104,7 +104,7 @@ def test_shapes_and_pictures_move_with_a_held_finger(panda: Robot) -> None:
         np.testing.assert_allclose(then.placement.translation, drawn.placement.translation + shift, atol=1e-12)
 
 
-def test_held_joints_say_where_they_stand_and_why(panda: Robot) -> None:
+def test_held_joints_record_their_position_and_reason(panda: Robot) -> None:
     assert [(joint.name, joint.position, joint.why) for joint in panda.held] == [
         ("panda_finger_joint1", 0.0, "beside"),
         ("panda_finger_joint2", 0.0, "copies"),
@@ -118,7 +118,7 @@ def test_held_joints_say_where_they_stand_and_why(panda: Robot) -> None:
     assert opened.joint_names == tuple(name for name in panda.joint_names if name != "panda_joint5")
 
 
-def test_the_same_hold_is_the_same_robot_and_another_one_replaces_it(panda: Robot) -> None:
+def test_the_same_hold_returns_the_same_robot_and_a_new_one_replaces_it(panda: Robot) -> None:
     opened = panda.with_hold({"panda_finger_joint1": 0.03})
     assert opened.with_hold({"panda_finger_joint1": 0.03}) is opened
     assert panda.with_hold({}) is panda
@@ -144,12 +144,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("hold", "said"), WRONG.values(), ids=WRONG.keys())
-def test_what_cannot_be_held_is_refused(panda: Robot, hold: dict[str, float], said: str) -> None:
+def test_invalid_holds_are_refused(panda: Robot, hold: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said):
         panda.with_hold(hold)
 
 
-def test_a_copy_may_be_named_where_it_stands(panda: Robot) -> None:
+def test_a_mimic_joint_may_be_held_at_the_position_that_follows_from_its_leader(panda: Robot) -> None:
     both = panda.with_hold({"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02})
     assert {joint.name: joint.position for joint in both.held} == {
         "panda_finger_joint1": 0.02,
@@ -171,7 +171,7 @@ def hinge(name: str, parent: str, child: str, inside: str = "") -> str:
     )
 
 
-def test_copies_follow_with_multiplier_and_offset(tmp_path: Path) -> None:
+def test_mimic_joints_follow_with_multiplier_and_offset(tmp_path: Path) -> None:
     file = write(
         tmp_path,
         hinge("arm", "base", "hand"),
@@ -181,7 +181,7 @@ def test_copies_follow_with_multiplier_and_offset(tmp_path: Path) -> None:
         links="base hand a b c",
     )
     robot = load_robot(file, tip="hand")
-    # the first stands at 0, unsaid: the second at 0.1, the third at 0.6
+    # the first is at 0 by default: the second at 0.1, the third at 0.6
     assert {joint.name: joint.position for joint in robot.held} == {"second": 0.1, "third": 0.6, "first": 0.0}
     held = robot.with_hold({"first": 0.3})
     assert {joint.name: joint.position for joint in held.held} == pytest.approx(
@@ -189,7 +189,7 @@ def test_copies_follow_with_multiplier_and_offset(tmp_path: Path) -> None:
     )
 
 
-def test_a_copy_between_root_and_tip_stands_still_where_its_leader_is_held(tmp_path: Path) -> None:
+def test_a_mimic_joint_between_root_and_tip_is_held_with_its_leader(tmp_path: Path) -> None:
     """Three hinges along x, 1 m apart: at 0, 0.4 and -0.4 rad the tip is at 1 + 1 + cos 0.4 and sin 0.4."""
     file = write(
         tmp_path,
@@ -208,21 +208,21 @@ def test_a_copy_between_root_and_tip_stands_still_where_its_leader_is_held(tmp_p
 
 
 @pytest.mark.parametrize("leader", ["copy", "nowhere"])
-def test_a_joint_that_copies_itself_or_nothing_is_said(tmp_path: Path, leader: str) -> None:
+def test_a_joint_that_mimics_itself_or_nothing_is_an_error(tmp_path: Path, leader: str) -> None:
     copy = hinge("copy", "a", "b", f'<mimic joint="{leader}"/>')
     file = write(tmp_path, hinge("arm", "base", "a"), copy, links="base a b")
     with pytest.raises(RobotError, match=f"joint 'copy': copies joint '{leader}', which copies it in turn or does not"):
         load_robot(file, tip="b")
 
 
-def test_a_joint_that_copies_one_that_moves_cannot_be_held(tmp_path: Path) -> None:
+def test_a_joint_that_mimics_a_moving_one_cannot_be_held(tmp_path: Path) -> None:
     copy = hinge("copy", "base", "b", '<mimic joint="arm"/>')
     file = write(tmp_path, hinge("arm", "base", "a"), copy, links="base a b")
     with pytest.raises(RobotError, match="joint 'copy': copies joint 'arm', which moves the tip"):
         load_robot(file, tip="a", hold={"copy": 0.1})
 
 
-def test_pitch_is_that_of_the_bucket_where_the_bucket_is_held(backhoe: Robot) -> None:
+def test_a_held_bucket_still_counts_in_the_pitch(backhoe: Robot) -> None:
     """Pitch = boom + stick + bucket, whichever of them are held."""
     held = backhoe.with_hold({"bucket": -0.7})
     batch, rng = BatchKinematics(held), np.random.default_rng(3)
@@ -235,7 +235,7 @@ def test_pitch_is_that_of_the_bucket_where_the_bucket_is_held(backhoe: Robot) ->
         np.testing.assert_allclose(at.pitch_row, [0.0, 1.0, 1.0], atol=1e-9)
 
 
-def test_a_bucket_that_can_tilt_has_a_pitch_where_its_tilt_is_held(tmp_path: Path) -> None:
+def test_a_bucket_that_can_tilt_has_a_pitch_if_its_tilt_is_held(tmp_path: Path) -> None:
     """The bucket's pin is 1 m along x from the boom's, the tip 2 m along x from there beyond a tilt about x."""
     lift = (
         hinge("boom", "base", "boom").replace('xyz="0 0 1"', 'xyz="0 -1 0"').replace('"3"', '"1"').replace("-3", "-1")
@@ -251,7 +251,7 @@ def test_a_bucket_that_can_tilt_has_a_pitch_where_its_tilt_is_held(tmp_path: Pat
 
 
 def folding(tmp_path: Path) -> Robot:
-    """Three beams of 1 m, each with a ball of 0.1 m on its hinge, which is at the end of the one before."""
+    """Three beams of 1 m, each with a ball of radius 0.1 m on its hinge at the end of the previous one."""
     hub = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
     beam = '<collision><origin xyz="0.5 0 0"/><geometry><box size="0.9 0.05 0.05"/></geometry></collision>'
     hinges = [hinge("first", "base", "a"), hinge("second", "a", "b"), hinge("third", "b", "c")]
@@ -261,8 +261,8 @@ def folding(tmp_path: Path) -> Robot:
     return load_robot(path)
 
 
-def test_links_that_touch_in_all_postures_that_are_left_are_no_pin(tmp_path: Path) -> None:
-    """The ball of the third hinge is 0.14 m from that of the first one, where the second joint is folded to 3 rad."""
+def test_links_that_touch_only_because_of_a_held_joint_are_not_taken_for_a_pin(tmp_path: Path) -> None:
+    """With the second joint folded to 3 rad, the ball of the third hinge is 0.14 m from that of the first."""
     robot = folding(tmp_path)
     held = robot.with_hold({"second": 3.0})
     kept = {(self_pieces(held)[a].link, self_pieces(held)[b].link) for a, b in self_pairs(held).kept}
@@ -270,8 +270,8 @@ def test_links_that_touch_in_all_postures_that_are_left_are_no_pin(tmp_path: Pat
     assert ("c", "a") not in {(pair.link, pair.other) for pair in self_pairs(held).left_out if pair.touch}
 
 
-def test_what_is_held_must_not_touch_itself(tmp_path: Path) -> None:
-    """The third arm is folded back through the first one, or stretched out."""
+def test_overlaps_caused_by_held_joints_are_found(tmp_path: Path) -> None:
+    """The third beam is folded back through the first one, or stretched out."""
     robot = folding(tmp_path)
     folded = robot.with_hold({"second": 3.0, "third": 3.0})
     assert ("c", "a") in {(link, other) for link, other, _ in held_overlaps(folded)}
@@ -279,7 +279,7 @@ def test_what_is_held_must_not_touch_itself(tmp_path: Path) -> None:
     assert held_overlaps(robot) == ()
 
 
-def test_figures_of_a_data_sheet_are_not_given_with_a_held_swing_or_bucket(backhoe: Robot) -> None:
+def test_data_sheet_figures_are_not_given_with_a_held_swing_or_bucket(backhoe: Robot) -> None:
     for hold in ({"swing": 0.2}, {"bucket": -0.5}):
         held = backhoe.with_hold(hold)
         assert working_envelope(held) is None

@@ -36,7 +36,7 @@ def hydraulics(backhoe: bp.Robot) -> Hydraulics:
 
 @pytest.fixture(scope="module")
 def postures(backhoe: bp.Robot) -> Array:
-    """(500, 4) within the limits of the URDF, the corners too."""
+    """(500, 4) configurations within the limits of the URDF, corners included."""
     rng = np.random.default_rng(11)
     drawn = rng.uniform(backhoe.limits.lower, backhoe.limits.upper, (484, 4))
     corners = np.array(np.meshgrid(*np.column_stack((backhoe.limits.lower, backhoe.limits.upper)))).reshape(4, -1).T
@@ -53,7 +53,7 @@ def load(folder: Path, data: Data | str, urdf: str = "example:backhoe", *, tip: 
     return bp.load_robot(urdf, tip=tip, hydraulics=file)
 
 
-# --- one hinge of our own, with numbers that a hand can follow ------------------------
+# --- one hinge, with numbers for hand calculations ------------------------------------
 
 HINGE = """<robot name="hinge">
   <link name="post"/>
@@ -83,7 +83,7 @@ def hinge(folder: Path, data: Data = RIGHT, **joint: Any) -> bp.Robot:
     return bp.load_robot(folder / "hinge.urdf", tip="end")
 
 
-def test_a_right_triangle_by_hand(tmp_path: Path) -> None:
+def test_a_cylinder_in_a_right_triangle_by_hand(tmp_path: Path) -> None:
     found = hinge(tmp_path).hydraulics
     assert found is not None
     level = np.zeros(1)
@@ -111,9 +111,9 @@ def test_a_right_triangle_by_hand(tmp_path: Path) -> None:
     assert found.joints(np.array([[0.5], [0.62], [0.3]])) == pytest.approx(np.array([[0.0], [wide], [tight]]))
 
 
-def test_pins_beside_each_other_along_the_axis_lengthen_the_cylinder(tmp_path: Path) -> None:
+def test_pins_offset_along_the_joint_axis_lengthen_the_cylinder(tmp_path: Path) -> None:
     data = copy.deepcopy(RIGHT)
-    # across the axis, which the joint's origin turns by 0.3 rad about z
+    # along the axis, which the joint's origin turns by 0.3 rad about z
     data["cylinders"][0]["parent"] = [0.12 * math.sin(0.3), -0.12 * math.cos(0.3), 1.7]
     data["cylinders"][0]["open"] = 0.63
     found = hinge(tmp_path, data).hydraulics
@@ -121,7 +121,7 @@ def test_pins_beside_each_other_along_the_axis_lengthen_the_cylinder(tmp_path: P
     assert found.lengths(np.zeros(1)) == pytest.approx([math.sqrt(0.25 + 0.12**2)])
 
 
-def test_power_counts_only_what_moves_against_its_load(tmp_path: Path) -> None:
+def test_power_counts_only_motion_against_the_load(tmp_path: Path) -> None:
     found = hinge(tmp_path).hydraulics
     assert found is not None
     q, v, tau = np.zeros(1), np.array([0.5]), np.array([2400.0])
@@ -134,12 +134,12 @@ def test_power_counts_only_what_moves_against_its_load(tmp_path: Path) -> None:
 
 
 def parallelogram() -> FourBar:
-    """Rocker and joint pin of 0.3 m each, 1 m apart, link of 1 m: the rocker turns as the joint does."""
+    """Rocker and joint pin of 0.3 m each, 1 m apart, link of 1 m: the rocker turns by the joint angle."""
     drive = Triangle(0.8, 0.3, math.radians(-150.0))
     return FourBar((-1.0, 0.0), rocker=0.3, link=1.0, pin=0.3, pin_angle=0.0, side=1.0, drive=drive)
 
 
-def test_in_a_parallelogram_the_rocker_turns_as_the_joint() -> None:
+def test_in_a_parallelogram_the_rocker_turns_by_the_joint_angle() -> None:
     bar = parallelogram()
     q = np.linspace(0.3, 2.8, 60)
     np.testing.assert_allclose(bar.rocker_angle(q), q, atol=1e-9)
@@ -159,12 +159,12 @@ def test_the_four_bar_of_the_bucket_is_closed_everywhere(hydraulics: Hydraulics)
     R, B = bar.rocker_pin(q), bar.joint_pin(q)
     np.testing.assert_allclose(np.linalg.norm(R - B, axis=1), bar.link, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(R - np.array(bar.pivot), axis=1), bar.rocker, atol=1e-12)
-    # nowhere near another branch: it goes on smoothly
+    # the rocker angle is smooth: no jump to another branch
     assert np.max(np.abs(np.diff(bar.rocker_angle(q)))) < 0.01
 
 
 def test_the_four_bar_passes_through_the_pins_of_the_file(hydraulics: Hydraulics) -> None:
-    """With the joint at 0 the pins lie where they are drawn: x from the bucket's pin outward, z up."""
+    """With the joint at 0 the pins are where the file draws them: x from the bucket's pin outward, z up."""
     spec = content()["cylinders"][-1]
     bar, still = bucket_bar(hydraulics), np.zeros(())
     np.testing.assert_allclose(bar.rocker_pin(still), [1.395 - 1.8, 0.383], atol=1e-12)
@@ -173,8 +173,8 @@ def test_the_four_bar_passes_through_the_pins_of_the_file(hydraulics: Hydraulics
     np.testing.assert_allclose(hydraulics.lengths(np.zeros(4))[-1], length, atol=1e-12)
 
 
-def test_a_machine_built_the_other_way_round_moves_the_same(hydraulics: Hydraulics, tmp_path: Path) -> None:
-    """The bucket's axis turned round: its rocker then stands on the other side of its line of pins."""
+def test_a_machine_with_a_reversed_bucket_axis_moves_the_same(hydraulics: Hydraulics, tmp_path: Path) -> None:
+    """With the bucket's axis reversed, the rocker is on the other side of its line of pins."""
     whole = (ROOT / "models" / "backhoe.urdf").read_text(encoding="utf-8")
     begin = whole.index('<joint name="bucket"')
     joint = whole[begin : whole.index("</joint>", begin)]
@@ -197,7 +197,7 @@ def test_a_machine_built_the_other_way_round_moves_the_same(hydraulics: Hydrauli
 
 
 @pytest.mark.parametrize("drawn_at", [-1.0, 0.4])
-def test_a_rocker_may_be_drawn_at_any_posture(hydraulics: Hydraulics, tmp_path: Path, drawn_at: float) -> None:
+def test_a_rocker_may_be_drawn_at_any_joint_angle(hydraulics: Hydraulics, tmp_path: Path, drawn_at: float) -> None:
     R = bucket_bar(hydraulics).rocker_pin(np.array(drawn_at))  # x outward and z up from the bucket's pin
     moved = [1.8 + float(R[0]), 0.0, float(R[1])]
     data = content()
@@ -211,7 +211,7 @@ def test_a_rocker_may_be_drawn_at_any_posture(hydraulics: Hydraulics, tmp_path: 
 # --- consistency ---------------------------------------------------------------------
 
 
-def test_moment_arms_are_the_slope_of_the_lengths(hydraulics: Hydraulics, postures: Array) -> None:
+def test_moment_arms_agree_with_central_differences_of_the_lengths(hydraulics: Hydraulics, postures: Array) -> None:
     step = 1e-6
     for j in range(4):
         move = step * np.eye(4)[j]
@@ -219,8 +219,8 @@ def test_moment_arms_are_the_slope_of_the_lengths(hydraulics: Hydraulics, postur
         np.testing.assert_allclose(hydraulics.moment_arms(postures)[..., j], slope, atol=2e-8)
 
 
-def test_arms_that_were_asked_before_are_those_of_the_same_joints(hydraulics: Hydraulics, postures: Array) -> None:
-    """Of more arrays than are remembered, one of them changed in place: always as asked one posture at a time."""
+def test_cached_moment_arms_belong_to_the_same_configurations(hydraulics: Hydraulics, postures: Array) -> None:
+    """With more arrays than the cache holds, each changed in place; compared with one configuration at a time."""
     tau = np.linspace(1e3, 2e3, postures.shape[1])
     for _ in range(2):
         for count in range(1, 13):
@@ -232,7 +232,7 @@ def test_arms_that_were_asked_before_are_those_of_the_same_joints(hydraulics: Hy
             np.testing.assert_array_equal(found, one_by_one)
 
 
-def test_the_work_of_the_cylinders_is_that_of_the_joints(hydraulics: Hydraulics, postures: Array) -> None:
+def test_the_work_of_the_cylinders_equals_that_of_the_joints(hydraulics: Hydraulics, postures: Array) -> None:
     rng = np.random.default_rng(12)
     v, force = rng.normal(size=postures.shape), 1e5 * rng.normal(size=(len(postures), 6))
     done = np.sum(force * hydraulics.rod_speeds(postures, v), axis=1)
@@ -242,7 +242,7 @@ def test_the_work_of_the_cylinders_is_that_of_the_joints(hydraulics: Hydraulics,
     np.testing.assert_allclose(hydraulics.joint_torques(postures, force), through_matrix, rtol=1e-12, atol=1e-6)
 
 
-def test_forces_give_back_the_torques_with_the_least_norm(hydraulics: Hydraulics, postures: Array) -> None:
+def test_cylinder_forces_reproduce_the_torques_with_the_least_norm(hydraulics: Hydraulics, postures: Array) -> None:
     tau = 1e4 * np.random.default_rng(13).normal(size=postures.shape)
     force = hydraulics.cylinder_forces(postures, tau)
     np.testing.assert_allclose(hydraulics.joint_torques(postures, force), tau, rtol=1e-9, atol=1e-6)
@@ -250,11 +250,11 @@ def test_forces_give_back_the_torques_with_the_least_norm(hydraulics: Hydraulics
         np.testing.assert_allclose(own, np.linalg.pinv(arm.T) @ torque, rtol=1e-9, atol=1e-4)
 
 
-def test_lengths_and_joints_are_inverse_to_each_other(hydraulics: Hydraulics, postures: Array) -> None:
+def test_lengths_and_joints_are_inverse_maps(hydraulics: Hydraulics, postures: Array) -> None:
     lengths = hydraulics.lengths(postures)
     np.testing.assert_allclose(hydraulics.joints(lengths), postures, atol=1e-9)
     np.testing.assert_allclose(hydraulics.lengths(hydraulics.joints(lengths)), lengths, atol=1e-9)
-    for i, cylinder in enumerate(hydraulics.cylinders):  # single lengths, from end to end of the stroke
+    for i, cylinder in enumerate(hydraulics.cylinders):  # single cylinders from end to end of the stroke
         if cylinder.joint == "swing":
             continue
         whole = np.tile(lengths[0], (101, 1))
@@ -263,7 +263,7 @@ def test_lengths_and_joints_are_inverse_to_each_other(hydraulics: Hydraulics, po
         np.testing.assert_allclose(hydraulics.lengths(hydraulics.joints(whole))[:, i], whole[:, i], atol=1e-9)
 
 
-def test_arrays_of_any_shape_go_through(hydraulics: Hydraulics, postures: Array) -> None:
+def test_arrays_of_any_shape_are_accepted(hydraulics: Hydraulics, postures: Array) -> None:
     flat, block = postures[:30], postures[:30].reshape(5, 2, 3, 4)
     lengths = hydraulics.lengths(block)
     assert lengths.shape == (5, 2, 3, 6)
@@ -274,31 +274,31 @@ def test_arrays_of_any_shape_go_through(hydraulics: Hydraulics, postures: Array)
     np.testing.assert_allclose(whole.reshape(30, 4)[7], one, rtol=1e-12)
 
 
-def test_lengths_that_no_posture_has_give_nan(hydraulics: Hydraulics) -> None:
+def test_lengths_of_no_configuration_give_nan(hydraulics: Hydraulics) -> None:
     lengths = hydraulics.lengths(np.array([0.5, 0.2, -1.0, 0.1]))
-    lengths[0] += 0.01  # the left swing cylinder alone
+    lengths[0] += 0.01  # only the left swing cylinder
     lengths[4] = 3.0
     found = hydraulics.joints(lengths)
     assert np.isnan(found[[0, 2]]).all()
     np.testing.assert_allclose(found[[1, 3]], [0.2, 0.1], atol=1e-9)
 
 
-def test_swinging_both_ways_is_the_same_mirrored(hydraulics: Hydraulics) -> None:
+def test_the_swing_hydraulics_are_symmetric(hydraulics: Hydraulics) -> None:
     q = np.zeros((91, 4))
     q[:, 0], q[:, 2] = np.linspace(-1.57, 1.57, 91), -1.0
     mirrored = hydraulics.lengths(q * [-1.0, 1.0, 1.0, 1.0])
     np.testing.assert_allclose(hydraulics.lengths(q)[:, 0], mirrored[:, 1], atol=1e-12)
     torque = hydraulics.torque_limits(q)
     np.testing.assert_allclose(torque.positive[:, 0], torque.negative[::-1, 0], rtol=1e-9)
-    # and falls off towards the ends
+    # the torque falls off towards the ends
     assert torque.positive[[0, -1], 0].max() < 0.55 * torque.positive[45, 0]
     arms = hydraulics.moment_arms(q)[:, :2, 0]
-    assert np.all(np.max(np.abs(arms), axis=1) > 0.04)  # the one helps the other over its dead centre
+    assert np.all(np.max(np.abs(arms), axis=1) > 0.04)  # one cylinder helps the other over its dead centre
     assert arms[0, 1] * arms[45, 1] < 0.0
 
 
-def test_limits_are_what_flow_and_pressure_give(hydraulics: Hydraulics, postures: Array) -> None:
-    """At the limit of its rate a joint takes what pump or valve give; at its torque limit, relief pressure."""
+def test_rate_and_torque_limits_follow_from_flow_and_pressure(hydraulics: Hydraulics, postures: Array) -> None:
+    """At its rate limit a joint uses the full flow of pump or valve, at its torque limit the relief pressure."""
     rate, torque = hydraulics.velocity_limits(postures), hydraulics.torque_limits(postures)
     for j in range(4):
         mine = np.flatnonzero(hydraulics.joint_of == j)
@@ -316,8 +316,8 @@ def test_limits_are_what_flow_and_pressure_give(hydraulics: Hydraulics, postures
             np.testing.assert_allclose(hydraulics.pressures(postures, tau)[:, j + 2], hydraulics.pressure, rtol=1e-9)
 
 
-def test_power_is_the_work_that_joints_put_in(hydraulics: Hydraulics, postures: Array) -> None:
-    """One cylinder, or two that share by least norm against the load, put in max(tau v, 0) for each joint."""
+def test_power_is_the_sum_of_the_positive_joint_powers(hydraulics: Hydraulics, postures: Array) -> None:
+    """One cylinder, or two that share the load by least norm, deliver max(tau v, 0) for each joint."""
     rng = np.random.default_rng(14)
     v, tau = rng.normal(size=postures.shape), 1e4 * rng.normal(size=postures.shape)
     expected = np.sum(np.maximum(tau * v, 0.0), axis=1)
@@ -328,7 +328,7 @@ def test_power_is_the_work_that_joints_put_in(hydraulics: Hydraulics, postures: 
 # --- the backhoe ----------------------------------------------------------------------
 
 
-def test_digging_forces_are_the_published_ones(backhoe: bp.Robot) -> None:
+def test_digging_forces_equal_the_published_ones(backhoe: bp.Robot) -> None:
     found = digging_forces(backhoe)
     assert found is not None
     assert found.bucket == pytest.approx(PUBLISHED["bucket"], rel=0.03)
@@ -336,7 +336,7 @@ def test_digging_forces_are_the_published_ones(backhoe: bp.Robot) -> None:
 
 
 def test_the_digging_force_of_the_bucket_by_virtual_displacement(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
-    """Push times how far the rod moves equals bite times how far the teeth move."""
+    """Rod force times rod travel equals digging force times travel of the teeth."""
     found = digging_forces(backhoe)
     assert found is not None
     at = np.array([0.0, 0.0, -1.0, found.bucket_at])
@@ -359,16 +359,16 @@ def test_the_digging_force_of_the_stick_by_virtual_displacement(backhoe: bp.Robo
     assert found.stick == pytest.approx(hydraulics.pressure * math.pi / 4.0 * 0.127**2 * rod / teeth, rel=1e-4)
 
 
-def test_strokes_cover_the_joints_limits_and_little_more(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
+def test_strokes_cover_the_joint_limits_and_at_most_2_degrees_more(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
     for j, name in enumerate(backhoe.joint_names):
         lower, upper = hydraulics.joint_range(name)
         assert 0.0 <= backhoe.limits.lower[j] - lower < math.radians(2.0)
         assert 0.0 <= upper - backhoe.limits.upper[j] < math.radians(2.0)
     for cylinder in hydraulics.cylinders:
-        assert cylinder.stroke < cylinder.closed  # or it could not be built
+        assert cylinder.stroke < cylinder.closed  # otherwise it could not be built
 
 
-def test_torques_and_rates_are_of_the_order_of_the_urdfs(
+def test_torque_and_rate_limits_are_of_the_order_of_those_in_the_urdf(
     backhoe: bp.Robot, hydraulics: Hydraulics, postures: Array
 ) -> None:
     torque, rate = hydraulics.torque_limits(postures), hydraulics.velocity_limits(postures)
@@ -378,7 +378,7 @@ def test_torques_and_rates_are_of_the_order_of_the_urdfs(
     np.testing.assert_array_less(np.abs(np.log(typical / backhoe.limits.velocity)), math.log(1.5))
 
 
-def test_the_machine_holds_its_arm_with_a_full_bucket_everywhere(
+def test_the_machine_can_hold_its_arm_with_a_full_bucket_everywhere(
     backhoe: bp.Robot, hydraulics: Hydraulics, postures: Array
 ) -> None:
     dynamics, still = Dynamics(backhoe, payload=380.0), np.zeros(4)
@@ -393,19 +393,19 @@ def test_a_machine_without_a_description_has_no_hydraulics(planar4: bp.Robot) ->
     assert digging_forces(planar4) is None
 
 
-def test_another_tip_keeps_the_cylinders_that_move_it(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
+def test_a_robot_with_another_tip_has_the_cylinders_that_move_it(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
     on_stick = backhoe.with_tip("stick")
     assert on_stick.hydraulics is not None
     assert on_stick.hydraulics.cylinder_names == hydraulics.cylinder_names[:5]
     q = np.array([0.2, 0.3, -1.0])
     np.testing.assert_array_equal(on_stick.hydraulics.lengths(q), hydraulics.lengths(np.append(q, 0.0))[:5])
     assert on_stick.with_tip("bucket_tip").hydraulics is not None
-    assert digging_forces(on_stick) is None  # its tip lies on the axis of its last joint
+    assert digging_forces(on_stick) is None  # its tip is on the axis of its last joint
 
 
 def test_a_joint_without_a_cylinder_has_no_hydraulic_limit(tmp_path: Path) -> None:
     data = content()
-    data["cylinders"] = data["cylinders"][2:]  # as if a motor swung it
+    data["cylinders"] = data["cylinders"][2:]  # as if a motor drove the swing
     found = load(tmp_path, data).hydraulics
     assert found is not None
     q = np.array([0.3, 0.2, -1.0, -0.5])
@@ -431,7 +431,9 @@ def dug(backhoe: bp.Robot) -> bp.Plan:
     return found
 
 
-def test_exports_carry_the_cylinders(dug: bp.Plan, hydraulics: Hydraulics, tmp_path: Path) -> None:
+def test_exports_contain_cylinder_lengths_speeds_and_flows(
+    dug: bp.Plan, hydraulics: Hydraulics, tmp_path: Path
+) -> None:
     export_plan(dug, tmp_path / "motion.npz")
     export_plan(dug, tmp_path / "motion.csv")
     motion = dug.trajectory
@@ -545,7 +547,7 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
 
 
 @pytest.mark.parametrize(("change", "said"), BAD.values(), ids=BAD.keys())
-def test_what_is_wrong_is_said_with_file_key_found_and_allowed(
+def test_errors_in_a_description_name_file_key_found_and_allowed_values(
     change: Callable[[Data], None], said: list[str], tmp_path: Path
 ) -> None:
     data = content()
@@ -563,12 +565,12 @@ def test_what_is_wrong_is_said_with_file_key_found_and_allowed(
     [
         # shortest at 45.6 deg, where link and crank line up
         (1.11, r"cylinders\[0\] \(ram\): the linkage passes a dead centre near 45\.\d deg"),
-        # no turn of the crank brings it that far
+        # no crank angle extends it that far
         (1.13, r"cylinders\[0\] \(ram\): the strokes do not limit the joint at both ends.* found ends at no angle"),
     ],
 )
-def test_a_stroke_that_goes_on_where_the_rocker_turns_back(tmp_path: Path, end: float, said: str) -> None:
-    """A crank of 0.2 m whose rocker only sways, so that no stroke beyond its sway can end the range."""
+def test_a_stroke_that_passes_a_dead_centre_of_the_rocker_is_refused(tmp_path: Path, end: float, said: str) -> None:
+    """A crank of 0.2 m whose rocker only sways: a stroke beyond the sway cannot limit the range."""
 
     def pin(x: float, z: float) -> list[float]:
         return [x * math.cos(0.3), x * math.sin(0.3), 2.0 + z]
@@ -590,13 +592,13 @@ BAD_TEXT = {
 
 
 @pytest.mark.parametrize(("text", "said"), BAD_TEXT.items(), ids=["empty", "list", "twice", "unclosed"])
-def test_a_file_that_is_no_description(text: str, said: str, tmp_path: Path) -> None:
+def test_files_that_are_not_hydraulic_descriptions_are_refused(text: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(bp.RobotError) as caught:
         load(tmp_path, text)
     assert said in str(caught.value)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_description_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(bp.RobotError, match=r"none\.yaml: no such hydraulic description file"):
         bp.load_robot("example:backhoe", hydraulics=tmp_path / "none.yaml")
 
@@ -606,13 +608,17 @@ def test_a_joint_without_limits_cannot_have_a_cylinder(tmp_path: Path) -> None:
         hinge(tmp_path, kind="continuous")
 
 
-def test_the_shipped_description_is_beside_the_urdf_and_complete(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
+def test_the_shipped_description_is_beside_the_urdf_and_covers_all_joints(
+    backhoe: bp.Robot, hydraulics: Hydraulics
+) -> None:
     assert hydraulics.file == DESCRIPTION
     assert {cylinder.joint for cylinder in hydraulics.cylinders} == set(backhoe.joint_names)
     HydraulicsRecord.model_validate(content())
 
 
-def test_inspect_tells_the_cylinders(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inspect_prints_cylinders_pump_and_digging_forces(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sys.argv", ["backhoe-planner", "inspect", "example:backhoe"])
     with pytest.raises(SystemExit) as caught:
         main()

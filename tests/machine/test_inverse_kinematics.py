@@ -1,4 +1,4 @@
-"""Inverse kinematics: what can be reached is found, what cannot is approached."""
+"""Inverse kinematics: reachable targets are reached, the others approached."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_99_of_100_reachable_targets_are_reached_to_a_micrometre_within_the_limi
     assert reached >= 0.99 * COUNT
 
 
-def test_target_beyond_the_arm_is_approached_along_its_ray(planar4: Robot) -> None:
+def test_a_target_beyond_the_arm_is_approached_along_its_ray(planar4: Robot) -> None:
     """Four links of 1 m reach 4 m: a target at 6 m is missed by 2 m."""
     for angle in (0.0, 1.0, -2.5):
         ray = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -56,15 +56,15 @@ def test_target_beyond_the_arm_is_approached_along_its_ray(planar4: Robot) -> No
         assert found.position_error == pytest.approx(2.0, abs=1e-9)
 
 
-def test_target_out_of_the_plane_is_missed_by_its_height(planar4: Robot) -> None:
+def test_a_target_out_of_the_plane_is_missed_by_its_height(planar4: Robot) -> None:
     found = solve_inverse_kinematics(planar4, TipTarget(np.array([2.0, 1.0, 0.3])), rng=np.random.default_rng(1))
     assert not found.reached
     np.testing.assert_allclose(Kinematics(planar4).at(found.q).tip_position, [2.0, 1.0, 0.0], atol=1e-6)
     assert found.position_error == pytest.approx(0.3, abs=1e-9)
 
 
-def test_backhoe_stretches_towards_a_target_20_m_away(backhoe: Robot) -> None:
-    """Stretched out, arm and target lie on one line through the boom's foot.
+def test_the_backhoe_stretches_towards_a_target_20_m_away(backhoe: Robot) -> None:
+    """When stretched, arm and target are on one line through the boom's foot.
 
     The stick cannot be stretched fully (-0.1745), so boom foot to bucket pin is the
     third side of a triangle of 2.4 and 1.8, and the bucket lies in line with it.
@@ -78,13 +78,13 @@ def test_backhoe_stretches_towards_a_target_20_m_away(backhoe: Robot) -> None:
     assert found.q[2] == pytest.approx(-0.1745)
 
 
-def test_backhoe_turns_towards_a_target_behind_it_as_far_as_it_swings(backhoe: Robot) -> None:
+def test_the_backhoe_swings_to_its_limit_towards_a_target_behind_it(backhoe: Robot) -> None:
     found = solve_inverse_kinematics(backhoe, TipTarget(np.array([-3.0, 20.0, 0.49])), rng=np.random.default_rng(1))
     assert not found.reached
     assert found.q[0] == pytest.approx(backhoe.limits.upper[0])
 
 
-def test_pitch_in_a_range_is_met_within_the_range(backhoe: Robot) -> None:
+def test_a_target_with_a_pitch_range_is_reached_within_it(backhoe: Robot) -> None:
     target = TipTarget(np.array([4.2, 1.0, -1.0]), pitch=(-2.2, -1.2))
     found = solve_inverse_kinematics(backhoe, target)
     at = Kinematics(backhoe).at(found.q)
@@ -94,7 +94,7 @@ def test_pitch_in_a_range_is_met_within_the_range(backhoe: Robot) -> None:
 
 
 @pytest.mark.parametrize("position", [[2.0, 1.0, 0.0], [6.0, 0.0, 0.0]])
-def test_same_generator_gives_the_same_result(planar4: Robot, position: list[float]) -> None:
+def test_the_same_generator_gives_the_same_result(planar4: Robot, position: list[float]) -> None:
     target = TipTarget(np.array(position))
     first, second = (
         solve_inverse_kinematics(planar4, target, rng=np.random.default_rng(5), attempts=10) for _ in range(2)
@@ -103,12 +103,12 @@ def test_same_generator_gives_the_same_result(planar4: Robot, position: list[flo
     assert (first.reached, first.attempts) == (second.reached, second.attempts)
 
 
-def test_without_a_generator_the_result_is_the_same_too(ur5: Robot) -> None:
+def test_results_without_a_generator_are_reproducible(ur5: Robot) -> None:
     target = TipTarget(Kinematics(ur5).at(ur5.random_q(np.random.default_rng(2))).tip_position)
     np.testing.assert_array_equal(solve_inverse_kinematics(ur5, target).q, solve_inverse_kinematics(ur5, target).q)
 
 
-def test_start_at_the_solution_is_the_solution(any_robot: Robot) -> None:
+def test_a_start_at_the_solution_is_the_solution(any_robot: Robot) -> None:
     kinematics = Kinematics(any_robot)
     q = any_robot.random_q(np.random.default_rng(3))
     found = solve_inverse_kinematics(any_robot, TipTarget(kinematics.at(q).tip_position), start=q)
@@ -116,7 +116,7 @@ def test_start_at_the_solution_is_the_solution(any_robot: Robot) -> None:
     np.testing.assert_array_equal(found.q, q)
 
 
-def test_start_outside_the_limits_is_brought_inside_and_left_as_it_was(planar4: Robot) -> None:
+def test_a_start_outside_the_limits_is_moved_inside_without_changing_the_argument(planar4: Robot) -> None:
     start = np.array([5.0, 0.1, 0.1, 0.1])
     found = solve_inverse_kinematics(planar4, TipTarget(np.array([2.0, 1.0, 0.0])), start=start)
     assert found.reached
@@ -124,7 +124,7 @@ def test_start_outside_the_limits_is_brought_inside_and_left_as_it_was(planar4: 
     assert start[0] == 5.0
 
 
-def test_nearby_start_gives_a_nearby_solution(backhoe: Robot) -> None:
+def test_a_start_near_a_solution_gives_a_nearby_one(backhoe: Robot) -> None:
     q = np.array([0.3, 0.4, -1.6, -0.9])
     near = Kinematics(backhoe).at(q).tip_position + np.array([0.01, 0.0, 0.0])
     found = solve_inverse_kinematics(backhoe, TipTarget(near), start=q)

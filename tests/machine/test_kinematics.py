@@ -40,18 +40,18 @@ def postures(robot: Robot, count: int = 20, seed: int = 7) -> list[Vector]:
     return [robot.random_q(rng) for _ in range(count)]
 
 
-def test_backhoe_tip_agrees_with_a_denavit_hartenberg_table(backhoe: Robot) -> None:
+def test_the_backhoe_tip_agrees_with_a_denavit_hartenberg_table(backhoe: Robot) -> None:
     kinematics = Kinematics(backhoe)
     for q in postures(backhoe, 100):
         T = denavit_hartenberg(q)
         at = kinematics.at(q)
         np.testing.assert_allclose(at.tip_position, T[:3, 3], atol=1e-12)
-        # the tip's x runs along the bucket in both; its y is the table's -z
+        # the tip's x is along the bucket in both; its y is the table's -z
         np.testing.assert_allclose(at.tip_rotation[:, 0], T[:3, 0], atol=1e-12)
         np.testing.assert_allclose(at.tip_rotation[:, 1], -T[:3, 2], atol=1e-12)
 
 
-def test_backhoe_tip_agrees_with_the_closed_formula(backhoe: Robot) -> None:
+def test_the_backhoe_tip_agrees_with_the_closed_formula(backhoe: Robot) -> None:
     kinematics = Kinematics(backhoe)
     for swing, boom, stick, bucket in postures(backhoe, 100):
         angles = np.cumsum([boom, stick, bucket])
@@ -61,7 +61,7 @@ def test_backhoe_tip_agrees_with_the_closed_formula(backhoe: Robot) -> None:
         np.testing.assert_allclose(tip, [out * np.cos(swing), out * np.sin(swing), up], atol=1e-12)
 
 
-def test_planar_arm_points_are_the_partial_sums_of_its_links(planar4: Robot) -> None:
+def test_points_of_the_planar_arm_are_partial_sums_of_its_links(planar4: Robot) -> None:
     kinematics = Kinematics(planar4)
     for q in postures(planar4):
         angles = np.cumsum(q)
@@ -70,7 +70,7 @@ def test_planar_arm_points_are_the_partial_sums_of_its_links(planar4: Robot) -> 
         np.testing.assert_allclose(kinematics.at(q).points, expected, atol=1e-12)
 
 
-def test_tip_jacobian_agrees_with_central_differences(any_robot: Robot) -> None:
+def test_the_tip_jacobian_agrees_with_central_differences(any_robot: Robot) -> None:
     kinematics = Kinematics(any_robot)
     for q in postures(any_robot):
         at = kinematics.at(q)
@@ -82,27 +82,27 @@ def test_tip_jacobian_agrees_with_central_differences(any_robot: Robot) -> None:
         np.testing.assert_allclose(at.jacobian, central_differences(pose, q), atol=1e-8)
 
 
-def test_joint_jacobian_is_taken_at_the_worlds_origin(any_robot: Robot) -> None:
+def test_the_joint_jacobian_refers_to_the_origin_of_the_world(any_robot: Robot) -> None:
     at = Kinematics(any_robot).at(postures(any_robot, 1)[0])
     linear = at.J_world[:3] + np.cross(at.J_world[3:].T, at.tip_position).T
     np.testing.assert_allclose(linear, at.jacobian[:3], atol=1e-12)
     np.testing.assert_allclose(at.J_world[3:], at.jacobian[3:], atol=1e-12)
 
 
-def test_pitch_is_boom_plus_stick_plus_bucket(backhoe: Robot) -> None:
+def test_the_pitch_is_boom_plus_stick_plus_bucket(backhoe: Robot) -> None:
     kinematics = Kinematics(backhoe)
     for q in postures(backhoe, 200):
         off = kinematics.at(q).pitch - q[1:].sum()
         assert abs(wrap_angle(off)) < 1e-12
 
 
-def test_pitch_of_the_level_arm_is_0_and_up_is_positive(backhoe: Robot) -> None:
+def test_the_pitch_of_the_level_arm_is_0_and_up_is_positive(backhoe: Robot) -> None:
     kinematics = Kinematics(backhoe)
     assert kinematics.at(np.zeros(4)).pitch == 0.0
     assert kinematics.at(np.array([0.7, 0.1, 0.0, 0.0])).pitch == pytest.approx(0.1)
 
 
-def test_pitch_row_agrees_with_central_differences(backhoe: Robot) -> None:
+def test_the_pitch_row_agrees_with_central_differences(backhoe: Robot) -> None:
     kinematics = Kinematics(backhoe)
     for q in postures(backhoe):
         at = kinematics.at(q)
@@ -116,8 +116,8 @@ def test_pitch_row_agrees_with_central_differences(backhoe: Robot) -> None:
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_pitch_is_positive_up_whichever_way_the_axes_point(tmp_path: Path, side: int) -> None:
-    """An arm whose hinges turn about +y is the usual case among excavators' URDFs."""
+def test_the_pitch_is_positive_up_for_both_directions_of_the_joint_axes(tmp_path: Path, side: int) -> None:
+    """Hinges about +y are usual in URDFs of excavators."""
     limit = '<limit lower="-1.5" upper="1.5" effort="1" velocity="1"/>'
     path = tmp_path / "arm.urdf"
     path.write_text(
@@ -137,14 +137,14 @@ def test_pitch_is_positive_up_whichever_way_the_axes_point(tmp_path: Path, side:
 
 
 @pytest.mark.parametrize("name", ["planar4", "ur5", "panda"])
-def test_pitch_is_refused_where_the_last_axis_is_not_horizontal(name: str, request: pytest.FixtureRequest) -> None:
+def test_a_pitch_is_refused_if_the_last_axis_is_not_horizontal(name: str, request: pytest.FixtureRequest) -> None:
     robot: Robot = request.getfixturevalue(name)
     assert not robot.has_pitch
     with pytest.raises(InputError, match=r"pitch is not defined for this arm.*rpy or quaternion"):
         _ = Kinematics(robot).at(np.zeros(robot.n) - 0.1).pitch
 
 
-def test_configuration_keeps_its_own_read_only_q(planar4: Robot) -> None:
+def test_a_configuration_keeps_its_own_read_only_q(planar4: Robot) -> None:
     q = np.zeros(4)
     at = Kinematics(planar4).at(q)
     q[0] = 1.0
@@ -153,7 +153,7 @@ def test_configuration_keeps_its_own_read_only_q(planar4: Robot) -> None:
         at.q[0] = 1.0
 
 
-def test_configuration_is_not_changed_by_the_next_one(any_robot: Robot) -> None:
+def test_a_configuration_is_not_changed_by_the_next_one(any_robot: Robot) -> None:
     kinematics = Kinematics(any_robot)
     first, second = postures(any_robot, 2)
     at = kinematics.at(first)
@@ -164,7 +164,7 @@ def test_configuration_is_not_changed_by_the_next_one(any_robot: Robot) -> None:
         np.testing.assert_array_equal(before, after)
 
 
-def test_arm_of_one_joint_has_jacobians_of_one_column(tmp_path: Path) -> None:
+def test_an_arm_of_one_joint_has_jacobians_of_one_column(tmp_path: Path) -> None:
     path = tmp_path / "door.urdf"
     path.write_text(
         '<robot name="door"><link name="wall"/><link name="door"/><link name="handle"/>'
@@ -180,7 +180,7 @@ def test_arm_of_one_joint_has_jacobians_of_one_column(tmp_path: Path) -> None:
 
 
 @given(st.floats(-1e3, 1e3))
-def test_wrapped_angle_lies_within_half_a_turn_and_points_the_same_way(angle: float) -> None:
+def test_a_wrapped_angle_is_equivalent_and_within_half_a_turn(angle: float) -> None:
     wrapped = wrap_angle(angle)
     assert -np.pi <= wrapped < np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
@@ -202,11 +202,11 @@ def target_jacobian_holds(robot: Robot, make: Callable[[Configuration], TipTarge
         np.testing.assert_allclose(target.jacobian(at), -expected, atol=1e-8)
 
 
-def test_position_target_jacobian_agrees_with_central_differences(any_robot: Robot) -> None:
+def test_the_jacobian_of_a_position_target_agrees_with_central_differences(any_robot: Robot) -> None:
     target_jacobian_holds(any_robot, lambda at: TipTarget(at.tip_position + np.array([0.3, -0.2, 0.1])))
 
 
-def test_pitch_target_jacobian_agrees_with_central_differences_outside_the_range(backhoe: Robot) -> None:
+def test_the_jacobian_of_a_pitch_target_agrees_with_central_differences_outside_the_range(backhoe: Robot) -> None:
     for low, high in ((-0.5, -0.3), (0.3, 0.5)):
 
         def beside(at: Configuration, low: float = low, high: float = high) -> TipTarget:
@@ -215,11 +215,11 @@ def test_pitch_target_jacobian_agrees_with_central_differences_outside_the_range
         target_jacobian_holds(backhoe, beside)
 
 
-def test_rotation_target_jacobian_agrees_with_central_differences_at_the_target(any_robot: Robot) -> None:
+def test_the_jacobian_of_a_rotation_target_agrees_with_central_differences_at_the_target(any_robot: Robot) -> None:
     target_jacobian_holds(any_robot, lambda at: TipTarget(at.tip_position + 0.1, rotation=at.tip_rotation))
 
 
-def test_rotation_error_is_the_rotation_vector_in_world_axes(ur5: Robot) -> None:
+def test_the_rotation_error_is_the_rotation_vector_in_world_axes(ur5: Robot) -> None:
     at = Kinematics(ur5).at(postures(ur5, 1)[0])
     turn = np.array([0.0, 0.0, 0.7])
     target = TipTarget(at.tip_position, rotation=pin.exp3(turn) @ at.tip_rotation)
@@ -233,15 +233,15 @@ def test_rotation_error_is_the_rotation_vector_in_world_axes(ur5: Robot) -> None
     ("pitch", "excess"),
     [(-1.5, 0.0), (-2.2, 0.0), (-1.2, 0.0), (-1.0, 0.2), (-2.5, -0.3), (-1.0 + 2.0 * np.pi, 0.2), (0.0, 1.2)],
 )
-def test_pitch_excess_is_0_inside_the_range_and_signed_outside(pitch: float, excess: float) -> None:
+def test_the_pitch_excess_is_0_inside_the_range_and_signed_outside(pitch: float, excess: float) -> None:
     assert TipTarget(np.zeros(3), pitch=(-2.2, -1.2)).pitch_excess(pitch) == pytest.approx(excess)
 
 
-def test_pitch_range_of_a_whole_turn_leaves_it_free() -> None:
+def test_a_pitch_range_of_a_whole_turn_leaves_the_pitch_free() -> None:
     target = TipTarget(np.zeros(3), pitch=(-np.pi, np.pi))
     assert [target.pitch_excess(pitch) for pitch in np.linspace(-7.0, 7.0, 29)] == [0.0] * 29
 
 
-def test_no_joint_of_a_planar_arm_moves_it_out_of_its_plane(planar4: Robot) -> None:
+def test_no_joint_moves_a_planar_arm_out_of_its_plane(planar4: Robot) -> None:
     at = Kinematics(planar4).at(np.array([0.1, 0.2, 0.3, 0.4]))
     np.testing.assert_array_equal(movable_rows(at.jacobian), [True, True, False, False, False, True])

@@ -1,4 +1,4 @@
-"""Hulls with a corner that has very many neighbours: coal counts them in one byte."""
+"""Hulls with a corner that has very many neighbours, which coal counts in one byte."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def piece_of(shape: str, sides: int) -> shapes.Piece:
 
 
 def distance_to(piece: shapes.Piece, point: Vector) -> float:
-    """To `point` (3,) in the frame of the solid [m]."""
+    """The distance to `point` (3,) in the frame of the solid [m]."""
     ball = shapes.sphere(1e-3, pin.SE3.Identity())
     found, *_ = shapes.Gauge().measure(
         piece.shape,
@@ -62,7 +62,7 @@ def distance_to(piece: shapes.Piece, point: Vector) -> float:
 
 @pytest.mark.parametrize("sides", SIDES[:-1])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_piece_contains_the_solid_and_is_at_most_a_thousandth_larger(shape: str, sides: int) -> None:
+def test_the_piece_contains_the_solid_and_is_at_most_a_thousandth_larger(shape: str, sides: int) -> None:
     corners, piece = SHAPES[shape](sides), piece_of(shape, sides)
     local = (piece.hull - PLACEMENT.translation) @ PLACEMENT.rotation
     around, own = ConvexHull(local).equations, ConvexHull(corners).equations
@@ -74,7 +74,7 @@ def test_piece_contains_the_solid_and_is_at_most_a_thousandth_larger(shape: str,
 
 @pytest.mark.parametrize("sides", SIDES)
 @pytest.mark.parametrize("away", [-0.02, 0.0, 0.001, 0.3])
-def test_distance_to_a_cone_is_exact_or_a_little_less(sides: int, away: float) -> None:
+def test_the_distance_to_a_cone_is_exact_or_a_little_less(sides: int, away: float) -> None:
     piece = piece_of("cone", sides)
     # each face leans by the angle whose tangent is the ring's inner radius over the height
     inner = RADIUS * np.cos(np.pi / sides)
@@ -90,7 +90,7 @@ def test_distance_to_a_cone_is_exact_or_a_little_less(sides: int, away: float) -
 
 
 @pytest.mark.parametrize("sides", SIDES)
-def test_distance_to_a_cylinder_is_exact_or_a_little_less(sides: int) -> None:
+def test_the_distance_to_a_cylinder_is_exact_or_a_little_less(sides: int) -> None:
     piece = piece_of("cylinder", sides)
     inner = RADIUS * np.cos(np.pi / sides)
     for away in (-0.05, 0.002, 0.7):
@@ -102,7 +102,7 @@ def test_distance_to_a_cylinder_is_exact_or_a_little_less(sides: int) -> None:
         assert away - EXCESS * HEIGHT <= found <= away + ROUNDING
 
 
-def test_what_coal_can_count_is_left_as_it_is() -> None:
+def test_a_hull_whose_neighbours_coal_can_count_is_unchanged() -> None:
     corners = cone(254)
     np.testing.assert_array_equal(
         np.unique(shapes.convex(corners, pin.SE3.Identity()).hull, axis=0), np.unique(corners, axis=0)
@@ -110,7 +110,7 @@ def test_what_coal_can_count_is_left_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("sides", [300, 2000])
-def test_scene_may_hold_such_a_mesh(sides: int, tmp_path: Path) -> None:
+def test_a_scene_may_contain_a_mesh_with_very_many_neighbours(sides: int, tmp_path: Path) -> None:
     trimesh.creation.cone(RADIUS, HEIGHT, sections=sides).export(tmp_path / "cone.stl")
     spec = obstacle_from_dict({"name": "heap", "shape": "mesh", "file": "cone.stl", "position": [5.0, 0.0, 0.0]})
     (piece,) = build_obstacle(spec, folder=tmp_path, clearance=0.0).pieces

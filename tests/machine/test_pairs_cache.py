@@ -1,4 +1,4 @@
-"""Pairs of a machine's own pieces that are kept: for the same machine only, equal to those that were worked out."""
+"""Cached self-collision pairs: for the same machine only, and equal to computed ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from backhoe_planner.machine.pairs_cache import key_of, read_pairs
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache folder that is empty."""
+    """An empty cache folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path
 
@@ -26,7 +26,7 @@ def entries() -> list[Path]:
 
 
 def wheel_in(folder: Path, ring: trimesh.Trimesh | None, *, radius: float = 0.1) -> Robot:
-    """A wheel that turns in a ring, or on a box of its size where there is none."""
+    """A wheel that turns in a ring, or on a box of the ring's size without one."""
     shape = '<box size="0.6 0.6 0.1"/>'
     if ring is not None:
         ring.export(folder / "ring.stl")
@@ -45,13 +45,13 @@ def annulus(hole: float) -> trimesh.Trimesh:
     return trimesh.creation.annulus(hole, 0.3, 0.1, sections=48)
 
 
-def test_a_machine_that_is_loaded_twice_has_its_pairs_from_the_first_time(home: Path) -> None:
+def test_a_machine_loaded_twice_computes_its_pairs_once(home: Path) -> None:
     first, second = wheel_in(home, annulus(0.15)), wheel_in(home, annulus(0.15))
     assert first.pieces is not second.pieces
     assert self_pairs(first) is self_pairs(second)
 
 
-def test_pairs_of_meshes_are_kept_and_read_as_they_were(home: Path) -> None:
+def test_pairs_of_meshes_are_cached_and_read_unchanged(home: Path) -> None:
     robot = wheel_in(home, annulus(0.15), radius=0.101)
     pairs = self_pairs(robot)
     assert pairs.left_out
@@ -59,7 +59,7 @@ def test_pairs_of_meshes_are_kept_and_read_as_they_were(home: Path) -> None:
     assert read_pairs(key_of(wheel_in(home, annulus(0.15), radius=0.101))) == pairs
 
 
-def test_a_damaged_entry_does_not_count(home: Path) -> None:
+def test_a_damaged_entry_is_ignored(home: Path) -> None:
     robot = wheel_in(home, annulus(0.15), radius=0.102)
     self_pairs(robot)
     (entry,) = entries()
@@ -67,8 +67,8 @@ def test_a_damaged_entry_does_not_count(home: Path) -> None:
     assert read_pairs(key_of(robot)) is None
 
 
-def test_the_pairs_of_many_primitives_are_kept_too(home: Path) -> None:
-    """A stack of 19 boxes below a wheel: they are on one body, and only the upper one is at the joint."""
+def test_pairs_of_many_primitives_are_cached(home: Path) -> None:
+    """A stack of 19 boxes of one body below a wheel; only the upper one is at the joint."""
     box = '<collision><origin xyz="0 0 {z}"/><geometry><box size="0.6 0.6 0.1"/></geometry></collision>'
     path = home / "machine.urdf"
     path.write_text(
@@ -85,14 +85,14 @@ def test_the_pairs_of_many_primitives_are_kept_too(home: Path) -> None:
     assert read_pairs(key_of(robot)) == pairs
 
 
-def test_a_machine_of_few_primitives_keeps_nothing_and_neither_does_a_posture_out_of_range(home: Path) -> None:
+def test_pairs_of_few_primitives_or_of_a_start_out_of_range_are_not_cached(home: Path) -> None:
     self_pairs(wheel_in(home, None))
     self_pairs(wheel_in(home, annulus(0.15), radius=0.103), posture=(1.5,))
     assert entries() == []
 
 
-def test_pairs_belong_to_all_that_they_depend_on(home: Path) -> None:
-    """A ring that has the same hull with a wider hole is other triangles; a tracking error moves slides only."""
+def test_the_key_of_pairs_depends_on_meshes_shapes_and_limits(home: Path) -> None:
+    """A ring with a wider hole has the same hull but other triangles; a tracking error matters for slides only."""
     robot = wheel_in(home, annulus(0.15))
     narrow = replace(robot, limits=replace(robot.limits, upper=np.array([0.5])))
     others = [narrow, wheel_in(home, annulus(0.2)), wheel_in(home, annulus(0.15), radius=0.09), wheel_in(home, None)]

@@ -1,4 +1,4 @@
-"""Travel bounds: no point of the machine moves further, and some do move so far."""
+"""Travel bounds: no point of the machine moves further, and some move exactly so far."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.machine import Kinematics, Robot, load_robot, tip_travel_bo
 
 
 def placed_hulls(robot: Robot, q: Vector) -> list[Vector]:
-    """The hull points of every piece, world."""
+    """The hull points of every piece in the world frame."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     return [
@@ -43,8 +43,8 @@ def slider(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(path)
 
 
-def test_planar_links_are_as_far_from_each_axis_as_the_links_between_are_long(planar4: Robot) -> None:
-    """A link's corner is 1 m out and 4 cm across (and 4 cm up: counted beyond its own joint)."""
+def test_radii_of_planar_links_are_the_lengths_of_the_links_between(planar4: Robot) -> None:
+    """A link's corner is 1 m out and 4 cm to the side (and 4 cm up, which counts beyond its own joint)."""
     own, further = np.hypot(1.0, 0.04), np.sqrt(1.0 + 2.0 * 0.04**2)
     expected = [
         [0.0, 0.0, 0.0, 0.0],
@@ -56,23 +56,23 @@ def test_planar_links_are_as_far_from_each_axis_as_the_links_between_are_long(pl
     np.testing.assert_allclose(travel_bounds(planar4), expected, atol=1e-12)
 
 
-def test_planar_tip_is_4_3_2_1_metres_from_the_axes(planar4: Robot) -> None:
+def test_the_planar_tip_is_4_3_2_1_metres_from_the_axes(planar4: Robot) -> None:
     np.testing.assert_allclose(tip_travel_bound(planar4), [4.0, 3.0, 2.0, 1.0], atol=1e-12)
 
 
-def test_backhoe_tip_is_as_far_from_each_axis_as_the_arm_is_long(backhoe: Robot) -> None:
+def test_radii_of_the_backhoe_tip_are_the_lengths_of_the_stretched_arm(backhoe: Robot) -> None:
     """The swing axis is vertical, the boom's foot is 0.535 m off it: its height does not count."""
     expected = [0.535 + 2.4 + 1.8 + 0.95, 2.4 + 1.8 + 0.95, 1.8 + 0.95, 0.95]
     np.testing.assert_allclose(tip_travel_bound(backhoe), expected, atol=1e-12)
 
 
-def test_tip_bound_is_attained_by_the_stretched_arm(planar4: Robot) -> None:
+def test_the_bound_of_the_tip_is_attained_by_the_stretched_arm(planar4: Robot) -> None:
     kinematics = Kinematics(planar4)
     speeds = np.linalg.norm(kinematics.at(np.zeros(4)).jacobian[:3], axis=0)
     np.testing.assert_allclose(speeds, tip_travel_bound(planar4), atol=1e-12)
 
 
-def test_each_links_own_bound_is_attained_by_its_corners(planar4: Robot) -> None:
+def test_the_bound_of_a_link_about_its_own_joint_is_attained_by_its_corners(planar4: Robot) -> None:
     bounds, step = travel_bounds(planar4), 1e-6
     at_zero = placed_hulls(planar4, np.zeros(4))
     for link in range(1, 5):
@@ -81,8 +81,8 @@ def test_each_links_own_bound_is_attained_by_its_corners(planar4: Robot) -> None
         assert travelled / step == pytest.approx(bounds[link, link - 1], rel=1e-6)
 
 
-def test_sliding_joint_moves_everything_beyond_it_as_far_as_itself(slider: Robot) -> None:
-    """rod: sphere 0.1 at 0.5; hand: sphere 0.2 at 1; the slide itself starts at 1 and goes 2 out."""
+def test_a_slide_moves_everything_beyond_it_by_its_own_travel(slider: Robot) -> None:
+    """rod: sphere 0.1 at 0.5; hand: sphere 0.2 at 1; the slide starts at 1 and extends by 2."""
     expected = [
         [1.0 + 2.0 + 0.5 + 0.1, 1.0, 0.0],
         [1.0 + 2.0 + 1.0 + 0.2, 1.0, 0.2],
@@ -91,7 +91,7 @@ def test_sliding_joint_moves_everything_beyond_it_as_far_as_itself(slider: Robot
     np.testing.assert_allclose(tip_travel_bound(slider), [1.0 + 2.0 + 1.0 + 0.25, 1.0, 0.25], atol=1e-12)
 
 
-def test_slide_reaches_its_bound_when_run_out(slider: Robot) -> None:
+def test_the_bound_of_a_slide_is_attained_when_extended(slider: Robot) -> None:
     at = Kinematics(slider).at(np.array([0.0, 2.0, 0.0]))
     np.testing.assert_allclose(np.linalg.norm(at.jacobian[:3], axis=0), tip_travel_bound(slider), atol=1e-12)
 
@@ -115,15 +115,15 @@ def test_no_point_of_any_piece_travels_further_than_the_bound(
         assert np.linalg.norm(tip) <= np.abs(dq) @ tip_bound + 1e-12
 
 
-def test_what_stands_still_does_not_travel(backhoe: Robot) -> None:
+def test_fixed_pieces_have_travel_bound_0(backhoe: Robot) -> None:
     bounds = travel_bounds(backhoe)
     still = [row for row, piece in enumerate(backhoe.pieces) if piece.joint == 0]
     assert still
     assert not np.any(bounds[still])
 
 
-def test_a_slide_run_out_beyond_its_limit_reaches_as_far_as_it_stands(slider: Robot) -> None:
-    """Run out to 3 m instead of 2, or to -4 m: the hinge's radii grow by as much, the others stay."""
+def test_travel_bounds_grow_with_a_slide_extended_beyond_its_limit(slider: Robot) -> None:
+    """Extended to 3 m instead of 2, or to -4 m: the hinge's radii grow by the excess, the others stay."""
     inside = travel_bounds(slider)
     for slides, more in (([3.0], 1.0), ([-4.0], 2.0), ([-0.7, 1.9], 0.0)):
         q = np.array([[0.3, slide, 0.1] for slide in slides])

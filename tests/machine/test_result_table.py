@@ -1,4 +1,4 @@
-"""Results that are read all at once, against what coal says of each."""
+"""Results that are read all at once, compared with coal's result for each pair."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.machine.shape.result_table import ResultTable
 
 
 def world(robot: Robot, *, seed: int) -> tuple[pin.GeometryModel, pin.GeometryData]:
-    """The machine's pieces, and balls and boxes around and in them, all against all."""
+    """The machine's pieces, and balls and boxes around and in them, all paired with all."""
     rng, model = np.random.default_rng(seed), geometry_model(robot, pieces=robot.pieces)
     own = model.ngeoms
     for index in range(20):
@@ -37,7 +37,7 @@ def said_by_coal(data: pin.GeometryData, pairs: Indices) -> Matrix:
 
 
 @pytest.mark.parametrize("at_once", [True, False])
-def test_numbers_are_those_that_coal_says_of_each_pair(
+def test_table_entries_equal_coals_result_for_each_pair(
     backhoe: Robot, at_once: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if at_once:
@@ -63,7 +63,7 @@ def test_numbers_are_those_that_coal_says_of_each_pair(
 
 
 def test_flush_faces_are_measured_again(monkeypatch: pytest.MonkeyPatch, backhoe: Robot) -> None:
-    """Two boxes with a face in common touch: the distance is 0 within rounding, by hand."""
+    """Two boxes with a common face have distance 0 within rounding."""
     model = pin.GeometryModel()
     for index in range(2):
         piece = shapes.box(np.array([0.2, 0.4, 0.6]), pin.SE3(np.eye(3), np.array([0.2 * index, 0.0, 0.0])))

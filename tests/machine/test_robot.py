@@ -29,40 +29,40 @@ def load(tmp_path: Path, *elements: str, links: str, tip: str | None = None) -> 
     return load_robot(path, tip=tip)
 
 
-def test_backhoe_has_four_joints_from_the_machine_outward(backhoe: Robot) -> None:
+def test_the_backhoe_has_four_joints_from_the_machine_outward(backhoe: Robot) -> None:
     assert backhoe.joint_names == ("swing", "boom", "stick", "bucket")
     assert (backhoe.n, backhoe.tip, backhoe.name) == (4, "bucket_tip", "backhoe")
     assert backhoe.model.nq == backhoe.model.nv == 4
 
 
-def test_backhoe_bucket_turns_205_degrees_as_on_the_specification_sheet(backhoe: Robot) -> None:
+def test_the_bucket_of_the_backhoe_turns_205_degrees_as_on_the_specification_sheet(backhoe: Robot) -> None:
     span = backhoe.limits.upper - backhoe.limits.lower
     assert np.degrees(span[3]) == pytest.approx(205.0, abs=0.1)
     assert np.degrees(span[0]) == pytest.approx(180.0, abs=0.1)
 
 
-def test_acceleration_is_the_urdfs_own_where_it_is_given(planar4: Robot) -> None:
+def test_an_acceleration_limit_in_the_urdf_is_used(planar4: Robot) -> None:
     np.testing.assert_array_equal(planar4.limits.acceleration, [2.0] * 4)
 
 
-def test_acceleration_reaches_full_rate_in_half_a_second_by_default(tmp_path: Path) -> None:
+def test_the_default_acceleration_reaches_full_rate_in_half_a_second(tmp_path: Path) -> None:
     robot = load(tmp_path, joint("j", "revolute", "a", "b"), links="a b")
     np.testing.assert_array_equal(robot.limits.velocity, [0.6])
     np.testing.assert_array_equal(robot.limits.acceleration, [1.2])
     np.testing.assert_array_equal(robot.limits.effort, [5.0])
 
 
-def test_acceleration_of_ur5_is_twice_its_rate(ur5: Robot) -> None:
+def test_the_acceleration_of_the_ur5_is_twice_its_rate(ur5: Robot) -> None:
     np.testing.assert_array_equal(ur5.limits.acceleration, 2.0 * ur5.limits.velocity)
 
 
-def test_limits_cannot_be_written(planar4: Robot) -> None:
+def test_limits_are_read_only(planar4: Robot) -> None:
     with pytest.raises(ValueError, match="read-only"):
         planar4.limits.lower[0] = 0.0
 
 
 @pytest.mark.parametrize("limit", ["", '<limit effort="5" velocity="0.6"/>'])
-def test_continuous_joint_is_one_number_without_limits(tmp_path: Path, limit: str) -> None:
+def test_a_continuous_joint_is_one_number_without_limits(tmp_path: Path, limit: str) -> None:
     robot = load(tmp_path, joint("j", "continuous", "a", "b", limit=limit), links="a b")
     assert robot.model.nq == robot.model.nv == robot.n == 1
     assert (robot.limits.lower[0], robot.limits.upper[0]) == (-np.inf, np.inf)
@@ -75,11 +75,11 @@ def test_continuous_joint_is_one_number_without_limits(tmp_path: Path, limit: st
     )
 
 
-def test_middle_is_the_middle_of_each_range(panda: Robot) -> None:
+def test_the_middle_configuration_is_in_the_middle_of_each_range(panda: Robot) -> None:
     assert panda.middle[3] == pytest.approx(-0.5 * (3.0718 + 0.0698))
 
 
-def test_prismatic_joints_are_known(tmp_path: Path) -> None:
+def test_prismatic_joints_are_marked(tmp_path: Path) -> None:
     robot = load(tmp_path, joint("slide", "prismatic", "a", "b"), joint("turn", "revolute", "b", "c"), links="a b c")
     np.testing.assert_array_equal(robot.prismatic, [True, False])
 
@@ -94,7 +94,7 @@ HELD = [
 
 
 @pytest.mark.parametrize(("kind", "lower", "upper", "held"), HELD)
-def test_joint_off_the_chain_is_held_at_its_limit_nearest_to_0_where_pinocchio_puts_it(
+def test_a_joint_off_the_chain_is_held_at_the_position_nearest_to_0_with_pinocchios_poses(
     tmp_path: Path, kind: str, lower: str, upper: str, held: float
 ) -> None:
     limit = f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
@@ -120,7 +120,7 @@ def test_joint_off_the_chain_is_held_at_its_limit_nearest_to_0_where_pinocchio_p
             )
 
 
-def test_pandas_fingers_are_held_closed_where_pinocchio_puts_them(panda: Robot) -> None:
+def test_pandas_closed_fingers_have_pinocchios_poses(panda: Robot) -> None:
     whole = pin.buildModelFromUrdf(str(panda.urdf.path))
     own, other = panda.model.createData(), whole.createData()
     rng = np.random.default_rng(4)
@@ -136,7 +136,7 @@ def test_pandas_fingers_are_held_closed_where_pinocchio_puts_them(panda: Robot) 
             )
 
 
-def test_mimic_joint_on_the_chain_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_mimic_joint_on_the_chain_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"tiny\.urdf: joint 'follower'.*'leader'.*mimic"):
         load(
             tmp_path,
@@ -146,7 +146,7 @@ def test_mimic_joint_on_the_chain_is_refused_by_name(tmp_path: Path) -> None:
         )
 
 
-def test_mimic_joint_off_the_chain_is_held(tmp_path: Path) -> None:
+def test_a_mimic_joint_off_the_chain_is_held(tmp_path: Path) -> None:
     robot = load(
         tmp_path,
         joint("arm", "revolute", "a", "b"),
@@ -160,8 +160,8 @@ def test_mimic_joint_off_the_chain_is_held(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous"])
 @pytest.mark.parametrize("second", ['<mimic joint="arm" multiplier="-1"/>', '<mimic joint="first"/>'])
-def test_mimic_joint_beside_the_chain_that_copies_one_of_it_is_refused(tmp_path: Path, kind: str, second: str) -> None:
-    """Its link moves with the arm; held at 0 it would be proven clear where it is not."""
+def test_a_mimic_joint_off_the_chain_with_its_leader_on_it_is_refused(tmp_path: Path, kind: str, second: str) -> None:
+    """Its link moves with the arm: held at 0, it would be proven clear where it is not."""
     followers = [
         joint("first", "revolute", "a", "c", '<mimic joint="arm"/>' if "first" in second else ""),
         joint("second", kind, "a", "d", second),
@@ -174,13 +174,13 @@ def test_mimic_joint_beside_the_chain_that_copies_one_of_it_is_refused(tmp_path:
     assert robot.joint_names == ("arm",)
 
 
-def test_several_ends_without_a_tip_is_an_error_that_lists_them(tmp_path: Path) -> None:
+def test_several_ends_without_a_tip_are_an_error_that_lists_them(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"tip: .*several ends.*allowed: left, right") as caught:
         load(tmp_path, joint("l", "revolute", "a", "left"), joint("r", "revolute", "a", "right"), links="a left right")
     assert str(tmp_path / "tiny.urdf") in str(caught.value)
 
 
-def test_bucket_tip_is_the_tip_even_among_several_ends(tmp_path: Path) -> None:
+def test_bucket_tip_is_the_default_tip_even_among_several_ends(tmp_path: Path) -> None:
     robot = load(
         tmp_path,
         joint("l", "revolute", "a", "other"),
@@ -190,21 +190,21 @@ def test_bucket_tip_is_the_tip_even_among_several_ends(tmp_path: Path) -> None:
     assert robot.tip == "bucket_tip"
 
 
-def test_only_end_is_the_tip(planar4: Robot) -> None:
+def test_the_only_end_is_the_default_tip(planar4: Robot) -> None:
     assert planar4.tip == "tip"
 
 
-def test_unknown_tip_suggests_the_nearest_link() -> None:
+def test_an_unknown_tip_is_an_error_that_suggests_the_nearest_link() -> None:
     with pytest.raises(RobotError, match=r"tip: .*no such link; found buket_tip.*did you mean 'bucket_tip'\?"):
         load_robot("example:backhoe", tip="buket_tip")
 
 
-def test_tip_that_no_joint_moves_is_refused() -> None:
+def test_a_tip_that_no_joint_moves_is_refused() -> None:
     with pytest.raises(RobotError, match="no joint moves the tip; found cab"):
         load_robot("example:backhoe", tip="cab")
 
 
-def test_with_tip_builds_a_new_robot_and_leaves_the_old_one_as_it_was(backhoe: Robot) -> None:
+def test_with_tip_returns_a_new_robot_and_does_not_change_the_old_one(backhoe: Robot) -> None:
     before = backhoe.model.copy()
     shorter = backhoe.with_tip("stick")
     assert shorter is not backhoe
@@ -215,16 +215,16 @@ def test_with_tip_builds_a_new_robot_and_leaves_the_old_one_as_it_was(backhoe: R
 
 
 @pytest.mark.parametrize("tip", [None, "bucket_tip"])
-def test_with_the_same_tip_it_is_the_same_robot(backhoe: Robot, tip: str | None) -> None:
+def test_with_tip_returns_the_same_robot_for_the_same_tip(backhoe: Robot, tip: str | None) -> None:
     assert backhoe.with_tip(tip) is backhoe
 
 
-def test_record_cannot_be_changed(planar4: Robot) -> None:
+def test_a_robot_is_read_only(planar4: Robot) -> None:
     with pytest.raises(AttributeError):
         planar4.tip = "link1"  # type: ignore[misc]
 
 
-def test_model_is_not_written_on_by_use(any_robot: Robot) -> None:
+def test_kinematics_do_not_change_the_model(any_robot: Robot) -> None:
     before = any_robot.model.copy()
     kinematics = Kinematics(any_robot)
     for seed in range(3):
@@ -233,7 +233,7 @@ def test_model_is_not_written_on_by_use(any_robot: Robot) -> None:
     assert any_robot.model == before
 
 
-def test_link_and_joint_of_one_name_are_told_apart(tmp_path: Path) -> None:
+def test_a_link_and_a_joint_may_have_the_same_name(tmp_path: Path) -> None:
     robot = load(
         tmp_path,
         joint("arm", "revolute", "base", "arm"),
@@ -252,7 +252,7 @@ def test_pieces_are_numbered_within_their_link(planar4: Robot) -> None:
     assert planar4.all_link_names == (*planar4.link_names, "tip")
 
 
-def test_random_q_lies_within_the_limits(any_robot: Robot) -> None:
+def test_random_q_is_within_the_joint_limits(any_robot: Robot) -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         q = any_robot.random_q(rng)
@@ -260,7 +260,7 @@ def test_random_q_lies_within_the_limits(any_robot: Robot) -> None:
         assert np.all(q <= any_robot.limits.upper)
 
 
-def test_check_q_gives_a_copy(planar4: Robot) -> None:
+def test_check_q_returns_a_copy(planar4: Robot) -> None:
     given = np.zeros(4)
     checked = planar4.check_q(given)
     given[0] = 1.0
@@ -280,12 +280,12 @@ def test_check_q_gives_a_copy(planar4: Robot) -> None:
         (None, "is not numbers; found None"),
     ],
 )
-def test_check_q_says_what_is_wrong(planar4: Robot, q: object, said: str) -> None:
+def test_check_q_refuses_wrong_shapes_and_values(planar4: Robot, q: object, said: str) -> None:
     with pytest.raises(InputError, match=said):
         planar4.check_q(q, what="start")
 
 
-def test_visuals_carry_what_is_needed_to_draw(backhoe: Robot, panda: Robot) -> None:
+def test_visuals_contain_kind_colour_and_mesh(backhoe: Robot, panda: Robot) -> None:
     assert {visual.kind for visual in backhoe.visuals} <= {"box", "cylinder", "sphere"}
     assert all(visual.rgba is not None and len(visual.rgba) == 4 for visual in backhoe.visuals)
     meshes = [visual.mesh for visual in panda.visuals if visual.kind == "mesh"]

@@ -1,4 +1,4 @@
-"""Which pairs of a machine's own pieces count: by geometry, piece by piece."""
+"""Which self-collision pairs count, decided by geometry for each pair of pieces."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def joint(
     kind: str = "revolute",
     either_way: float = 3.1,
 ) -> str:
-    """A joint; a hinge turns so far either way [rad]."""
+    """A joint; a hinge turns by `either_way` [rad] to both sides."""
     ends = (
         f'<limit lower="{-either_way}" upper="{either_way}" effort="100" velocity="1"/>' if kind == "revolute" else ""
     )
@@ -59,17 +59,17 @@ TIP = '<link name="tip"/>' + joint("tip_fixed", "arm", "tip", at="2 0 0", kind="
 @pytest.mark.parametrize(
     "stand",
     [
-        # a cab that is a link of its own, fixed to the base
+        # a cab as a separate link, fixed to the base
         link("base", "0.3 0.3 0.3 | 0 0 -0.1")
         + link("cab", "0.6 0.6 0.6 | 0 0 0")
         + joint("cab_fixed", "base", "cab", at="0 1.5 0", kind="fixed"),
-        # the same cab as one more shape of the base, on which the arm turns
+        # the same cab as another shape of the base, on which the arm turns
         link("base", "0.3 0.3 0.3 | 0 0 -0.1", "0.6 0.6 0.6 | 0 1.5 0"),
     ],
     ids=["fixed link", "shape of the base"],
 )
 def test_an_arm_that_sweeps_through_the_cab_on_its_base_is_not_verified(stand: str, tmp_path: Path) -> None:
-    """The arm lies along x, then turns by 3 rad: at pi/2 it stands in the middle of the cab."""
+    """The arm starts along x and turns by 3 rad: at pi/2 it is in the middle of the cab."""
     robot = machine(tmp_path, stand, ARM, TIP, joint("turn", "base", "arm", at="0 0 0.05"), tip="tip")
     scene = bp.scene_from_dict(
         {"version": 1, "start": {"joints": {"turn": 0.0}}, "task": {"goal": {"position": [-1.98, 0.28, 0.05]}}}
@@ -78,16 +78,16 @@ def test_an_arm_that_sweeps_through_the_cab_on_its_base_is_not_verified(stand: s
     certificate = bp.certify(robot, scene, through)
     assert not certificate.safe
     assert certificate.min_clearance is not None
-    # half the width of the arm and all of the cab's 0.6 m: to leave, the box moves 0.3 + 0.05 up or down
+    # half the width of the arm and all of the cab's 0.6 m: to separate, the box moves 0.3 + 0.05 up or down
     assert certificate.min_clearance.distance == pytest.approx(-0.35 + 0.05, abs=0.06)
     assert {certificate.min_clearance.link, certificate.min_clearance.obstacle} <= {"arm", "cab", "base"}
-    # the other way round the cab there is a way
+    # a detour exists on the other side
     plan = bp.plan(robot, scene, effort="quick")
     assert plan.verdict == "failed" or plan.certificate.min_clearance is not None
 
 
 def test_a_tool_fixed_to_the_wrist_that_folds_into_the_forearm_counts(tmp_path: Path) -> None:
-    """The tool, 0.4 m long and 0.1 m off the wrist's axis, lies in the forearm when the wrist turns by pi."""
+    """The tool, 0.4 m long and 0.1 m off the wrist's axis, is in the forearm when the wrist turns by pi."""
     robot = machine(
         tmp_path,
         link("base", "0.2 0.2 0.2 | 0 0 0"),
@@ -112,8 +112,8 @@ def test_a_tool_fixed_to_the_wrist_that_folds_into_the_forearm_counts(tmp_path: 
     assert left_out["forearm", "base"].touch
 
 
-def test_a_pair_that_cannot_meet_is_left_out_and_said(tmp_path: Path) -> None:
-    """A mast of 0.2 m at 2.5 m: the arm of 2 m never gets there."""
+def test_a_pair_that_cannot_meet_is_left_out_and_listed(tmp_path: Path) -> None:
+    """A mast of 0.2 m at 2.5 m, out of reach of the arm of 2 m."""
     robot = machine(
         tmp_path,
         link("base", "0.3 0.3 0.3 | 0 0 -0.1"),
@@ -129,8 +129,8 @@ def test_a_pair_that_cannot_meet_is_left_out_and_said(tmp_path: Path) -> None:
     }
 
 
-def test_a_gap_that_is_met_between_two_places_of_the_sweep_is_found(tmp_path: Path) -> None:
-    """A thin fin at 1.9 m is 10 mm wide: seen from the pin 0.3 deg, where the places lie 9 deg apart."""
+def test_a_contact_between_two_samples_of_the_sweep_is_found(tmp_path: Path) -> None:
+    """A fin at 1.9 m is 10 mm wide, 0.3 deg seen from the pin; the samples are 9 deg apart."""
     robot = machine(
         tmp_path,
         link("base", "0.3 0.3 0.3 | 0 0 -0.1"),
@@ -151,20 +151,20 @@ def test_a_gap_that_is_met_between_two_places_of_the_sweep_is_found(tmp_path: Pa
         pytest.param("kinova", None, marks=pytest.mark.long),
     ],
 )
-def test_what_its_makers_joined_is_left_out(name: str, tip: str | None) -> None:
-    """Machines in use move over their whole range without touching the neighbour of a link."""
+def test_neighbouring_links_of_real_machines_are_left_out(name: str, tip: str | None) -> None:
+    """Real machines move over their whole range without collisions between neighbouring links."""
     robot = load_robot(f"example:{name}", tip=tip or {"kinova": "j2s6s200_end_effector"}.get(name))
     for a, b in self_pairs(robot).kept:
         assert self_pieces(robot)[a].joint - self_pieces(robot)[b].joint > 1
 
 
 @pytest.mark.parametrize(("either_way", "left_out"), [(2.5, ["touch at elbow"]), (3.1, [])])
-def test_links_that_touch_at_their_own_pin_when_they_bend_are_left_out(
+def test_links_that_touch_only_near_their_own_pin_are_left_out(
     either_way: float, left_out: list[str], tmp_path: Path
 ) -> None:
-    """Two rods 4 cm thick end 2 cm before the pin between them: apart when stretched, touching at a right angle.
+    """Two rods 4 cm thick end 2 cm before the pin between them: apart when stretched, in contact at a right angle.
 
-    Bent by 2.5 rad, their inner edges cross 0.02 tan(1.25) m from the pin, 6 cm. By 3.1 rad they lie in each other.
+    Bent by 2.5 rad, their inner edges cross 0.02 tan(1.25) m from the pin, 6 cm. At 3.1 rad they overlap lengthwise.
     """
     rod = "0.96 0.04 0.04 | 0.5 0 0"
     robot = machine(
@@ -191,7 +191,7 @@ def swept_post(folder: Path, *, post_at: str, limits: tuple[float, float], hub: 
 @pytest.mark.parametrize("hub", [False, True])
 @pytest.mark.parametrize("limits", [(-3.14159, 3.14159), (-6.28318, 6.28318), (-62.8, 62.8)])
 @pytest.mark.parametrize("angle", [4.5, 45.0])
-def test_a_post_between_two_places_of_the_sweep_counts(
+def test_a_post_between_two_samples_of_the_sweep_counts(
     hub: bool, limits: tuple[float, float], angle: float, tmp_path: Path
 ) -> None:
     x, y = np.cos(np.radians(angle)), np.sin(np.radians(angle))
@@ -199,8 +199,8 @@ def test_a_post_between_two_places_of_the_sweep_counts(
     assert kept_links(robot) == {frozenset(("arm", "base"))}
 
 
-def test_a_servo_that_starts_outside_its_range_keeps_off_what_stands_there(tmp_path: Path) -> None:
-    """Range 1 rad either way, start at 1.5 rad, a post of its own base at 1.25 rad in between: it cannot come back."""
+def test_a_servo_that_starts_outside_its_range_stops_before_a_post_there(tmp_path: Path) -> None:
+    """Range 1 rad to both sides, start at 1.5 rad, a post of its own base in between at 1.25 rad: it cannot return."""
     robot = swept_post(tmp_path, post_at=f"{np.cos(1.25):.6f} {np.sin(1.25):.6f} 0.05", limits=(-1.0, 1.0))
     assert self_pairs(robot).kept == ()
     assert len(self_pairs(robot, (1.5,)).kept) == 1
@@ -210,12 +210,12 @@ def test_a_servo_that_starts_outside_its_range_keeps_off_what_stands_there(tmp_p
     servo = bp.Servo(robot, scene, dt=0.005, q=np.array([1.5]))
     for _ in range(600):
         state = servo.step(joint_velocity=np.array([-0.5]))
-    # the arm is 0.1 m wide, so that its edge meets the post some 0.06 m before
+    # the arm is 0.1 m wide: its edge meets the post some 0.06 m earlier
     assert state.q[0] > 1.25 + 0.05
 
 
-def test_a_post_on_a_hub_that_others_always_touch_counts(tmp_path: Path) -> None:
-    """The base's hub overlaps the arm's hub wherever both joints between them stand; its post does not."""
+def test_a_post_on_a_hub_that_always_overlaps_counts(tmp_path: Path) -> None:
+    """The base's hub overlaps the arm's hub at all positions of the two joints between them; its post does not."""
     robot = machine(
         tmp_path,
         link("base", "0.3 0.3 0.3 | 0 0 0", "0.04 0.04 0.4 | 1 0 0"),
@@ -233,7 +233,7 @@ def test_a_post_on_a_hub_that_others_always_touch_counts(tmp_path: Path) -> None
 def tilted_plates(folder: Path, slope: float) -> Robot:
     """A bar that turns on a bar of its base, both 1 m long and 0.1 m wide from 0.05 m off the axis on.
 
-    The lower side of the upper one lies 50 mm below the top of the lower one on the axis, and rises by `slope`.
+    On the axis the lower side of the upper bar is 50 mm below the top of the lower one, and rises by `slope`.
     """
     tilt = np.arctan(slope)
     middle = np.array([0.55, 0.0, -0.05 + 0.55 * slope]) + 0.05 * np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
@@ -246,20 +246,20 @@ def tilted_plates(folder: Path, slope: float) -> Robot:
 
 
 def test_an_overlap_that_reaches_far_from_the_pin_counts_wherever_it_is_deepest(tmp_path: Path) -> None:
-    """Deepest at the pin, 48 mm, it is still 5 mm deep at 1 m: the bars lie in each other all along."""
+    """The overlap is 48 mm deep at the pin and still 5 mm deep at 1 m: the bars overlap along their whole length."""
     robot = tilted_plates(tmp_path, 0.045)
     assert kept_links(robot) == {frozenset(("upper", "lower"))}
 
 
 def test_an_overlap_that_ends_near_the_pin_is_left_out(tmp_path: Path) -> None:
-    """The same, but the upper bar is out of the lower one 0.2 m from the axis."""
+    """The same, but the upper bar leaves the lower one 0.2 m from the axis."""
     robot = tilted_plates(tmp_path, 0.25)
     assert self_pairs(robot).kept == ()
     assert [pair.why for pair in self_pairs(robot).left_out] == ["touch at turn"]
 
 
 def test_a_turntable_that_overlaps_its_bed_all_around_is_left_out(tmp_path: Path) -> None:
-    """The bed is of two halves, each of which is touched over half the turn, 0.1 to 0.4 m from the axis.
+    """The bed has two halves, each in contact over half the turn, 0.1 to 0.4 m from the axis.
 
     The overlap is 10 mm deep at 0.1 m and 1 mm at 0.4 m.
     """
@@ -305,15 +305,15 @@ def peg_in_disc(folder: Path, gap: float, *, joints: int) -> Robot:
 
 
 @pytest.mark.parametrize("joints", [1, 2])
-def test_a_hull_larger_than_its_mesh_is_no_reason_to_leave_a_pair_out(joints: int, tmp_path: Path) -> None:
-    """A gap of 100 deg: the cube touches the disc over 260 deg, and 13 deg on which it is wide, of 360: 0.76."""
+def test_overlap_of_the_hull_alone_is_no_reason_to_leave_a_pair_out(joints: int, tmp_path: Path) -> None:
+    """A gap of 100 deg: the cube, 13 deg wide, touches the disc over 260 + 13 of 360 deg: 0.76 of the turn."""
     robot = peg_in_disc(tmp_path, np.radians(100.0), joints=joints)
     assert kept_links(robot) == {frozenset(("peg", "disc"))}
 
 
 @pytest.mark.parametrize("joints", [1, 2])
-def test_a_pair_that_touches_nearly_throughout_as_it_is_written_is_left_out(joints: int, tmp_path: Path) -> None:
-    """A gap of 20 deg, of which the cube fills 13: over 0.98 of the turn."""
+def test_a_pair_whose_meshes_touch_over_nearly_the_whole_turn_is_left_out(joints: int, tmp_path: Path) -> None:
+    """A gap of 20 deg, of which the cube fills 13: contact over 0.98 of the turn."""
     assert self_pairs(peg_in_disc(tmp_path, np.radians(20.0), joints=joints)).kept == ()
 
 
@@ -325,7 +325,7 @@ def test_a_pair_that_touches_nearly_throughout_as_it_is_written_is_left_out(join
     ],
 )
 def test_a_wheel_in_a_hole_that_its_hull_closes_is_left_out(hole: float, why: str, tmp_path: Path) -> None:
-    """A wheel of 0.1 m radius, with a play of 4 mm or 50 mm around it: else the machine could never move."""
+    """A wheel of 0.1 m radius with a play of 4 mm or 50 mm; otherwise the machine could never move."""
     trimesh.creation.annulus(hole, 0.3, 0.1, sections=96).export(tmp_path / "ring.stl")
     ring = '<link name="ring"><collision><geometry><mesh filename="ring.stl"/></geometry></collision></link>'
     wheel = (
@@ -336,7 +336,7 @@ def test_a_wheel_in_a_hole_that_its_hull_closes_is_left_out(hole: float, why: st
     assert [pair.why for pair in self_pairs(robot).left_out] == [why]
 
 
-def test_pairs_are_found_once_for_copies_that_differ_in_nothing_they_depend_on(tmp_path: Path) -> None:
+def test_copies_that_differ_in_nothing_relevant_share_their_pairs(tmp_path: Path) -> None:
     """A tracking error of hinges changes no pair; a range that ends before the post at 1.25 rad does."""
     robot = swept_post(tmp_path, post_at=f"{np.cos(1.25):.6f} {np.sin(1.25):.6f} 0.05", limits=(-2.0, 2.0))
     assert self_pairs(replace(robot, tube=TrackingTube(np.array([0.01])))) is self_pairs(robot)

@@ -1,4 +1,4 @@
-"""Reading a URDF: what is broken is refused by file and element, and nothing else is heard."""
+"""Reading a URDF: errors name file and element, and nothing else is printed."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("xml", "said"), BROKEN.values(), ids=BROKEN.keys())
-def test_broken_urdf_is_refused_naming_file_and_element(
+def test_a_broken_urdf_is_refused_naming_file_and_element(
     xml: str, said: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "broken.urdf"
@@ -191,7 +191,7 @@ def test_broken_urdf_is_refused_naming_file_and_element(
 
 
 @pytest.mark.parametrize(("content", "said"), [(b"", "empty"), (b"no triangles in here", "triangles")])
-def test_unusable_mesh_file_is_named_with_the_link_and_the_urdf(
+def test_errors_in_mesh_files_name_link_and_urdf(
     content: bytes, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "arm.stl").write_bytes(content)
@@ -204,8 +204,8 @@ def test_unusable_mesh_file_is_named_with_the_link_and_the_urdf(
     assert capfd.readouterr() == ("", "")
 
 
-def test_flat_mesh_in_a_tilted_plane_and_a_flat_cylinder_may_be_links(tmp_path: Path) -> None:
-    """coal would end the process with either."""
+def test_a_flat_mesh_in_a_tilted_plane_and_a_flat_cylinder_may_be_links(tmp_path: Path) -> None:
+    """coal would end the process at either."""
     turn = trimesh.transformations.euler_matrix(0.3, 0.2, 0.1)
     sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]], [[0, 1, 2], [1, 3, 2]])
     sheet.apply_transform(turn).export(tmp_path / "sheet.stl")
@@ -224,7 +224,7 @@ HARMLESS = {
 
 
 @pytest.mark.parametrize("joint", HARMLESS.values(), ids=HARMLESS.keys())
-def test_what_only_the_c_parser_minds_is_accepted_in_silence(
+def test_urdfs_about_which_only_the_c_parser_complains_are_accepted_silently(
     joint: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "tiny.urdf"
@@ -239,24 +239,24 @@ def test_what_only_the_c_parser_minds_is_accepted_in_silence(
     assert capfd.readouterr() == ("", "")
 
 
-def test_missing_file_is_named_and_the_shipped_example_is_offered(tmp_path: Path) -> None:
+def test_a_missing_file_is_named_and_the_shipped_example_suggested(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"nowhere\.urdf: no such URDF file.*example:backhoe"):
         read_urdf(tmp_path / "nowhere.urdf")
 
 
-def test_folder_is_not_a_urdf(tmp_path: Path) -> None:
+def test_a_folder_is_refused_as_a_urdf(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="is a folder") as caught:
         read_urdf(tmp_path)
     assert str(tmp_path) in str(caught.value)
 
 
-def test_robot_error_is_a_value_error(tmp_path: Path) -> None:
+def test_a_robot_error_is_a_value_error(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no such URDF file"):
         read_urdf(tmp_path / "nowhere.urdf")
 
 
-def test_unknown_example_names_the_nearest_one() -> None:
-    # before the names of all, after which nobody would see it
+def test_an_unknown_example_is_an_error_that_suggests_the_nearest() -> None:
+    # before the list of all names, after which nobody would notice it
     with pytest.raises(
         RobotError, match=r"no such example robot; found bakhoe \(did you mean 'backhoe'\?\); allowed: "
     ):
@@ -264,12 +264,12 @@ def test_unknown_example_names_the_nearest_one() -> None:
 
 
 @pytest.mark.parametrize("name", ["excavator", "Excavators", "digger"])
-def test_another_word_for_a_backhoe_names_the_backhoe(name: str) -> None:
+def test_other_words_for_a_backhoe_suggest_the_example(name: str) -> None:
     with pytest.raises(RobotError, match=rf"example:{name}: no such example robot.*did you mean 'backhoe'\?"):
         read_urdf(f"example:{name}")
 
 
-def test_examples_hold_the_shipped_models_and_those_of_example_robot_data() -> None:
+def test_examples_are_the_shipped_models_and_those_of_example_robot_data() -> None:
     names = example_names()
     assert names == sorted(names)
     assert {"backhoe", "planar4", "panda", "ur5", "xarm7"} <= set(names)
@@ -285,13 +285,15 @@ def test_shipped_models_are_found_from_any_folder(source: str, tmp_path: Path, m
     assert read_urdf(source).path == shipped_folder("models") / "backhoe.urdf"
 
 
-def test_file_of_ones_own_goes_before_the_shipped_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_in_the_working_folder_is_preferred_to_the_shipped_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("backhoe.urdf").write_text(robot_xml())
     assert read_urdf("backhoe.urdf").robot.name == "tiny"
 
 
-def test_record_keeps_source_digest_and_the_acceleration_limits(tmp_path: Path) -> None:
+def test_the_urdf_record_keeps_source_digest_and_acceleration_limits(tmp_path: Path) -> None:
     path = tmp_path / "tiny.urdf"
     path.write_text(limit('lower="-1" upper="1" effort="1" velocity="1" acceleration="0.7"'))
     urdf = read_urdf(path)
@@ -302,7 +304,7 @@ def test_record_keeps_source_digest_and_the_acceleration_limits(tmp_path: Path) 
     assert [joint.name for joint in urdf.chain("arm")] == ["hinge"]
 
 
-def test_comments_and_words_outside_links_and_joints_are_not_numbers(tmp_path: Path) -> None:
+def test_comments_and_elements_outside_links_and_joints_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "tiny.urdf"
     extras = '<!-- radius="-1" --><gazebo><verbose value="Yes"/><limit lower="a"/></gazebo>'
     path.write_text(robot_xml(arm='<link name="arm"><verbose value="Yes"/></link>' + extras))
@@ -317,7 +319,7 @@ def test_names_beyond_ascii_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("uri", ["package://digger/meshes/arm.stl", "file://{root}/digger/meshes/arm.stl"])
-def test_meshes_of_packages_above_the_urdf_and_of_file_uris_are_found(uri: str, tmp_path: Path) -> None:
+def test_meshes_with_package_and_file_uris_are_found(uri: str, tmp_path: Path) -> None:
     mesh = tmp_path / "digger" / "meshes" / "arm.stl"
     mesh.parent.mkdir(parents=True)
     trimesh.creation.box().export(mesh)
@@ -327,7 +329,7 @@ def test_meshes_of_packages_above_the_urdf_and_of_file_uris_are_found(uri: str, 
     assert len(load_robot(path).pieces) == 1
 
 
-def test_packages_are_found_by_ros_package_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packages_are_found_through_ros_package_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = tmp_path / "elsewhere" / "digger" / "arm.stl"
     mesh.parent.mkdir(parents=True)
     trimesh.creation.box().export(mesh)
@@ -338,7 +340,7 @@ def test_packages_are_found_by_ros_package_path(tmp_path: Path, monkeypatch: pyt
     assert urdf.mesh_path("package://digger/arm.stl") == mesh
 
 
-def test_a_shipped_file_is_meant_by_its_name_and_behind_the_beginnings_of_its_folder(
+def test_a_shipped_file_is_found_by_its_name_alone_or_with_leading_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
