@@ -29,7 +29,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_unconfigure() -> None:
-    """Otherwise OMPL lists everything that Python still holds when it ends."""
+    """Otherwise OMPL lists all objects that Python still holds at the end."""
     gc.unfreeze()
 
 
@@ -64,7 +64,7 @@ def around_a_ball(planar4: Robot) -> bp.Plan:
 
 @pytest.fixture(params=["planar4", "backhoe", "ur5", "panda"])
 def any_robot(request: pytest.FixtureRequest) -> Robot:
-    """Each of the four in turn."""
+    """Each of the four machines in turn."""
     robot: Robot = request.getfixturevalue(request.param)
     return robot
 

@@ -1,4 +1,4 @@
-"""Machines among many obstacles of several shapes, and how they move there."""
+"""Machines among many obstacles of several shapes, and the limits of their motion."""
 
 from __future__ import annotations
 

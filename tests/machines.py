@@ -14,7 +14,7 @@ PENDULUM = f"""<robot name="pendulum">
   <joint name="tool" type="fixed"><origin xyz="{LENGTH} 0 0"/><parent link="arm"/><child link="end"/></joint>
 </robot>"""
 
-# a hinge at the origin and a slide along the arm, from 0 to 0.5 m; a ball of 0.1 m at its end is the tip
+# a hinge at the origin and a slide along the arm, from 0 to 0.5 m; the tip is a ball of radius 0.1 m at its end
 TURNING_SLIDE = """<robot name="turning slide"><link name="base"/>
   <link name="post"><collision><origin xyz="0 0 -1"/><geometry><sphere radius="0.02"/></geometry></collision></link>
   <link name="ball"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>

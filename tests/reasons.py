@@ -28,7 +28,7 @@ def nearest(plan: Plan) -> NearestPose:
 
 
 def comparison(plan: Plan) -> LawComparison:
-    """The objective along the path beside the local law's."""
+    """The objective along the path compared with the local law's."""
     found = plan.metrics.objective
     assert found is not None
     return found

@@ -1,4 +1,4 @@
-"""The house rules: imports run one way, and what is public is named and explained."""
+"""The house rules: imports run one way, and public names are listed and explained."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_imports_run_one_way() -> None:
 
 
 SUITES = {
-    # rooms within a room; "" is what stands in the room itself
+    # rooms within a room; "" is the room's own files
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
     "site": ["schema", "pairs", ""],
     "motion": ["", "timing", "following"],

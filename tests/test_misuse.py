@@ -663,7 +663,7 @@ def test_the_zone_log_refuses_decreasing_times_and_stays_usable() -> None:
     log.note(2.0, Q)
 
 
-def test_a_scene_is_read_only_and_is_no_list_of_obstacles() -> None:
+def test_a_scene_is_read_only_and_is_refused_as_a_list_of_obstacles() -> None:
     with pytest.raises(InputError, match=r"Scene\.clearance: does not change once it is made"):
         scene().clearance = 0.3
     with pytest.raises(InputError, match=r"obstacles: is a scene; .*build_obstacles\(scene, robot\)"):

@@ -90,7 +90,7 @@ def test_a_machine_whose_pieces_are_cached_loads_no_mesh_library(arm: Path) -> N
 
 
 @pytest.mark.long
-def test_a_changed_urdf_is_not_read_from_the_cache(arm: Path) -> None:
+def test_cached_urdfs_are_identified_by_their_content(arm: Path) -> None:
     loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)
     trimesh.creation.box(extents=[0.1, 0.2, 0.4]).export(arm.with_suffix(".stl"))
     assert "yourdfpy" not in loaded(["inspect", str(arm)], LIBRARIES_OF_MESHES)[1]

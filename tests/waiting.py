@@ -1,4 +1,4 @@
-"""How long a test waits for a state that it knows must come."""
+"""How long a test waits for a state that must come."""
 
 from __future__ import annotations
 

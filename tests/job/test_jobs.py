@@ -144,9 +144,8 @@ def test_the_depth_of_the_design_counts_from_the_ground_of_the_job_not_the_surve
 
 
 def test_level_ground_extends_beyond_its_grid() -> None:
-    below = {
-        "start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}
-    }  # the bucket is at z -3 m, outside the grid
+    # the bucket is at z -3 m, outside the grid
+    below = {"start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}}
     with pytest.raises(bp.SceneError, match="inside the ground north of what is known"):
         bp.plan_job(bp.job_from_dict(TINY | below), effort="quick")
 

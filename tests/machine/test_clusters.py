@@ -321,12 +321,7 @@ def test_bounds_hold_if_the_grid_is_smaller_than_the_solid(kind: str) -> None:
 def test_contact_is_found_at_any_reach(reach: float) -> None:
     flat = terrain(np.zeros((21, 21)), 4.0)
     scanned = scan(np.array([[x, y, -0.01] for x in (-0.05, 0.05) for y in (-0.05, 0.05)]), 0.1)
-    for height, depth in (
-        (0.2, 0.1),
-        (0.0, 0.3),
-        (-0.2, 0.5),
-        (-1.0, 1.3),
-    ):  # of a ball of radius 0.3 m, until it has passed through
+    for height, depth in ((0.2, 0.1), (0.0, 0.3), (-0.2, 0.5), (-1.0, 1.3)):  # a ball of radius 0.3 m moving down
         found = flat.measure(ball(0.3), at(0.03, 0.03, height), reach)
         assert found is not None
         assert found.distance == pytest.approx(-depth, abs=1e-6)

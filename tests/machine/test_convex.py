@@ -139,7 +139,7 @@ def test_a_flat_mesh_becomes_a_solid_that_coal_can_measure(corners: list[list[fl
         assert np.max(np.abs(piece - mesh.vertices.mean(axis=0))) <= np.ptp(mesh.vertices) + 1e-3
 
 
-def test_a_flat_mesh_in_a_tilted_plane_has_the_right_distance_half_a_millimetre_above() -> None:
+def test_a_flat_mesh_in_any_tilted_plane_is_padded_by_half_a_millimetre() -> None:
     """By rounding a tilted sheet has a volume, so that Qhull accepts it, but inside coal it ends the process."""
     rng = np.random.default_rng(7)
     quad = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]])

@@ -43,7 +43,7 @@ def test_two_crossing_beams_intersect_in_a_cube_without_their_own_corners() -> N
 
 def test_separate_cubes_have_no_intersection() -> None:
     assert overlap_corners(CUBE, CUBE, STILL, np.array([1.01, 0.0, 0.0])).shape == (0, 3)
-    # apart across an edge, where the face normals of neither cube separate the axis-aligned boxes
+    # apart, though their bounding boxes along the first cube's axes overlap
     assert overlap_corners(CUBE, CUBE, about_z(np.pi / 4.0), np.array([0.9, 0.9, 0.0])).shape == (0, 3)
 
 

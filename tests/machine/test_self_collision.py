@@ -81,7 +81,7 @@ def test_an_arm_that_sweeps_through_the_cab_on_its_base_is_not_verified(stand: s
     # half the width of the arm and all of the cab's 0.6 m: to separate, the box moves 0.3 + 0.05 up or down
     assert certificate.min_clearance.distance == pytest.approx(-0.35 + 0.05, abs=0.06)
     assert {certificate.min_clearance.link, certificate.min_clearance.obstacle} <= {"arm", "cab", "base"}
-    # a detour exists on the other side
+    # a path exists on the other side of the cab
     plan = bp.plan(robot, scene, effort="quick")
     assert plan.verdict == "failed" or plan.certificate.min_clearance is not None
 

@@ -75,7 +75,7 @@ def test_the_certificate_is_the_same_when_machine_and_site_are_moved_together(ba
     assert there.verified
     for one, other in zip(here.certificate.clearances, there.clearances, strict=True):
         assert one.obstacle == other.obstacle
-        assert one.distance == pytest.approx(other.distance, abs=1e-4)  # both are bounds with a slack of their own
+        assert one.distance == pytest.approx(other.distance, abs=1e-4)  # each bound has its own slack
 
 
 def test_a_plan_with_another_base_pose_is_verified_and_loads_again(backhoe: Robot, tmp_path: Any) -> None:

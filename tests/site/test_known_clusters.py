@@ -32,7 +32,7 @@ def solid(obstacle: Obstacle) -> object:
     return obstacle.cluster.solid
 
 
-def test_obstacles_share_a_loaded_file_unless_resolution_or_position_differ(planar4: Robot, tmp_path: Path) -> None:
+def test_obstacles_share_a_loaded_file_if_resolution_and_position_are_equal(planar4: Robot, tmp_path: Path) -> None:
     write(tmp_path, 0)
     first = built(planar4, tmp_path)
     assert solid(built(planar4, tmp_path, name="ground", clearance=0.3, links=["link4"])) is solid(first)

@@ -58,9 +58,8 @@ def test_ball_bounds_never_exceed_the_distance_and_separate_most_distant_pairs(r
     assert (bounds <= distances).all()
     assert ((bounds > 0.0) | (bounds == -np.inf)).all()
     stands = (proximity.speed == 0.0) & (proximity.floor == -np.inf)
-    stands &= (proximity.owner >= 0) | (
-        find_compiled() is not None
-    )  # self-collision pairs have bounds only in the compiled version
+    # self-collision pairs have bounds only in the compiled version
+    stands &= (proximity.owner >= 0) | (find_compiled() is not None)
     assert (bounds[:, ~stands] == -np.inf).all()
     apart = stands & (distances > 0.3)
     assert np.mean(bounds[apart] > 0.0) > 0.8

@@ -1,4 +1,4 @@
-"""An obstacle applies to links that can touch it, and a machine has shapes; else nothing would be proven."""
+"""An obstacle must apply to links that can touch it, and a machine must have shapes; else nothing is proven."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def arm_of(tmp_path: Path) -> Callable[[str, str], bp.Robot]:
 
 
 def reach_into(robot: bp.Robot) -> bp.Certificate:
-    """Both joints turn by 1 rad past a ball at (1, 1, 0), which the first link's end sweeps through at 45 deg."""
+    """The first joint turns by 1.5 rad; its stretched arm sweeps through a ball at (0.9, 0.9, 0) at 45 deg."""
     scene = bp.scene_from_dict(
         {
             "version": 1,

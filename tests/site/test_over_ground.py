@@ -123,9 +123,8 @@ def test_a_sunk_links_depth_is_that_of_its_lowest_corner_below_the_ground_plane(
         for which, own in enumerate(pieces):
             depth = corners_at(backhoe, own, q) @ normal
             lowest = int(depth.argmax())
-            if (
-                depth[lowest] <= 0.01 or np.sort(depth)[-2] > depth[lowest] - 1e-4
-            ):  # either of two equally low corners may be the one
+            # either of two equally low corners may be used
+            if depth[lowest] <= 0.01 or np.sort(depth)[-2] > depth[lowest] - 1e-4:
                 continue
             rows, those = np.arange(len(around)), np.full(len(around), which)
             readings = over.measure(cluster, poses, rows, those, np.full(len(rows), 0.2), sunk=True)

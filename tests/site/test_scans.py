@@ -172,7 +172,7 @@ def test_batched_bounds_never_exceed_the_distance_of_each_configuration(
     assert (fine[true < 0.0] == -np.inf).all()
 
 
-def test_expecting_configurations_does_not_change_bounds_and_distances(backhoe: Robot, scan: Obstacle) -> None:
+def test_expecting_configurations_keeps_bounds_and_distances_valid(backhoe: Robot, scan: Obstacle) -> None:
     moving = replace(scan, velocity=np.array([0.1, -0.2, 0.05]))
     rng = np.random.default_rng(6)
     q = np.array([backhoe.random_q(rng) for _ in range(12)])

@@ -570,7 +570,7 @@ def test_anchors_are_understood(tmp_path: Path) -> None:
     assert [waypoint.position for waypoint in found.waypoints()] == [(1, 2, 3), (0, 0, 0), (1, 2, 3)]
 
 
-# --- the path file ------------------------------------------------------------
+# --- path files ---------------------------------------------------------------
 
 
 def from_path_file(folder: Path, text: str | bytes | None) -> Scene:
@@ -663,7 +663,7 @@ def test_errors_in_a_path_file_name_file_and_line(text: str | bytes | None, said
         assert any(either in message for either in fragment.split("|")), message
 
 
-# --- a path that is moved as a whole ------------------------------------------
+# --- moved paths --------------------------------------------------------------
 
 
 def moved(*waypoints: Data, **origin: object) -> Scene:

@@ -195,9 +195,7 @@ def test_there_is_no_force_at_rest_or_for_motion_across_or_vertical(velocity: li
 @pytest.mark.parametrize(
     ("pitch", "rake"), [(PITCH, math.pi - LIP + PITCH), (-2.0, math.pi - LIP - 2.0), (1.2, 0.5 * math.pi)]
 )
-def test_a_bucket_moving_back_first_is_resisted_as_a_plate_with_the_supplementary_rake(
-    pitch: float, rake: float
-) -> None:
+def test_a_bucket_moving_back_first_is_resisted_as_the_mirrored_plate_face_first(pitch: float, rake: float) -> None:
     """The face points inward below LIP and outward above it: the motion is away from the side it faces."""
     soil = Soil(density=1700.0, cohesion=5e3, friction=0.55, tool_friction=0.35)
     F = float(np.min(terms(soil, 0.3, rake, np.linspace(0.05, 1.2, 1_000_001), 0.6)))

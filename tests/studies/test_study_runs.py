@@ -34,9 +34,7 @@ pq = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 pytest.importorskip("pandas", reason="pandas is not installed")
 
 ROOT = Path(bp.__file__).resolve().parents[1]
-GOAL = {
-    "joints": {"joint1": 1.5, "joint2": 1.8, "joint3": 1.7, "joint4": 1.1}
-}  # half a second away, so that planning is quick
+GOAL = {"joints": {"joint1": 1.5, "joint2": 1.8, "joint3": 1.7, "joint4": 1.1}}  # half a second away: quick to plan
 MESH = """solid rock
 facet normal 0 0 -1\nouter loop\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 0 0\nendloop\nendfacet
 facet normal 0 -1 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet

@@ -1,4 +1,4 @@
-"""Ground from files: heights where the file puts them, holes named or filled, scans on the way."""
+"""Ground from files: georeferenced heights, holes that are named or filled, and scans during a job."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def nodes(low: tuple[float, float], counts: tuple[int, int], cell: float) -> Arr
 def write_geotiff(
     path: Path, heights: Matrix, *, corner: tuple[float, float] | None, cell: float = 0.5, **more: Any
 ) -> Path:
-    """Heights with ascending rows, as a file whose first row is the northmost; `corner` in the north-west."""
+    """Write heights with ascending rows as a file whose first row is the northmost; `corner` is the north-west one."""
     tags = ImageFileDirectory_v2()
     keys = {1024: 1, 1025: 1} | more.pop("keys", {})
     if corner is not None:
@@ -53,7 +53,7 @@ def write_geotiff(
     return path
 
 
-def test_a_geotiff_says_where_it_lies(tmp_path: Path) -> None:
+def test_a_geotiff_places_its_heights(tmp_path: Path) -> None:
     # pixels are areas: the north-west corner is half a cell off the first height
     low, counts = (500_001.0, 4_100_003.0), (5, 7)
     heights = plane(nodes((0.0, 0.0), counts, 0.5))
@@ -67,7 +67,7 @@ def test_a_geotiff_says_where_it_lies(tmp_path: Path) -> None:
     # pixels are points
     file = write_geotiff(tmp_path / "site.tiff", heights, corner=(1.0, 5.0), keys={1025: 2})
     np.testing.assert_allclose(Terrain.from_file(file).low, [1.0, 3.0], atol=1e-9)
-    # brought to where the machine stands, and finer: between heights of a plane lies the plane
+    # moved to the machine, and on a finer grid: heights between those of a plane lie on the plane
     moved = Terrain.from_file(file, low=(-1.0, -2.0))
     np.testing.assert_allclose(moved.low, [-1.0, -2.0])
     part = Terrain.from_file(file, low=(1.3, 3.2), high=(3.3, 4.4), cell=0.1)
@@ -75,8 +75,8 @@ def test_a_geotiff_says_where_it_lies(tmp_path: Path) -> None:
     np.testing.assert_allclose(part.surface, plane(nodes((0.3, 0.2), (13, 21), 0.1)), atol=1e-6)
 
 
-def test_numbers_of_a_geotiff_are_heights_by_their_scale_and_offset(tmp_path: Path) -> None:
-    """As GDAL writes them, whole centimetres above a level; what is missing is told by its number as it stands."""
+def test_scale_and_offset_of_a_geotiff_give_its_heights(tmp_path: Path) -> None:
+    """As written by GDAL: whole centimetres above a level; the no-data value is compared before scaling."""
     scaled = '<Item name="{}" sample="{}" role="{}">{}</Item>'
     items = (("SCALE", 0, "scale", 0.01), ("OFFSET", 0, "offset", -2.7), ("SCALE", 1, "scale", 7.0))
     metadata = f"<GDALMetadata>{''.join(scaled.format(*item) for item in items)}</GDALMetadata>"
@@ -91,7 +91,7 @@ def test_numbers_of_a_geotiff_are_heights_by_their_scale_and_offset(tmp_path: Pa
     np.testing.assert_array_equal(read_heights(file), np.abs(numbers))
 
 
-def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
+def test_an_obstacle_may_be_a_geotiff(tmp_path: Path) -> None:
     heights = np.arange(12.0).reshape(3, 4)
     write_geotiff(tmp_path / "hill.tif", heights, corner=None)
     np.testing.assert_allclose(read_heights(tmp_path / "hill.tif"), heights)
@@ -129,7 +129,7 @@ def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
         ({"cell_y": 0.7}, ["are not square", "0.5 x 0.7 m"]),
     ],
 )
-def test_geotiffs_that_cannot_be_used(tmp_path: Path, keys: dict[str, Any], parts: list[str]) -> None:
+def test_unusable_geotiffs_are_refused_naming_the_file(tmp_path: Path, keys: dict[str, Any], parts: list[str]) -> None:
     file = write_geotiff(tmp_path / "a.tif", np.zeros((3, 3)), corner=(0.0, 0.0), **keys)
     with pytest.raises(InputError) as caught:
         Terrain.from_file(file)
@@ -162,14 +162,14 @@ def test_heights_of_8_bits_are_the_numbers_in_the_file(
     np.testing.assert_array_equal(read_heights(file), heights)
 
 
-def test_feet_in_the_name_of_a_projection_do_not_count_where_its_unit_is_said(tmp_path: Path) -> None:
+def test_feet_in_the_name_of_a_projection_do_not_count_if_its_unit_is_given(tmp_path: Path) -> None:
     words = "an area of 2 feet|"
     file = write_geotiff(tmp_path / "a.tif", np.zeros((3, 3)), corner=(0.0, 1.0), keys={3076: 9001}, words=words)
     assert Terrain.from_file(file).cell == 0.5
 
 
-def test_the_size_of_a_heightmap_is_that_of_its_geotiff(tmp_path: Path) -> None:
-    """Of 3 x 4 heights 0.5 m apart: 1.5 m along x and 1 m along y, or one cell more where cells are counted."""
+def test_the_size_of_a_height_map_must_be_that_of_its_geotiff(tmp_path: Path) -> None:
+    """3 x 4 heights 0.5 m apart are 1.5 m along x and 1 m along y, or one cell more if cells are counted."""
     write_geotiff(tmp_path / "hill.tif", np.ones((3, 4)), corner=(500_000.0, 4_100_000.0))
     for size in ([1.5, 1.0], [2.0, 1.5]):
         record = {"name": "hill", "shape": "heightmap", "file": "hill.tif", "size": size}
@@ -179,7 +179,7 @@ def test_the_size_of_a_heightmap_is_that_of_its_geotiff(tmp_path: Path) -> None:
         build_obstacle(swapped, folder=tmp_path, clearance=0.1)
 
 
-def test_files_that_are_no_geotiff(tmp_path: Path) -> None:
+def test_files_that_are_not_geotiffs_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.tif"
     with pytest.raises(InputError, match="no such height map file"):
         Terrain.from_file(file)
@@ -195,7 +195,7 @@ def test_files_that_are_no_geotiff(tmp_path: Path) -> None:
         Terrain.from_file(file)
 
 
-def test_holes_are_named_or_filled(tmp_path: Path) -> None:
+def test_holes_in_the_ground_are_named_or_filled(tmp_path: Path) -> None:
     file = tmp_path / "ground.csv"
     heights = plane(nodes((2.0, 1.0), (21, 31), 0.1))
     holes = heights.copy()
@@ -206,7 +206,7 @@ def test_holes_are_named_or_filled(tmp_path: Path) -> None:
         Terrain.from_file(file, low=(2.0, 1.0), cell=0.1)
     for part in (str(file), "row 9, column 11 (x 3.00 m, y 1.80 m)", "12 of 651 columns", "fill"):
         assert part in str(caught.value)
-    with pytest.raises(InputError, match="a height is missing"):  # two columns from the rim
+    with pytest.raises(InputError, match="a height is missing"):  # the middle of the hole is two columns from its rim
         Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.15)
     found = Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.25)
     np.testing.assert_allclose(found.surface, heights, atol=1e-9)
@@ -221,7 +221,7 @@ def test_holes_are_named_or_filled(tmp_path: Path) -> None:
         Terrain.from_file(file, low=(0.0, 0.0), cell=1.0, fill=5.0)
 
 
-def test_points_become_the_mean_height_of_their_column(tmp_path: Path) -> None:
+def test_columns_get_the_mean_height_of_their_points(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     points = rng.uniform([0.0, 0.0, 0.0], [3.0, 2.0, 0.0], (30_000, 3))
     points[:, 2] = plane(points[:, :2])
@@ -236,7 +236,7 @@ def test_points_become_the_mean_height_of_their_column(tmp_path: Path) -> None:
     np.testing.assert_allclose(filled.surface, found.surface, atol=0.02)
 
 
-def test_a_scan_says_what_was_dug_and_heaped(tmp_path: Path) -> None:
+def test_a_scan_shows_the_dug_and_heaped_volumes(tmp_path: Path) -> None:
     before = Terrain.level(0.0, (0.0, -2.0), (6.0, 2.0))
     dug = swept(before, BladeSweep([[4.0, 0.0, -0.5], [2.0, 0.0, -0.5]], (0.0, 1.0, 0.0), 0.6)).terrain  # type: ignore[arg-type]
     after = deposited(dug, (3.0, 1.3), 0.1)
@@ -244,13 +244,13 @@ def test_a_scan_says_what_was_dug_and_heaped(tmp_path: Path) -> None:
     file = tmp_path / "scan.csv"
     rng = np.random.default_rng(6)
     z = after.surface + rng.uniform(-0.01, 0.01, after.shape)
-    z[:10] = NAN  # where the scanner did not look
+    z[:10] = NAN  # rows that the scanner did not see
     np.savetxt(file, z, delimiter=",")
     found = scanned(before, file, low=(0.0, -2.0), cell=0.05)
     assert (found.unknown == np.isnan(z)).all()
     assert found.terrain.bank_volume_below(before) == pytest.approx(2.0 * 0.6 * 0.5, rel=0.01)
     assert found.terrain.loose_volume == pytest.approx(0.1, rel=0.05)
-    # the same ground, on another grid: a trench's walls are then drawn out over a cell
+    # the same ground on another grid: the walls of a trench then extend over a cell
     coarse = nodes((0.5, -1.0), (14, 34), 0.15)
     np.savetxt(file, after.height_at(coarse), delimiter=",")
     found = scanned(dug, file, low=(0.5, -1.0), cell=0.15, noise=0.1)
@@ -261,18 +261,18 @@ def test_a_scan_says_what_was_dug_and_heaped(tmp_path: Path) -> None:
         scanned(before, file, low=(50.0, 0.0), cell=0.15)
 
 
-def test_a_cloud_from_the_way_is_the_ground_of_a_job_from_then_on(tmp_path: Path) -> None:
+def test_a_point_cloud_taken_during_a_job_becomes_its_ground(tmp_path: Path) -> None:
     job = small_job()
     own = build_worksite(job).ground
     dug = swept(own, BladeSweep([[4.4, 0.0, -0.1], [3.2, 0.0, -0.1]], (0.0, 1.0, 0.0), 0.6)).terrain  # type: ignore[arg-type]
     after = deposited(dug, (2.5, -3.0), 0.1)
     assert isinstance(after, Terrain)
     seen = np.column_stack([*(axis.ravel() for axis in np.meshgrid(after.x, after.y)), after.surface.ravel()])
-    seen = seen[seen[:, 0] > 1.5]  # nothing is known beside the machine
+    seen = seen[seen[:, 0] > 1.5]  # the ground beside the machine is unknown
     np.savetxt(tmp_path / "scan.xyz", seen, fmt="%.6f")
     found = read_ground(job, tmp_path / "scan.xyz")
     assert found.terrain.bank_volume_below(own) == pytest.approx(1.2 * 0.6 * 0.1, rel=0.01)
-    assert found.terrain.loose_volume == pytest.approx(0.1, rel=0.05)  # but for its foot, lower than 2 cm
+    assert found.terrain.loose_volume == pytest.approx(0.1, rel=0.05)  # without its foot, which is lower than 2 cm
     assert (found.unknown == np.broadcast_to(own.x < 1.5 + 1e-9, own.shape)).all()
     assert (found.terrain.surface[found.unknown] == 0.0).all()
     np.savetxt(tmp_path / "scan.xyz", seen[np.hypot(seen[:, 0] - 3.8, seen[:, 1]) > 0.12], fmt="%.6f")
@@ -280,7 +280,7 @@ def test_a_cloud_from_the_way_is_the_ground_of_a_job_from_then_on(tmp_path: Path
         read_ground(job, tmp_path / "scan.xyz")
 
 
-def test_what_a_bucket_has_no_room_for_is_spilt() -> None:
+def test_soil_for_which_the_bucket_has_no_room_is_spilt() -> None:
     before = Terrain.level(0.0, (0.0, -2.0), (6.0, 2.0))
     blade = BladeSweep(np.linspace([4.5, 0.0, -0.15], [3.0, 0.0, -0.15], 40), np.array([0.0, 1.0, 0.0]), 0.6)
     found = swept(before, blade, room=0.12)

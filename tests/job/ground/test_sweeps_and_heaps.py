@@ -1,4 +1,4 @@
-"""What a blade takes and where loose soil comes to rest: by hand, and volumes that are neither lost nor won."""
+"""The soil taken by a blade and the shape of loose soil: by hand, and conservation of volume."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def test_a_box_is_cut_in_layers(degrees: float) -> None:
         assert found.volume[-1] == pytest.approx(1.25 * found.bank[-1])
         assert taken == pytest.approx(WIDTH * LENGTH * 0.1 * layer, rel=0.01)
         assert found.terrain.bank.min() == pytest.approx(-0.1 * layer, rel=0.01)
-        # what the blade takes grows evenly on its way
+        # the taken volume grows linearly along the cut
         middle = float(found.bank[13] / found.bank[-1])
         assert middle == pytest.approx(0.5, abs=0.03)
         assert (np.diff(found.bank) >= 0.0).all()
         terrain = found.terrain
     assert terrain.bank_volume_below(flat()) == pytest.approx(taken, rel=1e-9)
-    # walls stand upright: between the floor and the ground is nothing but columns the blade covers in part
+    # walls are upright: between floor and ground are only columns that the blade covers in part
     between = (terrain.bank > -0.79) & (terrain.bank < -0.01)
     assert between.sum() * terrain.cell**2 < 2.2 * (WIDTH + LENGTH) * terrain.cell * math.sqrt(2.0)
 
@@ -67,7 +67,7 @@ def test_passes_side_by_side_leave_no_ridge() -> None:
     np.testing.assert_allclose(terrain.bank[rows, columns], -0.3, atol=1e-9)
 
 
-def test_tilted_blade_leaves_a_tilted_floor() -> None:
+def test_a_tilted_blade_leaves_a_tilted_floor() -> None:
     tilt = 0.1
     edge = np.array([[2.0, 0.0, -0.2], [4.0, 0.0, -0.2]])
     found = swept(flat(), BladeSweep(edge, np.array([0.0, math.cos(tilt), math.sin(tilt)]), 1.0))
@@ -78,8 +78,8 @@ def test_tilted_blade_leaves_a_tilted_floor() -> None:
     assert found.bank[-1] == pytest.approx(2.0 * math.cos(tilt) * 0.2, rel=0.01)
 
 
-def test_turning_blade_cuts_a_sector() -> None:
-    # a quarter ring with the radii 1.2 and 1.8 m, 0.1 m deep
+def test_a_turning_blade_cuts_a_sector() -> None:
+    # a quarter ring with radii of 1.2 and 1.8 m, 0.1 m deep
     angle = np.linspace(0.0, 0.5 * math.pi, 80)
     out = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(80)))
     edge = 1.5 * out + np.array([2.0, -1.0, -0.1])
@@ -87,7 +87,7 @@ def test_turning_blade_cuts_a_sector() -> None:
     assert found.bank[-1] == pytest.approx(0.25 * math.pi * (1.8**2 - 1.2**2) * 0.1, rel=0.01)
 
 
-def test_loose_soil_goes_first() -> None:
+def test_a_blade_takes_the_loose_soil_above_and_the_bank_soil_to_its_full_depth() -> None:
     terrain = flat()
     terrain = terrain.with_layers(terrain.bank, np.full(terrain.shape, 0.06))
     found = box_cut(terrain, 0.0, 0.1)
@@ -127,28 +127,28 @@ def test_a_tower_slumps_to_the_angle_of_repose() -> None:
     assert found.loose.max() == pytest.approx((0.9 * math.tan(0.6) ** 2 / math.pi) ** (1.0 / 3.0), rel=0.1)
 
 
-def test_a_heap_beside_a_trench_reaches_the_trench_over_its_edge_alone() -> None:
+def test_a_heap_runs_into_a_trench_only_if_it_reaches_the_edge() -> None:
     trench = box_cut(flat(), 0.0, 1.0).terrain  # y from -0.287 to 0.313
     floor = trench.bank < -0.9
-    away = heap(trench, (3.1, 1.4), 0.3)  # its foot is 0.75 m from its middle
+    away = heap(trench, (3.1, 1.4), 0.3)  # its foot is 0.75 m from its centre
     assert (away.loose[floor] == 0.0).all()
     near = heap(trench, (3.1, 0.8), 0.3)
     assert near.loose[floor].sum() > 0.0
     assert near.loose_volume == pytest.approx(0.3, rel=1e-9)
-    # no column is fuller than soil at rest allows
+    # nowhere is loose soil steeper than the angle of repose
     drop = np.diff(near.surface, axis=0)
     lies = near.loose > 1e-9
     steep = ((drop > 0.05 * math.tan(0.6) * 1.05) & lies[1:]) | ((drop < -0.05 * math.tan(0.6) * 1.05) & lies[:-1])
     assert not steep.any()
 
 
-# --- what is refused ------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------
 
 
-def test_room_for_a_heap() -> None:
+def test_the_room_for_a_heap_ends_at_ground_that_must_stay_clear() -> None:
     terrain = flat(repose=0.6)
     clear_of = np.broadcast_to(np.abs(terrain.y)[:, None] < 1.0, terrain.shape)
-    # a cone whose foot ends 0.8 m from its middle
+    # a cone whose foot is 0.8 m from its centre
     room = heap_room(terrain, (3.0, 1.8), clear_of=clear_of)
     assert room == pytest.approx(math.pi / 3.0 * 0.85**3 * math.tan(0.6), rel=0.05)
     assert heap(terrain, (3.0, 1.8), 0.99 * room, clear_of=clear_of).loose[clear_of].sum() < 1e-6
@@ -163,14 +163,14 @@ def test_room_for_a_heap() -> None:
         deposited(terrain, (9.0, 0.0), 1.0)
 
 
-# --- what is kept ---------------------------------------------------------------------------
+# --- conservation ---------------------------------------------------------------------------
 
 places = st.tuples(st.floats(1.5, 4.5), st.floats(-1.5, 1.5))
 
 
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.booleans(), places, st.floats(0.0, 180.0), st.floats(0.05, 0.5)), max_size=6))
-def test_volume_is_kept(steps: list[tuple[bool, tuple[float, float], float, float]]) -> None:
+def test_digging_and_heaping_conserve_volume(steps: list[tuple[bool, tuple[float, float], float, float]]) -> None:
     first = terrain = flat(swell=1.2)
     carried = 0.0
     for digs, place, degrees, amount in steps:

@@ -1,4 +1,4 @@
-"""Ground from memory is measured as the same heights from a file, also after it was dug."""
+"""Ground from memory has the distances of the same heights from a file, also after digging."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def distances(obstacle: Obstacle, rng: np.random.Generator) -> Vector:
     return np.array(found)
 
 
-def test_distances_are_those_of_the_file_after_every_step(tmp_path: Path) -> None:
+def test_distances_to_ground_from_memory_equal_those_to_a_file_after_every_step(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     terrain = Terrain.level(0.0, (0.0, -3.0), (6.0, 3.0))
     terrain = terrain.with_layers(0.05 * rng.uniform(size=terrain.shape), terrain.loose)
@@ -49,7 +49,7 @@ def test_distances_are_those_of_the_file_after_every_step(tmp_path: Path) -> Non
         apart = expected > 0.0
         assert 10 < apart.sum() < 50
         np.testing.assert_allclose(found[apart], expected[apart], atol=1e-9)
-        np.testing.assert_allclose(found, expected, atol=1e-5)  # depths come from an iteration
+        np.testing.assert_allclose(found, expected, atol=1e-5)  # depths are found by iteration
         if step % 2 == 0:
             edge = np.array([[2.0, 0.2, -0.2 - 0.1 * step], [4.0, 0.2, -0.2 - 0.1 * step]])
             terrain = swept(terrain, BladeSweep(edge, np.array([0.0, 1.0, 0.0]), 0.6)).terrain
@@ -60,11 +60,11 @@ def test_distances_are_those_of_the_file_after_every_step(tmp_path: Path) -> Non
         before, obstacle = obstacle, terrain_obstacle(terrain, "ground", 0.1, before=obstacle)
         trees = [one.cluster.solid._trees for one in (before, obstacle)]  # type: ignore[union-attr]
         shared += sum(trees[1].get(tile) is tree for tile, tree in trees[0].items())
-        assert 0 < len(trees[1]) < len(trees[0])  # those where the ground is another are not
+        assert 0 < len(trees[1]) < len(trees[0])  # trees of changed ground are not shared
     assert shared > 20
 
 
-def test_other_ground_is_built_anew() -> None:
+def test_ground_of_another_place_or_size_is_built_anew() -> None:
     first = terrain_obstacle(Terrain.level(0.0, (0.0, 0.0), (3.0, 3.0)), "ground", 0.1)
     found = terrain_obstacle(Terrain.level(0.0, (1.0, 0.0), (4.0, 4.0)), "ground", 0.2, ("boom",), before=first)
     assert found.cluster is not None

@@ -1,4 +1,4 @@
-"""What a truck's bed holds, by hand, and where its load stands in the world."""
+"""The capacity of a truck's bed by hand, and the place of its load in the world."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def bed(**keys: float) -> Bed:
 
 
 def place(x: float, y: float) -> np.ndarray:
-    """World x, y of a place in the axes of the bed."""
+    """World x, y of a place given in the axes of the bed."""
     return np.asarray(bed().placement.act(np.array([x, y, 0.0]))[:2])
 
 
@@ -30,7 +30,7 @@ def loaded(one: Bed, at: np.ndarray, volume: float) -> Bed:
     return found
 
 
-def test_a_bed_holds_a_hipped_roof_above_its_walls() -> None:
+def test_a_beds_capacity_includes_a_hipped_roof_above_its_walls() -> None:
     # struck 6.4 m^3, and a roof of half the width, hipped on all sides: w^2 (3 L - w) / 12 tan
     roof = 2.0**2 * (3.0 * 4.0 - 2.0) / 12.0 * TAN
     assert bed().capacity == pytest.approx(6.4 + roof, rel=0.01)
@@ -43,11 +43,11 @@ def test_a_first_bucketful_is_a_cone_on_the_floor() -> None:
     found = loaded(bed(), place(0.5, 0.0), 0.2)
     height = (0.6 * TAN**2 / math.pi) ** (1.0 / 3.0)
     assert found.volume == pytest.approx(0.2, rel=1e-9)
-    assert found.top_at(place(0.5, 0.0)) == pytest.approx(1.0 + height, abs=0.05 * TAN)  # between two columns
+    assert found.top_at(place(0.5, 0.0)) == pytest.approx(1.0 + height, abs=0.05 * TAN)  # halfway between two columns
     assert found.top_at(place(-0.5, 0.0)) == pytest.approx(1.0)
 
 
-def test_it_fills_to_the_brim_and_no_further() -> None:
+def test_a_bed_fills_to_the_brim_and_no_further() -> None:
     one, rng, total = bed(), np.random.default_rng(2), 0.0
     most = one.load.shape
     while True:
@@ -71,7 +71,7 @@ def test_it_fills_to_the_brim_and_no_further() -> None:
     assert full.load.shape == most
 
 
-def test_its_load_is_an_obstacle() -> None:
+def test_the_load_of_a_bed_is_an_obstacle() -> None:
     ball = shapes.sphere(0.1, pin.SE3.Identity())
     first = bed().load_obstacle("load", 0.1)
     full = loaded(bed(), place(0.0, 0.0), 8.0)
@@ -87,7 +87,7 @@ def test_its_load_is_an_obstacle() -> None:
     assert flat.distance == pytest.approx(2.9, abs=1e-9)
 
 
-def test_what_is_no_bed_is_refused() -> None:
+def test_impossible_beds_and_places_outside_a_bed_are_refused() -> None:
     with pytest.raises(InputError, match="is no bed"):
         Bed.empty((0.0, 0.0, 0.0), (0.1, 2.0, 0.5))
     with pytest.raises(InputError, match="is no bed"):
