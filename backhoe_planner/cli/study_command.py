@@ -122,9 +122,10 @@ def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: P
         OUT.print(f"best          row {summary.best.number}: {best.metric} {summary.best_value:.4g}, the {which}")
         if summary.doubt:
             OUT.print(f"  {summary.doubt}")
+        width = max(map(len, summary.best.values), default=0)
         for name, value in summary.best.values.items():
             shown = f"{value:.6g}" if isinstance(value, float) else value
-            OUT.print(f"  {name:<28}{shown}")
+            OUT.print(f"  {name:<{max(width, 26)}}  {shown}")
     OUT.print(f"table         {found.folder / studies.TABLE}")
     OUT.print(f"page          {page}")
 

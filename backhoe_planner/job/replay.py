@@ -255,7 +255,7 @@ class _Replay:
             self.problems.append(f"cycle {number}: during the cut the file says {words}")
         full = per_volume * dug.held
         for leg in record.legs:
-            if leg.name in ("swing", "dump") and abs(leg.payload - full) > _SAME_MASS:
+            if leg.name in ("cut", "swing", "dump") and abs(leg.payload - full) > _SAME_MASS:
                 words = f"the file says {leg.payload:.3f} kg in the bucket, the cut has dug {full:.3f} kg"
                 self.problems.append(f"cycle {number}, {leg.name}: {words}")
             elif leg.name == "approach" and leg.payload != 0.0:

@@ -175,9 +175,10 @@ def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
     assert "Kept: pitch\n5.73° left" in facts  # 0.1 rad at the end
     assert tab.page.locator("#names .reached").inner_text() == "goal 2, reached"
     tab.ask("backhoe.seek(0)")
-    assert tab.page.locator("#kept").inner_text().split("\n") == ["pitch −131.8 to −63.03°", "−120.3°"]
+    assert tab.page.locator("#kept").inner_text().split("\n") == ["pitch −131.8 to −63.03°", "11.5°"]
     tab.ask("backhoe.seek(4)")
-    assert tab.page.locator("#kept .value").inner_text() == "−68.8°"
+    assert tab.page.locator("#kept .value").inner_text() == "5.7°"
+    assert tab.page.locator("#kept .value").get_attribute("title") == "now −68.8°"
     assert tab.complaints == []
 
 

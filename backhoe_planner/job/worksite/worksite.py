@@ -146,7 +146,15 @@ def _problem(job: Job, robot: Robot) -> Problem:
         "start": {"joints": joints}, "task": {"goal": {"joints": joints}}, "objective": job.objective,
     }  # fmt: skip
     scene = scene_from_dict(content, folder=job.site_scene.folder, file=job.file)
-    problem = build_problem(robot, scene)
+    try:
+        problem = build_problem(robot, scene)
+    except SceneError as error:
+        if error.key is None or not error.key.startswith("start.joints"):
+            raise
+        key = "start" + error.key.removeprefix("start.joints")  # a job gives the joints right there
+        raise SceneError(
+            error.problem, file=error.file, key=key, found=error.found, allowed=error.allowed, hint=error.hint
+        ) from None
     if job.start is None:
         problem = replace(problem, start_q=None)
     return problem

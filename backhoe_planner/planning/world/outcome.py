@@ -18,10 +18,11 @@ from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.clear_joint import find_clear_joint
 from backhoe_planner.planning.world.world import World
-from backhoe_planner.site import Obstruction
+from backhoe_planner.site import Obstruction, swing_sectors
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
 _TURN, _GAP = 2.0 * np.pi, 0.25  # rad: one turn, and the gap between found pitches that counts as out of reach; chosen
+_STARTS_BETWEEN, _HALVINGS = 10, 4  # of a pitch in such a gap, and how often a gap is halved; chosen
 _STARTS_ALONE = 60  # starting points of the inverse kinematics of a position without its orientation; chosen, 40 ms
 _MILLIMETRES = 100.0  # m out of reach, beyond which a position was probably given in other units; chosen
 _SMALL = 1e-6  # m and rad: chosen, far below what a message shows
@@ -177,6 +178,12 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     at_limit = tuple(name for name, gap in zip(names, gaps, strict=True) if gap < _SMALL)
     if at_limit:
         message += f", with {' and '.join(at_limit)} at the limit"
+        sectors = [zone.name for zone in swing_sectors(world.problem.robot, world.problem.scene).values()]
+        if sectors and names[0] in at_limit:
+            message += f" (within {' and '.join(sectors)})"
+    held = world.problem.robot.hold
+    if held:
+        message += f"; held are {', '.join(f'{name} at {value:g}' for name, value in held.items())}"
     if target.pitch is not None or target.rotation is not None:
         message += _position_alone(world, target)
     pose = NearestPose(
@@ -193,11 +200,26 @@ def _position_alone(world: World, target: TipTarget) -> str:
     words = "; the position alone can be reached"
     if target.pitch is None:
         return words + ", with another orientation"
-    spans = _spans([world.kinematics.at(q).pitch for q in found])
+    spans = _spans(_pitches(world, target, [world.kinematics.at(q).pitch for q in found]))
     asked = target.pitch[0]
     if any(low <= wrap_angle(asked) <= high for low, high in spans):  # the reach has a gap that the samples do not show
         return words + ", with another pitch"
     return words + f", with a pitch of {' or '.join(_span(low, high) for low, high in spans)} rad"
+
+
+def _pitches(world: World, target: TipTarget, found: Sequence[float]) -> list[float]:
+    """The pitches that were `found` at the position of a target, and those between them that can be reached too."""
+    known, tried = sorted(wrap_angle(np.array(found)).tolist()), set[float]()
+    for _ in range(_HALVINGS):
+        gaps = [(a, b) for a, b in itertools.pairwise(known) if b - a > _GAP and 0.5 * (a + b) not in tried]
+        for a, b in gaps:
+            middle = 0.5 * (a + b)
+            tried.add(middle)
+            asked = TipTarget(target.position, pitch=(middle, middle))
+            if len(world.postures.anywhere(asked, count=_STARTS_BETWEEN)):
+                known.append(middle)
+        known.sort()
+    return known
 
 
 def _spans(angles: Sequence[float]) -> list[tuple[float, float]]:

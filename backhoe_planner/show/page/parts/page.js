@@ -224,7 +224,9 @@ function show(recording) {
   function showKeptAt(frame) {
     for (const one of plan.kept) {
       const margin = one.margins[frame];
-      one.value.textContent = one.angular ? `${number(one.values[frame], 1)}°` : `${number(one.values[frame], 2)} m`;
+      const shown = (value) => one.angular ? `${number(value, 1)}°` : `${number(value, 2)} m`;
+      one.value.textContent = shown(margin);
+      one.value.title = `now ${shown(one.values[frame])}`;
       one.value.className = margin < 0 ? "value inside" : "value";
       one.fill.style.transform = `scaleX(${Math.min(Math.max(margin / one.most, 0.015), 1)})`;
       one.fill.style.background = colour(margin < 0 ? 0 : 0.5 * problem.influence * Math.min(margin / one.most, 1));
