@@ -1,4 +1,4 @@
-"""Parts of a braking path that are halved, and planes that are kept from one look to the next."""
+"""Halved parts of a braking path, and planes kept from one look to the next."""
 
 import math
 
@@ -22,7 +22,7 @@ def braking(robot: Robot, separation: Separation, q: Vector, v: Vector) -> Braki
 
 
 def test_halved_parts_are_placed_on_the_same_line(backhoe: Robot) -> None:
-    """Rows 0 .. 2p hold q + k / (2 p) delta; what points may be off a chord falls with the square of its length."""
+    """Rows 0 .. 2p hold q + k / (2 p) delta; the deviation from a chord falls with the square of its length."""
     separation, at = Separation(backhoe, self_collision=False), Placements(backhoe, 18)
     q = np.array([0.1, 0.3, -0.9, -0.5])
     path = braking(backhoe, separation, q, 0.6 * backhoe.limits.velocity)
@@ -39,7 +39,7 @@ def test_halved_parts_are_placed_on_the_same_line(backhoe: Robot) -> None:
         np.testing.assert_allclose(at.J[sample], other.J[0], atol=1e-12)
 
 
-def test_planes_that_were_kept_bound_other_paths_until_the_obstacle_moves(backhoe: Robot) -> None:
+def test_kept_planes_bound_other_paths_until_the_obstacle_moves(backhoe: Robot) -> None:
     """Against 60 configurations along each path, measured one by one. The second look needs no measurement."""
     joints = dict(zip(backhoe.joint_names, [0.0, 0.3, -0.9, -0.5], strict=True))
     scene = bp.scene_from_dict(
@@ -71,15 +71,15 @@ def test_planes_that_were_kept_bound_other_paths_until_the_obstacle_moves(backho
             assert bound <= least + 2e-6
             if turn and bound >= enough and separation.measured == before:
                 tightest = min(tightest, least - bound)
-    assert tightest < 0.03  # planes that were kept did prove paths
+    assert tightest < 0.03  # kept planes did prove paths
     shift[:] = 0.0, 0.0, 0.3
     before = separation.measured
     separation.look_closely(int(pairs[0]), path, at, 0.0, enough=-1.0)
     assert separation.measured > before
 
 
-def test_a_bound_is_exact_where_the_points_of_before_are_hardly_further_apart(backhoe: Robot) -> None:
-    """Exact is said of bounds that miss no more than asked, by another measurement, and of most after small moves."""
+def test_a_bound_counts_as_exact_only_if_it_misses_less_than_the_tolerance(backhoe: Robot) -> None:
+    """Checked by another measurement; after small moves most bounds are exact."""
     joints = dict(zip(backhoe.joint_names, [0.0, 0.3, -0.9, -0.5], strict=True))
     scene = bp.scene_from_dict(
         {
@@ -119,10 +119,8 @@ def test_a_bound_is_exact_where_the_points_of_before_are_hardly_further_apart(ba
     ],
     ids=["halfspace", "box"],
 )
-def test_a_link_that_turns_over_level_ground_is_as_far_from_it_as_its_plane_says(
-    backhoe: Robot, flat: dict[str, object]
-) -> None:
-    """However far it turns: its points keep their heights, and none has to be measured anew. Lower ground is not so."""
+def test_the_planes_of_links_that_swing_over_level_ground_stay_exact(backhoe: Robot, flat: dict[str, object]) -> None:
+    """Their points keep their heights, so none has to be measured again; a bound that is 1 cm lower is not exact."""
     scene = bp.scene_from_dict(
         {
             "version": 1,

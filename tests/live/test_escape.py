@@ -1,4 +1,4 @@
-"""The way out, where descent alone does not lead there."""
+"""Ways out of obstacles where descent alone finds none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from backhoe_planner.live import MOST_LOOKS, EscapeRoute, EscapeSearch, RouteSea
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacles
 
-DT = 0.004  # s, of a step: long ways out are simulated
+DT = 0.004  # s, the time step: long ways out are simulated
 BESIDE_THE_POST = {
     "name": "wall", "shape": "box", "size": [0.3, 3.0, 2.0], "position": [0.837, -1.48, 0.31],
 }  # fmt: skip
@@ -57,7 +57,7 @@ def search_from(servo: Servo) -> EscapeSearch:
 
 
 def ended(search: RouteSearch) -> tuple[EscapeRoute | None, int]:
-    """What a search finds, and after how many looks."""
+    """The result of a search and the number of its looks."""
     looks = 0
     while True:
         try:
@@ -68,7 +68,7 @@ def ended(search: RouteSearch) -> tuple[EscapeRoute | None, int]:
 
 
 def along(route: EscapeRoute, step: float = 0.002) -> list[Vector]:
-    """Postures on the way, one joint moving no more than a step from one to the next."""
+    """Configurations along a route; no joint moves by more than a step from one to the next."""
     found = [route.nodes[0]]
     for a, b in zip(route.nodes[:-1], route.nodes[1:], strict=True):
         count = max(int(np.ceil(np.max(np.abs(b - a)) / step)), 1)
@@ -76,11 +76,11 @@ def along(route: EscapeRoute, step: float = 0.002) -> list[Vector]:
     return found
 
 
-# --- what is found -----------------------------------------------------------------------------
+# --- the search -----------------------------------------------------------------------------
 
 
-def test_a_falling_way_falls_from_posture_to_posture(backhoe: Robot) -> None:
-    """From where the descent that is steepest is pinched."""
+def test_the_violation_falls_along_a_falling_route(backhoe: Robot) -> None:
+    """From a configuration where steepest descent is pinched."""
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
     search = search_from(servo)
@@ -98,7 +98,7 @@ def test_a_falling_way_falls_from_posture_to_posture(backhoe: Robot) -> None:
     assert np.all(route.nodes >= backhoe.limits.lower)
 
 
-def test_a_way_below_is_nowhere_deeper_than_its_start(backhoe: Robot) -> None:
+def test_a_route_below_the_ceiling_is_nowhere_deeper_than_its_start(backhoe: Robot) -> None:
     scene = site(backhoe, [BESIDE_THE_POST], PINCHED_BY_THE_POST)
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
     route, looks = ended(search_from(servo).below(servo.q))
@@ -111,7 +111,7 @@ def test_a_way_below_is_nowhere_deeper_than_its_start(backhoe: Robot) -> None:
 
 
 @pytest.mark.long
-def test_where_no_posture_is_clear_no_way_is_said_to_be_found(backhoe: Robot) -> None:
+def test_no_route_is_found_where_no_configuration_is_clear(backhoe: Robot) -> None:
     scene = site(backhoe, [AROUND_THE_POST], NOWHERE_TO_GO)
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
     swings = np.linspace(backhoe.limits.lower[0], backhoe.limits.upper[0], 200)
@@ -123,11 +123,11 @@ def test_where_no_posture_is_clear_no_way_is_said_to_be_found(backhoe: Robot) ->
         assert looks <= MOST_LOOKS
 
 
-# --- what the servo makes of it ------------------------------------------------------------------
+# --- the servo ------------------------------------------------------------------
 
 
 @pytest.mark.long
-def test_from_where_descent_is_pinched_the_violation_falls_at_every_step(backhoe: Robot) -> None:
+def test_the_violation_falls_at_every_step_where_descent_is_pinched(backhoe: Robot) -> None:
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo, violation = Servo(backhoe, scene, DT), Violation(backhoe, scene)
     before, v = violation(servo.q), servo.v
@@ -143,8 +143,8 @@ def test_from_where_descent_is_pinched_the_violation_falls_at_every_step(backhoe
 
 
 @pytest.mark.long
-def test_past_a_hump_the_way_to_go_falls_and_nothing_gets_deeper_than_it_was(backhoe: Robot) -> None:
-    """The post of the swing sticks in a wall so that it is deeper to either side: there is no way that falls."""
+def test_past_a_hump_the_way_to_go_shrinks_and_the_violation_never_exceeds_the_first(backhoe: Robot) -> None:
+    """The swing post is in a wall that is deeper on either side: no route falls all the way."""
     scene = site(backhoe, [BESIDE_THE_POST], PINCHED_BY_THE_POST)
     servo, violation = Servo(backhoe, scene, DT), Violation(backhoe, scene)
     first = before = violation(servo.q)
@@ -168,7 +168,7 @@ def test_past_a_hump_the_way_to_go_falls_and_nothing_gets_deeper_than_it_was(bac
     assert passed * DT > 0.05
 
 
-def test_where_nothing_leads_out_it_stays_and_gets_no_deeper(backhoe: Robot) -> None:
+def test_without_a_way_out_the_violation_does_not_grow(backhoe: Robot) -> None:
     scene = site(backhoe, [AROUND_THE_POST], NOWHERE_TO_GO)
     servo, violation = Servo(backhoe, scene, DT), Violation(backhoe, scene)
     first = violation(servo.q)
@@ -180,7 +180,7 @@ def test_where_nothing_leads_out_it_stays_and_gets_no_deeper(backhoe: Robot) -> 
 
 
 @pytest.mark.parametrize("joint", [1, pytest.param(3, marks=pytest.mark.long)])
-def test_outside_a_limit_and_inside_an_obstacle_both_shrink(backhoe: Robot, joint: int) -> None:
+def test_violations_of_a_limit_and_of_an_obstacle_shrink_together(backhoe: Robot, joint: int) -> None:
     q = np.array([0.0, 0.3, -0.9, -0.5])
     q[joint] = backhoe.limits.lower[joint] - 0.06
     tip = bp.Kinematics(backhoe).at(q).tip_position
@@ -202,7 +202,7 @@ def test_outside_a_limit_and_inside_an_obstacle_both_shrink(backhoe: Robot, join
 
 
 @pytest.mark.long
-def test_what_is_dragged_while_the_machine_is_inside_is_searched_for_anew(backhoe: Robot) -> None:
+def test_a_way_out_is_found_after_the_obstacle_was_moved_during_the_escape(backhoe: Robot) -> None:
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo = Servo(backhoe, scene, DT)
     shift = np.zeros(3)
@@ -223,8 +223,8 @@ def test_what_is_dragged_while_the_machine_is_inside_is_searched_for_anew(backho
     assert violation(servo.q) <= 1e-6
 
 
-def test_held_outside_a_limit_by_obstacles_it_comes_back_all_the_same(backhoe: Robot) -> None:
-    """The stick has to swing out by 5 mrad, but the bucket stands on the ground and the boom beside a stabilizer."""
+def test_a_joint_held_outside_its_limit_by_obstacles_returns(backhoe: Robot) -> None:
+    """The stick has to move out by 5 mrad, but the bucket is on the ground and the boom next to a stabilizer."""
     ground = {"name": "ground", "shape": "halfspace", "point": [0.0, 0.0, -1.2683], "normal": [0.0, 0.0, 1.0]}
     scene = site(backhoe, [ground], [0.0, 0.3, -0.9, -0.5])
     violation = Violation(backhoe, scene)
@@ -246,7 +246,7 @@ def test_held_outside_a_limit_by_obstacles_it_comes_back_all_the_same(backhoe: R
 
 
 @pytest.mark.long
-def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
+def test_the_same_start_gives_the_same_motion(backhoe: Robot) -> None:
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     ends = []
     for _ in range(2):
@@ -255,9 +255,7 @@ def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
     np.testing.assert_array_equal(ends[0], ends[1])
 
 
-def test_where_the_search_fails_nothing_is_raised_and_descent_goes_on(
-    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_search_raises_nothing_and_descent_continues(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> RouteSearch:
         yield
         raise ZeroDivisionError

@@ -1,4 +1,4 @@
-"""A plan that is followed live: on time where nothing is in the way, held, resumed or led round where something is."""
+"""Following a plan live: on time on a free path; waiting, resuming or making a detour at an obstacle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from backhoe_planner.site import Proximity, build_obstacles
 START = [-0.3, 0.3, -0.9, -0.5]
 END = [0.5, 0.1, -0.7, -0.6]
 DT = 0.004
-# upright, away from the machine at a swing of 0.1 rad, from 1 m to 9 m, higher and deeper than it reaches
+# upright and radial at a swing of 0.1 rad, from 1 m to 9 m, higher and deeper than the machine reaches
 WALL = {
     "name": "wall", "shape": "box", "size": [8.0, 0.2, 16.0], "rpy": [0.0, 0.0, 0.1],
     "position": [5.0 * np.cos(0.1), 5.0 * np.sin(0.1), 0.0],
@@ -43,7 +43,7 @@ WALL = {
 
 
 class Immediate(Executor):
-    """Runs what it is given at once."""
+    """Runs each call at once."""
 
     def __init__(self) -> None:
         self.answers: list[Any] = []
@@ -92,7 +92,7 @@ def site(robot: Robot, *obstacles: dict[str, Any]) -> bp.Scene:
 
 
 def smooth_motion(duration: float = 6.0) -> bp.Trajectory:
-    """From START to END on a straight line, with rates that begin and end at 0."""
+    """A straight line from START to END with rates of 0 at both ends."""
     time = np.linspace(0.0, duration, 301)
     part = 0.5 * (1.0 - np.cos(np.pi * time / duration))
     return bp.Trajectory.from_steps(time, np.array(START) + part[:, None] * (np.array(END) - START))
@@ -123,7 +123,7 @@ def least_margin_of(robot: Robot, postures: Any, *obstacles: dict[str, Any]) -> 
 
 
 def placed(robot: Robot, what: str, moment: float = 3.2) -> dict[str, Any]:
-    """A ball, a box or a post about the tip's place at a moment of the motion."""
+    """A ball, box or post at the tip's position at a moment of the motion."""
     place = tip(robot, smooth_motion().at(moment))
     if what == "ball":
         return {"name": what, "shape": "sphere", "radius": 0.3, "position": place}
@@ -136,7 +136,7 @@ def placed(robot: Robot, what: str, moment: float = 3.2) -> dict[str, Any]:
 # --- following -------------------------------------------------------------------------
 
 
-def test_with_nothing_in_the_way_it_arrives_on_time(backhoe: Robot) -> None:
+def test_an_unobstructed_follower_arrives_on_time(backhoe: Robot) -> None:
     steps = followed(PlanFollower(Servo(backhoe, site(backhoe), DT), smooth_motion(), executor=Never()), 9000)
     assert steps[-1].done
     assert max(step.deviation for step in steps) < 1e-3
@@ -147,15 +147,15 @@ def test_with_nothing_in_the_way_it_arrives_on_time(backhoe: Robot) -> None:
     assert {step.reason for step in steps} == {""}
 
 
-def test_where_it_stands_elsewhere_it_goes_to_the_beginning_first(backhoe: Robot) -> None:
+def test_a_machine_away_from_the_start_goes_there_first(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe), DT, q=[-0.1, 0.4, -1.0, -0.3])
     steps = followed(PlanFollower(servo, smooth_motion(), executor=Never()), 6000)
     assert steps[125].plan_time < 0.1
     assert steps[-1].done
 
 
-def test_it_waits_still_while_a_way_is_searched_and_goes_on_once_the_plan_is_free(backhoe: Robot) -> None:
-    """The search never ends: the machine stands clear of the ball, and says why; with the ball gone it finishes."""
+def test_the_machine_waits_during_the_search_and_resumes_once_the_plan_is_free(backhoe: Robot) -> None:
+    """The search never ends: the machine waits clear of the ball and gives the reason; without the ball it finishes."""
     ball, never = placed(backhoe, "ball"), Never()
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=never)
@@ -170,13 +170,13 @@ def test_it_waits_still_while_a_way_is_searched_and_goes_on_once_the_plan_is_fre
     assert len(never.futures) == 1
     servo.remove("ball")
     resumed = followed(follower, 6000)
-    assert resumed[0].state.v.any()  # at once, though nobody has answered
+    assert resumed[0].state.v.any()  # at once, although the search has not answered
     assert never.futures[0].cancelled()
     assert resumed[-1].done
     np.testing.assert_allclose(resumed[-1].state.q, END, atol=1e-3)
 
 
-# --- with nothing in the way --------------------------------------------------------------
+# --- without obstacles --------------------------------------------------------------
 
 POSTURES = {
     "planar4": ([0.3, 0.5, -0.4, 0.2], [0.9, 0.1, 0.3, -0.4]),
@@ -187,10 +187,10 @@ POSTURES = {
 
 @pytest.mark.parametrize("machine", POSTURES)
 @pytest.mark.parametrize("dt", [pytest.param(0.001, marks=pytest.mark.long), 0.004])
-def test_with_nothing_in_the_way_a_plan_takes_as_long_as_planned(
+def test_an_unobstructed_plan_takes_its_planned_duration(
     request: pytest.FixtureRequest, machine: str, dt: float
 ) -> None:
-    """The plan ends within a step; one more may be needed to come to rest."""
+    """Within one step, which may be needed to come to rest."""
     robot: Robot = request.getfixturevalue(machine)
     start, end = POSTURES[machine]
     scene = bp.scene_from_dict(
@@ -210,10 +210,10 @@ def test_with_nothing_in_the_way_a_plan_takes_as_long_as_planned(
     assert {step.status for step in steps[:-1]} == {FollowerStatus.FOLLOWING}
 
 
-def test_what_is_followed_is_no_faster_than_certified_and_close_to_the_samples(backhoe: Robot) -> None:
-    """A bang of acceleration, then of braking: 1 rad/s^2 over 0.4 s each, samples 0.02 s apart, 0.16 rad in all.
+def test_the_reference_keeps_the_acceleration_limit_and_stays_close_to_the_samples(backhoe: Robot) -> None:
+    """0.4 s of acceleration, then 0.4 s of braking at 1 rad/s^2, samples 0.02 s apart, 0.16 rad in all.
 
-    Between the samples of constant acceleration the parabola is 1 * 0.02^2 / 8 off the chord.
+    At constant acceleration the parabola deviates from the chord between two samples by 1 * 0.02^2 / 8.
     """
     time = np.linspace(0.0, 0.8, 41)
     way = np.where(time <= 0.4, 0.5 * time**2, 0.16 - 0.5 * (0.8 - time) ** 2)
@@ -232,8 +232,8 @@ def test_what_is_followed_is_no_faster_than_certified_and_close_to_the_samples(b
     assert np.abs(rates[[0, -1]]).max() < 1e-3
 
 
-def test_samples_that_are_far_apart_are_followed_on_straight_lines(backhoe: Robot) -> None:
-    """A corner of a right angle: halfway along each leg, and on the corner itself."""
+def test_the_reference_follows_straight_lines_between_distant_samples(backhoe: Robot) -> None:
+    """A right-angled corner, halfway along each leg and at the corner itself."""
     q = np.array(START) + np.array([[0.0, 0.0, 0.0, 0.0], [0.4, 0.0, 0.0, 0.0], [0.4, 0.4, 0.0, 0.0]])
     reference = Reference(bp.Trajectory.from_steps(np.array([0.0, 2.0, 4.0]), q), backhoe.limits)
     for moment, before, after, part in ((1.0, 0, 1, 0.5), (2.0, 1, 1, 0.0), (3.0, 1, 2, 0.5), (9.0, 2, 2, 0.0)):
@@ -245,8 +245,8 @@ def test_samples_that_are_far_apart_are_followed_on_straight_lines(backhoe: Robo
 
 
 @pytest.mark.parametrize("stays", [1.2, *(pytest.param(s, marks=pytest.mark.long) for s in (2.2, 3.2))])
-def test_what_stood_before_the_end_and_is_gone_is_forgotten(backhoe: Robot, stays: float) -> None:
-    """The ball is 2 cm too near to the end: the machine stands close before it, whenever the ball goes."""
+def test_the_plan_is_finished_after_an_obstacle_near_its_end_is_removed(backhoe: Robot, stays: float) -> None:
+    """The ball is 2 cm too close to the end: the machine waits just before it until the ball is removed."""
     motion = smooth_motion(1.6)
     before, end = np.array(tip(backhoe, motion.at(1.2))), np.array(tip(backhoe, END))
     way = (end - before) / np.linalg.norm(end - before)
@@ -266,7 +266,7 @@ def test_what_stood_before_the_end_and_is_gone_is_forgotten(backhoe: Robot, stay
     assert steps[-1].done
 
 
-def test_the_end_is_a_place_to_go_to_however_near_it_is(backhoe: Robot) -> None:
+def test_the_end_of_the_plan_can_be_rejoined_from_very_near(backhoe: Robot) -> None:
     q = np.array(END) - [0.02, 0.0, 0.0, 0.0]
     asked = replace(query(backhoe, since=6.0), q=q)
     found = find_rejoining(asked)
@@ -276,8 +276,8 @@ def test_the_end_is_a_place_to_go_to_however_near_it_is(backhoe: Robot) -> None:
     np.testing.assert_allclose(found.motion.q[-1], END, atol=1e-9)
 
 
-def test_an_obstacle_that_is_moved_all_the_time_does_not_keep_it_from_searching(backhoe: Robot) -> None:
-    """Tracked at 25 Hz, to and fro by a millimetre: patience is not begun anew each time."""
+def test_a_constantly_moved_obstacle_does_not_prevent_the_search(backhoe: Robot) -> None:
+    """Tracked at 25 Hz, 1 mm to and fro: a move does not restart the patience."""
     never = Never()
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=never)
@@ -289,12 +289,12 @@ def test_an_obstacle_that_is_moved_all_the_time_does_not_keep_it_from_searching(
     assert never.futures != []
 
 
-# --- going round -------------------------------------------------------------------------
+# --- detours -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("what", ["ball", *(pytest.param(what, marks=pytest.mark.long) for what in ("box", "post"))])
-def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot, what: str) -> None:
-    """The plan is left, rejoined beyond and finished as it was; nothing is touched."""
+def test_an_obstacle_that_stays_on_the_plan_is_avoided_by_a_detour(backhoe: Robot, what: str) -> None:
+    """The follower leaves the plan, rejoins it beyond the obstacle and finishes it unchanged, without contact."""
     obstacle, motion, executor = placed(backhoe, what), smooth_motion(), Immediate()
     assert least_margin_of(backhoe, motion.q, obstacle) < -0.1
     servo = Servo(backhoe, site(backhoe), DT)
@@ -316,7 +316,7 @@ def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot, what: str) -> None
 
 
 @pytest.mark.long
-def test_a_way_round_that_is_taken_up_is_given_up_for_another(backhoe: Robot) -> None:
+def test_a_detour_that_becomes_blocked_is_replaced_by_another(backhoe: Robot) -> None:
     ball, executor = placed(backhoe, "ball"), Immediate()
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
@@ -335,7 +335,7 @@ def test_a_way_round_that_is_taken_up_is_given_up_for_another(backhoe: Robot) ->
     assert least_margin(backhoe, steps, ball, second) >= -1e-6
 
 
-def test_what_changes_elsewhere_leaves_the_way_round_alone(backhoe: Robot) -> None:
+def test_a_distant_new_obstacle_does_not_change_the_detour(backhoe: Robot) -> None:
     executor = Immediate()
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
@@ -348,7 +348,7 @@ def test_what_changes_elsewhere_leaves_the_way_round_alone(backhoe: Robot) -> No
     assert steps[-1].done
 
 
-def test_with_a_thread_of_its_own_that_ends_with_it(backhoe: Robot) -> None:
+def test_the_search_thread_starts_when_needed_and_ends_with_the_follower(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe), DT)
     with PlanFollower(servo, smooth_motion()) as follower:
         followed(follower, 300)
@@ -359,11 +359,11 @@ def test_with_a_thread_of_its_own_that_ends_with_it(backhoe: Robot) -> None:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("rejoining")]
 
 
-# --- no way ------------------------------------------------------------------------------
+# --- no detour ------------------------------------------------------------------------------
 
 
 @pytest.mark.long
-def test_what_stands_on_the_end_is_said_and_the_plan_finished_once_it_is_gone(backhoe: Robot) -> None:
+def test_an_obstacle_on_the_end_blocks_the_plan_until_it_is_removed(backhoe: Robot) -> None:
     ball, executor = placed(backhoe, "ball", 6.0), Immediate()
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
@@ -373,18 +373,18 @@ def test_what_stands_on_the_end_is_said_and_the_plan_finished_once_it_is_gone(ba
     assert steps[-1].status is FollowerStatus.BLOCKED
     assert steps[-1].reason == "ball blocks the end of the plan"
     assert not steps[-1].done
-    assert not np.any([step.state.v for step in steps[-400:]])  # it stands still,
-    assert 0.0 <= least_margin(backhoe, steps, ball) < 0.02  # as near as it may
+    assert not np.any([step.state.v for step in steps[-400:]])  # it stands still
+    assert 0.0 <= least_margin(backhoe, steps, ball) < 0.02  # as close as allowed
     assert [type(answer) for answer in executor.answers] == [NoRejoining]
     servo.remove("ball")
     steps = followed(follower, 6000)
     assert steps[-1].done
 
 
-def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
+def test_a_wall_without_a_detour_blocks_the_plan_until_it_is_removed(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The wall reaches beyond the machine's reach and height; searched with more and more effort, in vain."""
+    """The wall extends beyond the machine's reach and height; searches with rising effort find no detour."""
     executor = Immediate()
     assert least_margin_of(backhoe, [START, END], WALL) > 0.05
     efforts = [replace(EFFORTS["quick"], motions_per_search=count) for count in (100, 200, 400)]
@@ -404,7 +404,7 @@ def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
 
 
 @pytest.mark.parametrize("at_once", [pytest.param(True, marks=pytest.mark.long), False])
-def test_an_executor_that_fails_blocks_and_raises_nothing(backhoe: Robot, at_once: bool) -> None:
+def test_a_failing_executor_blocks_the_follower_without_an_exception(backhoe: Robot, at_once: bool) -> None:
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=Failing(at_once=at_once))
     followed(follower, 300)
@@ -416,11 +416,11 @@ def test_an_executor_that_fails_blocks_and_raises_nothing(backhoe: Robot, at_onc
     assert followed(follower, 6000)[-1].done
 
 
-# --- what moves --------------------------------------------------------------------------
+# --- moving obstacles --------------------------------------------------------------------------
 
 
-def test_what_crosses_is_let_by(backhoe: Robot) -> None:
-    """A ball crosses the plan from above, and is gone before the patience ends: no way is searched."""
+def test_a_crossing_obstacle_is_waited_for_without_a_search(backhoe: Robot) -> None:
+    """A ball crosses the plan from above and is gone before the patience ends."""
     place = tip(backhoe, smooth_motion().at(3.2))
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [place[0], place[1], place[2] + 1.5]}
     never = Never()
@@ -435,8 +435,8 @@ def test_what_crosses_is_let_by(backhoe: Robot) -> None:
     assert never.futures == []
 
 
-def test_a_snapshot_has_everything_where_it_is_now(backhoe: Robot) -> None:
-    """A ball moved by hand and then at 0.5 m/s for 1 s: 0.2 + 0.5 m up; what it was built as is left alone."""
+def test_a_snapshot_has_the_obstacles_at_their_present_places(backhoe: Robot) -> None:
+    """A ball is moved by 0.2 m, then at 0.5 m/s for 1 s: 0.7 m up; the obstacle as built is unchanged."""
     servo = Servo(backhoe, site(backhoe, {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2, 3, 4]}))
     revision = servo.revision
     servo.move("ball", [0.0, 0.0, 0.2])
@@ -471,7 +471,7 @@ def query(robot: Robot, *obstacles: dict[str, Any], since: float = 1.2) -> Rejoi
 
 
 @pytest.mark.long
-def test_the_way_leads_to_the_earliest_clear_place_and_keeps_what_it_promises(backhoe: Robot) -> None:
+def test_a_rejoining_motion_is_clear_within_limits_and_ends_at_the_first_clear_sample(backhoe: Robot) -> None:
     box, motion = placed(backhoe, "box"), smooth_motion()
     taken = [moment for moment in motion.time if least_margin_of(backhoe, [motion.at(float(moment))], box) < 0.01]
     asked = query(backhoe, box, since=taken[0] - 0.02)
@@ -488,7 +488,7 @@ def test_the_way_leads_to_the_earliest_clear_place_and_keeps_what_it_promises(ba
     assert not is_still_clear(backhoe, asked.obstacles, motion.q)
 
 
-def test_the_same_query_gives_the_same_answer_in_another_process_too(backhoe: Robot) -> None:
+def test_a_pickled_query_gives_the_same_answer(backhoe: Robot) -> None:
     asked = query(backhoe, placed(backhoe, "post"))
     sent: RejoiningQuery = pickle.loads(pickle.dumps(asked))
     here, there = find_rejoining(asked), find_rejoining(sent)
@@ -498,8 +498,8 @@ def test_the_same_query_gives_the_same_answer_in_another_process_too(backhoe: Ro
     assert here.rejoins_at == there.rejoins_at
 
 
-def test_a_start_that_is_too_near_is_said(backhoe: Robot) -> None:
-    """The ball's surface is at the tip: 0.05 m less than its clearance at least."""
+def test_a_start_too_close_to_an_obstacle_is_reported(backhoe: Robot) -> None:
+    """The ball is centred at the tip."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": tip(backhoe, smooth_motion().at(1.2))}
     found = find_rejoining(query(backhoe, ball))
     assert isinstance(found, NoRejoining)
@@ -507,10 +507,10 @@ def test_a_start_that_is_too_near_is_said(backhoe: Robot) -> None:
     assert not found.searched
 
 
-# --- what is refused ----------------------------------------------------------------------
+# --- refused inputs ----------------------------------------------------------------------
 
 
-def test_another_machines_plan_is_refused(planar4: Robot, panda: Robot) -> None:
+def test_a_motion_with_another_number_of_joints_is_refused(planar4: Robot, panda: Robot) -> None:
     servo = Servo(planar4, bp.scene_from_dict(
         {
             "version": 1,
@@ -529,7 +529,7 @@ def test_a_negative_seed_is_refused(backhoe: Robot) -> None:
 
 
 def test_a_plan_that_brakes_at_the_limit_is_followed_to_its_end(backhoe: Robot) -> None:
-    """Nothing is in the way: a clock that waited for a machine that is ahead would drive it further ahead."""
+    """Without obstacles; a clock that waited for a machine ahead of the plan would drive it further ahead."""
     scene = bp.scene_from_dict(
         {
             "version": 1,
@@ -549,7 +549,7 @@ def test_a_plan_that_brakes_at_the_limit_is_followed_to_its_end(backhoe: Robot) 
 
 
 class Silent(Executor):
-    """Answers, but says nothing."""
+    """Answers with None."""
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -558,7 +558,7 @@ class Silent(Executor):
 
 
 @pytest.mark.long
-def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be_finished(
+def test_the_plan_can_be_finished_after_a_search_without_an_answer(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(follower_module, "_LONGEST_SEARCH", 2.0)
@@ -575,7 +575,7 @@ def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be
 
 @pytest.fixture(scope="module")
 def planar(planar4: Robot) -> bp.Plan:
-    """Of an arm of four joints in a plane, to a goal."""
+    """A plan to a goal for a planar arm with four joints."""
     joints = dict(zip(planar4.joint_names, [0.3, 0.4, 0.5, 0.2], strict=True))
     content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [1.5, 1.5, 0.0]}}}
     return bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
@@ -587,14 +587,14 @@ def test_a_plan_for_other_joints_is_refused(backhoe: Robot, planar: bp.Plan) -> 
 
 
 def failed(plan: bp.Plan, samples: int) -> bp.Plan:
-    """The beginning of a plan, with the certificate that belongs to it: its goal is not reached."""
+    """The first samples of a plan with their own certificate: the goal is not reached."""
     motion = bp.Trajectory.from_steps(plan.trajectory.time[:samples], plan.trajectory.q[:samples])
     found = replace(plan, trajectory=motion, certificate=certify_problem(plan.problem, motion))
     assert found.verdict == "failed"
     return found
 
 
-def test_a_plan_that_failed_is_refused_unless_it_is_allowed_by_name(planar: bp.Plan) -> None:
+def test_a_failed_plan_is_refused_unless_allow_failed_is_set(planar: bp.Plan) -> None:
     robot, scene = planar.robot, planar.scene
     part = failed(planar, len(planar.trajectory) // 2)
     servo = Servo(robot, scene, q=part.trajectory.q[0])
@@ -606,7 +606,7 @@ def test_a_plan_that_failed_is_refused_unless_it_is_allowed_by_name(planar: bp.P
 
 
 @pytest.mark.parametrize("allow_failed", [False, True])
-def test_a_plan_that_failed_without_a_motion_never_arrives(planar: bp.Plan, allow_failed: bool) -> None:
+def test_a_failed_plan_without_a_motion_is_always_refused(planar: bp.Plan, allow_failed: bool) -> None:
     alone = failed(planar, 1)
     servo = Servo(alone.robot, alone.scene, q=alone.trajectory.q[0])
     with pytest.raises(bp.InputError, match="plan: "):

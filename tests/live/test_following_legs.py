@@ -35,7 +35,7 @@ def done(backhoe: Robot) -> Plan:
     return found
 
 
-def test_what_is_there_for_one_leg_is_gone_when_the_next_is_followed(backhoe: Robot, done: Plan) -> None:
+def test_an_obstacle_of_one_leg_disappears_when_the_next_leg_begins(backhoe: Robot, done: Plan) -> None:
     servo = Servo(backhoe, done.scene, dt=0.02)
     seen: dict[bool, float] = {}
     with PlanFollower(servo, done) as follower:
@@ -50,7 +50,7 @@ def test_what_is_there_for_one_leg_is_gone_when_the_next_is_followed(backhoe: Ro
     assert seen[False] == pytest.approx(done.legs[1].begins, abs=0.05)
 
 
-def test_exports_say_the_leg_of_every_sample(done: Plan, tmp_path: Path) -> None:
+def test_exports_name_the_leg_of_every_sample(done: Plan, tmp_path: Path) -> None:
     export_plan(done, tmp_path / "plan.csv")
     rows = list(csv.DictReader((tmp_path / "plan.csv").read_text(encoding="utf-8").splitlines()))
     assert [row["leg"] for row in (rows[0], rows[done.legs[1].first], rows[-1])] == ["reach", "swing", "rest"]
@@ -61,7 +61,7 @@ def test_exports_say_the_leg_of_every_sample(done: Plan, tmp_path: Path) -> None
         assert arrays["leg_begins"].tolist() == [leg.first for leg in done.legs]
 
 
-def test_the_use_of_limits_goes_on_over_the_legs(done: Plan) -> None:
+def test_the_limit_usage_covers_all_legs(done: Plan) -> None:
     usage = limit_usage(done.problem, done.trajectory)
     assert np.all(np.diff(usage.moments.time) > 0.0)
     assert usage.moments.time[-1] == pytest.approx(done.trajectory.duration)

@@ -1,4 +1,4 @@
-"""Plans in which the machine carries something, followed live: the load counts while its leg lasts, and only then."""
+"""Following plans in which the machine carries something: the load counts in its leg only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DT = 0.02  # s
 
 
 def scene_of(carries: dict[str, Any] | None) -> Scene:
-    """Empty, laden and empty swings with the arm as it is."""
+    """An empty, a laden and an empty swing; the arm keeps its angles."""
     goals = [{"joints": POSTURE | {"swing": swing}} for swing in SWINGS[1:]]
     legs: list[dict[str, Any]] = [
         {"name": name, "goal": goal} for name, goal in zip(("there", "laden", "back"), goals, strict=True)
@@ -45,7 +45,7 @@ def with_rod(backhoe: Robot) -> Plan:
 
 
 class NoAnswer(Executor):
-    """Keeps what is asked of it, and never answers."""
+    """Keeps the arguments of its calls and never answers."""
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
@@ -62,17 +62,17 @@ def end_of_rod(robot: Robot, swing: float) -> np.ndarray:
 
 
 def wall_at(robot: Robot, swing: float) -> dict[str, Any]:
-    """A wall to the left at which the rod's end is at its clearance at `swing` [rad]."""
+    """A wall to the left, at its clearance from the rod's end at `swing` [rad]."""
     return WALL | {"point": [0.0, float(end_of_rod(robot, swing)[1]) + THICK + CLEAR, 0.0]}
 
 
 @pytest.mark.parametrize(("carries", "gets_there"), [(CARRIES, False), (None, True)])
-def test_a_rod_that_is_too_long_stops_at_the_wall(
+def test_a_rod_that_is_too_long_stops_the_machine_at_the_wall(
     backhoe: Robot, with_rod: Plan, carries: dict[str, Any] | None, gets_there: bool
 ) -> None:
-    """By hand: the rod's end comes to the wall at a swing of 0.2 rad, and the machine without it never does.
+    """By hand: the rod's end comes to the wall at a swing of 0.2 rad, and the machine without it does not stop.
 
-    The way round that is searched then is one for the machine with the rod.
+    The detour is searched for the machine with the rod.
     """
     found = with_rod if carries else planned(backhoe, None)
     servo = Servo(backhoe, found.scene, dt=DT)
@@ -96,9 +96,9 @@ def test_a_rod_that_is_too_long_stops_at_the_wall(
     assert nearest.margin >= 0.0
 
 
-def test_margins_are_those_of_the_machine_that_each_leg_is_proven_for(backhoe: Robot, with_rod: Plan) -> None:
+def test_margins_in_each_leg_are_those_of_the_machine_with_its_load(backhoe: Robot, with_rod: Plan) -> None:
     servo = Servo(backhoe, with_rod.scene, dt=DT)
-    servo.add(wall_at(backhoe, 0.37))  # near enough to be looked at, and never in the way
+    servo.add(wall_at(backhoe, 0.37))  # near enough to be checked, and never reached
     compared: dict[tuple[str, bool], int] = {}
     with PlanFollower(servo, with_rod) as follower:
         for _ in range(int(with_rod.trajectory.duration / DT) + 50):
@@ -121,7 +121,7 @@ def test_margins_are_those_of_the_machine_that_each_leg_is_proven_for(backhoe: R
 
 
 def test_pairs_and_distances_are_those_of_the_laden_machine(backhoe: Robot) -> None:
-    """Two loads in turn, and none: what counts is what `Proximity` has for that machine, pair by pair."""
+    """Two loads in turn, and none: as `Proximity` has them for that machine, pair by pair."""
     content = scene_of(CARRIES).to_dict()
     content["task"]["sequence"][2]["carries"] = {"name": "ball", "shape": "sphere", "radius": 0.4}
     content["obstacles"] = [
@@ -147,8 +147,8 @@ def test_pairs_and_distances_are_those_of_the_laden_machine(backhoe: Robot) -> N
             np.testing.assert_allclose(np.sort(found), np.sort(proximity.distances(q)), atol=2e-6)
 
 
-def test_what_a_load_would_touch_counts_from_the_step_on_in_which_it_comes(backhoe: Robot) -> None:
-    """The rod's end inside of a ball: the machine may only leave it, and is free again without the rod."""
+def test_a_load_counts_from_the_step_in_which_it_is_taken_up(backhoe: Robot) -> None:
+    """The rod's end is inside a ball: the machine may only leave it, and is free again without the rod."""
     scene = scene_of(CARRIES)
     servo = Servo(backhoe, scene, dt=DT)
     servo.add({"name": "ball", "shape": "sphere", "radius": 0.2, "position": end_of_rod(backhoe, -0.25).tolist()})
@@ -159,7 +159,7 @@ def test_what_a_load_would_touch_counts_from_the_step_on_in_which_it_comes(backh
     exact = Proximity(servo.robot, servo.snapshot()).tightest(held[-1].q)
     assert exact is not None
     assert (exact.link, exact.name) == ("rod", "ball")
-    assert held[-1].q[0] <= SWINGS[0] + 1e-6  # towards the ball it does not go
+    assert held[-1].q[0] <= SWINGS[0] + 1e-6  # it does not move towards the ball
     servo.carry(None)
     free = [servo.step(joint_velocity=[0.3, 0.0, 0.0, 0.0]) for _ in range(20)]
     gained = 20 * DT * servo.limits.acceleration[0]
@@ -168,6 +168,6 @@ def test_what_a_load_would_touch_counts_from_the_step_on_in_which_it_comes(backh
         servo.carry("nowhere")
 
 
-def test_a_servo_of_another_scene_does_not_know_the_load(backhoe: Robot, with_rod: Plan) -> None:
+def test_a_servo_whose_scene_lacks_the_load_is_refused(backhoe: Robot, with_rod: Plan) -> None:
     with pytest.raises(InputError, match="rod in leg 'laden'"):
         PlanFollower(Servo(backhoe, scene_of(None), dt=DT), with_rod)

@@ -1,4 +1,4 @@
-"""A follower and what is to be kept along its plan, where something stands in the way."""
+"""Following a plan with a kept pitch past an obstacle."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BAND = (-2.71, -2.69)
 
 
 class AtOnce(Executor):
-    """Runs what is asked of it before it answers."""
+    """Runs each call before it returns."""
 
     def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -46,13 +46,13 @@ def straight() -> bp.Trajectory:
 
 
 def ball_on(robot: bp.Robot, motion: bp.Trajectory, above: float) -> dict[str, Any]:
-    """In the middle of the tip's way, its centre `above` that [m]."""
+    """A ball at the middle of the tip's path, its centre `above` that [m]."""
     tip = bp.Kinematics(robot).at(motion.q[len(motion) // 2]).tip_position + np.array([0.0, 0.0, above])
     return {"name": "ball", "shape": "sphere", "radius": 0.15, "position": tip.tolist()}
 
 
 @pytest.mark.parametrize("above", [0.15])
-def test_a_follower_waits_rather_than_tips_the_bucket(backhoe: bp.Robot, above: float) -> None:
+def test_a_follower_waits_rather_than_tipping_the_bucket(backhoe: bp.Robot, above: float) -> None:
     """The ball pushes the bucket's side: sliding along it would tip the bucket by up to 10 degrees."""
     motion = straight()
     servo = bp.Servo(backhoe, level_scene(), 0.01)
@@ -70,8 +70,8 @@ def test_a_follower_waits_rather_than_tips_the_bucket(backhoe: bp.Robot, above: 
     assert any("would violate `keep`" in reason for reason in reasons)
 
 
-def test_a_way_back_loses_no_more_than_is_lost_already(backhoe: bp.Robot) -> None:
-    """The bucket stands 0.05 rad beyond the band: no further is it tipped."""
+def test_a_rejoining_motion_leaves_the_band_no_further_than_its_start(backhoe: bp.Robot) -> None:
+    """The bucket starts 0.05 rad outside the band and is tipped no further."""
     motion, scene = straight(), level_scene()
     servo = bp.Servo(backhoe, scene, 0.01)
     servo.add(ball_on(backhoe, motion, 0.1))
@@ -91,7 +91,7 @@ def test_a_way_back_loses_no_more_than_is_lost_already(backhoe: bp.Robot) -> Non
     assert np.max(np.abs(found.motion.q[:, 1:].sum(axis=1) + 2.7)) <= 0.06 + 1e-5
 
 
-def test_what_is_widened_holds_and_allows_no_more(backhoe: bp.Robot) -> None:
+def test_a_widened_band_just_includes_the_given_configuration(backhoe: bp.Robot) -> None:
     keep = keep_of(backhoe, level_scene())
     assert isinstance(keep, Keep)
     q = np.array([*A[:3], A[3] + 0.06])

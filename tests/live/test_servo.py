@@ -1,4 +1,4 @@
-"""The servo: no wish drives it into anything, and no wish stops it for good."""
+"""The servo: no wish drives the machine into an obstacle, and no wish stops it for good."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def site(robot: Robot, obstacles: list[dict[str, Any]], q: list[float] | None = 
 
 
 def least_margin(robot: Robot, scene: bp.Scene, q: Vector) -> float:
-    """Of all pairs, by Proximity, which shares nothing with the servo but coal."""
+    """The least margin of all pairs, by Proximity, which shares only coal with the servo."""
     proximity = Proximity(robot, build_obstacles(scene, robot))
     return float(np.min(proximity.distances(q) - proximity.clearance))
 
@@ -57,9 +57,8 @@ def least_margin(robot: Robot, scene: bp.Scene, q: Vector) -> float:
 # --- the braking path ---------------------------------------------------------------------
 
 
-def test_braking_path_by_hand() -> None:
-    """0.4 rad/s at 0.5 rad/s^2 takes 0.8 s; with a step of 0.1 s: e = 0.4 * (0.1 + 0.4) = 0.2 rad; the other in
-    proportion."""
+def test_a_braking_path_equals_the_hand_calculation() -> None:
+    """0.4 rad/s at 0.5 rad/s^2 takes 0.8 s; with 0.1 s steps: e = 0.4 * (0.1 + 0.4) = 0.2 rad; the other joint half."""
     path = BrakingPath(
         np.zeros(2), np.array([0.4, -0.2]), 0.1,
         acceleration=(0.5, 1.0), furthest=np.ones(2), turning=np.ones(2),
@@ -69,7 +68,7 @@ def test_braking_path_by_hand() -> None:
 
 
 @pytest.mark.parametrize("v", [[0.4, -0.2, 0.1], [-0.1, 0.7, 0.3], [0.2, 0.1, -0.7]])
-def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
+def test_the_derivative_of_the_paths_end_equals_central_differences(v: list[float]) -> None:
     def end(rates: Vector) -> Vector:
         return BrakingPath(
             np.zeros(3), rates, 0.01,
@@ -86,8 +85,8 @@ def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
     np.testing.assert_allclose(D, numeric, atol=1e-8)
 
 
-def test_braking_stays_on_the_path_that_was_proven() -> None:
-    """Step by step, in proportion, it ends before e and never leaves the line."""
+def test_braking_stays_on_the_proven_path() -> None:
+    """Braking step by step in proportion ends before e and never leaves the line."""
     rng = np.random.default_rng(3)
     for _ in range(12):
         v, acceleration, dt = rng.normal(size=4), rng.uniform(0.3, 3.0, 4), 0.001
@@ -106,8 +105,8 @@ def test_braking_stays_on_the_path_that_was_proven() -> None:
         assert 0.0 <= part[0] <= 1.0
 
 
-def test_no_point_bends_more_than_said(backhoe: Robot) -> None:
-    """Corners of every piece deviate from the chord by at most bend / 8, over random motions."""
+def test_no_corner_deviates_from_the_chord_by_more_than_its_bound(backhoe: Robot) -> None:
+    """At most bend / 8, for the corners of every piece over random motions."""
     rng = np.random.default_rng(4)
     separation = Separation(backhoe, self_collision=False)
     obstacle = build_obstacles(site(backhoe, [BALL]), backhoe)[0]
@@ -125,13 +124,13 @@ def test_no_point_bends_more_than_said(backhoe: Robot) -> None:
         bound = (separation.travel @ bend_weights(delta, separation.turning))[separation.classes[pairs]] / 8.0
         assert np.all(off <= bound + 1e-12)
         most = max(most, float(np.max(off / bound)))
-    assert most > 0.2  # the bound is not idle
+    assert most > 0.2  # the bound is not far too large
 
 
 # --- planes ---------------------------------------------------------------------------------
 
 
-def test_gaps_are_coals_distance_where_measured_and_never_more_elsewhere(any_robot: Robot) -> None:
+def test_gaps_equal_coals_distance_where_measured_and_never_exceed_it_elsewhere(any_robot: Robot) -> None:
     rng = np.random.default_rng(5)
     reach = 4.0 if any_robot.n == 4 else 0.8
     obstacles: list[dict[str, Any]] = [
@@ -164,7 +163,7 @@ def test_gaps_are_coals_distance_where_measured_and_never_more_elsewhere(any_rob
     assert touched > 0
 
 
-def test_rows_against_central_differences(any_robot: Robot) -> None:
+def test_constraint_rows_equal_central_differences(any_robot: Robot) -> None:
     rng = np.random.default_rng(6)
     reach = 4.0 if any_robot.n == 4 else 0.8
     ball = {"name": "ball", "shape": "sphere", "radius": 0.1 * reach, "position": [0.6 * reach, 0.2 * reach, 0.0]}
@@ -188,8 +187,8 @@ def test_rows_against_central_differences(any_robot: Robot) -> None:
         np.testing.assert_allclose(rows[:, joint], -(ahead - behind) / 2e-6, atol=1e-7)
 
 
-def test_a_path_is_never_said_to_be_clearer_than_it_is(backhoe: Robot) -> None:
-    """The proven bound against 60 configurations along the path, measured one by one."""
+def test_the_proven_bound_of_a_path_never_exceeds_its_measured_distance(backhoe: Robot) -> None:
+    """Against 60 configurations along the path, measured one by one."""
     rng = np.random.default_rng(7)
     scene = site(backhoe, [POST, BALL, {"name": "box", "shape": "box", "size": [1, 1, 1], "position": [3, 0.5, 1]}])
     built = build_obstacles(scene, backhoe)
@@ -238,7 +237,7 @@ def keeps_limits(servo: Servo, states: list[Any], before: Vector) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.long) for s in (1, 2))])
-def test_no_wish_drives_it_into_anything(backhoe: Robot, seed: int) -> None:
+def test_no_wish_drives_the_machine_into_an_obstacle(backhoe: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     wall = {"name": "wall", "shape": "box", "size": [0.2, 6.0, 4.0], "position": [5.2, 0.0, 0.0], "rpy": [0, 0, 0.2]}
     scene = site(backhoe, [POST, BALL, wall])
@@ -263,7 +262,7 @@ def test_no_wish_drives_it_into_anything(backhoe: Robot, seed: int) -> None:
     assert closest < 0.05
 
 
-def test_driven_at_full_speed_into_a_post_it_stops_before_it(backhoe: Robot) -> None:
+def test_a_machine_driven_at_full_speed_into_a_post_stops_before_it(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe, [POST]), 0.004)
     states = pushed(servo, {"joint_velocity": [0.8, 0.0, 0.0, 0.0]}, 750)
     keeps_limits(servo, states, np.zeros(4))
@@ -276,8 +275,8 @@ def test_driven_at_full_speed_into_a_post_it_stops_before_it(backhoe: Robot) -> 
     assert states[-1].nearest.obstacle == "post"
 
 
-def test_pushed_askew_into_a_wall_it_slides_along(backhoe: Robot) -> None:
-    """A wall across y: the wish's part along the wall goes on, the part into it does not."""
+def test_a_machine_driven_obliquely_into_a_wall_slides_along_it(backhoe: Robot) -> None:
+    """A wall across y: the part of the wish along the wall is followed, the part into it is not."""
     wall = {"name": "wall", "shape": "halfspace", "point": [0.0, 0.8, 0.0], "normal": [0.0, -1.0, 0.0]}
     servo = Servo(backhoe, site(backhoe, [wall]), 0.004)
     states = pushed(servo, {"tip_velocity": [-0.3, 0.4, 0.0]}, 625)
@@ -288,8 +287,8 @@ def test_pushed_askew_into_a_wall_it_slides_along(backhoe: Robot) -> None:
     assert least_margin(backhoe, site(backhoe, [wall]), states[-1].q) >= -1e-6
 
 
-def test_where_asked_for_it_goes_round(backhoe: Robot) -> None:
-    """Straight into a ball it stops; with circulation it comes past."""
+def test_circulation_leads_past_a_ball(backhoe: Robot) -> None:
+    """Driven straight at a ball, the machine stops; with circulation it passes."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.4, "position": [4.5, 0.7, -0.6]}
     after = {}
     for circulate in (False, True):
@@ -302,8 +301,8 @@ def test_where_asked_for_it_goes_round(backhoe: Robot) -> None:
 
 
 @pytest.mark.long
-def test_a_flat_wall_makes_no_chatter(backhoe: Robot) -> None:
-    """Pressed flat against a wall, the joints' rates change smoothly: no witness jumps from edge to edge."""
+def test_pressing_against_a_flat_wall_causes_no_chatter(backhoe: Robot) -> None:
+    """The joint rates change smoothly: no witness point jumps from edge to edge."""
     wall = {"name": "wall", "shape": "box", "size": [0.2, 8.0, 8.0], "position": [5.2, 0.0, 0.0]}
     servo = Servo(backhoe, site(backhoe, [wall]))
     states = pushed(servo, {"tip_velocity": [0.5, 0.0, 0.0]}, 2500)
@@ -317,7 +316,7 @@ def test_a_flat_wall_makes_no_chatter(backhoe: Robot) -> None:
 # --- obstacles come and go -------------------------------------------------------------------
 
 
-def test_what_appears_in_the_way_is_not_touched(backhoe: Robot) -> None:
+def test_an_obstacle_that_appears_ahead_is_not_touched(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe, []), 0.004)
     pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 125)
     servo.add(POST)
@@ -331,8 +330,8 @@ def test_what_appears_in_the_way_is_not_touched(backhoe: Robot) -> None:
     assert pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 50)[-1].v[0] > 0.05
 
 
-def test_it_evades_what_comes_nearer_with_no_wish_at_all(backhoe: Robot) -> None:
-    """A ball comes at the stick from the side at 0.15 m/s for 8 s: the arm swings away before it."""
+def test_the_machine_evades_an_approaching_obstacle_without_a_wish(backhoe: Robot) -> None:
+    """A ball approaches the stick from the side at 0.15 m/s for 8 s: the arm swings away from it."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [3.2, -1.2, 0.6], "velocity": [0, 0.15, 0]}
     servo = Servo(backhoe, site(backhoe, [ball]), 0.004)
     evading = 0
@@ -344,11 +343,11 @@ def test_it_evades_what_comes_nearer_with_no_wish_at_all(backhoe: Robot) -> None
             assert np.min(robot_alone.distances(state.q, time=servo.time) - robot_alone.clearance) > -1e-3
     assert evading > 25  # 0.1 s
     final = robot_alone.distances(np.array(STANDING), time=servo.time) - robot_alone.clearance
-    assert np.min(final) < -0.05  # had it stayed where it was
+    assert np.min(final) < -0.05  # had the arm stayed at its start
     np.testing.assert_allclose(servo.shift_of("ball"), [0.0, 1.2, 0.0], atol=1e-9)
 
 
-def test_moving_an_obstacle_moves_it(backhoe: Robot) -> None:
+def test_a_moved_obstacle_counts_at_its_new_place(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe, [BALL]), 0.004)
     servo.move("ball", [0.0, 0.6, 0.0])
     servo.step()
@@ -358,7 +357,7 @@ def test_moving_an_obstacle_moves_it(backhoe: Robot) -> None:
     assert 0.0 <= min(margins) < 0.1
 
 
-def test_a_scan_is_an_obstacle_and_is_replaced_by_the_next(backhoe: Robot) -> None:
+def test_a_scan_is_an_obstacle_until_the_next_of_its_name_replaces_it(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe, []), 0.004)
     cloud = np.random.default_rng(1).uniform(-0.3, 0.3, (300, 3))
     servo.add_points("scan", cloud + np.array([4.4, 3.0, -0.5]), resolution=0.1)
@@ -382,16 +381,16 @@ def test_a_scan_is_an_obstacle_and_is_replaced_by_the_next(backhoe: Robot) -> No
         lambda servo: servo.add_points("scan", [[1.0, 2.0]]),
     ],
 )
-def test_misuse_of_obstacles_is_said(backhoe: Robot, call: Any) -> None:
+def test_misuse_of_obstacles_is_refused(backhoe: Robot, call: Any) -> None:
     with pytest.raises(bp.InputError):
         call(Servo(backhoe, site(backhoe, [BALL])))
 
 
-# --- the way back ------------------------------------------------------------------------------
+# --- recovery ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_from_outside_a_limit_the_violation_shrinks_at_every_step(backhoe: Robot, side: float) -> None:
+def test_a_joint_limit_violation_shrinks_at_every_step(backhoe: Robot, side: float) -> None:
     limits = backhoe.limits
     q = np.array(STANDING)
     q[3] = limits.upper[3] + 0.1 if side > 0 else limits.lower[3] - 0.1
@@ -408,8 +407,8 @@ def test_from_outside_a_limit_the_violation_shrinks_at_every_step(backhoe: Robot
     assert outside <= 0.0
 
 
-def test_from_a_slide_far_outside_its_limit_nothing_is_swung_into(tmp_path: Path) -> None:
-    """A ball of 0.1 m, 1 m beyond its slide's limit, is swung at a post of 0.15 m that is clear of all within it."""
+def test_a_slide_far_outside_its_limit_is_not_swung_into_a_post(tmp_path: Path) -> None:
+    """A 0.1 m ball, 1 m beyond its slide's limit, swings at a 0.15 m post that no position within the limit reaches."""
     path = tmp_path / "slide.urdf"
     path.write_text(TURNING_SLIDE)
     robot, foot = bp.load_robot(path), 1.35 * np.array([np.cos(0.8), np.sin(0.8)])
@@ -427,7 +426,7 @@ def test_from_a_slide_far_outside_its_limit_nothing_is_swung_into(tmp_path: Path
 @pytest.mark.parametrize(
     "depth", [pytest.param(0.02, marks=pytest.mark.long), pytest.param(0.1, marks=pytest.mark.long), 0.2]
 )
-def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Robot, depth: float) -> None:
+def test_the_violation_inside_a_ball_shrinks_at_every_step(backhoe: Robot, depth: float) -> None:
     clear = bp.Kinematics(backhoe).at(np.array(STANDING)).tip_position
     centre = (clear + np.array([0.0, 0.0, depth - 0.3])).tolist()
     scene = site(backhoe, [{"name": "ball", "shape": "sphere", "radius": 0.3, "position": centre}])
@@ -448,8 +447,8 @@ def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Ro
 
 
 @pytest.mark.parametrize("dt", [1e-3, 1e-4, 1e-5])
-def test_the_way_out_of_an_obstacle_begins_in_short_steps_too(backhoe: Robot, dt: float) -> None:
-    """Beside a post near the swing axis, where a first step from rest gains some 1e-12 m in 10 us."""
+def test_the_way_out_of_an_obstacle_begins_even_with_short_time_steps(backhoe: Robot, dt: float) -> None:
+    """At a post near the swing axis, where the first step from rest gains about 1e-12 m in 10 us."""
     post = {"name": "post", "shape": "capsule", "from": [0.05, 0.22, 0.3], "to": [0.05, 0.22, 1.2], "radius": 0.02}
     scene = site(backhoe, [post], [0.0, 0.4, -1.6, -0.9], clearance=0.02)
     servo = Servo(backhoe, scene, dt=dt)
@@ -462,7 +461,7 @@ def test_the_way_out_of_an_obstacle_begins_in_short_steps_too(backhoe: Robot, dt
 
 
 def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity]:
-    """A random posture with a random obstacle over one of its joints or its tip."""
+    """A random configuration that violates its clearance from a random obstacle by 3 to 30 cm."""
     rng = np.random.default_rng([seed, 7])
     alone, kinematics = Proximity(robot), bp.Kinematics(robot)
     while True:
@@ -484,7 +483,7 @@ def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity
 
 # each shape with each kind of wish; scripts/study_servo.py --recoveries has many more
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 3, 4, 5, 8))])
-def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
+def test_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
     q, scene, proximity = started_inside(backhoe, seed)
     rng = np.random.default_rng(seed)
     wish = {"tip_velocity": rng.normal(size=3)} if seed % 2 else {"joint_velocity": rng.uniform(-1, 1, 4)}
@@ -504,7 +503,7 @@ def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: R
 
 @pytest.mark.long
 def test_a_post_through_the_machines_own_foot_never_gets_deeper(backhoe: Robot) -> None:
-    """A post up through the middle of the swing's body: whatever is wished, no step makes it more."""
+    """A vertical post through the middle of the swing's body: no step increases the violation."""
     post = {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.3, 0, -1.0], "to": [0.3, 0, 2.0]}
     scene = site(backhoe, [post])
     proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
@@ -518,8 +517,8 @@ def test_a_post_through_the_machines_own_foot_never_gets_deeper(backhoe: Robot) 
     assert deepest[-1] < deepest[0] - 0.01
 
 
-def test_the_way_back_is_the_best_there_is() -> None:
-    """Against a linear programme in (v, t), where no limit on the speed and no other row takes part."""
+def test_the_recovery_speed_is_optimal() -> None:
+    """Against a linear programme in (v, t), with neither a speed limit nor other rows."""
     rng = np.random.default_rng(8)
     for _ in range(200):
         rows, slack = rng.normal(size=(6, 4)), rng.uniform(0.0, 0.2, 6)
@@ -538,9 +537,9 @@ def test_the_way_back_is_the_best_there_is() -> None:
         assert speed == pytest.approx(best.x[4], abs=0.02 * scale)
 
 
-def test_gradients_of_inside_pairs_against_central_differences(backhoe: Robot) -> None:
+def test_gradients_of_penetrating_pairs_equal_central_differences(backhoe: Robot) -> None:
     checked = 0
-    for seed in range(0, 30, 3):  # round things, whose distance is smooth
+    for seed in range(0, 30, 3):  # spheres, whose distance is smooth
         q, scene, _ = started_inside(backhoe, seed)
         separation = Separation(backhoe, self_collision=False)
         pairs = separation.add(0, build_obstacles(scene, backhoe)[0])
@@ -562,7 +561,7 @@ def test_gradients_of_inside_pairs_against_central_differences(backhoe: Robot) -
 # --- commands ------------------------------------------------------------------------------------
 
 
-def test_without_a_command_it_stops_within_its_accelerations_and_goes_on_after(backhoe: Robot) -> None:
+def test_without_commands_the_machine_brakes_within_its_limits_and_resumes_afterwards(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe, []), watchdog=0.1)
     states = pushed(servo, {"joint_velocity": [0.3, 0.0, 0.0, 0.2]}, 800)
     before = states[-1].v
@@ -594,7 +593,7 @@ NONSENSE: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("wish", NONSENSE)
-def test_nonsense_counts_as_no_command(backhoe: Robot, wish: dict[str, Any]) -> None:
+def test_invalid_commands_bring_the_machine_to_rest(backhoe: Robot, wish: dict[str, Any]) -> None:
     servo = Servo(backhoe, site(backhoe, [BALL]), watchdog=0.05)
     pushed(servo, {"joint_velocity": [0.2, 0.0, 0.0, 0.0]}, 300)
     states = pushed(servo, wish, 1000)
@@ -604,7 +603,7 @@ def test_nonsense_counts_as_no_command(backhoe: Robot, wish: dict[str, Any]) -> 
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=0, max_size=5))
-def test_nothing_is_raised_whatever_is_wished(values: list[float]) -> None:
+def test_no_wish_raises_an_exception(values: list[float]) -> None:
     servo = _SHARED()
     state = servo.step(values)
     assert np.all(np.isfinite(state.q))
@@ -618,7 +617,7 @@ def _SHARED(made: list[Servo] = []) -> Servo:  # noqa: B006
     return made[0]
 
 
-def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
+def test_a_failing_law_makes_the_machine_brake_on_the_proven_path(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     servo = Servo(backhoe, site(backhoe, [POST]))
@@ -638,7 +637,7 @@ def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
     assert pushed(servo, {"tip_velocity": [0.0, -0.3, 0.0]}, 900)[-1].tip_velocity[1] < -0.1
 
 
-def test_activation_row_by_row_is_activation(backhoe: Robot) -> None:
+def test_the_scalar_activation_equals_the_vector_one(backhoe: Robot) -> None:
     law = CompletedLaw(backhoe, influence=0.3)
     margins = np.linspace(-0.1, 0.5, 61)
     expected = activation(margins, law.unity, law.influence)
@@ -646,8 +645,8 @@ def test_activation_row_by_row_is_activation(backhoe: Robot) -> None:
     np.testing.assert_allclose([law._activation(margin) for margin in margins.tolist()], expected, atol=1e-15)
 
 
-def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
-    """The closed form against the general one, near limits and obstacles too; both ways out of it are met."""
+def test_the_closed_form_for_one_redundant_joint_equals_the_general_law(backhoe: Robot) -> None:
+    """Also near limits and obstacles; both cases in which the closed form returns None occur."""
     rng = np.random.default_rng(12)
     law, kinematics = CompletedLaw(backhoe, influence=0.3), bp.Kinematics(backhoe)
     faster = bent = 0
@@ -678,7 +677,7 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
     assert law.wish_on_null_line(stretched.q, flat[:2], np.ones(2), nearby) is None
 
 
-def test_a_tip_that_is_wished_somewhere_goes_there(backhoe: Robot) -> None:
+def test_a_free_tip_moves_at_the_wished_velocity(backhoe: Robot) -> None:
     servo = Servo(backhoe, site(backhoe, []))
     state = pushed(servo, {"tip_velocity": [0.1, 0.1, 0.05], "pitch_rate": 0.05}, 1500)[-1]
     np.testing.assert_allclose(state.tip_velocity, [0.1, 0.1, 0.05], atol=2e-3)
@@ -696,7 +695,7 @@ def test_a_planar_arm_is_driven_in_its_plane(planar4: Robot) -> None:
 # --- force -------------------------------------------------------------------------------------
 
 
-def test_the_force_resists_what_is_refused_and_is_bounded() -> None:
+def test_the_force_opposes_the_refused_velocity_and_is_bounded() -> None:
     feedback = Feedback(0.001, largest=30.0)
     force = np.zeros(3)
     for _ in range(200):
@@ -709,7 +708,7 @@ def test_the_force_resists_what_is_refused_and_is_bounded() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 4))])
 def test_the_force_never_feeds_energy_to_the_hand(seed: int) -> None:
-    """Random motions of a hand that return to where they began, random refusals: the work is never above 1e-6 J."""
+    """Cyclic hand motions with random refusals: the work is never above 1e-6 J."""
     rng = np.random.default_rng(seed)
     feedback = Feedback(0.001)
     work, force, felt = 0.0, np.zeros(3), 0.0
@@ -727,17 +726,17 @@ def test_the_force_never_feeds_energy_to_the_hand(seed: int) -> None:
 @pytest.mark.parametrize(
     ("difference", "refused"),
     [
-        ([0.6, 0.0, 0.8], [0.6, 0.0, 0.8]),  # it stands: all of it
+        ([0.6, 0.0, 0.8], [0.6, 0.0, 0.8]),  # at rest: all of it
         ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
         ([0.6, 0.0, 0.0], [0.6, 0.0, 0.0]),  # it slides along a wall across x
         ([0.3, 0.0, -1.6], [0.3, 0.0, -0.1]),  # dragged up
-        ([1.2, 0.0, 1.6], [0.6, 0.0, 0.8]),  # it is driven back as fast as it should go: still no more than all
+        ([1.2, 0.0, 1.6], [0.6, 0.0, 0.8]),  # driven back at the wished speed: still no more than all
         ([-0.6, 0.0, -0.8], [0.0, 0.0, 0.0]),  # it goes twice as fast as wished
         ([0.3, 2.0, 0.4], [0.3, 0.5, 0.4]),  # dragged to the side
     ],
 )
-def test_what_is_refused_of_a_wish_by_hand(difference: list[float], refused: list[float]) -> None:
-    """A wish of 1 m/s along (0.6, 0, 0.8): the ball of its parts has its centre at (0.3, 0, 0.4), radius 0.5."""
+def test_the_refused_part_of_a_wish_equals_the_hand_calculation(difference: list[float], refused: list[float]) -> None:
+    """A wish of 1 m/s along (0.6, 0, 0.8): its parts form a ball of radius 0.5 about (0.3, 0, 0.4)."""
     found = refused_part(np.array([0.6, 0.0, 0.8]), np.array(difference))
     np.testing.assert_allclose(found, refused, atol=1e-12)
     assert not refused_part(np.zeros(3), np.array(difference)).any()

@@ -1,4 +1,4 @@
-"""The servo beside a scan: whatever it is told, it keeps the clearance from every voxel."""
+"""The servo near a scan: whatever the wish, it keeps the clearance from every voxel."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def ground_and_wall(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("tip_velocity", "seed"), [([0.0, 0.5, -0.3], 0), ([0.3, 0.0, -0.6], 1)])
-def test_driven_into_a_scan_it_stops_before_it(backhoe: Robot, tip_velocity: list[float], seed: int) -> None:
+def test_a_machine_driven_into_a_scan_stops_before_it(backhoe: Robot, tip_velocity: list[float], seed: int) -> None:
     servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
     servo.add_points("scan", ground_and_wall(np.random.default_rng(seed)), resolution=0.1)
     gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
@@ -59,13 +59,13 @@ def test_driven_into_a_scan_it_stops_before_it(backhoe: Robot, tip_velocity: lis
 @pytest.mark.parametrize(
     ("value", "said"), [(np.nan, "is not finite; found nan"), (-2000.0, "is too far away; found -2000")]
 )
-def test_a_point_of_no_site_is_named(backhoe: Robot, value: float, said: str) -> None:
+def test_an_invalid_scan_point_is_named(backhoe: Robot, value: float, said: str) -> None:
     servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
     with pytest.raises(InputError, match=f"points of a: point 2, coordinate 3: {said}; allowed: .* at most 1000 m"):
         servo.add_points("a", [[5.0, 0.0, 0.0], [5.0, 0.0, value]], resolution=0.1)
 
 
-def test_a_scan_that_is_moved_away_frees_the_way(backhoe: Robot) -> None:
+def test_a_scan_that_is_moved_away_no_longer_blocks(backhoe: Robot) -> None:
     servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
     servo.add_points("scan", ground_and_wall(np.random.default_rng(2)), resolution=0.1)
     for _ in range(300):
@@ -78,12 +78,12 @@ def test_a_scan_that_is_moved_away_frees_the_way(backhoe: Robot) -> None:
     assert servo.obstacles == ()
 
 
-def test_a_scan_that_comes_is_evaded(backhoe: Robot) -> None:
+def test_an_approaching_scan_is_evaded(backhoe: Robot) -> None:
     servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
     rng = np.random.default_rng(3)
     servo.add_points("truck", rng.uniform([3.0, 1.5, 0.0], [5.0, 2.0, 2.0], (30_000, 3)), resolution=0.1)
     gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
-    assert float(np.min(gauge.distances(np.array(START)))) > 0.9  # further away than boxes are found
+    assert float(np.min(gauge.distances(np.array(START)))) > 0.9  # beyond the distance within which boxes are searched
     servo.set_velocity("truck", [0.0, -0.15, 0.0])
     for _ in range(1000):
         state = servo.step([0.0, 0.0, 0.0])
@@ -93,7 +93,7 @@ def test_a_scan_that_comes_is_evaded(backhoe: Robot) -> None:
     assert float(np.min(gauge.distances(state.q))) > 0.0
 
 
-def test_it_rises_freely_from_ground_of_coarse_cells(backhoe: Robot, tmp_path: Path) -> None:
+def test_the_tip_rises_freely_from_coarse_ground_cells(backhoe: Robot, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "ground.csv", np.full((61, 61), -0.7), delimiter=",")  # cells of 0.4 m
     ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [24.0, 24.0]}
     servo = Servo(backhoe, scene_from_dict({**SCENE, "obstacles": [ground]}, folder=tmp_path), dt=0.01)
@@ -108,8 +108,8 @@ def test_it_rises_freely_from_ground_of_coarse_cells(backhoe: Robot, tmp_path: P
 
 
 @pytest.mark.long
-def test_on_the_way_down_to_rough_ground_nearly_every_braking_path_is_proven(backhoe: Robot, tmp_path: Path) -> None:
-    """Boxes of cells that were found far above the ground must not forbid the path that those of before allowed."""
+def test_nearly_every_braking_path_is_proven_during_descents_to_rough_ground(backhoe: Robot, tmp_path: Path) -> None:
+    """Boxes found far above the ground must not forbid a path that the previous ones allowed."""
     x, proven, steps = np.linspace(-6.0, 6.0, 241), 0, 0
     for seed, tip_velocity in ((20, [0.3, 0.0, -0.9]), (21, [0.0, 0.6, -0.6]), (22, [0.6, -0.4, -0.8])):
         rough = np.random.default_rng(seed).normal(0.0, 0.005, (len(x), len(x)))
@@ -126,10 +126,10 @@ def test_on_the_way_down_to_rough_ground_nearly_every_braking_path_is_proven(bac
     assert proven > 0.98 * steps
 
 
-def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
+def test_a_step_builds_no_grids_and_replaces_at_most_two_sets_of_boxes(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What takes tens of milliseconds is done before the first step, also where nothing was near then."""
+    """Work of tens of milliseconds is done before the first step, even where nothing was near at that time."""
     servo = Servo(backhoe, scene_from_dict(SCENE))
     below = np.array([0.0, 1.0, -1.0])
     servo.add_points("scan", below + ground_and_wall(np.random.default_rng(4)), resolution=0.1)
@@ -154,10 +154,8 @@ def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
     assert max(measured) <= 2
 
 
-def test_boxes_that_could_not_be_found_are_found_in_the_next_step(
-    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A fault in finding them must not let the machine go on with boxes that do not hold."""
+def test_a_failed_box_search_is_repeated_in_the_next_step(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a failed search the machine must not go on with boxes that no longer hold."""
     servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
     servo.add_points("scan", ground_and_wall(np.random.default_rng(5)), resolution=0.1)
     one = servo._separation.clusters[-1]
@@ -177,8 +175,8 @@ def test_boxes_that_could_not_be_found_are_found_in_the_next_step(
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.01])
-def test_no_link_comes_further_than_its_line_in_some_steps_and_braking_after_them(backhoe: Robot, dt: float) -> None:
-    """At any velocities that the accelerations allow, and wherever braking begins."""
+def test_a_links_motion_in_several_steps_and_braking_stays_within_its_bound(backhoe: Robot, dt: float) -> None:
+    """At all velocities that the accelerations allow, wherever braking begins."""
     servo, steps, rng = Servo(backhoe, scene_from_dict(SCENE), dt=dt), 10, np.random.default_rng(8)
     servo.add_points("scan", ground_and_wall(rng), resolution=0.1)
     separation, joints, at = servo._separation, servo._joints, Placements(backhoe, MOST_PARTS + 1)
@@ -201,7 +199,7 @@ def test_no_link_comes_further_than_its_line_in_some_steps_and_braking_after_the
         for _ in range(int(rng.integers(1, steps + 2))):
             v = v + push * joints.change * rng.uniform(0.9, 1.0)
             q = q + dt * v
-        for part in (0.0, 0.4, 1.0):  # of the braking way
+        for part in (0.0, 0.4, 1.0):  # of the braking distance
             after = q + part * 0.5 * joints.braking_time(v) * v
             for one, most, here in zip(separation.clusters, bound, corners, strict=True):
                 moved = float(np.linalg.norm(placed_corners(separation, one, at, after) - here, axis=1).max())
@@ -218,8 +216,8 @@ def placed_corners(separation: Separation, one: ClusterPairs, at: Placements, q:
     return np.asarray(one.own.hull @ T[:3, :3].T + T[:3, 3])
 
 
-def test_how_urgent_it_is_to_find_boxes_anew_by_hand() -> None:
-    """Of links with 25 cm left, inexact and moved, with nothing left, and not there."""
+def test_the_urgency_of_new_boxes_equals_the_hand_calculation() -> None:
+    """Four links: 25 cm left; inexact and moved; nothing left; not there."""
     found = box_urgency(
         np.array([[0.05, 0.05, 0.05, 0.05], [0.1, 0.1, 0.4, 0.4]]), np.full(4, 0.5), np.array([0.1, 0.1, 0.1, 0.1]),
         np.full(4, 0.1), np.zeros(4), np.array([1.0, 1.0, 1.0, 0.0]), np.zeros(4, dtype=np.intp),
@@ -235,16 +233,16 @@ def test_how_urgent_it_is_to_find_boxes_anew_by_hand() -> None:
         (0.0, 0.1, 0.0, 0.0),  # over the cell
         (0.06, 0.1, 0.0, 0.0),  # the cell is 0.1166 away, and 0.85 of that is 0.0991
         (0.07, 0.1, 0.0, 1.0),  # 0.85 of 0.1221 is 0.1038
-        (0.2, 0.2, 0.0, 0.0),  # further away than what is to be exact
-        (0.2, 0.2, -0.04, 0.0),  # no nearer on the way than what may hold it back
-        (0.2, 0.2, -0.06, 1.0),  # but it goes down
-        (0.2, 0.17, 0.0, 1.0),  # as near as the obstacle acts
+        (0.2, 0.2, 0.0, 0.0),  # beyond the distance that has to be exact
+        (0.2, 0.2, -0.04, 0.0),  # on its path still beyond the distance that may hold it back
+        (0.2, 0.2, -0.06, 1.0),  # on its path within that distance
+        (0.2, 0.17, 0.0, 1.0),  # so near that the obstacle acts
     ],
 )
-def test_boxes_are_still_exact_where_their_cell_is_hardly_further_away_by_hand(
+def test_boxes_stay_exact_where_their_cell_is_hardly_further_away(
     aside: float, height: float, ahead: float, expected: float
 ) -> None:
-    """A corner over a box with its face at z = 0, whose cell lies at the origin, and one of no known cell."""
+    """By hand: a corner over a box with its face at z = 0 and its cell at the origin, and a box of unknown cell."""
     T = np.tile(np.eye(4), (2, 2, 1, 1))
     T[0, 1, :3, 3] = aside, 0.0, height
     T[1, 1, :3, 3] = aside, 0.0, height + ahead
@@ -258,7 +256,7 @@ def test_boxes_are_still_exact_where_their_cell_is_hardly_further_away_by_hand(
         assert inexact.tolist() == [found]
 
 
-def test_which_plane_is_measured_anew_by_hand() -> None:
+def test_the_choice_of_the_plane_to_renew_equals_the_hand_calculation() -> None:
     """Pairs at 0.3, 0.05 and 0.18 m of margin that have moved by 5, 1 and 4 cm since they were measured."""
     pairs, distance, clearance = np.array([0, 1, 2]), np.array([1.4, 1.15, 1.28]), np.full(3, 0.1)
     renewed, classes, odometer = np.array([0.95, 0.99, 0.96]), np.zeros(3, dtype=np.intp), np.ones(1)
@@ -276,7 +274,7 @@ def test_which_plane_is_measured_anew_by_hand() -> None:
     assert chosen(nearest_first=True, far=True, close=0.01) == 2
 
 
-def test_how_far_a_link_is_from_where_its_boxes_were_found(backhoe: Robot) -> None:
+def test_a_swung_links_distance_from_the_place_of_its_boxes_is_the_chord(backhoe: Robot) -> None:
     """Turned by an angle about an axis, a point at a distance r from it has moved by 2 r sin(angle / 2)."""
     servo = Servo(backhoe, scene_from_dict(SCENE))
     servo.add_points("scan", ground_and_wall(np.random.default_rng(5)), resolution=0.1)
@@ -295,10 +293,10 @@ def test_how_far_a_link_is_from_where_its_boxes_were_found(backhoe: Robot) -> No
             assert far == pytest.approx(2.0 * from_axis * np.sin(abs(angle) / 2.0))
 
 
-def test_looked_at_now_and_then_pairs_are_as_if_looked_at_in_every_step(
+def test_checking_distant_pairs_less_often_hardly_changes_the_motion(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Further away than it warns, the servo asks what is near a few times less, and moves as if it had asked."""
+    """Beyond the warning distance the servo looks for near pairs less than half as often and moves nearly the same."""
     rng = np.random.default_rng(6)
     wishes = [rng.normal(0.0, 0.25, 3) for _ in range(6)]
     found = []
@@ -334,10 +332,10 @@ def test_looked_at_now_and_then_pairs_are_as_if_looked_at_in_every_step(
 
 
 @pytest.mark.parametrize("by_coal", [False, True])
-def test_boxes_found_bit_by_bit_are_those_found_at_once_and_bound_what_the_machine_comes_to(
+def test_boxes_found_bit_by_bit_cover_as_much_as_those_found_at_once_and_bound_distances(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch, by_coal: bool
 ) -> None:
-    """The machine moves on meanwhile: they are where they were asked for, and so is what they cover."""
+    """The machine moves meanwhile: boxes and covered distance belong to the configuration of the request."""
     if by_coal:
         monkeypatch.setattr(cluster, "boxes_of_voxels", lambda *_: None)
         monkeypatch.setattr(cluster, "boxes_of_cells", lambda *_: None)
@@ -355,7 +353,7 @@ def test_boxes_found_bit_by_bit_are_those_found_at_once_and_bound_what_the_machi
             covered, nearest = one.covered, one.nearest
             if one.was_inside or not bounds.search_boxes(one, at, reach=0.6):
                 continue
-            bounds.required[one.pairs] = -1.0  # where it has jumped to, nothing was proven before
+            bounds.required[one.pairs] = -1.0  # nothing was proven at the place that it has jumped to
             later, bits = q + rng.normal(0.0, 0.02, 4), 0
             at.place(0, later)
             bounds.advance(later - q, None)
@@ -374,10 +372,10 @@ def test_boxes_found_bit_by_bit_are_those_found_at_once_and_bound_what_the_machi
     assert several > 5 or not by_coal
 
 
-def test_boxes_that_hold_less_of_the_path_than_those_before_are_put_back(
+def test_new_boxes_that_prove_less_of_the_path_give_way_to_the_previous_ones(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Found bit by bit they are not due yet: those before still hold, and the machine does not brake for nothing."""
+    """Boxes found bit by bit are not due yet: the previous ones still hold, and the machine need not brake."""
     servo = Servo(backhoe, scene_from_dict(SCENE), self_collision=False)
     servo.add_points("scan", ground_and_wall(np.random.default_rng(7)), resolution=0.1)
     separation, bounds, at, q = servo._separation, servo._bounds, Placements(backhoe, 18), np.array(START)
@@ -403,7 +401,7 @@ def test_boxes_that_hold_less_of_the_path_than_those_before_are_put_back(
 
 
 @pytest.mark.parametrize("depth", [0.1, pytest.param(0.3, marks=pytest.mark.long)])
-def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: float) -> None:
+def test_a_machine_sunk_in_fine_ground_comes_up(backhoe: Robot, tmp_path: Path, depth: float) -> None:
     q = np.array([0.1, 0.1, -1.3, -0.8])
     data = backhoe.model.createData()
     pin.forwardKinematics(backhoe.model, data, q)
@@ -422,10 +420,7 @@ def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: 
 
 
 def slid_along_a_wall(backhoe: Robot, *, most: int = 330) -> Servo:
-    """It has slid along a wall of rough cells until it came to rest, or for 3.3 s; the clearance was kept.
-
-    most: steps of 10 ms.
-    """
+    """A servo after `most` steps of 10 ms of sliding along a wall of rough cells, in which it kept the clearance."""
     start = dict(zip(backhoe.joint_names, [0.0, 0.2, -1.3, -0.8], strict=True))
     servo = Servo(backhoe, scene_from_dict({**SCENE, "start": {"joints": start}}), dt=0.01)
     wall = np.random.default_rng(0).uniform([4.3, -3.0, -2.0], [4.4, 3.0, 1.0], (4000, 3))
@@ -442,10 +437,10 @@ def slid_along_a_wall(backhoe: Robot, *, most: int = 330) -> Servo:
 
 
 @pytest.mark.parametrize("places", [cluster_pairs.SLOTS, pytest.param(2, marks=pytest.mark.long)])
-def test_boxes_that_are_found_anew_do_not_lock_it_beside_the_cells(
+def test_new_boxes_do_not_lock_the_machine_next_to_the_cells(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch, places: int
 ) -> None:
-    """Also where there are so few of them that they are nearer than the cells wherever it stands."""
+    """Also with so few boxes that everywhere they are closer to the machine than the cells."""
     monkeypatch.setattr(cluster_pairs, "SLOTS", places)
     servo = slid_along_a_wall(backhoe)
     before = servo.q
@@ -455,10 +450,10 @@ def test_boxes_that_are_found_anew_do_not_lock_it_beside_the_cells(
     assert np.abs(state.q - before).max() > 0.02
 
 
-def test_boxes_that_proved_too_little_are_not_found_anew_in_every_step_of_braking(
+def test_insufficient_boxes_are_searched_again_only_every_tenth_step_while_braking(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A step of braking later they prove as little, and finding them takes ten times as long as a step."""
+    """After one step of braking they would prove as little, and a search takes as long as ten steps."""
     servo = slid_along_a_wall(backhoe, most=20)
     (one, *_), boxes = servo._separation.counting_clusters, servo._boxes
     found: list[int] = []
@@ -476,7 +471,7 @@ def test_boxes_that_proved_too_little_are_not_found_anew_in_every_step_of_brakin
     assert found[4:] == [200, 201, 202]
 
 
-def test_at_rest_beside_a_scan_it_evades_what_comes(backhoe: Robot) -> None:
+def test_a_machine_at_rest_next_to_a_scan_evades_an_approaching_person(backhoe: Robot) -> None:
     servo = slid_along_a_wall(backhoe)
     for _ in range(50):
         state = servo.step([0.0, 0.0, 0.0])

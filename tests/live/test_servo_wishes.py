@@ -1,4 +1,4 @@
-"""What the servo makes of a wish that joint limits or a surface leave only a part of."""
+"""Wishes that joint limits or surfaces allow only in part."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def driven(servo: Servo, wish: object, seconds: float) -> list[ServoState]:
 
 
 def test_a_joint_at_its_limit_does_not_let_the_others_run_away(backhoe: Robot) -> None:
-    """The stick at its limit, "in" is wished: the boom alone would let the tip fall at more than twice the speed."""
+    """The stick is at its limit and the wish is "in": the boom alone would drop the tip at over twice the speed."""
     servo = standing(backhoe, [0.0, -0.55, -0.1745, 0.68])
     states = driven(servo, [-0.6, 0.0, 0.0], 2.5)
     assert max(float(np.linalg.norm(state.tip_velocity)) for state in states) <= 0.6 * 1.02
@@ -57,11 +57,11 @@ def test_a_joint_at_its_limit_does_not_let_the_others_run_away(backhoe: Robot) -
 
 
 @pytest.mark.long
-def test_wishes_are_followed_better_than_by_standing_still(backhoe: Robot) -> None:
-    """Zero is always among the velocities to choose from, so that the nearest one is never farther from the wish.
+def test_wishes_are_followed_at_least_as_well_as_by_standing_still(backhoe: Robot) -> None:
+    """Zero is always an allowed velocity, so the nearest allowed one is never farther from the wish.
 
-    Nor faster: of a convex set that holds 0, the nearest point to a wish is no longer than the wish. Half a second is
-    left for what was begun in other directions to be braked.
+    Nor is it faster: in a convex set that contains 0, the point nearest to a wish is no longer than the wish. The
+    first half second is left for braking motions in other directions.
     """
     rng = np.random.default_rng(5)
     followed = 0
@@ -79,8 +79,8 @@ def test_wishes_are_followed_better_than_by_standing_still(backhoe: Robot) -> No
     assert followed > 1000
 
 
-def test_stretched_out_and_pulled_on_it_comes_to_rest(backhoe: Robot) -> None:
-    """The bucket does not pump to and fro for a tip that cannot go any further."""
+def test_a_stretched_arm_that_is_pulled_further_comes_to_rest(backhoe: Robot) -> None:
+    """The bucket does not swing to and fro when the tip cannot go any further."""
     servo = standing(backhoe, [0.0, 0.1, -0.3, 0.0])
     states = driven(servo, [0.6, 0.0, 0.0], 6.0)
     bucket = np.array([state.v[3] for state in states])
@@ -89,8 +89,8 @@ def test_stretched_out_and_pulled_on_it_comes_to_rest(backhoe: Robot) -> None:
     assert np.abs(states[-1].v).max() < 0.02
 
 
-def test_pressed_down_on_the_ground_it_stays_where_it_is(backhoe: Robot) -> None:
-    """With the stick on the ground a wish straight down leaves nothing to be done, and nothing is done."""
+def test_a_stick_pressed_onto_the_ground_stays_there(backhoe: Robot) -> None:
+    """With the stick on the ground no motion serves a wish straight down, and none is made."""
     ground = {"name": "ground", "shape": "halfspace", "point": [0, 0, 0], "normal": [0, 0, 1], "clearance": 0.0}
     servo = standing(backhoe, [0.0, 0.66, -2.0, -0.2], obstacles=[{**ground, "links": ["stick"]}])
     states = driven(servo, [0.0, 0.0, -0.4], 6.0)
@@ -103,8 +103,8 @@ def test_pressed_down_on_the_ground_it_stays_where_it_is(backhoe: Robot) -> None
     assert late[-1].status in (Status.SLIDING, Status.STOPPED)
 
 
-def test_pressed_against_a_wall_the_whole_command_is_refused_and_never_more(backhoe: Robot) -> None:
-    """All of 0.4 m/s straight into a wall, once the tip stands before it; none of it on the free way there."""
+def test_a_wall_refuses_the_whole_wish_into_it_and_never_more(backhoe: Robot) -> None:
+    """All of 0.4 m/s straight into a wall once the tip is at it; nothing on the free way there."""
     wall = {"name": "wall", "shape": "box", "size": [0.1, 5.0, 2.5], "position": [4.95, 0.0, -1.5], "clearance": 0.1}
     servo, wish = standing(backhoe, [0.0, 0.2, -1.3, -0.8], obstacles=[wall]), np.array([0.4, 0.0, 0.0])
     states = driven(servo, wish, 6.0)
@@ -124,8 +124,8 @@ def test_pressed_against_a_wall_the_whole_command_is_refused_and_never_more(back
     np.testing.assert_allclose(back[-1].refused, 0.0, atol=0.001)
 
 
-def test_a_machine_that_follows_little_of_its_wish_near_a_box_slides_along_it_or_stands(backhoe: Robot) -> None:
-    """The last of the way the wish itself gives way to the box, and the step is as wished."""
+def test_a_machine_near_a_box_that_refuses_its_wish_is_sliding_or_stopped(backhoe: Robot) -> None:
+    """Close to the box the wish itself is reduced, and the step follows what is left of it."""
     box: dict[str, object] = {"name": "box", "shape": "box", "size": [0.6, 3.0, 3.0], "position": [5.2, 0.0, 1.0]}
     servo = standing(backhoe, [0.0, 0.4, -1.6, -0.9], obstacles=[box], clearance=0.05)
     pressed = [state for state in driven(servo, [0.3, 0.0, 0.0], 9.6) if np.linalg.norm(state.refused) > 0.05]
@@ -135,8 +135,8 @@ def test_a_machine_that_follows_little_of_its_wish_near_a_box_slides_along_it_or
     assert min(state.margin for state in near) >= 0.0
 
 
-def test_nobody_who_asks_for_nothing_is_told_that_it_is_stopped(backhoe: Robot) -> None:
-    """Driven to a wall and let go of: at rest beside it, where the null space would lead away, nothing is held."""
+def test_a_zero_wish_is_not_reported_as_stopped(backhoe: Robot) -> None:
+    """Driven to a wall and released: at rest next to it, where the null space would lead away, nothing is held back."""
     wall = {"name": "wall", "shape": "box", "size": [0.1, 5.0, 2.5], "position": [4.95, 0.0, -1.5], "clearance": 0.1}
     servo = standing(backhoe, [0.0, 0.2, -1.3, -0.8], obstacles=[wall])
     pressed = driven(servo, [0.4, 0.0, 0.0], 4.5)
@@ -148,8 +148,8 @@ def test_nobody_who_asks_for_nothing_is_told_that_it_is_stopped(backhoe: Robot) 
     assert silent[-1].command is Command.TIMED_OUT
 
 
-def test_a_machine_that_begins_to_move_or_creeps_is_not_stopped(backhoe: Robot) -> None:
-    """Slower than what counts as standing: after 4 ms at 0.2 rad/s^2, and where 0.2 mm/s are asked of a free tip."""
+def test_a_machine_that_starts_or_creeps_is_not_reported_as_stopped(backhoe: Robot) -> None:
+    """Slower than the threshold for standing: after 4 ms at 0.2 rad/s^2, and at a wish of 0.2 mm/s for a free tip."""
     slow = {"acceleration": dict.fromkeys(backhoe.joint_names, 0.2)}
     servo = standing(backhoe, [0.0, 0.3, -0.9, -0.5], limits=slow)
     for wish in (2e-4, 0.3):
@@ -158,9 +158,7 @@ def test_a_machine_that_begins_to_move_or_creeps_is_not_stopped(backhoe: Robot) 
         np.testing.assert_allclose(states[-1].tip_velocity, [wish, 0.0, 0.0], atol=1e-6)
 
 
-def test_where_boxes_are_missing_a_machine_is_held_only_where_it_is_asked_to_move(
-    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_boxes_stop_only_a_machine_with_a_wish(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     servo = standing(backhoe, [0.0, 0.3, -0.9, -0.5])
     servo.add_points("scan", np.random.default_rng(0).uniform([-2.0, -4.0, 0.0], [2.0, -3.0, 1.0], (1000, 3)))
     monkeypatch.setattr(servo._boxes, "renew", lambda *_: False)
@@ -171,14 +169,14 @@ def test_where_boxes_are_missing_a_machine_is_held_only_where_it_is_asked_to_mov
     assert servo.last_error is None
 
 
-def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
+def test_a_machine_with_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
     """A bar of 1 m on a hinge 0.2 m up; the ball is half a metre out and up from there."""
     (tmp_path / "gate.urdf").write_text(ONE_HINGE)
     robot = bp.load_robot(tmp_path / "gate.urdf")
     ball = {"name": "ball", "shape": "sphere", "radius": 0.05, "position": [0.5, 0.0, 0.7]}
     servo = standing(robot, [0.0], obstacles=[ball])
     forth = driven(servo, [0.3, 0.0, 0.0], 6.0)
-    # the bar's long side is 0.04 m from its middle line, and 0.05 + 0.05 m are to be kept
+    # half the bar's width is 0.04 m, the ball's radius 0.05 m and the clearance 0.05 m
     touching = 0.25 * math.pi - math.asin((0.04 + 0.05 + 0.05) / math.hypot(0.5, 0.5))
     assert touching - 0.05 < forth[-1].q[0] <= touching
     back = driven(servo, [-0.3, 0.0, 0.0], 3.0)
@@ -188,8 +186,8 @@ def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("is_beside_a_wall", [False, True])
-def test_rounding_decides_nothing(backhoe: Robot, seed: int, *, is_beside_a_wall: bool) -> None:
-    """Two machines that stand 1e-13 rad apart go alike, also where joints change by all they can, or slide."""
+def test_rounding_errors_do_not_change_the_motion(backhoe: Robot, seed: int, *, is_beside_a_wall: bool) -> None:
+    """Two machines that start 1e-13 rad apart move alike, also at full acceleration and while sliding."""
     wall = {"name": "wall", "shape": "halfspace", "point": [0.0, 0.8, 0.0], "normal": [0.0, -1.0, 0.0]}
     start = np.array([0.0, 0.3, -0.9, -0.5])
     one, other = (
@@ -215,8 +213,8 @@ def within_bounds(work: StepWork) -> bool:
     )
 
 
-def test_the_work_of_a_step_is_bounded_however_much_is_near(backhoe: Robot) -> None:
-    """A wall of a thousand voxels, long steps: all of it may be met in one, and only the tightest rows are kept."""
+def test_the_work_of_a_step_is_bounded_near_many_voxels(backhoe: Robot) -> None:
+    """A wall of hundreds of voxels and long steps: one step may reach all of it; only the tightest rows are kept."""
     servo = standing(backhoe, [0.0, 0.3, -0.9, -0.5])
     rng = np.random.default_rng(2)
     cloud = np.array([3.6, 0.9, -1.6]) + rng.uniform(0.0, 1.0, (600, 3)) * [1.8, 0.6, 1.6]
@@ -257,9 +255,9 @@ def stones_around(robot: Robot, q: list[float], count: int, rng: np.random.Gener
 
 
 def test_the_work_of_a_step_is_bounded_between_hundreds_of_obstacles(panda: Robot) -> None:
-    """Whichever way the arm goes, corners of most of its links come too close to many things at once.
+    """In every direction, corners of most links come too close to many obstacles at once.
 
-    Every corner in reach was a row once: 1,937 rows in one problem.
+    With every corner in reach as a row, one problem had 1,937 rows.
     """
     robot = panda.with_tip("panda_hand")
     q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]
@@ -282,8 +280,8 @@ def test_the_work_of_a_step_is_bounded_between_hundreds_of_obstacles(panda: Robo
 
 
 @pytest.mark.parametrize("clearance", [0.05, pytest.param(0.3, marks=pytest.mark.long), 0.5])
-def test_the_work_of_a_step_is_bounded_as_somebody_walks_into_the_machine(panda: Robot, clearance: float) -> None:
-    """Somebody of 0.25 m radius comes at 0.4 m/s and walks through the arm: nothing that moves away helps."""
+def test_the_work_of_a_step_is_bounded_while_a_person_walks_into_the_machine(panda: Robot, clearance: float) -> None:
+    """A person of 0.25 m radius walks through the arm at 0.4 m/s: no evasion is enough."""
     robot = panda.with_tip("panda_hand")
     q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]
     person = {
@@ -298,12 +296,12 @@ def test_the_work_of_a_step_is_bounded_as_somebody_walks_into_the_machine(panda:
         assert within_bounds(servo.work)
         most = max(most, servo.work.rows)
     assert servo.last_error is None
-    assert most > 10  # it was in the way
+    assert most > 10  # the person was in the way
 
 
 @pytest.mark.parametrize("clearance", [0.05, pytest.param(0.3, marks=pytest.mark.long)])
-def test_between_somebody_and_a_post_every_step_is_proven(panda: Robot, clearance: float) -> None:
-    """Standing still keeps clear of the post: somebody who walks into the arm must not weigh against that."""
+def test_every_step_between_a_person_and_a_post_is_proven(panda: Robot, clearance: float) -> None:
+    """Standing still keeps clear of the post; a person who walks into the arm must not outweigh that."""
     robot = panda.with_tip("panda_hand")
     q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]
     post = {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.4, 0.75, 0.0], "to": [0.4, 0.75, 1.5]}
@@ -323,8 +321,8 @@ def test_between_somebody_and_a_post_every_step_is_proven(panda: Robot, clearanc
     assert bp.Proximity(robot, bp.build_obstacles(servo.scene, robot)).distances(servo.q).min() > 0.0
 
 
-def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
-    """The rates of all joints may come to 0.4 rad/s: also where a post holds the swing and the others go on."""
+def test_joints_that_share_a_pump_are_slowed_together(backhoe: Robot) -> None:
+    """The joint rates may add up to 0.4 rad/s, also where a post stops the swing and the others go on."""
 
     def load(_: np.ndarray, v: np.ndarray) -> float:
         return float(np.abs(v).sum()) / 0.4
@@ -336,13 +334,13 @@ def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
     assert max(float(np.abs(state.v).sum()) for state in free) > 0.5
     assert max(float(np.abs(state.v).sum()) for state in shared) < 0.42
     assert min(state.margin for state in shared) >= 0.0
-    # the same way, only slower
+    # in the same direction, only slower
     along = np.array([state.tip_velocity for state in shared[200:400]])
     np.testing.assert_allclose(along[:, 2], 0.0, atol=0.02)
     assert np.all(along[:, 1] > 0.1)
 
 
-def test_a_load_that_writes_on_what_it_is_given_changes_nothing(backhoe: Robot) -> None:
+def test_a_load_function_that_overwrites_its_arguments_changes_nothing(backhoe: Robot) -> None:
     def load(q: np.ndarray, v: np.ndarray) -> float:
         q[:] = 9.0
         v[:] = 9.0
@@ -354,8 +352,8 @@ def test_a_load_that_writes_on_what_it_is_given_changes_nothing(backhoe: Robot) 
     np.testing.assert_allclose(state.q, start, atol=0.01)
 
 
-def test_the_problem_of_a_step_by_hand() -> None:
-    """Two joints that move the tip alike: of the target the tip's 0.6 m/s are asked, of each joint only a little."""
+def test_the_velocity_program_equals_the_hand_calculation() -> None:
+    """Two joints that move the tip alike: the tip's 0.6 m/s count fully, each joint's target only a little."""
     none, wide = np.zeros(2), np.full(2, 10.0)
     within = VelocityRange(-wide, wide, -wide, wide, look=0.1, cuts_wish=False)
     target = np.array([0.4, 0.2])
@@ -380,14 +378,14 @@ def test_the_problem_of_a_step_by_hand() -> None:
     [
         ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), True, (1.0, 0.0, 1.0)),  # straight into a wall: up, if it can
         ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), False, (1.0, 1.0, 0.0)),
-        ((1.0, 0.1, 0.0), (0.0, -1.0, 0.0), True, (1.0, -0.9, 0.0)),  # almost: as before
-        ((1.0, 0.5, 0.0), (0.0, -1.0, 0.0), True, (1.0, 1.5, 0.0)),  # where the wish itself says
+        ((1.0, 0.1, 0.0), (0.0, -1.0, 0.0), True, (1.0, -0.9, 0.0)),  # nearly straight: to the previous side
+        ((1.0, 0.5, 0.0), (0.0, -1.0, 0.0), True, (1.0, 1.5, 0.0)),  # to the wish's own side
     ],
 )
-def test_what_goes_into_a_wall_is_turned_along_it_by_hand(
+def test_a_wish_into_a_wall_is_turned_along_it(
     wish: tuple[float, ...], sense: tuple[float, ...], rises: bool, expected: tuple[float, ...]
 ) -> None:
-    """A wall across x."""
+    """By hand, at a wall across x."""
     found, along = turn_along_surface(np.array(wish), np.array([1.0, 0.0, 0.0]), np.array(sense), rises)
     assert found == pytest.approx(np.array(expected))
     assert along == pytest.approx(np.array(expected) - wish)

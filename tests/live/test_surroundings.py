@@ -1,4 +1,4 @@
-"""Obstacles that come, go and move while the servo runs: what is known of them stays in order."""
+"""Obstacles that come, go and move while the servo runs: the records of them stay consistent."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def servo(backhoe: Robot) -> Servo:
     return Servo(backhoe, bp.scene_from_dict({**content, "clearance": 0.05}), dt=0.005)
 
 
-def test_what_moves_can_be_taken_away_and_the_others_move_on(servo: Servo) -> None:
+def test_moving_obstacles_can_be_removed_and_the_others_keep_moving(servo: Servo) -> None:
     for number in range(6):
         servo.add(
             {**BALL, "name": f"ball {number}", "velocity": [0.0, 0.01 * number, 0.0], "position": [0, 9 + number, 0]}
@@ -37,8 +37,8 @@ def test_what_moves_can_be_taken_away_and_the_others_move_on(servo: Servo) -> No
     np.testing.assert_allclose(servo.shift_of("ball 3"), [0.0, 2 * 0.005 * 0.03, 0.0], atol=1e-15)
 
 
-def test_obstacles_of_a_scene_are_taken_in_at_once(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many there are, all pairs are looked through equally often; what comes out is as if one came by one."""
+def test_obstacles_of_a_scene_are_added_in_one_pass(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The number of passes over all pairs does not depend on theirs; the result is that of adding them one by one."""
     looked_through: list[int] = []
     refresh = Separation._refresh
 
@@ -72,7 +72,7 @@ def test_obstacles_of_a_scene_are_taken_in_at_once(backhoe: Robot, monkeypatch: 
     assert few.last_error is many.last_error is None
 
 
-def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Servo) -> None:
+def test_an_obstacle_yet_to_appear_reserves_its_name_and_can_be_removed(servo: Servo) -> None:
     servo.add({**BALL, "appears_at": 0.02})
     with pytest.raises(bp.InputError, match="is the name of an obstacle"):
         servo.add(BALL)
@@ -86,7 +86,7 @@ def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Ser
     assert servo.obstacles == ()
 
 
-def test_only_a_scan_is_replaced_by_a_scan(servo: Servo) -> None:
+def test_a_scan_replaces_only_another_scan(servo: Servo) -> None:
     servo.add(BALL)
     with pytest.raises(bp.InputError, match="an obstacle that is no scan"):
         servo.add_points("ball", np.zeros((0, 3)))
@@ -110,13 +110,13 @@ def test_only_a_scan_is_replaced_by_a_scan(servo: Servo) -> None:
         ({"name": None}, "name"),
     ],
 )
-def test_a_scan_that_would_be_no_obstacle_is_refused(servo: Servo, keys: dict[str, Any], word: str) -> None:
+def test_an_invalid_scan_is_refused(servo: Servo, keys: dict[str, Any], word: str) -> None:
     with pytest.raises(bp.InputError, match=word):
         servo.add_points(**{"name": "scan", "points": [[4.0, 3.0, 0.0]], **keys})
     assert servo.obstacles == ()
 
 
-def test_nothing_is_moved_out_of_the_world(servo: Servo) -> None:
+def test_a_move_out_of_the_allowed_range_is_refused(servo: Servo) -> None:
     servo.add(BALL)
     servo.move("ball", [900.0, 0.0, 0.0])
     with pytest.raises(bp.InputError, match="by"):
@@ -127,12 +127,12 @@ def test_nothing_is_moved_out_of_the_world(servo: Servo) -> None:
 @pytest.mark.parametrize(
     "keys", [{"dt": 0.0}, {"dt": math.nan}, {"dt": "a"}, {"dt": 10.0}, {"watchdog": math.nan}, {"watchdog": -1.0}]
 )
-def test_a_servo_has_a_step_and_a_watchdog_that_can_be(servo: Servo, keys: dict[str, Any]) -> None:
+def test_an_invalid_step_or_watchdog_is_refused(servo: Servo, keys: dict[str, Any]) -> None:
     with pytest.raises(bp.InputError, match=next(iter(keys))):
         Servo(servo.robot, servo.scene, **keys)
 
 
-def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_of_a_failed_step_is_kept(servo: Servo, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of the test")
 
@@ -150,8 +150,8 @@ def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_whatever_comes_and_goes_the_books_agree(servo: Servo, seed: int) -> None:
-    """Every per-pair array stays as long as there are pairs, and obstacles stand where their own motion says."""
+def test_records_stay_consistent_while_obstacles_come_move_and_go(servo: Servo, seed: int) -> None:
+    """Every per-pair array has one entry per pair, and obstacles are where their own motion puts them."""
     rng = np.random.default_rng(seed)
     there: dict[str, np.ndarray] = {}
     speed: dict[str, np.ndarray] = {}
