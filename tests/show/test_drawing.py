@@ -1,4 +1,4 @@
-"""What is drawn: names, shells, camera, messages. None of it needs a browser."""
+"""Drawing without a browser: names, shells, camera, messages."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from backhoe_planner.site import build_obstacles, scene_from_dict
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 
 
-def test_a_name_is_one_level_of_the_tree() -> None:
+def test_a_node_name_is_one_level_of_the_tree() -> None:
     assert "/" not in node_name("a/b")
     assert node_name("  ") == "_"
     assert node_name("__proto__") != "__proto__"
@@ -70,7 +70,7 @@ def test_the_shell_of_a_box_is_the_clearance_away(clearance: float) -> None:
     assert shell.volume == pytest.approx(exact, rel=0.01)
 
 
-def test_a_capsule_has_its_volume() -> None:
+def test_a_drawn_capsule_has_its_volume() -> None:
     drawn = solid(shapes.capsule(0.2, 1.5, pin.SE3.Identity()))
     assert drawn.volume == pytest.approx(np.pi * 0.04 * 1.5 + 4.0 / 3.0 * np.pi * 0.008, rel=0.02)
 
@@ -85,7 +85,9 @@ def test_a_box_keeps_its_edges_and_a_ball_is_smooth() -> None:
 
 
 @pytest.mark.parametrize(("roughness", "walls"), [(0.06, 0), (0.0, 2 * 4 * 11)])
-def test_ground_is_seen_from_above_and_has_no_edges_but_walls(tmp_path: Path, roughness: float, walls: int) -> None:
+def test_ground_is_drawn_from_above_with_sharp_edges_only_at_walls(
+    tmp_path: Path, roughness: float, walls: int
+) -> None:
     """20 x 20 cells: rough ones that meet at up to 60 degrees, or a pit, 2 m deep, between upright walls."""
     heights = roughness * np.random.default_rng(2).normal(size=(21, 21))
     if walls:
@@ -107,7 +109,7 @@ def test_ground_is_seen_from_above_and_has_no_edges_but_walls(tmp_path: Path, ro
 
 
 @pytest.mark.parametrize(("depth", "is_drawn"), [(0.5, False), (0.0, True)])
-def test_no_level_ground_is_drawn_over_scanned_ground(
+def test_level_ground_is_not_drawn_over_lower_scanned_ground(
     backhoe: Robot, tmp_path: Path, depth: float, is_drawn: bool
 ) -> None:
     """Points within 3 m of (4, 0): a heap on ground `depth` below the machine's, which a sheet would hide."""
@@ -140,14 +142,14 @@ def test_a_tube_follows_its_line() -> None:
     assert len(tube(np.zeros((4, 3)), 0.05, tolerance=0.003).faces) > 0
 
 
-def test_margin_colours() -> None:
+def test_margin_colours_saturate_at_both_ends() -> None:
     assert margin_rgb(-0.1, 0.6) == margin_rgb(0.0, 0.6) == TIGHT
     assert margin_rgb(0.3, 0.6) == margin_rgb(9.0, 0.6) == FAR
 
 
 @pytest.mark.parametrize("aspect", [0.6, 1.0, 1.7, 2.4])
 @pytest.mark.parametrize("ceiling", [None, 4.0])
-def test_every_point_is_in_view(aspect: float, ceiling: float | None) -> None:
+def test_the_camera_has_every_point_in_view(aspect: float, ceiling: float | None) -> None:
     points = np.random.default_rng(3).uniform([-4, -2, -1], [6, 5, 3], size=(200, 3))
     view = frame(points, side=1.0, ceiling=ceiling)
     eye = view.eye(aspect)
@@ -162,8 +164,8 @@ def test_every_point_is_in_view(aspect: float, ceiling: float | None) -> None:
     assert view.direction[1] > 0.0
 
 
-def test_a_box_hides_what_is_behind_it_alone() -> None:
-    """Seen from the origin its near face, 1 m wide and 2 m away, covers what is 3 m wide at 6 m."""
+def test_a_box_hides_only_what_is_behind_it() -> None:
+    """Seen from the origin, its near face, 1 m wide and 2 m away, hides a width of 3 m at 6 m."""
     boxes, eye = np.array([[[2.0, -0.5, -1.0], [2.5, 0.5, 1.0]]]), np.zeros(3)
     points = np.array([[6.0, y, 0.0] for y in (-3.0, -1.6, -1.4, 0.0, 1.4, 1.6, 3.0, 9.0)])
     assert part_behind(boxes, points, eye) == 3 / 8
@@ -175,7 +177,7 @@ def test_a_box_hides_what_is_behind_it_alone() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_camera_goes_to_where_the_machine_is_seen(side: float) -> None:
+def test_the_camera_takes_the_side_from_which_the_machine_is_visible(side: float) -> None:
     points = np.random.default_rng(4).uniform([-2, -1, 0], [4, 1, 2], size=(60, 3))
     left = np.array([[-9.0, 1.5, 0.0], [9.0, 1.8, 6.0]])
     right = np.array([[-9.0, -1.8, 0.0], [9.0, -1.5, 6.0]])
@@ -191,7 +193,7 @@ def test_the_camera_goes_to_where_the_machine_is_seen(side: float) -> None:
     assert seen([left, right])[1] < 0.5 * blind
 
 
-def test_of_several_messages_about_one_thing_the_last_is_kept() -> None:
+def test_only_the_last_message_about_a_node_is_kept() -> None:
     display = Display()
     node = display.visualizer()["machine"]["boom"]
     for x in (1.0, 2.0):
@@ -214,7 +216,7 @@ def test_a_track_is_packed_as_32_bit_numbers() -> None:
     np.testing.assert_array_equal(np.frombuffer(track["values"].data, "<f4").reshape(2, 3), values)
 
 
-def test_the_machine_is_drawn_where_pinocchio_says(backhoe: Robot) -> None:
+def test_links_are_drawn_where_pinocchio_places_them(backhoe: Robot) -> None:
     scene = scene_from_dict({"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}})
     display = Display()
     graph = SceneGraph(display.visualizer(), build_problem(backhoe, scene))
@@ -232,7 +234,7 @@ def test_the_machine_is_drawn_where_pinocchio_says(backhoe: Robot) -> None:
     assert graph.warnings == ()
 
 
-def test_every_goal_of_a_list_is_drawn_and_joints_as_the_tips_frame_there(backhoe: Robot) -> None:
+def test_every_goal_is_drawn_and_a_joint_goal_as_the_tips_frame(backhoe: Robot) -> None:
     goals = [{"position": [3.0, 1.0, 0.0]}, {"position": [3.0, -1.0, 0.0], "pitch": [-2.0, -1.5]}, {"joints": START}]
     scene = scene_from_dict({"version": 1, "start": {"joints": START}, "task": {"goal": goals}})
     display = Display()
@@ -243,7 +245,7 @@ def test_every_goal_of_a_list_is_drawn_and_joints_as_the_tips_frame_there(backho
     assert any(path.startswith("/task/goal 2/pitch") for path in drawn)
 
 
-def test_a_timeline_ends_with_the_motion_and_knows_what_is_near(backhoe: Robot) -> None:
+def test_a_timeline_ends_with_the_motion_and_has_the_nearest_points(backhoe: Robot) -> None:
     scene = scene_from_dict(
         {
             "version": 1,
@@ -268,7 +270,7 @@ def test_a_timeline_ends_with_the_motion_and_knows_what_is_near(backhoe: Robot) 
     assert spot.margin == pytest.approx(spot.distance - 0.1)
 
 
-def test_a_mesh_that_cannot_be_read_is_replaced_and_said(tmp_path: Path) -> None:
+def test_an_unreadable_mesh_is_replaced_and_reported(tmp_path: Path) -> None:
     (tmp_path / "broken.dae").write_text("this is not a mesh")
     (tmp_path / "arm.urdf").write_text(
         """<robot name="arm"><link name="base"/>

@@ -1,4 +1,4 @@
-"""The page of a job: what it is told, and how it plays in a real browser."""
+"""The page of a job: its content, and how it plays in a real browser."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def test_the_parts_follow_each_other_over_the_whole_job(plan: JobPlan) -> None:
         assert np.abs(frames.timeline.q[frame] - leg.trajectory.q[0]).max() < 0.05
 
 
-def test_the_changes_one_after_the_other_make_the_ground_at_the_end(plan: JobPlan) -> None:
-    """And so do those of how much loose soil covers it: wholly from 4 cm on."""
+def test_the_changes_in_order_lead_to_the_final_ground(plan: JobPlan) -> None:
+    """And to its final cover of loose soil, which is complete from 4 cm on."""
     heights = unpacked(start_of(plan.start)["heights"], "<i2").astype(float)
     cover = unpacked(start_of(plan.start)["loose"], "u1").astype(float)
     changes = changes_of(plan, job_parts(plan))
@@ -56,7 +56,7 @@ def test_the_changes_one_after_the_other_make_the_ground_at_the_end(plan: JobPla
         columns = unpacked(change["columns"], "<u4")
         heights[columns] = unpacked(change["heights"], "<i2")
         cover[columns] = unpacked(change["loose"], "u1")
-    assert np.abs(heights - 1000.0 * plan.end.surface.ravel()).max() <= 1.01  # they are told to the millimetre
+    assert np.abs(heights - 1000.0 * plan.end.surface.ravel()).max() <= 1.01  # to the millimetre
     loose = plan.end.loose.ravel()
     told = loose > 5e-4  # less than that is no change
     assert told.any()
@@ -64,8 +64,8 @@ def test_the_changes_one_after_the_other_make_the_ground_at_the_end(plan: JobPla
 
 
 @pytest.mark.long
-def test_the_section_runs_along_the_trench_and_has_the_pipe_in_it(plan: JobPlan) -> None:
-    """From 0.6 m before the nearer end, at x = 3.2: so the pipe across x = 3.6 is 1 m along it."""
+def test_the_section_runs_along_the_trench_and_contains_the_pipe(plan: JobPlan) -> None:
+    """It begins 0.6 m before the nearer end, at x = 3.2: the pipe across x = 3.6 is 1 m along it."""
     section = section_content(plan, plan.cycles[0].legs[0].problem, job_frames(plan).timeline.q)
     assert section["length"] == pytest.approx(1.2 + 2 * 0.6)
     assert section["axis"] == pytest.approx(-2.6)  # the machine swings about x = y = 0
@@ -78,8 +78,8 @@ def test_the_section_runs_along_the_trench_and_has_the_pipe_in_it(plan: JobPlan)
     assert np.abs(tip["aside"][np.argmin(tip["z"])]) < 0.01
 
 
-def test_the_page_says_the_work_and_energy_of_the_plan_file(plan: JobPlan) -> None:
-    """Work is the joints', energy per m^3 the pump's: it is more, as throttling and leaks are paid too."""
+def test_the_page_shows_the_work_and_energy_of_the_plan(plan: JobPlan) -> None:
+    """Work is that of the joints, energy per m^3 that of the pump, which also pays for throttling and leaks."""
     figures = job_figures(plan)
     facts = {name: (value, remark) for name, value, remark in job_facts(plan)}
     assert facts["Work"][0] == f"{figures.work / 1e3:.0f} kJ"
@@ -90,14 +90,14 @@ def test_the_page_says_the_work_and_energy_of_the_plan_file(plan: JobPlan) -> No
     assert figures.kwh_per_m3 * 3.6e6 * plan.bank > plan.work
 
 
-def test_a_page_has_an_ending_of_its_own_and_replaces_nothing_of_the_job(plan: JobPlan, tmp_path: Path) -> None:
+def test_a_page_needs_the_html_suffix_and_overwrites_no_input(plan: JobPlan, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"\.html"):
         write_job_page(plan, tmp_path / "job.pdf")
     with pytest.raises(OutputError, match="input of this command"):
         write_job_page(plan, plan.robot.urdf.path)
 
 
-def test_a_job_that_ends_before_the_first_cycle_has_a_page_with_its_truck(plan: JobPlan, tmp_path: Path) -> None:
+def test_a_job_that_fails_before_its_first_cycle_has_a_page_with_the_reason(plan: JobPlan, tmp_path: Path) -> None:
     dump = {"truck": {"bed": {"position": [1.5, -3.5, 0.4], "size": [2.5, 1.5, 0.5]}, "capacity": 1.3}}
     unplanned = replace(
         plan, job=small_job(dump=dump), cycles=(), failure="too_hard", note="stick has too little torque"
@@ -108,7 +108,7 @@ def test_a_job_that_ends_before_the_first_cycle_has_a_page_with_its_truck(plan: 
 
 
 def opened(browser: Any, file: Path) -> tuple[Any, list[str]]:
-    """The page in a browser, and what it complains of or asks of the network."""
+    """The page in a browser, with its complaints and network requests."""
     page = browser.new_page(viewport={"width": 900, "height": 600}, reduced_motion="reduce")
     trouble = browser.complaints_of(page)
     page.on("request", lambda request: trouble.extend([request.url] * (not request.url.startswith("file:"))))
@@ -130,7 +130,7 @@ def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp
     assert page.evaluate(height) == pytest.approx(0.0, abs=1e-3)
     through = "let n = 0; backhoe.viewer.scene_tree.find(['site', 'pipe']).object.traverse((one) => {"
     through += " if (one.isMesh && one.material.depthFunc === MeshCat.THREE.GreaterDepth) n += 1; }); return n;"
-    assert page.evaluate(f"() => {{ {through} }}") == 1  # it lies 1 m deep, and shows through the ground
+    assert page.evaluate(f"() => {{ {through} }}") == 1  # 1 m deep, it shows through the ground
     page.evaluate("backhoe.seek(1e9)")
     assert page.evaluate(height) == pytest.approx(-0.3, abs=0.02)
     assert page.inner_text("#now") == f"Cycle {len(plan.cycles)} of {len(plan.cycles)}: {plan.cycles[-1].legs[-1].name}"
@@ -149,7 +149,7 @@ def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp
 
 
 @pytest.mark.long
-def test_a_job_without_a_cycle_shows_the_machine_and_why(browser: Any, plan: JobPlan, tmp_path: Path) -> None:
+def test_the_browser_shows_why_a_job_has_no_cycle(browser: Any, plan: JobPlan, tmp_path: Path) -> None:
     nothing = replace(plan, cycles=(), failure="blocked", note="no way to the first cut")
     write_job_page(nothing, tmp_path / "job.html")
     page, trouble = opened(browser, tmp_path / "job.html")

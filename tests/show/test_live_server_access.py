@@ -1,4 +1,4 @@
-"""Who may open a live page, from where, and inside what: without a browser."""
+"""Access to a live page: for whom, from where and in which frames, without a browser."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ async def connect(server: LiveServer, **headers: str) -> int:
     return 101
 
 
-# --- no foreign page frames it ---------------------------------------------------------------
+# --- framing by other pages ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["live view", "driving page"])
@@ -107,7 +107,7 @@ def test_no_page_may_frame_any_response(kind: str, backhoe: Robot) -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "", "192.0.2.7", "0", pytest.param("::", marks=ipv6)])
-def test_other_computers_connect_only_where_somebody_said_who_may(host: str, backhoe: Robot, tmp_path: Path) -> None:
+def test_a_network_address_without_password_or_permission_is_refused(host: str, backhoe: Robot, tmp_path: Path) -> None:
     scene = bp.scene_from_dict(SITE)
     makers: list[Callable[[], object]] = [
         lambda: LiveServer(host=host, port=0),
@@ -124,7 +124,7 @@ def test_other_computers_connect_only_where_somebody_said_who_may(host: str, bac
     assert "drive" in said
 
 
-def test_what_is_opened_is_said_in_plain_words(backhoe: Robot) -> None:
+def test_the_server_describes_who_can_connect(backhoe: Robot) -> None:
     session = Session(backhoe, bp.scene_from_dict(SITE))
     anybody = "everybody who can reach this computer over the network can see the machine and drive it"
     cases: list[tuple[dict[str, Any], str]] = [
@@ -162,13 +162,13 @@ def test_what_is_opened_is_said_in_plain_words(backhoe: Robot) -> None:
         ({"host": "fe80::1%lo"}, "host: names a network interface"),
     ],
 )
-def test_what_cannot_be_served_is_refused(keys: dict[str, Any], said: str) -> None:
+def test_invalid_addresses_and_passwords_are_refused(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match="^" + re.escape(said)):
         LiveServer(port=0, **keys)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.1", "LOCALHOST"])
-def test_this_computer_alone_needs_no_password(host: str) -> None:
+def test_a_loopback_address_needs_no_password(host: str) -> None:
     server = LiveServer(host=host, port=0)
     assert find_address(host).is_of_this_computer_alone
 
@@ -182,7 +182,7 @@ def test_this_computer_alone_needs_no_password(host: str) -> None:
 
 @ipv6
 @pytest.mark.parametrize(("host", "shown"), [("::1", "[::1]"), ("[::1]", "[::1]"), ("::", "[::1]")])
-def test_ipv6_is_served_and_its_address_is_in_brackets(host: str, shown: str) -> None:
+def test_an_ipv6_address_is_served_and_shown_in_brackets(host: str, shown: str) -> None:
     server = LiveServer(host=host, port=0, allow_anyone=True)
     port = server.url.rsplit(":", 1)[1].strip("/")
     assert server.url == f"http://{shown}:{port}/"
@@ -216,7 +216,7 @@ def test_ipv6_is_served_and_its_address_is_in_brackets(host: str, shown: str) ->
         ("::", "[::1", False),
     ],
 )
-def test_it_answers_only_to_its_own_names(host: str, asked: str, answered: bool) -> None:
+def test_the_server_answers_only_to_its_own_names(host: str, asked: str, answered: bool) -> None:
     assert find_address(host).answers_to(asked) is answered
 
 
@@ -224,14 +224,14 @@ def test_it_answers_only_to_its_own_names(host: str, asked: str, answered: bool)
     ("host", "alone"),
     [("::ffff:127.0.0.1", True), ("::ffff:192.0.2.7", False), ("127.8.9.10", True), ("0", False), ("::1", True)],
 )
-def test_an_address_is_judged_by_what_it_stands_for(host: str, alone: bool) -> None:
+def test_every_form_of_a_loopback_address_is_recognized(host: str, alone: bool) -> None:
     assert find_address(host).is_of_this_computer_alone is alone
 
 
 # --- the password ----------------------------------------------------------------------------
 
 
-def test_nothing_is_seen_without_the_password() -> None:
+def test_the_page_is_not_served_without_the_password() -> None:
     server = LiveServer(port=0, password="Spaten & Söhne")
     server.display.tell("news", {"text": "secret"})
 
@@ -269,13 +269,13 @@ def test_nothing_is_seen_without_the_password() -> None:
         other = LiveServer(port=0, password="Spaten & Söhne")
         assert await connect(other, Cookie=cookie.replace(server.cookie, other.cookie)) == 403  # another key
         other.close()
-        assert (await ask(server.url + "?password=Spaten+%26+S%C3%B6hne")).code == 303  # never from an address
+        assert (await ask(server.url + "?password=Spaten+%26+S%C3%B6hne")).code == 303  # never from the URL
 
     talk(conversation)
     server.close()
 
 
-def test_who_guesses_has_to_wait() -> None:
+def test_a_client_has_to_wait_after_five_wrong_passwords() -> None:
     server = LiveServer(port=0, password="spade")
     server.password = Password("spade", now=lambda: 0.0)  # however slow this computer is
 
@@ -293,7 +293,7 @@ def test_who_guesses_has_to_wait() -> None:
     server.close()
 
 
-def test_wrong_passwords_are_forgotten_with_time() -> None:
+def test_the_wait_after_wrong_passwords_ends_with_time() -> None:
     """5 at once and one every 10 s from one address; 50 at once and one a second from all of them."""
     now = 1000.0
     password = Password("spade", now=lambda: now)
@@ -314,7 +314,7 @@ def test_wrong_passwords_are_forgotten_with_time() -> None:
     assert password.wait("203.0.113.1") == pytest.approx(1.0)
 
 
-def test_one_owner_of_many_addresses_is_one() -> None:
+def test_addresses_of_one_owner_share_their_attempts() -> None:
     password = Password("spade", now=lambda: 0.0)
     for number in range(5):
         password.try_word("shovel", client=f"2001:db8:1:2::{number:x}")
@@ -330,7 +330,7 @@ def test_one_owner_of_many_addresses_is_one() -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", pytest.param("::", marks=ipv6)])
-def test_teleop_asks_for_a_password_on_the_network(
+def test_teleop_needs_a_password_or_allow_anyone_on_the_network(
     host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from backhoe_planner.cli import main

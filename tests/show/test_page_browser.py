@@ -1,4 +1,4 @@
-"""The page and the live view, looked at with a real browser."""
+"""The page and the live view in a real browser."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SWING = "backhoe.viewer.scene_tree.find(['machine', 'swing_post']).object.quater
 
 
 class Tab:
-    """A page of the browser, and everything that it complained about or asked the network for."""
+    """A page of the browser, with all its complaints and network requests."""
 
     def __init__(self, browser: Any, *, drawn: bool = False) -> None:
         self.page = browser.new_page(drawn=drawn, viewport={"width": 560, "height": 400}, reduced_motion="reduce")
@@ -49,7 +49,7 @@ class Tab:
         return self.page.evaluate(expression)
 
     def wait_for_picture(self) -> None:
-        """Three frames: what is asked for now is on the canvas then, however slowly frames come."""
+        """Wait for three frames: whatever was requested before is then on the canvas."""
         for _ in range(3):
             self.ask("new Promise(requestAnimationFrame)")
 
@@ -147,10 +147,10 @@ def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, drawn_tab: Ta
 
 
 @pytest.mark.long
-def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
+def test_the_page_shows_the_bound_the_kept_ranges_and_the_reached_goal(
     backhoe: Robot, tab: Tab, tmp_path: Path
 ) -> None:
-    """The pitch goes from -2.1 to -1.2 rad; of two goals the second is where the motion ends."""
+    """The pitch goes from -2.1 to -1.2 rad; the motion ends at the second of two goals."""
     plan = the_plan(backhoe)
     content = plan.scene.to_dict()
     end = {"joints": dict(zip(backhoe.joint_names, END, strict=True))}
@@ -164,7 +164,7 @@ def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
         update={"cost": ObjectiveCost(objective="kinetic", value=12345.0, unit="J s")}
     )
     shown = replace(plan, problem=problem, certificate=certificate, metrics=metrics)
-    vars(shown)["bound"] = bound  # in the place of the one that would be worked out
+    vars(shown)["bound"] = bound  # in place of the computed one
     write_page(shown, tmp_path / "plan.html")
     tab.open((tmp_path / "plan.html").as_uri())
     facts = tab.page.locator("#facts").inner_text()
@@ -183,7 +183,7 @@ def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
 
 
 @pytest.mark.long
-def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
+def test_the_page_plays_and_its_switches_work(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
     write_page(the_plan(backhoe, verified=False, name="a site"), tmp_path / "plan.html")
     tab.open((tmp_path / "plan.html").as_uri())
     badge = tab.page.locator("#verdict")
@@ -191,7 +191,7 @@ def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None
     assert badge.inner_text().startswith("Failed: blocked")
     assert f"{HOSTILE} blocks the way".split()[-3:] == badge.inner_text().split()[-3:]
 
-    assert tab.ask("backhoe.time") == 0  # who asks for less motion is not played to
+    assert tab.ask("backhoe.time") == 0  # no autoplay with reduced motion
     tab.page.locator("#speed").select_option("4")
     tab.page.locator("#play").click()
     tab.page.wait_for_function("backhoe.time > 0.5")
@@ -217,7 +217,7 @@ def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None
     assert tab.complaints == []
 
 
-def test_a_page_that_cannot_be_written_leaves_nothing(backhoe: Robot, tmp_path: Path) -> None:
+def test_a_page_that_cannot_be_written_leaves_no_file(backhoe: Robot, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="does not exist"):
         write_page(the_plan(backhoe), tmp_path / "nowhere" / "plan.html")
     assert list(tmp_path.iterdir()) == []
@@ -234,7 +234,7 @@ def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
     assert '"Tip error"' not in page
 
 
-def test_the_live_view(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = the_plan(backhoe)
     with Viewer(port=0) as viewer:
         assert viewer.show_problem(build_problem(backhoe, plan.scene)) == ()
@@ -264,7 +264,7 @@ def test_the_live_view(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.long
-def test_steps_cost_little_when_they_come_fast(backhoe: Robot) -> None:
+def test_frequent_steps_cost_little_processor_time(backhoe: Robot) -> None:
     plan = the_plan(backhoe)
     with Viewer(port=0) as viewer:
         viewer.show_problem(build_problem(backhoe, plan.scene))
@@ -278,7 +278,7 @@ def test_steps_cost_little_when_they_come_fast(backhoe: Robot) -> None:
         assert spent < 0.1  # 4 %, and room for one slow step
 
 
-def test_closing_leaves_nothing_behind(backhoe: Robot) -> None:
+def test_a_closed_viewer_leaves_no_thread_and_no_open_port(backhoe: Robot) -> None:
     viewer = Viewer(port=0)
     with urllib.request.urlopen(viewer.url, timeout=PATIENCE) as answer:
         assert b"meshcat-pane" in answer.read()
@@ -290,14 +290,14 @@ def test_closing_leaves_nothing_behind(backhoe: Robot) -> None:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
 
 
-def test_a_port_that_is_taken_is_an_error() -> None:
+def test_a_port_in_use_is_an_error() -> None:
     with Viewer(port=0) as viewer:
         port = int(viewer.url.rsplit(":", 1)[1].strip("/"))
         with pytest.raises(OutputError, match="port"):
             Viewer(port=port)
 
 
-def test_the_viewer_belongs_to_one_thread(backhoe: Robot) -> None:
+def test_the_viewer_refuses_calls_from_another_thread(backhoe: Robot) -> None:
     problem = build_problem(backhoe, the_scene("a site"))
     caught: list[BaseException] = []
 

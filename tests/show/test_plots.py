@@ -84,9 +84,7 @@ def svg(plan: Plan, folder: Path) -> str:
     return (folder / "plan.svg").read_text()
 
 
-def test_a_plan_without_a_motion_has_a_sentence_and_its_posture_and_no_axes_of_time(
-    backhoe: Robot, tmp_path: Path
-) -> None:
+def test_a_plan_without_a_motion_is_plotted_as_its_reason_and_configuration(backhoe: Robot, tmp_path: Path) -> None:
     text = svg(replace(a_plan(backhoe, samples=1, name="ball"), note="the path is behind a wall"), tmp_path)
     assert "There is no motion: the path is behind a wall" in text
     assert "stick  -91.67 deg" in text  # -1.6 rad
@@ -96,14 +94,14 @@ def test_a_plan_without_a_motion_has_a_sentence_and_its_posture_and_no_axes_of_t
 
 
 @pytest.mark.long
-def test_a_motion_that_ends_too_soon_says_why(backhoe: Robot, tmp_path: Path) -> None:
+def test_the_plot_of_a_motion_that_ends_early_gives_the_reason(backhoe: Robot, tmp_path: Path) -> None:
     text = svg(replace(a_plan(backhoe), note="a wall is in the way"), tmp_path)
     assert "The motion ends before its task is done: a wall is in the way" in text
     assert "time [s]" in text
 
 
 @pytest.mark.long
-def test_what_is_kept_has_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) -> None:
+def test_kept_ranges_have_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) -> None:
     plan = a_plan(backhoe)
     content = plan.scene.to_dict()
     content["task"]["keep"] = {"pitch": [-2.3, -1.1], "above": -2.0, "below": 4.0}
@@ -113,7 +111,7 @@ def test_what_is_kept_has_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["plan.jpg", "plan", "plan.json"])
-def test_another_suffix_is_an_error_that_names_the_allowed_ones(backhoe: Robot, tmp_path: Path, name: str) -> None:
+def test_an_unknown_suffix_is_an_error_that_names_the_allowed_ones(backhoe: Robot, tmp_path: Path, name: str) -> None:
     with pytest.raises(OutputError, match=r"\.png, \.svg, \.pdf"):
         plot_plan(a_plan(backhoe), tmp_path / name)
     with pytest.raises(OutputError, match=r"\.png, \.svg, \.pdf"):
@@ -136,7 +134,7 @@ def test_the_envelope_has_the_data_sheets_figures(backhoe: Robot, tmp_path: Path
         assert figure in text
 
 
-def test_the_reach_of_a_level_arm_is_seen_from_above(planar4: Robot, tmp_path: Path) -> None:
+def test_the_envelope_of_a_planar_arm_is_plotted(planar4: Robot, tmp_path: Path) -> None:
     plot_envelope(planar4, tmp_path / "reach.png")
     assert (tmp_path / "reach.png").read_bytes().startswith(MAGIC[".png"])
 

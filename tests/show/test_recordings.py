@@ -1,4 +1,4 @@
-"""Recordings of the driving page are not lost: at Ctrl-C, without room, without descriptors, at a failing step."""
+"""Recordings of the driving page survive Ctrl-C, a full disk, a lack of descriptors and a failing step."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def scene() -> bp.Scene:
 
 @pytest.fixture
 def driven() -> Recording:
-    """A rest of 0.05 s."""
+    """A recording of 0.05 s at rest."""
     return Recording(0.005, np.tile(list(START.values()), (11, 1)), [], [])
 
 
@@ -68,7 +68,7 @@ def wait(condition: Callable[[], bool]) -> None:
 # --- Ctrl-C -------------------------------------------------------------------------------
 
 
-def test_what_is_still_being_proven_when_the_station_is_closed_is_written(
+def test_a_recording_still_being_proven_when_the_station_closes_is_written(
     backhoe: Robot, scene: bp.Scene, driven: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     proving, may_end, prove = threading.Event(), threading.Event(), Recording.plan
@@ -95,7 +95,7 @@ def test_what_is_still_being_proven_when_the_station_is_closed_is_written(
     assert said[1] == f"recording written: {tmp_path / 'driven.json'}, 0.1 s, verified"
 
 
-def test_what_was_recorded_before_a_step_that_fails_is_kept(
+def test_a_recording_is_kept_when_a_step_fails(
     backhoe: Robot, scene: bp.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = Session(backhoe, scene)
@@ -119,16 +119,16 @@ def test_what_was_recorded_before_a_step_that_fails_is_kept(
     recording = session.take_recording()
     assert recording is not None
     assert session.failure
-    assert np.abs(recording.q - moving.q).max(axis=1).min() == 0.0  # past the place where it failed,
-    at_rest = session.snapshot().state  # until it stands
+    assert np.abs(recording.q - moving.q).max(axis=1).min() == 0.0  # it contains the place of the failure
+    at_rest = session.snapshot().state  # it goes on until the machine is at rest
     np.testing.assert_array_equal(at_rest.v, 0.0)
     np.testing.assert_allclose(recording.q[-1], at_rest.q, atol=1e-9)
 
 
-# --- no room ------------------------------------------------------------------------------
+# --- no disk space ------------------------------------------------------------------------------
 
 
-def test_where_the_folder_is_gone_another_one_is_taken_and_that_is_said(
+def test_a_recording_whose_folder_is_gone_is_written_elsewhere_and_reported(
     backhoe: Robot, scene: bp.Scene, driven: Recording, tmp_path: Path, elsewhere: Path
 ) -> None:
     elsewhere.mkdir()
@@ -141,7 +141,7 @@ def test_where_the_folder_is_gone_another_one_is_taken_and_that_is_said(
     assert bp.load_plan(elsewhere / "driven.json").verified
 
 
-def test_what_cannot_be_written_anywhere_is_kept_and_written_later(
+def test_a_recording_that_cannot_be_written_is_kept_and_written_later(
     backhoe: Robot, scene: bp.Scene, driven: Recording, tmp_path: Path, elsewhere: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -162,7 +162,7 @@ def test_what_cannot_be_written_anywhere_is_kept_and_written_later(
     assert not elsewhere.exists()
 
 
-def test_at_the_end_it_is_tried_once_more(
+def test_closing_tries_once_more_to_write_a_recording(
     backhoe: Robot, scene: bp.Scene, driven: Recording, tmp_path: Path, elsewhere: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -183,7 +183,7 @@ def test_at_the_end_it_is_tried_once_more(
     assert not elsewhere.exists()
 
 
-def test_a_file_can_be_opened_when_all_descriptors_are_in_use(
+def test_a_recording_is_written_when_all_descriptors_are_in_use(
     backhoe: Robot, scene: bp.Scene, driven: Recording, tmp_path: Path
 ) -> None:
     told: list[Data] = []
@@ -230,7 +230,7 @@ def is_closed(connection: socket.socket) -> bool:
         return True
 
 
-def test_of_many_silent_connections_only_the_newest_stay_open(server: LiveServer) -> None:
+def test_only_the_newest_of_many_silent_connections_stay_open(server: LiveServer) -> None:
     opened = [silent(server) for _ in range(40)]
     wait(lambda: sum(map(is_closed, opened)) == 34)
     assert not any(map(is_closed, opened[-6:]))
@@ -253,7 +253,7 @@ def test_a_silent_connection_is_closed_after_a_while(monkeypatch: pytest.MonkeyP
 # --- what a scene file cannot hold --------------------------------------------------------
 
 
-def test_many_changes_of_a_kind_are_one_sentence() -> None:
+def test_many_changes_of_one_kind_are_reported_in_one_sentence() -> None:
     few = [Change(1.0, "a", "taken away"), Change(2.5, "a", "put back")]
     assert describe_changes(few) == [
         "a was taken away at 1.00 s and is left out",

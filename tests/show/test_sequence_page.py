@@ -1,4 +1,4 @@
-"""What a page shows of a sequence: its legs, what is carried, and what is not there in a leg."""
+"""The page of a sequence: its legs, its loads, and obstacles that are absent in a leg."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def done(backhoe: Robot) -> Plan:
     return found
 
 
-def test_a_load_moves_with_the_tip_and_is_there_in_its_legs_only(backhoe: Robot, done: Plan) -> None:
+def test_a_load_moves_with_the_tip_and_is_shown_in_its_legs_only(backhoe: Robot, done: Plan) -> None:
     """The stone's middle is 0.5 m to the left of the tip, along the bucket's level edge."""
     frames = timeline(done.problem, done.trajectory)
     graph = SceneGraph(Display().visualizer(), done.problem)
@@ -66,7 +66,7 @@ def test_a_problem_is_drawn_with_the_load_of_its_first_leg(backhoe: Robot) -> No
         assert np.linalg.norm(placed[:3, 0]) == pytest.approx(size)
 
 
-def test_exports_name_what_is_carried(done: Plan, tmp_path: Path) -> None:
+def test_exports_name_the_load_of_every_leg(done: Plan, tmp_path: Path) -> None:
     export_plan(done, tmp_path / "plan.npz")
     with np.load(tmp_path / "plan.npz") as arrays:
         assert arrays["leg_carries"].tolist() == ["", STONE["name"], STONE["name"], ""]

@@ -1,4 +1,4 @@
-"""The map of a site, on the page and as a picture: known places end up where they are, and costs in their order."""
+"""The map of a site, on the page and as a picture: every place at its position, in the colour of its cost."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from backhoe_planner.standing import SiteMap, Spot
 
 SHADES = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear, a quarter of the range apart
 COSTS = [10.0, 11.0, 12.25, 13.0, 14.5, 15.0, 16.75, 17.0, 18.0, 19.0, 25.0]
-"""The dearest tenth has one colour: the range ends at the tenth one, 19, and its quarters are 2.25 apart."""
+"""The dearest tenth has one colour: the range ends at the tenth cost, 19, and its quarters are 2.25 wide."""
 AT = {10.0: 0, 12.25: 1, 14.5: 2, 16.75: 3, 19.0: 4, 25.0: 4}  # number of its shade
 EDGE, HEAP = "#e9d3cf", "#d9cdb8"
 STEP = 2.0  # m from place to place
@@ -49,7 +49,7 @@ def plan() -> bp.StandPlan:
 
 
 def places(plan: bp.StandPlan) -> dict[float, np.ndarray[Any, Any]]:
-    """Where each cost is, x, y [m]."""
+    """The place x, y [m] of each cost."""
     return {
         spot.cost: np.array([x, y])
         for row, xs, ys in zip(plan.map.spots, plan.map.x, plan.map.y, strict=True)
@@ -65,7 +65,7 @@ def page(plan: bp.StandPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_every_place_of_the_page_is_drawn_where_it_is_in_the_colour_of_its_cost(plan: bp.StandPlan, page: Path) -> None:
+def test_the_page_draws_every_place_at_its_position_in_the_colour_of_its_cost(plan: bp.StandPlan, page: Path) -> None:
     cells = re.findall(r'<polygon class="cell" points="([^"]*)" fill="([^"]*)" data-told="([^"]*)"', page.read_text())
     assert len(cells) == len(COSTS) + 2, "places out of reach are not drawn"
     drawn = {}
@@ -84,8 +84,8 @@ def test_every_place_of_the_page_is_drawn_where_it_is_in_the_colour_of_its_cost(
     assert sorted(fills) == sorted([EDGE, HEAP])
 
 
-def test_between_two_colours_a_dearer_place_is_nearer_to_the_dearer_one(plan: bp.StandPlan, page: Path) -> None:
-    """Along the scale, each colour has parts of its two neighbours that add up to 1."""
+def test_colours_between_two_shades_are_interpolated_linearly(plan: bp.StandPlan, page: Path) -> None:
+    """Each colour is a weighted mean of its two neighbours on the scale."""
     fills = re.findall(r'class="cell" points="[^"]*" fill="([^"]*)" data-told="[^"]*: ([\d.]+) s/m³', page.read_text())
 
     def rgb(text: str) -> np.ndarray[Any, Any]:
@@ -100,8 +100,8 @@ def test_between_two_colours_a_dearer_place_is_nearer_to_the_dearer_one(plan: bp
         assert rgb(fill) == pytest.approx(low + (along - below) * (high - low), abs=0.51)
 
 
-def test_a_place_of_the_page_is_seen_where_it_is(plan: bp.StandPlan, page: Path, browser: Any) -> None:
-    """At 1280 pixels; the metre of the ruler says how large the map is drawn."""
+def test_the_browser_shows_every_place_at_its_position(plan: bp.StandPlan, page: Path, browser: Any) -> None:
+    """At a width of 1280 pixels; the ruler's metre gives the scale."""
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     complaints = browser.complaints_of(tab)
     tab.goto(page.as_uri())
@@ -118,7 +118,7 @@ def test_a_place_of_the_page_is_seen_where_it_is(plan: bp.StandPlan, page: Path,
         assert tab.locator("#told").text_content().startswith(f"x {place[0]:.2f}, y {place[1]:.2f} m: {cost:.1f} s/m³")
         if cost in AT:
             assert "#" + "".join(f"{value:02x}" for value in pixels[round(y), round(x)]) == SHADES[AT[cost]]
-    # a line is as thick as on paper whatever the scale: within a metre across an edge of the given machine, 1 pixel
+    # line widths do not depend on the scale: 1 pixel within a metre across an edge of the given machine
     left, right = (round(x0 + metre * (x - low[0])) for x in (0.5, 1.5))
     rows = [round(y0 - metre * (y - low[1])) for y in np.linspace(-0.9, 0.9, 40)]
     dark = [int((pixels[row, left:right].sum(axis=1) < 600).sum()) for row in rows]
@@ -128,14 +128,14 @@ def test_a_place_of_the_page_is_seen_where_it_is(plan: bp.StandPlan, page: Path,
     tab.close()
 
 
-def test_places_of_the_picture_are_where_they_are(plan: bp.StandPlan, tmp_path: Path) -> None:
-    """Four places with colours of their own: from three of them follows where the fourth one is."""
+def test_the_picture_has_every_place_at_its_position(plan: bp.StandPlan, tmp_path: Path) -> None:
+    """Four places with their own colours: two of them give the scale, and with it the others."""
     file = tmp_path / "stand.png"
     plot_stand(plan, file)
     pixels = np.asarray(Image.open(file).convert("RGB"))
 
     def middle(shade: str) -> np.ndarray[Any, Any]:
-        """Of the largest area of that colour: x to the right, y up."""
+        """The middle of the largest area of that colour: x to the right, y up."""
         same = (pixels == [int(shade[k : k + 2], 16) for k in (1, 3, 5)]).all(axis=2)
         areas, count = label(same)
         largest = max(range(1, count + 1), key=lambda number: int((areas == number).sum()))

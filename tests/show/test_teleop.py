@@ -1,4 +1,4 @@
-"""Tele-operation without a browser: the session, the messages, and what the server lets in."""
+"""Tele-operation without a browser: the session, the messages, and what the server accepts."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ GROUND: Data = {"name": "ground", "shape": "halfspace", "point": [0, 0, -1.0], "
 
 
 class Stepped(Session):
-    """A session whose clock goes by its steps."""
+    """A session whose clock advances with its steps."""
 
     def __init__(self, robot: Robot, **more: Any) -> None:
         self.passed = 0.0
@@ -108,7 +108,7 @@ def drive(session: Session, page: int, seconds: float, **wish: Any) -> None:
 # --- who drives ----------------------------------------------------------------------------
 
 
-def test_the_first_that_asks_drives_and_the_others_watch(backhoe: Robot) -> None:
+def test_the_first_page_that_asks_drives_and_the_others_watch(backhoe: Robot) -> None:
     session = make(backhoe)
     one, two = session.join(), session.join()
     assert "take the controls first" in say(session, one, **LEFT)["error"]
@@ -146,8 +146,8 @@ def test_the_machine_stops_when_its_driver_disappears(backhoe: Robot) -> None:
     assert "not here" in say(session, page, **LEFT)["error"]
 
 
-def test_the_watchdog_goes_by_the_clock_and_not_by_the_steps(backhoe: Robot) -> None:
-    """A machine that is stepped too slowly, as under load, stops as soon after its driver's last word."""
+def test_the_watchdog_counts_clock_time_and_not_steps(backhoe: Robot) -> None:
+    """A machine that is stepped too slowly, as under load, stops equally soon after the last command."""
     now = 100.0
     session = Session(backhoe, bp.scene_from_dict(SITE), now=lambda: now)
     page = session.join()
@@ -161,14 +161,14 @@ def test_the_watchdog_goes_by_the_clock_and_not_by_the_steps(backhoe: Robot) -> 
     now += 0.39
     assert np.abs(session.step().v).max() >= 0.9 * going
     assert session.snapshot().has_wish
-    now += 0.02  # 0.41 s without a word, and two steps
+    now += 0.02  # 0.41 s without a command, and two steps
     slower = [float(np.abs(session.step().v).max()) for _ in range(5)]
     assert slower[0] < going
     assert slower == sorted(slower, reverse=True)
     assert not session.snapshot().has_wish
 
 
-def test_a_step_that_fails_brakes_the_machine_to_rest(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_step_brakes_the_machine_to_rest(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     session = make(backhoe)
     page = session.join()
     done(session, page, type="take")
@@ -196,7 +196,7 @@ def test_a_step_that_fails_brakes_the_machine_to_rest(backhoe: Robot, monkeypatc
 # --- wishes --------------------------------------------------------------------------------
 
 
-def test_the_tip_goes_where_the_arm_points(backhoe: Robot) -> None:
+def test_tip_velocities_are_in_the_frame_of_the_arm(backhoe: Robot) -> None:
     session = make(backhoe, start={"joints": {"swing": 0.8, "boom": 0.3, "stick": -0.9, "bucket": -0.5}}, obstacles=[])
     page = session.join()
     done(session, page, type="take")
@@ -211,7 +211,7 @@ def test_the_tip_goes_where_the_arm_points(backhoe: Robot) -> None:
         drive(session, page, 1.5, type="stop")
 
 
-def test_iso_and_sae_move_the_joints_they_name() -> None:
+def test_the_iso_and_sae_patterns_map_sticks_to_joint_rates() -> None:
     rates = np.array([0.8, 0.5, 0.8, 1.1])
 
     def asked(pattern: str, left: tuple[float, float], right: tuple[float, float], speed: float = 1.0) -> list[float]:
@@ -244,7 +244,7 @@ def test_sticks_drive_the_machine(backhoe: Robot) -> None:
 
 
 @pytest.mark.long
-def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
+def test_an_obstacle_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
     session = make(backhoe)
     page = session.join()
     done(session, page, type="take")
@@ -264,7 +264,7 @@ def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
     assert state.status in (Status.SLIDING, Status.STOPPED)
     assert state.nearest is not None
     assert state.nearest.name == "screen"
-    assert state.feedback_force[1] < -1.0  # back to where it came from
+    assert state.feedback_force[1] < -1.0  # pushes back
     spot = session.snapshot().nearest["screen"]
     assert spot is not None
     own = float(
@@ -281,7 +281,7 @@ def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
     assert session.snapshot().state.tip_position[1] > before + 0.2
 
 
-def test_nothing_is_put_or_dragged_into_the_machine_or_where_it_brakes(backhoe: Robot) -> None:
+def test_obstacles_cannot_be_placed_in_the_machine_or_its_braking_path(backhoe: Robot) -> None:
     session = make(backhoe)
     page = session.join()
     done(session, page, type="take")
@@ -302,7 +302,7 @@ def test_nothing_is_put_or_dragged_into_the_machine_or_where_it_brakes(backhoe: 
     assert np.abs(session.snapshot().state.v).max() == 0.0
 
 
-def test_zones_stay_and_names_are_unique(backhoe: Robot) -> None:
+def test_zones_cannot_be_changed_and_names_are_unique(backhoe: Robot) -> None:
     session = make(backhoe)
     page = session.join()
     done(session, page, type="take")
@@ -320,7 +320,7 @@ def test_zones_stay_and_names_are_unique(backhoe: Robot) -> None:
     assert session.snapshot().zones == {"power line": "warn"}
 
 
-def test_ground_stays_and_what_was_taken_away_is_put_back(backhoe: Robot, tmp_path: Path) -> None:
+def test_ground_cannot_be_removed_and_removed_obstacles_can_be_put_back(backhoe: Robot, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "heights.csv", np.full((5, 5), -3.0), delimiter=",")
     np.savetxt(tmp_path / "scan.csv", np.array([[-4.0, 0.0, 0.0], [-4.0, 0.3, 0.0]]), delimiter=",")
     terrain = {"name": "terrain", "shape": "heightmap", "file": "heights.csv", "size": [20, 20]}
@@ -346,7 +346,7 @@ def test_ground_stays_and_what_was_taken_away_is_put_back(backhoe: Robot, tmp_pa
     assert snapshot.movable == {"pole"}
     assert snapshot.shifts["pole"] == pytest.approx([0.0, -0.5, 0.0])
 
-    # what was dropped in is gone for good, and nothing is put back into the machine
+    # a dropped obstacle is gone for good, and no obstacle is put back into the machine
     done(session, page, type="add", obstacle=BALL)
     done(session, page, type="remove", name="ball")
     assert session.snapshot().taken == ()
@@ -362,11 +362,11 @@ def test_ground_stays_and_what_was_taken_away_is_put_back(backhoe: Robot, tmp_pa
     assert turned.snapshot().taken == ("rock",)
 
 
-# --- words ---------------------------------------------------------------------------------
+# --- captions ---------------------------------------------------------------------------------
 
 
 @pytest.mark.long
-def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
+def test_the_caption_says_held_only_during_a_refused_wish(backhoe: Robot) -> None:
     session = make(backhoe, obstacles=[GROUND])
     page = session.join()
     done(session, page, type="take")
@@ -376,7 +376,7 @@ def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
         snapshot = session.snapshot()
         return wording.next(snapshot.state, has_wish=snapshot.has_wish)
 
-    for _ in range(200):  # nobody asks: the tip is 0.24 m from the ground's clearance
+    for _ in range(200):  # no wish: the tip is 0.24 m from the ground's clearance
         session.step()
         found = told()
         assert (found.kind, found.word) == ("rest", "At rest")
@@ -401,7 +401,7 @@ def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
     assert told() == Caption("rest", "At rest", "near ground, 0.00 m")
 
 
-def test_what_is_better_is_told_once_it_has_lasted() -> None:
+def test_a_better_caption_is_shown_only_once_it_has_lasted() -> None:
     zero = np.zeros(3)
 
     def state(time: float, status: Status, margin: float) -> ServoState:
@@ -425,7 +425,7 @@ def test_what_is_better_is_told_once_it_has_lasted() -> None:
 # --- recording -----------------------------------------------------------------------------
 
 
-def test_a_recording_is_a_plan_that_is_verified(backhoe: Robot, tmp_path: Path) -> None:
+def test_a_recording_becomes_a_verified_plan(backhoe: Robot, tmp_path: Path) -> None:
     scene = bp.scene_from_dict(SITE)
     session = Session(backhoe, scene)
     page = session.join()
@@ -468,7 +468,7 @@ def test_a_recording_is_a_plan_that_is_verified(backhoe: Robot, tmp_path: Path) 
     np.testing.assert_array_equal(again.trajectory.q, recording.q)
 
 
-def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
+def test_a_recording_states_that_it_was_driven_and_what_it_leaves_out(
     backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = bp.scene_from_dict(SITE)
@@ -518,8 +518,8 @@ def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
         assert "tip error" not in said
 
 
-def test_no_obstacle_that_stood_there_is_missing_in_a_recording(backhoe: Robot) -> None:
-    """A swing sector is no solid: an obstacle with its name was taken for its solid, and left out."""
+def test_no_obstacle_of_the_site_is_missing_in_a_recording(backhoe: Robot) -> None:
+    """A swing sector has no solid: an obstacle of its name would be taken for that and left out."""
     sector = {"kind": "swing_sector", "name": "swing", "start": -1.0, "end": 1.0}
     session = make(backhoe, zones=[*SITE["zones"], sector])
     page = session.join()
@@ -543,8 +543,8 @@ def test_no_obstacle_that_stood_there_is_missing_in_a_recording(backhoe: Robot) 
     assert recording.notes == []
 
 
-def test_what_was_dragged_away_and_back_is_noted(backhoe: Robot) -> None:
-    """It stands where it stood at first, but not all the time."""
+def test_an_obstacle_moved_during_the_recording_is_noted(backhoe: Robot) -> None:
+    """At the end it is at its original place, but not all the time."""
     session = make(backhoe)
     page = session.join()
     done(session, page, type="take")
@@ -554,7 +554,7 @@ def test_what_was_dragged_away_and_back_is_noted(backhoe: Robot) -> None:
         session.step()
     begun = session.snapshot().state.time - session.snapshot().recorded
     done(session, page, type="move", name="pole", to=[0.0, 0.0, 0.0])
-    done(session, page, type="add", obstacle={**BALL, "position": [4.7, 3.0, -0.6]})  # nothing is to be said of it
+    done(session, page, type="add", obstacle={**BALL, "position": [4.7, 3.0, -0.6]})  # needs no note
     moved = session.snapshot().state.time - begun
     done(session, page, type="record", on=False)
     for _ in range(20):
@@ -568,8 +568,8 @@ def test_what_was_dragged_away_and_back_is_noted(backhoe: Robot) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 3))])
-def test_whatever_is_done_to_the_site_is_in_the_recording_or_in_its_notes(seed: int, backhoe: Robot) -> None:
-    """At every moment, what stood there is where the recording has it, or a note names it; so is what did not."""
+def test_every_change_of_the_site_is_in_the_recording_or_its_notes(seed: int, backhoe: Robot) -> None:
+    """At every moment, obstacles are present and placed as in the recording, or a note names them."""
     rng = np.random.default_rng(seed)
     cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -9, 0.5], "velocity": [0.5, 0, 0]}
     late = {"name": "late", "shape": "sphere", "radius": 1, "position": [-3, 9, 0.5], "appears_at": 0.2}
@@ -619,7 +619,7 @@ def test_whatever_is_done_to_the_site_is_in_the_recording_or_in_its_notes(seed: 
                 np.testing.assert_allclose(there[name], expected, atol=2 * session.dt)
 
 
-def test_only_a_recording_leaves_something_out(backhoe: Robot) -> None:
+def test_only_a_recording_has_unrecorded_changes(backhoe: Robot) -> None:
     plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
     assert (is_recording(plan), unrecorded_changes(plan)) == (False, ())
     assert problem_to_show(plan).goals
@@ -629,7 +629,7 @@ def test_only_a_recording_leaves_something_out(backhoe: Robot) -> None:
     assert unrecorded_changes(replace(plan, findings=findings)) == ()
 
 
-def test_obstacles_of_their_own_motion_are_recorded_where_they_were(backhoe: Robot) -> None:
+def test_moving_obstacles_are_recorded_where_they_were(backhoe: Robot) -> None:
     cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -7, 0.5], "velocity": [0.5, 0, 0]}
     session = make(backhoe, obstacles=[cart, {**cart, "name": "late", "appears_at": 3.0}])
     page = session.join()
@@ -651,7 +651,7 @@ def test_obstacles_of_their_own_motion_are_recorded_where_they_were(backhoe: Rob
     assert (late["position"], late["appears_at"]) == (pytest.approx([2, -7, 0.5], abs=0.01), pytest.approx(3.0 - begun))
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
+def test_an_existing_recording_is_not_overwritten(tmp_path: Path) -> None:
     file = tmp_path / "driven.json"
     assert free_name(file) == file
     file.touch()
@@ -711,7 +711,7 @@ def driven(backhoe: Robot) -> tuple[Session, int]:
 
 @settings(max_examples=150)
 @given(text=_ANYTHING)
-def test_whatever_a_page_says_is_answered(driven: tuple[Session, int], text: str | bytes) -> None:
+def test_every_message_of_a_page_is_answered(driven: tuple[Session, int], text: str | bytes) -> None:
     session, page = driven
     session.hear(page, '{"type": "take"}')
     answer = session.hear(page, text)
@@ -746,7 +746,7 @@ def dropped(shape: str, **sizes: Any) -> str:
         (dropped("sphere", radius=0.1, position=[0.0, 2000.0, 0.0]), "too far away"),
     ],
 )
-def test_what_is_wrong_with_a_message_is_said(text: str, said: str) -> None:
+def test_an_invalid_message_is_refused_with_the_reason(text: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
         parse(text)
     assert said in str(caught.value)
@@ -787,7 +787,7 @@ async def leave(*connections: tornado.websocket.WebSocketClientConnection) -> No
             pass
 
 
-def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
+def test_the_server_accepts_only_its_own_pages(server: TeleopServer) -> None:
     port = server.url.rsplit(":", 1)[1].strip("/")
 
     async def conversation(url: str) -> None:
@@ -828,7 +828,7 @@ def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
                 assert probe.connect_ex((str(address), int(port))) != 0
 
 
-def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
+def test_one_of_two_pages_drives_until_it_leaves(server: TeleopServer) -> None:
     async def conversation(url: str) -> None:
         one, two = [await tornado.websocket.websocket_connect(url) for _ in range(2)]
         number = [(await hear(page, "you"))["page"] for page in (one, two)]
@@ -862,9 +862,7 @@ def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
     talk(server, conversation)
 
 
-def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
-    server: TeleopServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_closes_during_a_write_does_no_harm(server: TeleopServer, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = threading.Event()
 
     def gone(*_: object, **__: object) -> None:
@@ -887,7 +885,9 @@ def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
     assert server.running
 
 
-def test_who_floods_is_shut_out_and_the_others_drive_on(server: TeleopServer, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_page_that_floods_is_disconnected_and_the_others_stay(
+    server: TeleopServer, caplog: pytest.LogCaptureFixture
+) -> None:
     async def conversation(url: str) -> None:
         driver, flooder = [await tornado.websocket.websocket_connect(url) for _ in range(2)]
         await hear(driver, "you")
@@ -922,7 +922,7 @@ def test_who_floods_is_shut_out_and_the_others_drive_on(server: TeleopServer, ca
 
 
 @pytest.mark.long
-def test_who_does_not_read_is_shut_out(
+def test_a_page_that_does_not_read_is_disconnected(
     server: TeleopServer, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_server, "_MESSAGES_AT_ONCE", 1e9)  # so that it is the answers that count
@@ -966,7 +966,7 @@ def test_who_does_not_read_is_shut_out(
     assert 0 < largest < 1.1 * live_server._MOST_UNREAD
 
 
-def test_there_is_room_for_so_many_pages(server: TeleopServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_beyond_the_limit_are_refused(server: TeleopServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_server, "_MOST_PAGES", 2)
 
     async def conversation(url: str) -> None:
@@ -980,7 +980,7 @@ def test_there_is_room_for_so_many_pages(server: TeleopServer, monkeypatch: pyte
     talk(server, conversation)
 
 
-def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
+def test_the_machine_stays_drivable_when_drawing_fails(
     backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "driven.json") as station:
@@ -1008,7 +1008,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         assert "ball" not in told("teleop")[0]["nodes"]
         done(session, page, type="remove", name="ball")
 
-        # no picture at all: it is stepped on
+        # no picture at all: the steps go on
         with monkeypatch.context() as patch:
             patch.setattr(SceneGraph, "move", broken)
             wait(lambda: "picture" in told("trouble")[0]["text"])
@@ -1020,7 +1020,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         before = session.snapshot().state.time
         wait(lambda: told("teleop")[0]["time"] > before)
 
-        # a step that fails ends it, once the machine stands
+        # a failing step ends it once the machine is at rest
         done(session, page, **LEFT)
         wait(lambda: bool(np.abs(session.snapshot().state.v).max() > 0.02))
         monkeypatch.setattr(session, "_held_wish", broken)
@@ -1039,7 +1039,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
     length=st.sampled_from([0.001, 1.0, 1000.0]),
     clearance=st.sampled_from([0.0, 1e-9, 0.1, 1e5]),
 )
-def test_whatever_may_be_dropped_can_be_drawn(radius: float, at: list[float], length: float, clearance: float) -> None:
+def test_every_allowed_obstacle_can_be_drawn(radius: float, at: list[float], length: float, clearance: float) -> None:
     scene = bp.scene_from_dict(SITE)
     forms: list[Data] = [
         {"shape": "sphere", "radius": radius, "position": at},
@@ -1093,7 +1093,7 @@ def wait(condition: Callable[[], bool]) -> None:
 # --- the command line ----------------------------------------------------------------------
 
 
-def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_ends_teleop_with_status_130_and_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(SITE), encoding="utf-8")
     process = subprocess.Popen(
         [sys.executable, "-c", "from backhoe_planner.cli import main; main()", "teleop", "example:backhoe",
@@ -1120,7 +1120,7 @@ def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["scene.yaml"]
 
 
-def test_a_scene_without_a_start_is_bad_input(
+def test_a_scene_without_a_start_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from backhoe_planner.cli import main

@@ -98,7 +98,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
             if least < 0.01 and max(forces) > 3.0:
                 if len(shown) > 3:
                     break
-                # a busy page shows few values on the way: back, and there once more
+                # a busy page shows few values on the way: go back and approach again
                 page.keyboard.up("KeyA")
                 page.keyboard.down("KeyD")
                 page.wait_for_timeout(500)
@@ -162,7 +162,9 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
 
 
 @pytest.mark.long
-def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser: Any, tmp_path: Path) -> None:
+def test_ground_cannot_be_dragged_or_removed_and_a_removed_pole_is_put_back(
+    backhoe: Robot, browser: Any, tmp_path: Path
+) -> None:
     scene = bp.scene_from_dict(
         {
             "version": 1,
@@ -178,7 +180,7 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
     with TeleopStation(backhoe, scene, port=0, output=tmp_path / "driven.json") as station:
         page, complaints = open_page(browser, station.url)
 
-        # before anything is asked for: calm, with the nearest thing
+        # before any wish: calm, with the nearest obstacle
         assert page.locator("#status-word").inner_text() == "At rest"
         assert page.locator("#status-more").inner_text().startswith("near ground, 0.2")
         assert page.locator("#status").get_attribute("class") == "rest"
@@ -203,13 +205,13 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
         page.wait_for_function(f"(a) => {eye}.some((x, k) => Math.abs(x - a[k]) > 0.3)", arg=before)
         assert station.session.snapshot().shifts["ground"] == pytest.approx([0.0, 0.0, 0.0])
 
-        # whoever asks all the same is told why not
+        # a request to remove it is refused with the reason
         page.evaluate("backhoe.send({type: 'remove', name: 'ground'})")
         page.wait_for_function("!document.getElementById('toast').hidden")
         assert "ground: is ground or terrain of the scene, which stays" in page.locator("#toast").inner_text()
         assert "ground" in station.session.snapshot().shifts
 
-        # what was taken away by mistake is put back
+        # an obstacle removed by mistake is put back
         page.locator(".margin", has_text="pole").locator(".remove").click()
         page.wait_for_selector("#taken button")
         assert "pole" not in station.session.snapshot().shifts
@@ -219,7 +221,7 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
         assert "pole" in station.session.snapshot().shifts
         page.wait_for_function("backhoe.viewer.scene_tree.find(['site', 'pole']).object.children.length > 0")
 
-        # red only while something is asked for and refused
+        # red only during a refused wish
         page.evaluate("document.activeElement.blur()")
         page.keyboard.down("KeyQ")
         page.wait_for_function("document.getElementById('status').className === 'held'")
@@ -234,7 +236,7 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
         assert {words[0] for words in seen} == {"At rest"}
         assert all(words[1].startswith("near ground") for words in seen)
 
-        # what went wrong stays to be read
+        # trouble stays on the page
         # opens the wall: no scene that can be loaded makes drawing fail
         station._server.display.tell("trouble", {"text": "a rock cannot be drawn: Error"})
         page.wait_for_selector("#trouble")
@@ -293,9 +295,7 @@ def test_obstacles_are_dropped_and_dragged_with_the_mouse(backhoe: Robot, browse
         page.close()
 
 
-def test_the_controls_are_taken_by_a_click_on_their_button_and_by_nothing_else(
-    backhoe: Robot, browser: Any, tmp_path: Path
-) -> None:
+def test_only_a_click_on_the_button_takes_the_controls(backhoe: Robot, browser: Any, tmp_path: Path) -> None:
     joints = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
     scene = bp.scene_from_dict(
         {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [4.0, 0.0, 0.0]}}}
@@ -303,7 +303,7 @@ def test_the_controls_are_taken_by_a_click_on_their_button_and_by_nothing_else(
     with TeleopStation(backhoe, scene, port=0, password="spade", output=tmp_path / "driven.json") as station:
         session = station.session
 
-        # a foreign page lays it invisibly over its own
+        # a foreign page frames it invisibly
         foreign = browser.new_page()
         foreign.set_content(f"<iframe src='{station.url}' style='opacity: 0; position: fixed; inset: 0'></iframe>")
         foreign.wait_for_timeout(300)
@@ -326,7 +326,7 @@ def test_the_controls_are_taken_by_a_click_on_their_button_and_by_nothing_else(
         assert session.snapshot().driver is None
         np.testing.assert_array_equal(session.snapshot().state.q, at)
 
-        # nor does what is still held when the button is clicked
+        # nor do keys and sticks that are still held at the click
         def take() -> None:
             page.locator("#take").click()
             page.wait_for_function("backhoe.teleop.driving")

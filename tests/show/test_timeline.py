@@ -23,7 +23,7 @@ obstacles:
 
 
 def test_the_nearest_point_of_each_obstacle_is_that_of_all_pairs(backhoe: Robot, tmp_path: Path) -> None:
-    """Beside ground one pair is measured before the others, and from frame to frame it is another one."""
+    """Near ground one pair is measured before the others, and which one changes from frame to frame."""
     rng, within = np.random.default_rng(5), 1.2
     np.savetxt(tmp_path / "field.csv", rng.uniform(-0.15, 0.15, (40, 40)), delimiter=",")
     (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
