@@ -1,4 +1,4 @@
-"""scripts/reproduce_paper.py runs from anywhere and writes what it says."""
+"""scripts/reproduce_paper.py runs from any folder and writes what it prints."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 @pytest.mark.long
-def test_files(output: tuple[Path, str]) -> None:
+def test_every_figure_and_table_is_written(output: tuple[Path, str]) -> None:
     folder, _ = output
     figures = {f"{prefix}figure_{number}" for prefix in ("", "second_scene_") for number in (5, 6)} | {"population"}
     tables = {"scenes", "population", "terms"}
@@ -42,7 +42,7 @@ def test_files(output: tuple[Path, str]) -> None:
 
 
 @pytest.mark.long
-def test_tables(output: tuple[Path, str]) -> None:
+def test_the_tables_have_the_results_and_are_printed(output: tuple[Path, str]) -> None:
     folder, printed = output
     with (folder / "population.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -56,8 +56,8 @@ def test_tables(output: tuple[Path, str]) -> None:
     assert (folder / "terms.md").read_text().split("\n\n", 1)[1].strip() in printed
 
 
-def test_the_figures_scene_is_the_scene_file() -> None:
-    """One scene, said twice: in the script and in the scene file."""
+def test_the_scene_of_the_figures_equals_the_scene_file() -> None:
+    """The same numbers are in the script and in the scene file."""
     script = (ROOT / "scripts" / "reproduce_paper.py").read_text()
     text = (ROOT / "scenes" / "paper_planar.yaml").read_text()
     assert "[1.42, 1.86, 1.71, 1.16]" in script

@@ -13,7 +13,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Part:
-    """What is kept with every type that results of campaigns have."""
+    """A result with a field of every type that campaigns store."""
 
     number: int
     share: float
@@ -28,7 +28,7 @@ def square(number: int, *, calls: Path) -> Part:
 
 
 def divisors(number: int) -> list[int]:
-    """Those but 1 and the number itself, at most two of them."""
+    """At most two divisors other than 1 and the number itself."""
     return [one for one in range(2, number) if number % one == 0][:2]
 
 

@@ -1,4 +1,4 @@
-"""Two runs of the bench beside each other, from files written by hand."""
+"""The comparison of two runs of the bench, from files written by hand."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_figure_is_compared_by_its_ratio_to_the_reference(
     assert by == pytest.approx(ratio)
 
 
-def test_figures_of_one_run_only_are_new_or_gone(tmp_path: Path) -> None:
+def test_figures_of_only_one_run_are_new_or_gone(tmp_path: Path) -> None:
     before = load(write(tmp_path / "a.json", HALF, HALF | {"name": "old"}))
     now = load(write(tmp_path / "b.json", HALF | {"name": "young"}, HALF | {"value": 500.0}))
     changes = compare(before, now)
@@ -70,7 +70,7 @@ def test_figures_of_one_run_only_are_new_or_gone(tmp_path: Path) -> None:
     assert changes_table(compare(before, before)) == "all 2 figures are the same within their noise"
 
 
-def test_another_processor_and_other_versions_are_told(tmp_path: Path) -> None:
+def test_another_processor_and_other_versions_are_reported(tmp_path: Path) -> None:
     before = load(write(tmp_path / "a.json", versions={"python": "3.10", "pin": "4.0"}))
     now = load(write(tmp_path / "b.json", processor="a slide rule"))
     assert differences(before, now) == [
@@ -87,7 +87,7 @@ def test_a_short_run_is_not_compared_with_a_long_one(tmp_path: Path) -> None:
         compare(short, long)
 
 
-def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+def test_a_saved_run_is_loaded_unchanged(tmp_path: Path) -> None:
     figures = [Figure.model_validate(HALF), Figure(name="refuted", value=0.0, unit="", noise=0.0)]
     run = bench_figures.made_here("short", 12.0, figures)
     save(run, tmp_path / "run.json")
@@ -116,7 +116,7 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
         ({"setting": "medium"}, "setting: is not one of the allowed values"),
     ],
 )
-def test_a_bad_file_is_named_with_what_is_wrong(
+def test_an_invalid_file_is_refused_with_its_name_and_the_fault(
     tmp_path: Path, content: str | dict[str, Any] | None, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "run.json"
@@ -133,10 +133,10 @@ def test_a_bad_file_is_named_with_what_is_wrong(
     assert str(file) in capsys.readouterr().err
 
 
-def test_a_bench_is_held_against_a_saved_run(
+def test_a_bench_is_compared_with_a_saved_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With a bench that always gives the same: the exit status says whether anything got worse."""
+    """A bench with constant figures: the exit status is 1 if any figure got worse."""
     monkeypatch.setitem(BENCHES, "step", lambda _: [Figure.model_validate(HALF)])
     own = tmp_path / "own.json"
     assert bench_all.main(["--only", "step", "--save", str(own)]) == 0

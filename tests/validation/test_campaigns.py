@@ -1,4 +1,4 @@
-"""A campaign that is interrupted or killed goes on, and ends with the results of an undisturbed one."""
+"""An interrupted or killed campaign resumes and ends with the results of an undisturbed one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def called(calls: Path) -> list[int]:
     return sorted(int(file.name.partition("-")[0]) for file in calls.iterdir())
 
 
-def test_an_interrupted_campaign_goes_on_with_the_results_that_it_kept(tmp_path: Path, calls: Path) -> None:
+def test_an_interrupted_campaign_resumes_with_its_kept_results(tmp_path: Path, calls: Path) -> None:
     call, kept = partial(square, calls=calls), tmp_path / "kept"
 
     def stop(done: int, _: Part) -> None:
@@ -51,8 +51,8 @@ def test_an_interrupted_campaign_goes_on_with_the_results_that_it_kept(tmp_path:
     assert list(kept.iterdir()) == [], "what is done is not kept"
 
 
-def test_a_campaign_that_is_killed_loses_at_most_the_case_it_was_at(tmp_path: Path, calls: Path) -> None:
-    """The process of the campaign itself ends without a word at the third case."""
+def test_a_killed_campaign_loses_at_most_its_current_case(tmp_path: Path, calls: Path) -> None:
+    """The process of the campaign itself ends abruptly after the second case."""
     code = f"""
 import os
 from collections.abc import Callable
@@ -73,7 +73,7 @@ call_for_all(partial(square, calls=Path({str(calls)!r})), range(4), result=Part,
     assert called(calls) == [0, 1, 2, 3]
 
 
-def test_other_settings_or_other_code_are_another_campaign(
+def test_other_settings_or_other_code_make_another_campaign(
     tmp_path: Path, calls: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stop(*_: object) -> None:
@@ -93,8 +93,8 @@ def test_other_settings_or_other_code_are_another_campaign(
 
 
 @pytest.mark.long
-def test_the_first_results_are_those_of_calling_one_after_the_other(tmp_path: Path) -> None:
-    """Numbers with divisors: 4, 6, 8, 9, 10, ..., of which each gives one or two."""
+def test_the_first_results_equal_those_of_sequential_calls(tmp_path: Path) -> None:
+    """The numbers with divisors, 4, 6, 8, 9, 10, ..., give one or two each."""
     for count, jobs in ((1, 1), (5, 1), (6, 2)):
         with Campaign(divisors, list[int], jobs=jobs, folder=tmp_path) as campaign:
             found = campaign.first(itertools.count(1), count, most=2)
@@ -105,7 +105,7 @@ def test_the_first_results_are_those_of_calling_one_after_the_other(tmp_path: Pa
 
 
 @pytest.mark.long
-def test_a_case_at_which_the_process_dies_has_the_result_for_that_and_is_not_tried_again(tmp_path: Path) -> None:
+def test_a_case_that_kills_its_process_gets_the_died_result_and_is_not_repeated(tmp_path: Path) -> None:
     def stop(done: int, _: int) -> None:
         if done == 3:
             raise KeyboardInterrupt
@@ -122,7 +122,7 @@ def test_a_case_at_which_the_process_dies_has_the_result_for_that_and_is_not_tri
         assert call_for_all(die_at_three, [3, 4], result=int, jobs=2)[0] == [4]
 
 
-def test_a_campaign_runs_once_at_a_time(tmp_path: Path, calls: Path) -> None:
+def test_a_campaign_cannot_run_twice_at_a_time(tmp_path: Path, calls: Path) -> None:
     call = partial(square, calls=calls)
     with (
         Campaign(call, Part, jobs=1, folder=tmp_path),
@@ -132,6 +132,6 @@ def test_a_campaign_runs_once_at_a_time(tmp_path: Path, calls: Path) -> None:
         pass
 
 
-def test_what_cannot_be_said_in_full_is_no_case(tmp_path: Path) -> None:
+def test_a_case_without_a_full_description_is_refused(tmp_path: Path) -> None:
     with Campaign(str, str, jobs=1, folder=tmp_path) as campaign, pytest.raises(TypeError):
         campaign.run([object()])

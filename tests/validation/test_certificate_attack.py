@@ -20,7 +20,7 @@ from validation.raw_obstacles import RawObstacle, read_obstacle
 from validation.raw_urdf import read_raw_urdf, rotation_of
 from validation.signed_distances import SignedDistance, box_distance, capsule_distance, cylinder_distance
 
-FIRSTS = (15, 25)  # of the seeds of two machines that are quickly compared
+FIRSTS = (15, 25)  # first seeds of two machines that are quick to compare
 SEEDS = [seed for first in FIRSTS for seed in range(first, first + TURNS)]
 
 
@@ -41,18 +41,18 @@ def compared(attacks: list[tuple[Attack, bp.Certificate]]) -> list[Comparison]:
     return [compare(attack, certificate) for attack, certificate in attacks]
 
 
-def test_no_certificate_claims_more_than_is_true(compared: list[Comparison]) -> None:
+def test_no_certificate_claims_more_than_was_measured(compared: list[Comparison]) -> None:
     assert [r for one in compared for r in one.refutations] == []
     summary = summarise(compared)
     assert summary.comparisons == len(SEEDS)
     assert summary.safe > 0
     assert summary.claims > 10
-    # what is proven lies within 2 % of the margin below what was measured
+    # a proven distance is at most 2 % of the margin below the measured one
     assert summary.below[0] < 0.03
 
 
 def raised(certificate: bp.Certificate, by: float) -> bp.Certificate:
-    """The same certificate, in which every distance is larger [m]."""
+    """The same certificate with every distance larger [m]."""
     entries = tuple(replace(e, distance=e.distance + by, margin=e.margin + by) for e in certificate.clearances)
     return replace(certificate, clearances=entries)
 
@@ -63,7 +63,7 @@ def test_a_certificate_that_claims_5_mm_more_is_refuted(attacks: list[tuple[Atta
     assert len([cause for cause in causes if cause.startswith("nearer to a ")]) > 5
 
 
-def test_a_run_over_seeds_gives_what_each_of_them_gives(compared: list[Comparison]) -> None:
+def test_a_run_over_seeds_equals_single_comparisons(compared: list[Comparison]) -> None:
     (alone,), _ = attack_seeds([SEEDS[1]])
     assert not alone.error
     assert replace(alone, seconds=0.0) == compared[1]
@@ -73,7 +73,7 @@ def attack_of(seed: int, folder: Path) -> Attack:
     return random_attack(seed, random_attacked(seed, folder), folder)
 
 
-def test_a_seed_names_one_machine_site_and_motion(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_machine_site_and_motion(tmp_path: Path) -> None:
     drawn = []
     for name in ("one", "other"):
         (folder := tmp_path / name).mkdir()
@@ -85,7 +85,7 @@ def test_a_seed_names_one_machine_site_and_motion(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_links_stand_where_pinocchio_puts_them(seed: int, tmp_path: Path) -> None:
+def test_links_are_placed_as_by_pinocchio(seed: int, tmp_path: Path) -> None:
     file = write_random_machine(np.random.default_rng(seed), tmp_path)
     robot = bp.load_robot(file, tip="tip")
     q = robot.random_q(np.random.default_rng(seed))
@@ -115,7 +115,7 @@ def test_a_gap_to_a_point_is_its_signed_distance() -> None:
             assert found == pytest.approx(expected, abs=1e-7) if expected > 0.0 else found <= 0.0
 
 
-def test_a_gap_between_turned_boxes_is_that_of_their_corner_and_face() -> None:
+def test_the_gap_between_a_turned_and_a_level_cube_is_from_corner_to_face() -> None:
     """A unit cube on its corner above another: its lowest corner is half a diagonal below its middle."""
     turned = rotation_of(np.array([np.pi / 4.0, np.arctan(1.0 / np.sqrt(2.0)), 0.0]))
     cube = block(np.ones(3), np.eye(3), np.zeros(3))
@@ -124,12 +124,12 @@ def test_a_gap_between_turned_boxes_is_that_of_their_corner_and_face() -> None:
     assert gap(cube, cube, turned, np.array([0.0, 0.0, 0.4 - lowest])) <= 0.0
 
 
-def test_the_cell_of_a_height_map_is_solid_whichever_way_it_is_split(tmp_path: Path) -> None:
+def test_a_height_map_cell_is_solid_only_below_both_splits(tmp_path: Path) -> None:
     (tmp_path / "ground.csv").write_text("0,0\n0,1\n")
     record = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [1.0, 1.0], "position": [0, 0, 2]}
     ground = read_obstacle(record, folder=tmp_path, clearance=0.1)
     assert ground.body is not None
-    # half way from the raised corner to the one across it: 0.5 high where the ridge lies along that diagonal
+    # halfway along the diagonal from the raised corner: 0.5 high if the ridge is along that diagonal
     heights = {0.5: False, 0.3: True}
     for height, inside in heights.items():
         probe = ball(np.array([0.0, 0.0, 2.0 + height + 1e-3]), 0.0)
@@ -137,7 +137,7 @@ def test_the_cell_of_a_height_map_is_solid_whichever_way_it_is_split(tmp_path: P
         assert (least <= 0.0) == inside
 
 
-def test_the_distance_to_a_plane_is_that_of_the_rim_of_a_cylinder() -> None:
+def test_the_distance_of_a_tilted_cylinder_to_a_plane_is_that_of_its_rim() -> None:
     plane = RawObstacle("wall", "halfspace", 0.0, None, 0.0, np.zeros(3), None, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     tilt = 0.3
     rotation = rotation_of(np.array([tilt, 0.0, 0.0]))
@@ -157,7 +157,7 @@ ELBOW = """<robot name="elbow">
 </robot>"""
 
 
-def test_only_links_that_touch_wherever_their_joint_stands_are_left_out(tmp_path: Path) -> None:
+def test_only_links_that_touch_at_every_joint_angle_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "elbow.urdf").write_text(ELBOW)
     machine = read_raw_urdf(tmp_path / "elbow.urdf")
     pairs = find_pairs(machine, link_bodies(machine), "tip")
@@ -178,7 +178,7 @@ SWING = """<robot name="swing">
 </robot>"""
 
 
-def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_calls_it_safe(tmp_path: Path) -> None:
+def test_an_arm_through_the_cab_refutes_a_certificate_that_calls_it_safe(tmp_path: Path) -> None:
     (tmp_path / "swing.urdf").write_text(SWING)
     raw = read_raw_urdf(tmp_path / "swing.urdf")
     bodies = link_bodies(raw)
@@ -189,7 +189,7 @@ def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_c
     motion = bp.Trajectory.from_steps(np.array([0.0, 100.0]), np.array([[0.0], [2.0]]))
     attack = Attack(0, machine, scene, (), motion)
     honest = bp.certify(robot, scene, motion)
-    # as if nothing could be touched
+    # a certificate without any pair
     blind = replace(honest, clearances=())
     assert blind.safe
     (refutation,) = compare(attack, blind).refutations
@@ -199,7 +199,7 @@ def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_c
 
 
 def sliding_bar(folder: Path, length: float) -> Attacked:
-    """A bar that a slide takes along x from 0 to 1 m, and a block of the base at x = 0: they touch up to length / 2."""
+    """A bar on a slide along x from 0 to 1 m, and a block of the base at x = 0: they touch up to length / 2."""
     (folder / "slide.urdf").write_text(f"""<robot name="slide">
   <link name="base"/><link name="tip"/><link name="carriage"/>
   <link name="bar"><collision><geometry><box size="{length} 0.1 0.1"/></geometry></collision></link>
@@ -217,13 +217,15 @@ def sliding_bar(folder: Path, length: float) -> Attacked:
 
 
 @pytest.mark.parametrize(("length", "share"), [(1.89, 95), (0.81, 41)])
-def test_how_much_of_a_range_two_links_touch_is_what_was_built(length: float, share: int, tmp_path: Path) -> None:
-    """At 101 places 10 mm apart, the first at 0."""
+def test_the_share_of_a_range_in_which_links_touch_equals_the_hand_calculation(
+    length: float, share: int, tmp_path: Path
+) -> None:
+    """By hand, at 101 places 10 mm apart, the first at 0."""
     machine = sliding_bar(tmp_path, length)
     assert touch_share(machine.raw, machine.bodies, "tip", ("bar", "block")) == pytest.approx(share / 101, abs=1e-12)
 
 
-def test_links_that_touch_over_most_of_the_range_are_counted_apart(tmp_path: Path) -> None:
+def test_links_that_touch_over_most_of_the_range_are_counted_separately(tmp_path: Path) -> None:
     machine = sliding_bar(tmp_path, 1.89)
     task = {"goal": {"position": [1.8, 0, 0]}}
     scene = bp.scene_from_dict({"version": 1, "start": {"joints": {"slide": 0.5}}, "task": task})

@@ -1,4 +1,4 @@
-"""Dense samples find that there is no way exactly where there is none."""
+"""Dense samples find no way exactly where there is none."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ LEFT_AT_FIRST, RIGHT_AT_LAST = [0.79, 0.612, 0.0], [0.79, -0.612, 0.0]
 @pytest.mark.parametrize(
     ("balls", "together"), [([], True), ([LEFT_AT_FIRST], True), ([LEFT_AT_FIRST, RIGHT_AT_LAST], False)]
 )
-def test_an_elbow_that_cannot_change_sides(balls: list[list[float]], together: bool, tmp_path: Path) -> None:
+def test_layers_hang_together_unless_the_elbow_would_have_to_change_sides(
+    balls: list[list[float]], together: bool, tmp_path: Path
+) -> None:
     (tmp_path / "elbow.urdf").write_text(ELBOW, encoding="utf-8")
     robot = bp.load_robot(tmp_path / "elbow.urdf", tip="tip")
     points = [{"position": [1.2, y, 0.0]} for y in (-0.3, 0.3)]

@@ -1,4 +1,4 @@
-"""Motions to a goal are compared with the best that is known, which is kept from run to run."""
+"""Motions to a goal are compared with the best known cost, which is kept from run to run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROW = runs.Row(
 )  # fmt: skip
 
 
-def test_the_least_cost_of_a_site_stays_from_run_to_run(tmp_path: Path) -> None:
+def test_the_least_cost_of_a_site_is_kept_from_run_to_run(tmp_path: Path) -> None:
     best = runs.Best()
     best.add_rows([ROW, dataclasses.replace(ROW, planning_seed=7, cost=4.1)], "thorough")
     best.add_rows([dataclasses.replace(ROW, cost=4.2)], "normal")
@@ -30,7 +30,7 @@ def test_the_least_cost_of_a_site_stays_from_run_to_run(tmp_path: Path) -> None:
     assert again == best
     assert again.of(ROW) == 4.1
     assert again.found_by[ROW.name, "abc"] == "thorough, seed 7"
-    # of a site that is drawn otherwise nothing is known
+    # nothing is known of a site with another digest
     assert np.isnan(again.of(dataclasses.replace(ROW, digest="abd")))
     assert runs.Best.load(tmp_path / "none.json") == runs.Best()
     (tmp_path / "other.json").write_text('{"version": 99}')
@@ -38,7 +38,7 @@ def test_the_least_cost_of_a_site_stays_from_run_to_run(tmp_path: Path) -> None:
         runs.Best.load(tmp_path / "other.json")
 
 
-def test_a_motion_below_a_bound_of_its_site_is_named() -> None:
+def test_a_site_with_a_motion_below_its_bound_is_named() -> None:
     other = dataclasses.replace(ROW, index=4)
     best = runs.Best()
     best.add_rows([ROW, other], "normal")
@@ -66,7 +66,7 @@ def test_the_figures_of_a_group_are_those_of_its_rows() -> None:
     assert found["below bound"] == "0"
 
 
-def test_the_digest_of_a_scene_is_of_what_is_to_be_planned_whatever_it_costs() -> None:
+def test_the_digest_of_a_scene_does_not_depend_on_the_objective() -> None:
     robot = load_machine("planar4")
     scenes = [random_site(robot, SiteKey("planar4", "open", "goal", index)).scene for index in range(2)]
     assert runs.digest_of(runs.with_objective(scenes[0], "kinetic")) == runs.digest_of(scenes[0])
@@ -87,7 +87,7 @@ def test_a_run_plans_every_site_with_every_seed_and_remembers_the_best(
     assert cost == min(plan.trajectory.duration for plan in plans)
 
 
-def test_an_exception_while_planning_is_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_in_planning_gives_an_error_row(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("on purpose")
 
@@ -97,7 +97,7 @@ def test_an_exception_while_planning_is_a_row_of_its_own(monkeypatch: pytest.Mon
     assert row.message == "ZeroDivisionError: on purpose"
 
 
-def test_what_lifts_all_that_moves_by_a_millimetre_counts_as_little(backhoe: bp.Robot) -> None:
+def test_the_work_that_lifts_all_moving_parts_by_1_mm_counts_as_little(backhoe: bp.Robot) -> None:
     mass = sum(inertia.mass for inertia in backhoe.model.inertias.tolist()[1:])
     middle = {"joints": dict(zip(backhoe.joint_names, backhoe.middle.tolist(), strict=True))}
     content = {"version": 1, "payload": 2.0, "start": middle, "task": {"goal": middle}}

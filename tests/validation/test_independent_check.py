@@ -1,4 +1,4 @@
-"""The independent check against pinocchio, against all of its own points, and against a claim that is wrong."""
+"""The independent check against pinocchio, all of its own points and a wrong claim."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_independent_check_places_the_joints_as_pinocchio_does() -> None:
             np.testing.assert_allclose(translation[row], data.oMi[joint].translation, atol=1e-14)
 
 
-def test_the_independent_check_finds_the_least_distance_that_all_points_give(plan: bp.Plan) -> None:
+def test_the_independent_check_finds_the_least_distance_of_all_points(plan: bp.Plan) -> None:
     """Against every point of the cover at every moment, one by one."""
     found = {
         (least.link, least.obstacle): least.distance for least in independent_check.least_distances(plan, refine=2)
@@ -56,7 +56,7 @@ def test_the_independent_check_finds_the_least_distance_that_all_points_give(pla
             assert found[cover.link, spec.name] == pytest.approx(np.min(distance(placed.reshape(-1, 3))), abs=1e-12)
 
 
-def test_every_ball_of_a_cover_holds_its_parts_and_every_point_is_a_leaf(plan: bp.Plan) -> None:
+def test_every_ball_of_a_cover_contains_its_parts_down_to_the_leaves(plan: bp.Plan) -> None:
     covers, _ = link_shapes(plan.robot)
     assert max(len(cover.points) for cover in covers) > 100
     for cover in covers:
@@ -77,12 +77,12 @@ def test_every_ball_of_a_cover_holds_its_parts_and_every_point_is_a_leaf(plan: b
             node = above[node]
 
 
-def test_a_claim_that_is_too_high_is_refuted(plan: bp.Plan) -> None:
+def test_a_too_large_claim_is_refuted(plan: bp.Plan) -> None:
     assert plan.verified
     assert independent_check.refutations(plan) == []
     entries = plan.certificate.clearances
     first = next(entry for entry in entries if entry.kind == "obstacle")
-    # what is proven lies within 2 % of the truth, and the points lie 4 cm apart
+    # a proven distance is within 2 % of the true one, and the points are 4 cm apart
     raised = dataclasses.replace(first, distance=1.02 * first.distance + 0.03)
     others = tuple(raised if entry is first else entry for entry in entries)
     wrong = dataclasses.replace(plan, certificate=dataclasses.replace(plan.certificate, clearances=others))
@@ -91,8 +91,8 @@ def test_a_claim_that_is_too_high_is_refuted(plan: bp.Plan) -> None:
     assert all(first.obstacle in line for line in lines)
 
 
-def test_an_obstacle_that_is_there_in_one_leg_is_looked_at_in_that_leg_alone() -> None:
-    """A ball about the middle of the first leg's motion: in the way of that leg, and not there in the second."""
+def test_an_obstacle_of_one_leg_is_checked_in_that_leg_only() -> None:
+    """A ball at the middle of the first leg's motion: in the way of that leg, absent in the second."""
     robot = load_machine("planar4")
     ends = [dict.fromkeys(robot.joint_names, value) for value in (0.0, 0.2, 0.4)]
     legs = [{"name": name, "goal": {"joints": end}} for name, end in zip(("first", "second"), ends[1:], strict=True)]
@@ -107,7 +107,7 @@ def test_an_obstacle_that_is_there_in_one_leg_is_looked_at_in_that_leg_alone() -
         assert any("ball" in line for line in lines) == wrong
 
 
-def test_distance_of_a_scan_is_that_of_the_nearest_of_all_voxels() -> None:
+def test_the_distance_of_a_scan_is_that_of_its_nearest_voxel() -> None:
     rng = np.random.default_rng(5)
     points = np.column_stack((rng.uniform(-1.0, 1.0, (3000, 2)), rng.normal(0.0, 0.02, 3000)))
     edge = 0.1

@@ -1,4 +1,4 @@
-"""MuJoCo's own opinion: nothing touches on verified plans, and something does where it should."""
+"""Replays in MuJoCo: no contacts on verified plans, and the expected ones on unsafe motions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
 
 @pytest.mark.parametrize(("name", "machine"), [("paper_planar", "planar4"), ("yard", "backhoe")])
-def test_nothing_touches_on_a_verified_plan(name: str, machine: str) -> None:
+def test_a_verified_plan_has_no_contacts(name: str, machine: str) -> None:
     plan = bp.plan(bp.load_robot(f"example:{machine}"), bp.load_scene(SCENES / f"{name}.yaml"), effort="quick")
     assert plan.verified
     replayed = replay(plan.robot, plan.scene, plan.trajectory)
@@ -24,8 +24,8 @@ def test_nothing_touches_on_a_verified_plan(name: str, machine: str) -> None:
     assert not replayed.skipped
 
 
-def test_an_unsafe_motion_touches() -> None:
-    """A planar arm, stretched out, swings over a post that stands 2.5 m away."""
+def test_an_unsafe_motion_has_the_expected_contacts() -> None:
+    """A stretched planar arm swings through a post 2.5 m away."""
     robot = bp.load_robot("example:planar4")
     content = {
         "version": 1,
@@ -42,7 +42,7 @@ def test_an_unsafe_motion_touches() -> None:
     q[1, 0] = np.pi / 2.0
     found = replay(robot, bp.scene_from_dict(content), bp.Trajectory.from_steps(np.array([0.0, 3.0]), q), refine=600)
     touched = {(contact.link, contact.other): contact for contact in found.contacts}
-    # the post lies 2.546 m away, in the third link; the mover is met near the vertical by the first one
+    # link3 meets the post, 2.546 m away, and link1 meets the mover near the vertical
     assert set(touched) == {("link3", "post"), ("link1", "mover")}
     # straight through its middle: half of it and half of the link, 0.08 m wide
     assert touched["link3", "post"].depth == pytest.approx(0.14, abs=1e-3)
@@ -51,8 +51,8 @@ def test_an_unsafe_motion_touches() -> None:
 
 
 @pytest.mark.parametrize("first", [pytest.param(10, marks=pytest.mark.long), 80])
-def test_mujoco_and_the_least_distances_agree_on_what_touches(first: int, tmp_path: Path) -> None:
-    """Random machines and sites, with obstacles of every shape: two outside opinions that share only the files."""
+def test_mujoco_and_the_least_distances_agree_on_contacts(first: int, tmp_path: Path) -> None:
+    """Random machines and sites with obstacles of every shape: the two methods share only the files."""
     machine = random_attacked(first, tmp_path)
     touching = 0
     for seed in range(first, first + TURNS):
@@ -68,8 +68,8 @@ def test_mujoco_and_the_least_distances_agree_on_what_touches(first: int, tmp_pa
     assert touching > 0
 
 
-def test_held_joints_stand_where_they_are_held() -> None:
-    """A planar arm, its second joint held at a right angle: what touches does so only there."""
+def test_held_joints_keep_their_angles() -> None:
+    """A planar arm with its second joint held at a right angle has contacts only in that configuration."""
     robot = bp.load_robot("example:planar4").with_hold({"joint2": np.pi / 2.0})
     content = {
         "version": 1,

@@ -1,4 +1,4 @@
-"""OMPL's own planners are asked on the same problem, and their ways are told apart."""
+"""OMPL's own planners on the same problem, and which of their paths are alike."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ def challenge(tmp_path_factory: pytest.TempPathFactory) -> Challenge:
     return found
 
 
-def test_the_goal_is_given_by_its_postures(challenge: Challenge) -> None:
+def test_a_pose_goal_is_given_to_ompl_as_configurations(challenge: Challenge) -> None:
     assert len(challenge.goals) == 1
     assert challenge.goals[0] == pytest.approx(GOAL, abs=1e-6)
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
-def test_a_way_leads_round_the_post_and_is_no_shorter_than_the_shortest(challenge: Challenge, planner: str) -> None:
+def test_a_path_leads_around_the_post_and_is_longer_than_the_shortest(challenge: Challenge, planner: str) -> None:
     found = solve(challenge, planner, 0.15, seed=0)
     assert found is not None
     way = found.way.q
     assert np.array_equal(way[0], START)
     assert np.array_equal(way[-1], challenge.goals[0])
     assert np.max(np.abs(way[:, 1])) > 0.2
-    # the string from end to end round the corner of the post, which the ball's middle passes at 0.1 m
+    # the taut string around the corners of the post, which the ball's middle passes at 0.1 m
     away = np.hypot(0.6, 0.2)
     tangent, turn = np.sqrt(away**2 - 0.1**2), np.arctan2(0.2, 0.6) + np.arcsin(0.1 / away)
     shortest = 2.0 * (tangent + 0.1 * turn) + 0.4
@@ -60,7 +60,7 @@ def test_a_way_leads_round_the_post_and_is_no_shorter_than_the_shortest(challeng
     assert np.array_equal(found.motion.q[-1], way[-1])
 
 
-def test_a_way_can_be_moved_into_another_on_the_same_side_only(challenge: Challenge) -> None:
+def test_a_path_can_be_deformed_only_into_one_on_the_same_side(challenge: Challenge) -> None:
     check = challenge.check()
     left = np.array([START, [-0.4, 0.5], [0.4, 0.5], GOAL])
     wider = np.array([START, [-0.3, 0.8], [0.5, 0.7], GOAL])
@@ -74,7 +74,7 @@ def test_a_way_can_be_moved_into_another_on_the_same_side_only(challenge: Challe
     assert not can_be_moved(check, left, elsewhere)
 
 
-def test_the_figures_are_beside_ours_and_the_best_known() -> None:
+def test_the_table_compares_with_our_costs_and_the_best_known() -> None:
     best = Best()
     best.add("a", "1", 2.0, "known")
     best.add("b", "1", 3.0, "known")

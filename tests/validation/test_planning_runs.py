@@ -1,4 +1,4 @@
-"""The benchmark of the planner prints what it measured, keeps it, and compares it."""
+"""The benchmark of the planner prints, saves and compares its measurements."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_table_has_a_line_for_every_group_with_its_success(rows: list[runs.R
     assert f"{50.0 * len(summaries[0].verified):.1f} %" in lines[2]
 
 
-def test_a_run_that_is_saved_comes_back_as_it_was(rows: list[runs.Row], tmp_path: Path) -> None:
+def test_a_saved_run_is_loaded_unchanged(rows: list[runs.Row], tmp_path: Path) -> None:
     runs.save_rows(tmp_path / "run.json", rows, SETTINGS)
     assert runs.load_rows(tmp_path / "run.json") == rows
     assert [file.name for file in tmp_path.iterdir()] == ["run.json"]
@@ -48,7 +48,7 @@ def test_a_run_that_is_saved_comes_back_as_it_was(rows: list[runs.Row], tmp_path
         runs.load_rows(tmp_path / "other.json")
 
 
-def test_a_comparison_names_the_sites_that_were_lost_and_the_ratio_of_the_times(rows: list[runs.Row]) -> None:
+def test_a_comparison_names_lost_sites_and_the_ratio_of_times(rows: list[runs.Row]) -> None:
     done = [dataclasses.replace(row, verdict="verified", reason="", seconds=1.0, reference=0.5) for row in rows[:3:2]]
     missing = dataclasses.replace(done[0], index=7)
     slower = [
@@ -65,7 +65,7 @@ def test_a_comparison_names_the_sites_that_were_lost_and_the_ratio_of_the_times(
     assert [key for c in runs.compare(slower, done) for key in c.won] == [done[0].key]
 
 
-def test_an_interrupted_run_keeps_what_is_done() -> None:
+def test_an_interrupted_run_keeps_its_finished_rows() -> None:
     keys = runs.all_keys(3, machines=["planar4"], kinds=["open"], tasks=["goal"], seed=0)
 
     def watch(done: int, _: object) -> None:
@@ -77,7 +77,7 @@ def test_an_interrupted_run_keeps_what_is_done() -> None:
     assert [row.key for row in found] == keys[:1]
 
 
-def test_an_exception_while_planning_is_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_in_planning_gives_an_error_row(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("on purpose")
 

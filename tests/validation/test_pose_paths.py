@@ -1,4 +1,4 @@
-"""The problems of full poses: their arms, their waypoints, and what is measured of a motion."""
+"""The problems of full poses: their arms, their waypoints, and the measures of a motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_an_arm_is_as_long_as_published(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_path_has_its_waypoints_and_its_corners(kind: str) -> None:
+def test_a_dense_path_contains_all_points_of_its_shape(kind: str) -> None:
     shape = KINDS[kind](np.random.default_rng(5))
     points, turns = densely(shape)
     assert 190 <= len(points) <= 1000
@@ -44,7 +44,7 @@ def test_the_same_seed_gives_the_same_problem(tmp_path: Path) -> None:
     assert one.scene != draw("turn", robot, "iiwa", 6).scene
 
 
-def test_the_impossible_waypoint_is_the_first_beyond_the_arm(tmp_path: Path) -> None:
+def test_the_impossible_waypoint_is_the_first_beyond_the_arms_reach(tmp_path: Path) -> None:
     robot = load_arm("iiwa", tmp_path)
     problem = draw("beyond", robot, "iiwa", 0)
     path = problem.scene.task.path
@@ -55,8 +55,8 @@ def test_the_impossible_waypoint_is_the_first_beyond_the_arm(tmp_path: Path) -> 
     assert problem.impossible == int(np.argmax(far)) + 1
 
 
-def test_steps_between_waypoints_are_those_of_the_joints(tmp_path: Path) -> None:
-    """A motion through every waypoint's own joints, in steps that are known."""
+def test_the_largest_step_between_waypoints_is_that_of_the_joints(tmp_path: Path) -> None:
+    """A motion through the joints of every waypoint, in known steps."""
     robot = load_arm("iiwa", tmp_path)
     problem = draw("circle", robot, "iiwa", 0)
     path = problem.scene.task.path

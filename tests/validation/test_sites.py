@@ -1,4 +1,4 @@
-"""The random sites keep what they promise."""
+"""The random sites have their promised properties."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from validation.obstacles import MACHINES
 from validation.sites import KINDS, SPARE, SURVEYED, TASKS, Site, SiteKey, random_site
 
 ALL = [(machine, kind, task) for machine in MACHINES for kind in KINDS for task in TASKS]
-SOME = ALL[::5]  # drawing a site takes a tenth of a second; every machine, kind and task is among them
+SOME = ALL[::5]  # a site takes 0.1 s to draw; every machine, kind and task is among these
 REST = [site for site in ALL if site not in SOME]
 
 
@@ -33,7 +33,7 @@ def least_margin(problem: Problem, q: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("machine", "kind", "task"), SOME + SURVEYS)
-def test_a_site_is_what_its_name_says_whatever_was_drawn_before(machine: str, kind: str, task: str) -> None:
+def test_a_site_depends_only_on_its_name(machine: str, kind: str, task: str) -> None:
     first = drawn(machine, kind, task, 0)
     other = drawn(machine, kind, task, 1)
     again = random_site(load_machine(machine), first.key)
@@ -66,7 +66,7 @@ def test_start_and_goal_are_free_with_a_centimetre_to_spare(machine: str, kind: 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_path_of_full_poses_has_a_motion_that_follows_it_free_of_contact(kind: str) -> None:
+def test_a_path_of_full_poses_has_a_motion_that_follows_it_without_contact(kind: str) -> None:
     robot = load_machine("panda")
     for index in range(2):
         site = drawn("panda", kind, "path", index)
@@ -100,7 +100,7 @@ OTHERS = [(machine, kind) for machine in ("planar4", "backhoe") for kind in KIND
 @pytest.mark.parametrize(
     ("machine", "kind"), [*FEW, *(pytest.param(*other, marks=pytest.mark.long) for other in OTHERS)]
 )
-def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_blocked(machine: str, kind: str) -> None:
+def test_a_tip_path_that_is_not_blocked_has_a_motion_with_a_certificate(machine: str, kind: str) -> None:
     robot = load_machine(machine)
     blocked = 0
     for index in range(3):
@@ -121,14 +121,14 @@ def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_block
     assert blocked < 3
 
 
-def test_surveys_are_in_the_sites_that_are_named_after_them() -> None:
+def test_sites_named_after_surveys_contain_them() -> None:
     for machine, kind, task in SURVEYS:
         shapes = {obstacle.shape for obstacle in drawn(machine, kind, task, 0).scene.obstacles}
         assert {"scan": "pointcloud", "terrain": "heightmap"}[kind] in shapes
     assert len(SURVEYED) == 2
 
 
-def test_nothing_stands_inside_the_machine_and_the_whole_language_is_used() -> None:
+def test_no_obstacle_is_inside_the_machine_and_every_kind_of_entry_occurs() -> None:
     shapes: set[str] = set()
     limited = own = 0
     for kind in KINDS:

@@ -1,4 +1,4 @@
-"""While steps are timed, Python looks for garbage only among what is new, and afterwards among all."""
+"""While steps are timed, Python collects only new garbage, and afterwards all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from validation.step_times import collecting_only_new
 
 
 class Ring:
-    """Refers to itself, so that only a collection ends it."""
+    """Refers to itself, so that only the garbage collector removes it."""
 
     def __init__(self) -> None:
         self.itself = self
@@ -20,7 +20,7 @@ class Ring:
 
 @pytest.fixture
 def nothing_kept() -> Iterator[None]:
-    """Python searches through everything for garbage, as in a program that keeps nothing out of it."""
+    """Python's garbage collection covers everything, as in a program that freezes nothing."""
     gc.unfreeze()
     yield
     gc.collect()
@@ -30,8 +30,8 @@ def nothing_kept() -> Iterator[None]:
 @pytest.mark.long
 @pytest.mark.parametrize("raised", [None, ValueError])
 @pytest.mark.usefixtures("nothing_kept")
-def test_what_was_there_before_is_collected_after_the_time_is_taken_alone(raised: type[Exception] | None) -> None:
-    """Else OMPL, when Python ends, lists what was never given back."""
+def test_earlier_garbage_is_collected_only_after_the_timing(raised: type[Exception] | None) -> None:
+    """Otherwise OMPL lists what was never freed when Python ends."""
     old: Ring | None = Ring()
     seen = weakref.ref(old)
     try:
@@ -49,9 +49,9 @@ def test_what_was_there_before_is_collected_after_the_time_is_taken_alone(raised
     assert seen() is None
 
 
-def test_what_was_kept_out_of_the_search_before_stays_out_of_it() -> None:
+def test_objects_frozen_before_the_timing_stay_frozen() -> None:
     before = gc.get_freeze_count()
-    assert before > 0  # all that is there before the first test
+    assert before > 0  # everything that exists before the first test
     with collecting_only_new():
         pass
     assert gc.get_freeze_count() >= before

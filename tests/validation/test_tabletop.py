@@ -1,4 +1,4 @@
-"""The problems at a table, a shelf and a cage are what they are said to be."""
+"""The problems at a table, a shelf and a cage have their promised properties."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def drawn(kind: str, index: int) -> Site:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.long
-def test_a_problem_is_what_its_name_says_whatever_was_drawn_before(kind: str) -> None:
+def test_a_problem_depends_only_on_its_name(kind: str) -> None:
     again = tabletop_problem(load_machine("panda"), drawn(kind, 2).key)
     assert again.scene == drawn(kind, 2).scene
     assert again.scene != drawn(kind, 5).scene
@@ -43,9 +43,9 @@ def test_start_and_goal_are_free_with_a_centimetre_to_spare_and_apart(kind: str)
     assert site.scene.task.model_dump()["goal"]["position"] == pytest.approx(goal.tolist())
 
 
-def test_in_a_shelf_and_a_cage_the_straight_way_of_the_tip_leads_through_something() -> None:
+def test_a_shelf_board_crosses_the_straight_path_and_cage_tips_are_outside_the_bars() -> None:
     robot = load_machine("panda")
-    # a ball of 1 mm, moved from start to goal, meets a board of the shelf, or two bars and what is between them
+    # a point that moves straight from start to goal passes through a board of the shelf
     shelf = drawn("shelf", 2)
     kinematics = bp.Kinematics(robot)
     assert shelf.start_q is not None
@@ -61,7 +61,7 @@ def test_in_a_shelf_and_a_cage_the_straight_way_of_the_tip_leads_through_somethi
             local = np.array([c * local[0] + s * local[1], -s * local[0] + c * local[1], local[2]])
             inside += bool(np.all(np.abs(local) <= 0.5 * np.array(content["size"])))
     assert inside > 0
-    # the tips of a cage are outside of its bars, which stand on a circle around the arm
+    # the tips of a cage are outside its bars, which are on a circle around the arm
     cage = drawn("cage", 2)
     bars = [spec.model_dump(by_alias=True) for spec in cage.scene.obstacles]
     radius = float(np.linalg.norm(bars[0]["from"][:2]))

@@ -1,4 +1,4 @@
-"""The machine with a telescopic stick is what its numbers say."""
+"""The machine with a telescopic stick has the kinematics of its dimensions."""
 
 from __future__ import annotations
 
