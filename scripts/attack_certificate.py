@@ -1,18 +1,18 @@
 #!/usr/bin/env python
-"""Whether the certificate ever promises more than is true: random machines, sites and motions.
+"""Whether a certificate ever claims more than is true, on random machines, sites and motions.
 
-For every seed a machine is written as a URDF, a site as a scene and a motion that nobody
-planned; what `bp.certify` proves of it is held against the least distances that are found by
-looking at the shapes as they are written, without coal and without the planner's own shapes
-(validation/certificate_attack.py). Five seeds share a machine. Links that touch in nearly all
-postures by their shapes as they are written overlap by construction; they are counted apart.
+For every seed, a machine is written as a URDF, a site as a scene, and an unplanned motion; the
+claims of `bp.certify` are compared with the least distances of the shapes as written in the
+files, without coal and without the planner's own shapes (validation/certificate_attack.py).
+Five seeds share a machine. Links whose shapes as written touch in nearly all configurations
+overlap by construction; they are counted separately.
 
     python scripts/attack_certificate.py --count 5000
     python scripts/attack_certificate.py --only 17
 
-Ctrl-C ends the run and prints what is done; the same command goes on, also after it was killed
-(validation/campaigns.py). The exit status is 1 where a certificate was
-refuted or an exception was raised, 130 after Ctrl-C.
+Ctrl-C ends the run and prints the results so far; the same command resumes it, also after a kill
+(validation/campaigns.py). The exit status is 1 if a certificate was refuted or an exception was
+raised, 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from validation.link_pairs import BY_CONSTRUCTION
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=500, help="comparisons")
     parser.add_argument("--seed", type=int, default=0, help="of the first; the others follow it")
@@ -58,7 +58,7 @@ def _print_findings(_: int, compared: list[Comparison]) -> None:
 
 
 def describe(summary: Summary) -> str:
-    """The figures in words."""
+    """Return the figures in words."""
     lines = [
         f"{summary.comparisons} comparisons, {summary.safe} of them called safe, {summary.errors} errors, "
         f"{summary.seconds / summary.comparisons:.2f} s of the processor each",

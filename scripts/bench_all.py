@@ -1,17 +1,17 @@
 #!/usr/bin/env python
-"""Every benchmark in one run: what got slower or worse since a run that was saved.
+"""Every benchmark in one run: which figures got slower or worse since a saved run.
 
 The figures come from validation/benches.py: start-up, plans of random sites, motions to a goal over
 their bound, paths of full poses, steps of the law and of the servo, the servo among people, and the
-attack on the certificate. Times are those on the processor, and are compared as multiples of
-reference calls of the same run. `scripts/bench` is the same with one thread.
+attack on the certificate. Times are processor times, compared as multiples of reference calls of
+the same run. `scripts/bench` is the same with one thread.
 
     scripts/bench --save run.json
     scripts/bench --against validation/bench/0.1.0.json
     scripts/bench --only startup servo
     scripts/bench --long --save run.json
 
-The exit status is 1 where a figure is worse than before, or gone, beyond its noise, else 0.
+The exit status is 1 if a figure is worse beyond its noise or gone, else 0.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from validation.benches import BENCHES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--long", action="store_true", help="more of everything: about ten times as long")
     parser.add_argument("--only", nargs="+", choices=BENCHES, default=list(BENCHES), help="some of them")
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"setting {setting}, {run.seconds:.0f} s of the processor\n\n{figures.figures_table(run)}")
     if before is None:
         return 0
-    if set(options.only) != set(BENCHES):  # what was not measured is not gone
+    if set(options.only) != set(BENCHES):  # figures that were not measured are not gone
         names = {figure.name for figure in found}
         kept = tuple(figure for figure in before.figures if figure.name in names)
         before = before.model_copy(update={"figures": kept})
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _seconds() -> float:
-    """Processor time of this process and of those that it started [s]."""
+    """Processor time of this process and its child processes [s]."""
     own, others = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime + others.ru_utime + others.ru_stime
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env python
-"""How good motions to a goal are, beside the best known of the same site and a proven bound.
+"""How good motions to a goal are, compared with the best known for the same site and a proven bound.
 
 For each group of random sites (validation/sites.py), or of problems at a table, a shelf and a cage
-(validation/tabletop.py), in all of which a way is known: the part that was verified, cost over
-the best known, processor time, cost over the bound that the plan proves, and how far apart the
-results of several planning seeds are. For work and hydraulic energy, "beside little" gives the same shares
-with whatever costs less than lifting all that moves by a millimetre counted as that. `below bound` must be 0.
-What is best known is kept in a file; runs with other seeds and more effort make it better.
+(validation/tabletop.py), all of which have a known solution: the part that was verified, cost over
+the best known, processor time, cost over the bound that the plan proves, and the spread of the
+results of several planning seeds. For work and hydraulic energy, "beside little" gives the same shares
+with every cost raised at least to that of lifting all moving parts by a millimetre. `below bound` must
+be 0. The best known costs are kept in a file; runs with other seeds and more effort improve them.
 
     python scripts/bench_goals.py --sites 10 --best best.json
     python scripts/bench_goals.py --sites 10 --best best.json --effort thorough --planning-seeds 1 2 3
@@ -16,11 +16,11 @@ What is best known is kept in a file; runs with other seeds and more effort make
     python scripts/bench_goals.py --sites 10 --problems tabletop --effort quick --roboplan
 
 `--ompl` plans every site also with OMPL's own planners (validation/ompl_planners.py), each in the
-processor time that our plan took and in the seconds that are given. `--roboplan` plans tabletop problems
+processor time that our plan took and in the given seconds. `--roboplan` plans tabletop problems
 also with RoboPlan (`pip install roboplan`; validation/roboplan_runs.py).
 
-Ctrl-C ends the run and prints what is done; the same command goes on, also after it was killed.
-The exit status is 1 where an exception was raised or a motion is below a bound, 130 after Ctrl-C,
+Ctrl-C ends the run and prints the results so far; the same command resumes it, also after a kill.
+The exit status is 1 if an exception was raised or a motion is below a bound, 130 after Ctrl-C,
 else 0.
 """
 
@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import os
 
-os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is imported
+os.environ["OMP_NUM_THREADS"] = "1"  # one site per core; before numpy is imported
 
 import argparse
 import importlib.util
@@ -50,7 +50,7 @@ from validation.sites import KINDS, random_site
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sites", type=int, default=10, help="in each group")
     parser.add_argument("--problems", choices=("sites", "tabletop"), default="sites")
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _report(rows: Sequence[runs.Row], best: runs.Best, settings: runs.Settings) -> bool:
-    """Print the figures; whether a motion is below a bound."""
+    """Print the figures; return whether a motion is below a bound."""
     seeds = ", ".join(map(str, settings.planning_seeds))
     print(f"{len(rows)} plans, effort {settings.effort}, objective {settings.objective}, planning seeds {seeds}\n")
     print(runs.table(rows, best))

@@ -1,12 +1,12 @@
 #!/usr/bin/env python
-"""How long jobs take with the pattern that is chosen and with the plain one, both planned in full.
+"""How long jobs take with the chosen pattern and with the plain one, both planned in full.
 
     python scripts/bench_jobs.py
     python scripts/bench_jobs.py scenes/jobs/truck_under_power_line.yaml --attack
 
-`--attack` has every motion of every cycle checked against the ground of its moment by a dense
-independent check (validation/job_check.py), which takes some minutes a job. The exit status is 1 where a job is
-not verified or is refuted, else 0.
+`--attack` checks every motion of every cycle against the ground at that time by a dense independent
+check (validation/job_check.py), which takes some minutes per job. The exit status is 1 if a job is not
+verified or is refuted, else 0.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from pathlib import Path
 from validation.job_runs import run_job, table
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenes" / "jobs"
-JOBS = [file for file in sorted(FOLDER.glob("*.yaml")) if file.stem != "long_trench"]  # that one takes several places
+JOBS = [file for file in sorted(FOLDER.glob("*.yaml")) if file.stem != "long_trench"]  # that one needs several places
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("jobs", nargs="*", type=Path, default=JOBS, metavar="JOB.yaml")
     parser.add_argument("--effort", default="quick")

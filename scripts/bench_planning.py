@@ -2,28 +2,28 @@
 """How often, how fast and how well `bp.plan` solves seeded random sites.
 
 For each group of sites (machine, kind, task; see validation/sites.py): the part that was
-verified, of all and of those where a solution is known to exist; the reasons of the
-others; processor time of planning, also as a multiple of a reference (1000 calls
-of `Proximity.distances` on the same site); the motion's duration, for a goal also over its
-lower bound (median and 90th percentile), the tip's way, and the least margin of any
-verified plan. The results are in docs/measurements.md.
+verified, of all and of those with a known solution; the reasons of the others; processor time
+of planning, also as a multiple of a reference (1000 calls of `Proximity.distances` on the same
+site); the motion's duration, for a goal also over its lower bound (median and 90th percentile);
+the length of the tip's path; and the least margin of any verified plan. The results are in
+docs/measurements.md.
 
     python scripts/bench_planning.py --sites 50 --save run.json
     python scripts/bench_planning.py --sites 50 --compare run.json
     python scripts/bench_planning.py --only backhoe/narrow/goal/7
     python scripts/bench_planning.py --sites 300 --refute
 
-`--refute` holds every verified plan against validation/independent_check.py. Ctrl-C ends
-the run and prints what is done; the same command goes on, also after it was killed
-(validation/campaigns.py). The exit status is 1 where a verified plan was refuted
-or an exception was raised, 130 after Ctrl-C, else 0.
+`--refute` checks every verified plan by validation/independent_check.py. Ctrl-C ends the run and
+prints the results so far; the same command resumes it, also after a kill
+(validation/campaigns.py). The exit status is 1 if a verified plan was refuted or an exception
+was raised, 130 after Ctrl-C, else 0.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is imported
+os.environ["OMP_NUM_THREADS"] = "1"  # one site per core; before numpy is imported
 
 import argparse
 import json
@@ -45,7 +45,7 @@ _KINDS = (*KINDS, *SURVEYED)
 
 
 def _only(key: SiteKey, settings: runs.Settings) -> int:
-    """Plan one site, and print all that is known of it."""
+    """Plan one site and print its row."""
     row = runs.run_site(key, settings)
     print(f"{key}, seed {key.seed}: {json.dumps(asdict(row), indent=2)}")
     return int(row.is_wrong)
@@ -60,7 +60,7 @@ def _key(name: str, seed: int) -> SiteKey:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sites", type=int, default=50, help="in each group")
     parser.add_argument("--machines", nargs="+", choices=MACHINES, default=MACHINES)

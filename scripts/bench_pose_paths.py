@@ -1,12 +1,12 @@
 #!/usr/bin/env python
-"""How often, how fast and in how much memory paths of full poses are planned on redundant arms.
+"""Success, time and memory of planning paths of full poses on redundant arms.
 
 The problems are those of validation/pose_paths.py: words, circles, squares, turns on the spot,
-ways around cubes and between poles, on arms of seven and eight joints with and without
-continuous ones, and paths on which a waypoint is impossible. Of the others that are not verified,
-dense samples say whether there is any way (validation/dense_layers.py). Each is planned in a process of
-its own, so that its memory is its own; time is of the processor. The results are in
-docs/measurements.md.
+paths around cubes and between poles, on arms of seven and eight joints with and without
+continuous joints, and paths with an impossible waypoint. For the others that are not verified,
+dense samples tell whether a solution exists (validation/dense_layers.py). Each is planned in its
+own process, so that memory is measured per problem; times are processor times. The results are
+in docs/measurements.md.
 
     python scripts/bench_pose_paths.py [--seeds 0 1] [--csv FILE]
     python scripts/bench_pose_paths.py --machines gen3 --kinds word circle
@@ -46,7 +46,7 @@ def main() -> None:
     for seed in options.seeds:
         for kind in options.kinds:
             for machine in options.machines:
-                # a process for each problem: the greatest memory of a process is never less again
+                # a process for each problem: the peak memory of a process never falls
                 with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
                     results.append(pool.submit(_solve, kind, machine, seed).result())
                 print(markdown([results[-1].row]).splitlines()[-1], flush=True)

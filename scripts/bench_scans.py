@@ -1,12 +1,12 @@
 #!/usr/bin/env python
-"""What a survey costs: a scan of a million points, a terrain of a million cells, a mesh of 100,000 triangles.
+"""The cost of a survey: a scan of a million points, a terrain of a million cells, a mesh of 100,000 triangles.
 
-The same yard is taken in, planned in and driven in without them, with each of them and with
-all, in one run, and driven in with primitives in the scan's place, which tells what being near
-something costs by itself; times are those on the processor, and what counts are the ratios. Each goal is
-planned to with all of them in turn, and steps are taken in turn, too. Every verified plan is checked against the raw
-points, and so is every goal that is not reached: where no posture with the tip there keeps its clearance from them, it
-is not counted. The results are in docs/measurements.md.
+In one run, the same yard is loaded, planned in and driven in without them, with each of them and
+with all. It is also driven in with primitives in the scan's place, which shows the cost of nearness
+by itself. Times are processor times; the ratios count. All variants take turns at each goal and at
+the steps. Every verified plan is checked against the raw points. A goal that is not reached is not
+counted if no configuration with the tip there keeps its clearance from the raw points. The results
+are in docs/measurements.md.
 
     python scripts/bench_scans.py [--goals 12] [--steps 4000] [--seed 1] [--points 1000000] [--cells 1000]
 """

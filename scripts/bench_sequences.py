@@ -1,9 +1,9 @@
 #!/usr/bin/env python
-"""What it saves to choose the end of a leg with the next leg in mind, over random sequences.
+"""The saving by choosing the end of a leg with the next legs in mind, over random sequences.
 
 Each sequence has six legs (see validation/sequences.py) and is planned twice: leg by leg, and with
-the ends chosen with the legs after them in mind. Costs are those of the objective, with a stop
-between legs both times.
+each end chosen for the legs after it too. Costs are those of the objective, with a stop between
+legs both times.
 
     python scripts/bench_sequences.py --count 50 --objective time
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 
-os.environ["OMP_NUM_THREADS"] = "1"  # one sequence to a core; before numpy is imported
+os.environ["OMP_NUM_THREADS"] = "1"  # one sequence per core; before numpy is imported
 
 import argparse
 import itertools
@@ -25,7 +25,7 @@ from validation.sequences import describe, run_all
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=50, help="how many sequences")
     parser.add_argument("--objective", nargs="+", default=["time", "work"])

@@ -1,11 +1,10 @@
 #!/usr/bin/env python
-"""How long one step of the servo takes on the backhoe with 20 obstacles, 5 of them moving.
+"""The time of one servo step on the backhoe with 20 obstacles, 5 of them moving.
 
-What counts is the time on the processor, which other processes of the machine do not
-lengthen; the time on the clock stands beside it. In turn with the steps, on the same
-configurations, the Pinocchio and coal calls alone (see validation/step_times.py). The
-histogram is saved as JSON; memory is read before and after. The results are in
-docs/measurements.md.
+Processor time counts, which other processes do not lengthen; clock time is given too. In turn
+with the steps, the Pinocchio and coal calls alone are timed on the same configurations (see
+validation/step_times.py). The histogram is saved as JSON; memory is read before and after. The
+results are in docs/measurements.md.
 
     python scripts/bench_servo.py [--steps 100000] [--obstacles 20] [--moving 5] [--save out/servo_step.json]
 """
@@ -24,7 +23,7 @@ from validation.step_times import ServoDrive, collecting_only_new, obstacle_cour
 
 
 def resident() -> float:
-    """Memory of this process now [MB]."""
+    """Present memory of this process [MB]."""
     statm = Path("/proc/self/statm")
     if statm.exists():
         return int(statm.read_text().split()[1]) * resource.getpagesize() / 1e6

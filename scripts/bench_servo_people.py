@@ -1,11 +1,11 @@
 #!/usr/bin/env python
-"""How long the servo's steps take among walking people, and whether it touches what stands.
+"""The time of servo steps among walking people, and contacts with obstacles that stand still.
 
 Backhoe, Panda and UR5 are driven among people who walk through them (see
-validation/walking_people.py), each with several clearances. Times are those on the
-processor; each drive is repeated, and the shortest time of each step counts, "once" is the
-first drive alone. The exit status is 1 where something that stands was touched. The results
-are in docs/measurements.md.
+validation/walking_people.py), each with several clearances. Times are processor times; each
+drive is repeated, and the shortest time of each step counts; "once" is the first drive alone.
+The exit status is 1 if an obstacle that stands still was touched. The results are in
+docs/measurements.md.
 
     python scripts/bench_servo_people.py [--steps 20000] [--repetitions 3] [--seed 0] [--save FILE.csv]
 """
@@ -31,7 +31,7 @@ CLEARANCES = (0.05, 0.3, 0.5)
 
 
 def main() -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=20_000, help="of each machine, shared among the clearances")
     parser.add_argument("--repetitions", type=int, default=3)

@@ -4,7 +4,7 @@
     python scripts/bench_stand.py scenes/jobs/drain_with_a_fall.yaml --objective time
     python scripts/bench_stand.py scenes/jobs/long_trench.yaml --effort quick
 
-Both are planned in full. A table of the places that were compared is printed for each job.
+Both are planned in full. A table of the compared places is printed for each job.
 """
 
 from __future__ import annotations

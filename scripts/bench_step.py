@@ -1,14 +1,14 @@
 #!/usr/bin/env python
-"""How long one reactive step and one step of the servo take on the backhoe among obstacles.
+"""The times of one reactive step and one servo step on the backhoe among obstacles.
 
 The machine drives its tip from one random goal to the next among seeded obstacles that stand
-still; where no step is clear, its motion ends and it begins again at the start. Timed are the
-parts of a reactive step and the whole, and the servo's step. After every hundred steps the
-Pinocchio and coal calls alone are timed on the same configurations, and Pink where it is
-installed (see validation/step_times.py), so that what else the computer does slows all of
-them. With each ratio stands between which the middle half of the blocks lies. With several
-runs the same steps are taken again and again, and the least time of each counts, so that
-what else the computer does matters little. The results are in docs/measurements.md.
+still; where no step is clear, its motion ends and it begins again at the start. The parts of a
+reactive step, the whole of it and the servo's step are timed. After every hundred steps the
+Pinocchio and coal calls alone, and Pink if installed, are timed on the same configurations (see
+validation/step_times.py), so that other load on the computer slows all of them. Each ratio is
+given with the range of the middle half of the blocks. With several runs the same steps are
+repeated and the least time of each counts, so that other load matters little. The results are
+in docs/measurements.md.
 
     python scripts/bench_step.py [--steps 5000] [--obstacles 10] [--runs 1] [--save FILE] [--against FILE]
 """
@@ -85,7 +85,7 @@ def main() -> None:
 def time_drives(
     robot: bp.Robot, obstacles: int, seed: int, steps: int
 ) -> tuple[Problem, LawDrive, dict[str, TimesInTurn]]:
-    """The obstacle course of a seed, the drive of the law, and the times of both kinds of steps by name."""
+    """Return the obstacle course of a seed, the drive of the law, and the times of both kinds of steps by name."""
     rng = np.random.default_rng(seed)
     problem = obstacle_course(robot, obstacles, rng)
     law = LawDrive(problem, rng)

@@ -1,10 +1,10 @@
 #!/usr/bin/env python
-"""Whether a study that is killed ends with the table of an undisturbed run, and what it costs beside its plans.
+"""Whether a killed study ends with the table of an undisturbed run, and its overhead beside its plans.
 
-`kills`: the study is killed -9, with all of its processes, at random moments, begun again, and its table compared byte
-by byte with that of an undisturbed run; so is that of a Dask cluster of two workers, one of which is killed.
-`throughput`: rows a second with one process and with two, in turn, and the processor time beside the plans, without the
-start of the processes. The exit status is 1 where a table differs.
+`kills`: the study is killed with -9, with all of its processes, at random moments and restarted; its table is compared
+byte by byte with that of an undisturbed run, as is that of a Dask cluster of two workers, one of which is killed.
+`throughput`: rows per second with one process and with two, in turn, and the processor time beside the plans, without
+the start of the processes. The exit status is 1 if a table differs.
 
     python scripts/bench_study.py kills [--rows 2000] [--kills 5] [--seed 0]
     python scripts/bench_study.py throughput [--rows 600] [--turns 3]
@@ -63,7 +63,7 @@ def _throughput(folder: Path, rows: int, turns: int) -> int:
 
 
 def main() -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("kills", "throughput"))
     parser.add_argument("--rows", type=int)

@@ -1,11 +1,11 @@
 #!/usr/bin/env python
-"""A haptic loop at 1 kHz: a simulated hand pushes the bucket against a wall, and feels it.
+"""A haptic loop at 1 kHz: a simulated hand pushes the bucket against a wall and feels the force.
 
-The hand is a mass with a spring and a damper towards where its person wants it; it moves a
-joystick whose velocity is the wish for the tip, and the servo's force acts on it. The
-person moves the hand to and fro on a closed cycle. Drawn over time: where the tip is,
-the margin to the wall, the force, and the energy that the force gave to the hand, which
-a passive device never lets rise above 0. docs/live.md says what the force is.
+The hand is a mass with a spring and a damper towards the position that its person wants. It
+moves a joystick whose velocity is the wish for the tip, and the servo's force acts on it. The
+person moves the hand to and fro on a closed cycle. The plot shows over time the tip's position,
+the margin to the wall, the force, and the energy that the force gave to the hand, which is never
+above 0 for a passive device. docs/live.md defines the force.
 
     python scripts/haptic_loop.py [--seconds 12] [--save out/force.png]
 """
@@ -26,10 +26,10 @@ import matplotlib.pyplot as plt
 
 DT = 0.001
 MASS, SPRING, DAMPER = 0.5, 120.0, 8.0  # kg, N/m, N s/m of the hand
-REACH = 0.3  # m by which the hand goes to and fro
+REACH = 0.3  # m, the amplitude of the hand
 PERIOD = 4.0  # s
 WALL = 4.4  # m
-SCALE = 2.0  # of the hand's velocity to the tip's
+SCALE = 2.0  # ratio of the tip's velocity to the hand's
 
 Record = dict[str, np.ndarray]
 
@@ -52,12 +52,12 @@ def simulate(seconds: float, *, period: float = PERIOD, reach: float = REACH) ->
     for step in range(round(seconds / DT)):
         phase = 2.0 * np.pi * step * DT / period
         wanted = reach * np.array([1.0 - np.cos(phase), 0.5 * np.sin(phase), 0.0])
-        # the force that was computed at the last sample holds over this one
+        # the force of the last sample holds over this one
         x_dot = x_dot + DT / MASS * (SPRING * (wanted - x) - DAMPER * x_dot + force)
         x = x + DT * x_dot
         work += DT * float(force @ x_dot)
         state = servo.step(SCALE * x_dot)
-        # power is kept when velocity and force are scaled alike
+        # the same scale for velocity and force preserves power
         force = SCALE * state.feedback_force
         for name, value in zip(rows, (step * DT, state.tip_position, state.margin, force, x, work), strict=True):
             rows[name].append(value)
@@ -71,7 +71,7 @@ def draw(record: Record, path: Path) -> None:
     axes[0].axhline(WALL, color="0.4", linestyle="--", label="wall")
     axes[0].set_ylabel("x [m]")
     axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    # the corners of the bucket are nearer than the tip, which lies in the middle of its edge
+    # the bucket's corners are nearer than the tip, the middle of its edge
     axes[1].plot(time, np.where(np.isfinite(record["margin"]), record["margin"], np.nan))
     axes[1].set_ylim(bottom=0.0)
     axes[1].set_ylabel("margin of the nearest\npart of the machine [m]")

@@ -1,18 +1,18 @@
 #!/usr/bin/env python
-"""Whether MuJoCo sees a contact on a motion that is called safe.
+"""Whether MuJoCo sees a contact on a motion that its certificate calls safe.
 
-Verified plans of the scenes of the repository and of seeded random sites (validation/sites.py)
-are replayed at ten moments for each of their samples, in a model that MuJoCo makes of the URDF
-and the scene (validation/mujoco_replay.py); so are unplanned motions of random machines that
-their certificate calls safe (validation/random_attacks.py), and drives of the servo.
+Verified plans of the repository's scenes and of seeded random sites (validation/sites.py) are
+replayed at ten moments per sample in a MuJoCo model of the URDF and the scene
+(validation/mujoco_replay.py); so are unplanned motions of random machines that their certificate
+calls safe (validation/random_attacks.py), and drives of the servo.
 
     python scripts/replay_in_mujoco.py --count 300
     python scripts/replay_in_mujoco.py --count 0 --attacks 500
     python scripts/replay_in_mujoco.py --count 0 --episodes 5
 
-Links with one joint between them that do not touch by construction are counted on their own.
-Ctrl-C ends the run and prints what is done. The exit status is 1 where anything else touches,
-130 after Ctrl-C.
+Contacts of links with one joint between them that do not touch by construction are counted
+separately. Ctrl-C ends the run and prints the results so far. The exit status is 1 if anything
+else touches, 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from validation.random_attacks import TURNS, random_attack, random_attacked
 from validation.sites import KINDS, TASKS, random_site
 
 _SCENES = Path(__file__).resolve().parents[1] / "scenes"
-_MACHINES = {"paper_planar": "planar4"}  # all other scenes are the backhoe's
+_MACHINES = {"paper_planar": "planar4"}  # all other scenes are for the backhoe
 _LONGEST = 60.0  # s for one plan
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=60, help="random sites, beside the scenes of the repository")
     parser.add_argument("--seed", type=int, default=0)

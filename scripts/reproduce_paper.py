@@ -1,23 +1,23 @@
 #!/usr/bin/env python
-"""Draw the paper's Figures 5 and 6, and count over random scenes how general they are.
+"""Draw the paper's Figures 5 and 6, and count over random scenes how general their outcomes are.
 
     python scripts/reproduce_paper.py [--out out/paper] [--scenes 300] [--seed 0]
 
-Written to the folder: figure_5 and figure_6 (PNG and SVG), the same for a second scene,
+The folder gets figure_5 and figure_6 (PNG and SVG), the same for a second scene,
 population.png/.svg, and the tables as CSV and Markdown.
 
-The paper prints neither link lengths nor positions. `SHOWN` is a scene of ours with
-four links of 1 m, found by search, in which the law as printed does what the paper
-says: without the obstacle term the arm passes through the obstacle; with it the tip
-does not arrive in a hundred iterations; with directionality it arrives after about 25
-and the arm stays outside the region. Such scenes are rare, and the middle case is
-chaotic: the critical point jumps from link to link at the edge of the region.
+The paper prints neither link lengths nor positions. `SHOWN` is our own scene with four
+links of 1 m, found by search, in which the law as printed behaves as in the paper:
+without the obstacle term the arm passes through the obstacle; with it the tip does not
+arrive in a hundred iterations; with directionality it arrives after about 25 and the arm
+stays outside the region. Such scenes are rare, and the middle case is chaotic: the
+critical point jumps from link to link at the edge of the region.
 
-`NAMED` is a second scene, in which the obstacle term alone does arrive, unless (J_o N)^+
-is taken of rounding noise: with the tip itself as the critical point J_o N is 0, and the
-inverse of what rounding leaves of it 1e15.
+`NAMED` is a second scene, in which the tip arrives with the obstacle term alone, unless
+(J_o N)^+ is taken of rounding noise: with the tip itself as the critical point, J_o N is 0,
+and the inverse of its rounding errors is 1e15.
 
-The random scenes and the figures counted over them are those of validation/printed_laws.py.
+The random scenes and their figures are those of validation/printed_laws.py.
 The results are in docs/theory.md and docs/measurements.md.
 """
 
@@ -79,7 +79,7 @@ class Case:
 
 
 def cases(kinematics: bp.Kinematics, scene: PointScene) -> list[Case]:
-    """No terms, obstacle term only, with directionality: the paper's three."""
+    """The paper's three cases: no terms, obstacle term only, with directionality."""
     found = []
     for law in printed_laws(kinematics.robot.joint_names)[:3]:
         motion = iterate(kinematics, scene, law)
@@ -189,7 +189,7 @@ def _angles(axes: Axes, case: Case) -> None:
 
 
 def draw_population(rows: Sequence[Row], count: int) -> Figure:
-    """Bars: what share of the scenes each law reaches the goal in, touches in, jumps in."""
+    """Bars of the shares of scenes in which each law reaches the goal, touches and jumps."""
     shown = (
         ("reaches without touching [%]", "reaches the goal without touching", GREEN),
         ("touches [%]", "touches the obstacle on its way", RED),

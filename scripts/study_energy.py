@@ -1,13 +1,13 @@
 #!/usr/bin/env python
 """How much work the global optimum saves against local laws, on seeded straight paths of a backhoe.
 
-What is compared is said in validation/energy_savings.py, the results are in
+The comparison is described in validation/energy_savings.py; the results are in
 docs/measurements.md.
 
     python scripts/study_energy.py                 # the table of savings
     python scripts/study_energy.py --convergence   # the same costs on three grids
 
-Ctrl-C ends the run and prints what is done; the same command goes on, also after it was killed.
+Ctrl-C ends the run and prints the results so far; the same command resumes it, also after a kill.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _print_savings(results: list[Result]) -> None:
 
 
 def main() -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--paths", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,14 +1,14 @@
 #!/usr/bin/env python
-"""How plans are followed live: past random obstacles, up to obstacles that go again, and with nothing in the way.
+"""Following plans live: past random obstacles, up to obstacles that go away again, and undisturbed.
 
-`placements` counts how each drive ends past a random obstacle that appears on its plan and stays;
-contacts by distances without coal, at every `--check`-th step and at every step whose own margin
-is small; limits at every step (validation/placements.py). `removals` counts the drives that do
-not arrive although the obstacle before their end is gone (validation/removals.py). `undisturbed`
-counts the steps by which plans of three machines take longer than planned
+`placements` counts how drives end when a random obstacle appears on the plan and stays. Contacts
+are found by distances without coal, at every `--check`-th step and at every step whose own margin
+is small; limits are checked at every step (validation/placements.py). `removals` counts the drives
+that do not arrive although the obstacle before their end is gone (validation/removals.py).
+`undisturbed` counts the steps by which plans of three machines take longer than planned
 (validation/undisturbed.py). The results are in docs/measurements.md. Ctrl-C ends the run and prints
-what is done; the same command goes on, also after it was killed. The exit status is 1 where a
-limit was broken, something was touched, or a drive with nothing in its way did not arrive, 130 after Ctrl-C.
+the results so far; the same command resumes it, also after a kill. The exit status is 1 if a limit
+was broken, something was touched, or an undisturbed drive did not arrive, 130 after Ctrl-C.
 
     python scripts/study_following.py [placements|removals|undisturbed] [--count 120] [--seed 0]
         [--check 10] [--save FILE]
@@ -32,7 +32,7 @@ from validation.undisturbed import follow_undisturbed
 
 
 def main() -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", nargs="?", choices=("placements", "removals", "undisturbed"), default="placements")
     parser.add_argument("--count", type=int, default=120, help="drives; of `undisturbed` plans of each machine")

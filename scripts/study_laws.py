@@ -1,10 +1,10 @@
 #!/usr/bin/env python
-"""How often each law arrives, touches, and jumps, over seeded random planar scenes.
+"""How often each law arrives, touches and jumps in seeded random planar scenes.
 
 Every scene has 1 to 6 obstacles (balls, blocks, capsules) in the plane of the paper's
-arm, a free start, and a goal that some free configuration reaches. The laws, and what
-counts as touching, are those of validation/law_runs.py. The results are in
-docs/measurements.md. The exit status is 1 where a verified plan was refuted.
+arm, a free start, and a goal that some free configuration reaches. The laws and the
+definition of touching are those of validation/law_runs.py. The results are in
+docs/measurements.md. The exit status is 1 if a verified plan was refuted.
 
     python scripts/study_laws.py [--scenes 500] [--seed 5] [--save FILE.csv]
 """
@@ -23,7 +23,7 @@ from validation.tables import markdown, write_csv
 
 
 def main() -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=500)
     parser.add_argument("--seed", type=int, default=5)

@@ -1,13 +1,13 @@
 #!/usr/bin/env python
-"""Whether random wishes drive the servo into an obstacle, and whether it comes out of one.
+"""Whether random wishes drive the servo into an obstacle, and whether it gets out of one.
 
 The backhoe is driven by random wishes among obstacles that stand, appear and move;
 distances are measured without coal at every `--check`-th step and at every step whose
 own margin is small (validation/servo_drives.py). With `--recoveries`, the machine starts
 from rest inside obstacles, inside itself or outside a limit instead
 (validation/recoveries.py). The results are in docs/measurements.md. Ctrl-C ends the run and prints
-what is done; the same command goes on, also after it was killed. The exit status is 1 where
-a step broke a limit or touched something, 130 after Ctrl-C.
+the results so far; the same command resumes it, also after a kill. The exit status is 1 if a step
+broke a limit or touched something, 130 after Ctrl-C.
 
     python scripts/study_servo.py [--steps 200000] [--seed 0] [--check 10] [--save FILE]
     python scripts/study_servo.py --recoveries 20
@@ -27,7 +27,7 @@ from validation.servo_drives import DriveRecord, drive
 
 
 def main() -> int:
-    """The command line; the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=0)
