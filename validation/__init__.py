@@ -1,47 +1,47 @@
 """Measurements and checks of the planner; not part of the installed package.
 
 A verified plan carries a certificate, but the certificate comes from the same collision
-library as the planner. This package holds both to account on scenes that nobody chose
-by hand, and with distances that share no code with them. Tests and scripts import it;
-it imports `backhoe_planner` by its doors, and no script.
+library as the planner. This package checks both on random scenes, by distances that share
+no code with them. Tests and scripts import it; it imports `backhoe_planner` by its doors,
+and no script.
 
     module             what it offers
     obstacles          random obstacles, as entries of a scene file; everything draws them here
     scenes             a scene from a start, obstacles and a task
     habitats           sensible sizes around each machine; the forms of narrow sites
-    free_space         what is proven free between configurations, without the planner
+    free_space         proofs of free motion between configurations, without the planner
     sites              random sites, each named by machine, kind, task and index
-    tabletop           the Panda at a table, a shelf and a cage of bars, each with a known way
+    tabletop           the Panda at a table, a shelf and a cage of bars, each with a known solution
     planar_scenes      random scenes for a planar arm
     printed_laws       the laws as printed and the completed law on planar scenes, counted
     law_runs           each law on the same planar scenes: arrives, touches, jumps
     energy_savings     the work that the optimum saves on straight paths of the backhoe
     signed_distances   exact distances of points to shapes, in plain numpy
     surfaces           points on every link's collision shape
-    independent_check  the least distances of a whole motion, and what refutes a certificate
+    independent_check  the least distances of a whole motion, and refutations of a certificate
     telescope          an excavator with a telescopic stick, as URDF text
-    campaigns          one function called for many cases, in several processes; goes on where it was killed
+    campaigns          one function called for many cases, in several processes; resumes after a kill
     planning_runs      the planner on many sites: rows, tables, comparisons
-    goal_runs          motions to a goal beside the best that is known, and beside their bound
+    goal_runs          motions to a goal compared with the best known and with their bound
     ompl_planners      OMPL's own planners on the same problem, with the same check and time
-    ompl_runs          the planner beside these, on many sites
+    ompl_runs          the planner compared with these on many sites
     step_times         one obstacle course on which the steps of the law and the servo are timed
     servo_drives       a servo driven among obstacles that stand, appear and move
     recoveries         a servo that starts inside an obstacle or outside a limit
-    raw_urdf           a URDF as it is written: links, shapes, joints, where they are
-    raw_obstacles      the obstacles of a scene as they are written
+    raw_urdf           a URDF as written: links, shapes, joints and their placements
+    raw_obstacles      the obstacles of a scene as written
     convex_gaps        distances of convex parts, never below the true ones
-    dense_sweep        the least distances of a machine on its way, by looking at many moments
+    dense_sweep        the least distances of a moving machine, by dense samples
     link_pairs         which links must not touch each other
     random_machines    random machines, written as URDF text with their meshes
     random_attacks     random sites and motions around them, many close to contact
     certificate_attack the certificate against all of these
     mujoco_model       machine and site as a MuJoCo model
-    mujoco_replay      motions replayed in it, and what touches
+    mujoco_replay      motions replayed in it, and their contacts
     placements         an obstacle put on a plan while a servo follows it
     startup_times      processor time of whole commands
-    benches            every benchmark as a function that gives its figures
-    bench_figures      these figures in a file, and beside those of an earlier run
+    benches            every benchmark as a function that returns its figures
+    bench_figures      these figures in a file, and compared with those of an earlier run
     tables             rows of figures as an aligned table and as CSV
 
 Lengths in metres, angles in radians, times in seconds; x away from the machine, z up.

@@ -1,8 +1,8 @@
-"""The figures of a bench, in a file, and beside those of an earlier one.
+"""The figures of a bench in a file, and compared with those of an earlier run.
 
-A time is compared as a multiple of a reference that was measured in the same run beside it, so that
-a faster or a busier machine makes no difference. Every figure says by which part of it two runs of
-the same code may differ; what differs by more is told.
+A time is compared as a multiple of a reference from the same run, so that a faster or a busier
+machine makes no difference. Every figure states the relative difference that two runs of the same
+code may have; larger differences are reported.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from backhoe_planner.files.records import Record, explain
 from validation.tables import Row, markdown
 
 VERSION: Literal[1] = 1
-_LIBRARIES = ("scipy", "yourdfpy")  # beside those that a plan names
+_LIBRARIES = ("scipy", "yourdfpy")  # in addition to those that a plan names
 
 Amount = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Part = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
@@ -36,37 +36,37 @@ class Figure(Record):
     name: Annotated[str, Field(min_length=1)]
     """Unique in a run."""
     value: Amount
-    """In `unit`."""
+    """The value in `unit`."""
     unit: str
-    """As `s`, `us`, or empty."""
+    """Such as `s` or `us`; may be empty."""
     better: Literal["less", "more"] = "less"
     """Which way is better."""
     noise: Part
-    """The part by which two runs of the same code may differ."""
+    """The relative difference that two runs of the same code may have."""
     reference: Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)] | None = None
     """A time of the same run, in the same unit, whose multiple is compared; the value itself by default."""
 
     @property
     def compared(self) -> float:
-        """What two runs are compared by."""
+        """The value by which two runs are compared."""
         return self.value if self.reference is None else self.value / self.reference
 
 
 class BenchRun(Record):
-    """All figures of a run, and where it was made."""
+    """All figures of a run, with its machine and versions."""
 
     version: Literal[1] = VERSION
-    """Of this format."""
+    """Version of this format."""
     setting: Literal["short", "long"]
     """How much was measured."""
     processor: str
-    """Its name."""
+    """Name of the processor."""
     versions: dict[str, str]
-    """Of Python, of the libraries, and of the compiled functions where they are in use."""
+    """Versions of Python, the libraries and, where in use, the compiled functions."""
     seconds: Part
-    """Of the processor, all in all."""
+    """Total processor time [s]."""
     figures: tuple[Figure, ...]
-    """In the order in which they were measured."""
+    """The figures in the order of measurement."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class Change:
     Attributes
     ----------
     name: of the figure.
-    before, now: it, where the run has it.
-    ratio: now over before, as they are compared; 1 where both are 0, NaN where one run does not have it.
+    before, now: the figure in each run, if it has it.
+    ratio: now over before, as compared; 1 if both are 0, NaN if one run does not have it.
     verdict: ``better``, ``worse``, ``same`` within the noise, ``new``, or ``gone``.
     """
 
@@ -106,11 +106,11 @@ def save(run: BenchRun, path: Path) -> None:
 
 
 def load(path: Path) -> BenchRun:
-    """A run that was saved.
+    """Load a saved run.
 
     Raises
     ------
-    InputError: the file cannot be read, or is none that `save` wrote; what is wrong with it is said.
+    InputError: the file cannot be read or was not written by `save`; the message names the fault.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -133,11 +133,11 @@ def load(path: Path) -> BenchRun:
 
 
 def compare(before: BenchRun, now: BenchRun) -> list[Change]:
-    """Every figure of two runs, in the order of the later one; what only the earlier one has at the end.
+    """Every figure of two runs, in the order of the later one; those of only the earlier one at the end.
 
     Raises
     ------
-    InputError: one is short and the other is long, so that they measured different things.
+    InputError: one run is short and the other long, so that they measured different things.
     """
     if before.setting != now.setting:
         raise bp.InputError("is of another setting", key="setting", found=before.setting, allowed=now.setting)
@@ -161,7 +161,7 @@ def _change(before: Figure | None, now: Figure) -> Change:
 
 
 def figures_table(run: BenchRun) -> str:
-    """All figures of a run."""
+    """All figures of a run as a table."""
     return markdown(
         [
             {
@@ -176,7 +176,7 @@ def figures_table(run: BenchRun) -> str:
 
 
 def changes_table(changes: Sequence[Change]) -> str:
-    """What is not the same, what is worse first; or that all is."""
+    """The figures that changed, worse ones first, or a line that none did."""
     order = ("worse", "gone", "better", "new")
     told = sorted((one for one in changes if one.verdict != "same"), key=lambda one: order.index(one.verdict))
     if not told:
@@ -192,7 +192,7 @@ def changes_table(changes: Sequence[Change]) -> str:
 
 
 def differences(before: BenchRun, now: BenchRun) -> list[str]:
-    """In which processor and versions two runs differ, in words."""
+    """The differences in processor and versions of two runs, in words."""
     found = []
     if before.processor != now.processor:
         found.append(f"processor: {before.processor} before, {now.processor} now")

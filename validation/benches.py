@@ -1,4 +1,4 @@
-"""Every benchmark as one function that gives its figures, at a short and a long setting.
+"""Every benchmark as one function that returns its figures, at a short and a long setting.
 
 A new benchmark is one function here, and one entry in `BENCHES`.
 """
@@ -21,9 +21,9 @@ from validation.startup_times import startup_figures
 from validation.step_times import LawDrive, ServoDrive, obstacle_course, time_in_turn
 from validation.walking_people import walk_through
 
-_TIME_NOISE = 0.2  # of the ratio of a time to its reference, as they were measured together on a shared machine
+_TIME_NOISE = 0.2  # of the ratio of a time to its reference, measured together on a shared machine
 _TAIL_NOISE = 0.4  # the same of a 99th percentile
-_COST_NOISE = 0.02  # of what motions cost: another rounding, another order of the search
+_COST_NOISE = 0.02  # of the costs of motions: other rounding, another order of the search
 _REFERENCE_CALLS = 300
 _PEOPLE_START = np.array([0.0, 0.3, -0.9, -0.5])  # of the backhoe, stretched out low
 
@@ -157,11 +157,11 @@ BENCHES: dict[str, Callable[[bool], Sequence[Figure]]] = {
     "people": _servo_people,
     "attack": _attack,
 }
-"""By name: gives the figures of a benchmark, at its long setting or at its short one."""
+"""By name, the function that returns the figures of a benchmark at its long or short setting."""
 
 
 def _reference() -> float:
-    """The least processor time of three times 300 calls of `Proximity.distances` among ten obstacles [s]."""
+    """The least of three processor times of 300 calls of `Proximity.distances` among ten obstacles [s]."""
     from time import process_time
 
     rng = np.random.default_rng(0)
@@ -187,12 +187,12 @@ def _share(name: str, holds: Sequence[bool]) -> Figure:
 
 
 def _count(name: str, count: int) -> Figure:
-    """Of what should not happen."""
+    """A count of events that should not happen."""
     return Figure(name=name, value=float(count), unit="", noise=0.0)
 
 
 def _mean_time(name: str, seconds: Sequence[float], references: Sequence[float]) -> Figure:
-    """Geometric means, so that slow sites do not count for all."""
+    """Geometric means, so that slow sites do not dominate."""
     value, reference = _geometric_mean(seconds), _geometric_mean(references)
     return Figure(name=name, value=value, unit="s", noise=_TIME_NOISE, reference=reference)
 

@@ -1,8 +1,8 @@
-"""Campaigns: one function called for many cases, in the processes of studies and with the journal of studies.
+"""Campaigns: one function called for many cases, with the processes and the journal of studies.
 
-With a folder, what comes of a case is kept there at once, so that a campaign that is killed goes on where it was;
-it is removed when all cases are done. Another function, other settings of it, other code or other versions of the
-libraries are another campaign, with a folder of its own.
+With a folder, the result of a case is stored there at once, so that a killed campaign resumes where it was; the
+results are removed when all cases are done. Another function, other settings, other code or other versions of the
+libraries make another campaign with its own folder.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ R = TypeVar("R")
 X = TypeVar("X")
 
 _ROOT = Path(__file__).resolve().parents[1]
-_CODE = ("backhoe_planner/**/*.py", "validation/**/*.py", "models/**/*.*")  # on which results depend
+_CODE = ("backhoe_planner/**/*.py", "validation/**/*.py", "models/**/*.*")  # files on which results depend
 
 
 def kept_campaigns() -> Path:
-    """The folder in which scripts keep campaigns that are not done, below the user's caches."""
+    """The folder below the user's caches in which scripts keep unfinished campaigns."""
     return caches() / "campaigns"
 
 
 def count_on_terminal(total: int) -> Callable[[int, object], None]:
-    """For `watch`: how many of `total` are done, in one line of the terminal; nothing where there is none."""
+    """A `watch` that shows the number of cases done of `total` in one line of the terminal, if there is one."""
 
     def show(done: int, _: object) -> None:
         if sys.stderr.isatty():
@@ -61,8 +61,8 @@ class Campaign(Generic[T, R]):
     call: a function that the processes can import; its keywords may be bound by `partial`.
     result: its type: plain data, or dataclasses of it.
     jobs: processes; -1 for one on each core, 1 for this process alone.
-    folder: in which campaigns are kept until they are done; by default nothing is kept.
-    died: the result for a case at which the process dies, twice; by default there is none, with a warning.
+    folder: for campaigns that are not done; by default nothing is kept.
+    died: the result for a case at which the process died twice; by default none, with a warning.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Campaign(Generic[T, R]):
         self.interrupted = False
 
     def __enter__(self) -> Campaign[T, R]:
-        """Go on with the campaign, or begin it.
+        """Resume the campaign, or begin it.
 
         Raises
         ------
@@ -116,11 +116,11 @@ class Campaign(Generic[T, R]):
             shutil.rmtree(self._place, ignore_errors=True)
 
     def run(self, cases: Sequence[T], *, watch: Callable[[int, R], object] = lambda done, result: None) -> list[R]:
-        """The results in the order of the cases; after Ctrl-C of those that are done.
+        """The results in the order of the cases; after Ctrl-C those of the cases done.
 
         Parameters
         ----------
-        watch: is called with the number of cases done and the last result, first for those of an earlier run.
+        watch: called with the number of cases done and the last result, first for those of an earlier run.
         """
         found: dict[int, R] = {}
         try:
@@ -139,15 +139,15 @@ class Campaign(Generic[T, R]):
         most: int = 1,
         watch: Callable[[int, X], object] = lambda done, result: None,
     ) -> list[X]:
-        """The first `count` of what comes of cases of which each gives some or none; after Ctrl-C as far as it is done.
+        """The first `count` results of cases that give some or none each; after Ctrl-C those found so far.
 
-        Which these are does not depend on the processes.
+        They do not depend on the processes.
 
         Parameters
         ----------
-        cases: drawn as they are needed.
-        most: how many one case may give.
-        watch: is called with a number and the last one; may be called for more than `count`.
+        cases: drawn as needed.
+        most: results of one case.
+        watch: called with the number of results and the last one; may be called for more than `count`.
         """
         found: list[X] = []
         numbers = itertools.count(1)
@@ -182,7 +182,7 @@ class Campaign(Generic[T, R]):
                 text = self._text(result)
                 if self._journal is not None:
                     self._journal.add(_digest(cases[index]), {"result": text})
-                yield index, self._read(text)  # the same as of an earlier run
+                yield index, self._read(text)  # the same as from an earlier run
 
     def _results(self, cases: Sequence[T]) -> Generator[tuple[int, R | Died], None, None]:
         if self._processes == 1 or not cases:
@@ -196,7 +196,7 @@ class Campaign(Generic[T, R]):
         return found
 
     def _text(self, result: R) -> str:
-        """In JSON, with what is not finite too."""
+        """A result as JSON, including values that are not finite."""
         return json.dumps(self._type.dump_python(result, warnings=False), default=lambda number: number.item())
 
 
@@ -210,13 +210,13 @@ def call_for_all(
     watch: Callable[[int, R], object] = lambda done, result: None,
     died: Callable[[T], R] | None = None,
 ) -> tuple[list[R], bool]:
-    """The results in the order of the cases, and whether it was interrupted before the last; see `Campaign`."""
+    """The results in the order of the cases, and whether the run was interrupted before the last; see `Campaign`."""
     with Campaign(call, result, jobs=jobs, folder=folder, died=died) as campaign:
         return campaign.run(cases, watch=watch), campaign.interrupted
 
 
 def _header(call: Callable[..., Any]) -> dict[str, Any]:
-    """All that determines what comes of a case, beside the case."""
+    """Everything that determines a result, except the case."""
     files = sorted(str(file.relative_to(_ROOT)) for pattern in _CODE for file in _ROOT.glob(pattern) if file.is_file())
     return {
         "campaign": _plain(call),
@@ -230,7 +230,7 @@ def _digest(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A case, or the function of a campaign with what is bound to it, as plain data that says all of it."""
+    """A case, or a campaign's function with its bound arguments, as plain data without loss."""
     if isinstance(value, functools.partial):
         return [_plain(value.func), _plain(value.args), _plain(value.keywords)]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -246,5 +246,5 @@ def _plain(value: Any) -> Any:
         return str(value)
     if callable(value):
         return f"{value.__module__}.{value.__qualname__}"
-    json.dumps(value)  # nothing else is known to be said in full
+    json.dumps(value)  # raises for anything else, which may lose information
     return value

@@ -1,10 +1,10 @@
 """The certificate against the least distances of random machines on random motions.
 
-A comparison is a machine, a site and a motion; it is refuted where a body comes nearer than was
-proven, or where two touch though the certificate calls the motion safe. Links that the planner
-does not compare may touch only by construction (validation/link_pairs.py): nearly wherever their
-joint stands, or in nearly all postures; or, of the two links of a joint, near its axis. How often
-such contact was found is counted.
+A comparison is a machine, a site and a motion. It refutes the certificate if a body comes nearer
+than was proven, or if two touch although the certificate calls the motion safe. Links that the
+planner does not compare may touch only by construction (validation/link_pairs.py): at nearly all
+angles of their joint, or in nearly all configurations; or, if they share a joint, near its axis.
+Such contacts are counted.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from validation.dense_sweep import Least, Sweep
 from validation.link_pairs import BY_CONSTRUCTION, PIN_PLAY, LinkPair, touch_share
 from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
 
-_ROUNDING = 1e-6  # m below what is proven that a distance may be found
-_KEPT = 1.2e-4  # m below its clearance that a motion still counts as keeping it, and rounding
-_UNREPORTED = 10.0  # m beyond its clearance from which on the certificate does not name an obstacle
+_ROUNDING = 1e-6  # m by which a measured distance may be below the proven one
+_KEPT = 1.2e-4  # m by which a motion may be below its clearance and still keep it, with rounding
+_UNREPORTED = 10.0  # m beyond its clearance, further than which the certificate names no obstacle
 
 
 @dataclass(frozen=True)
 class Refutation:
-    """What contradicts a certificate, and of which kind it is."""
+    """A contradiction to a certificate, and its kind."""
 
     seed: int
     cause: str
@@ -45,13 +45,13 @@ class Comparison:
 
     Attributes
     ----------
-    below: how far each proven bound lies below the dense distance, as a part of it.
+    below: by which part of the dense distance each proven bound is below it.
     safe: whether the certificate calls the motion safe.
-    by_construction: pairs of links that were not compared and touched in a motion called safe, as they do in
-        nearly all postures.
-    left_out: pairs of links with several joints between them that touch in every posture, and were not compared.
-    seconds: of the processor.
-    error: what was raised, if anything.
+    by_construction: pairs of links that were not compared and touched in a motion called safe, as in nearly
+        all configurations.
+    left_out: pairs of links, several joints apart, that touch in every configuration and were not compared.
+    seconds: processor time [s].
+    error: the exception raised, if any.
     """
 
     seed: int
@@ -71,11 +71,11 @@ def attack_seeds(
     folder: Path | None = None,
     watch: Callable[[int, list[Comparison]], object] = lambda done, result: None,
 ) -> tuple[list[Comparison], bool]:
-    """The comparisons of all seeds in their order, and whether it was interrupted; neighbours share a machine.
+    """The comparisons of all seeds in their order, and whether the run was interrupted; neighbours share a machine.
 
     Parameters
     ----------
-    watch: is called with what came of some neighbours, as they are done; see `Campaign` for it and the others.
+    watch: called with the comparisons of a block of neighbours; see `Campaign` for it and the others.
     """
     blocks: dict[int, list[int]] = {}
     for seed in seeds:
@@ -87,7 +87,7 @@ def attack_seeds(
 
 
 def attack_block(seeds: Sequence[int]) -> list[Comparison]:
-    """The comparisons of some seeds, with the machine of the first."""
+    """The comparisons of some seeds with the machine of the first."""
     found: list[Comparison] = []
     with tempfile.TemporaryDirectory() as name:
         machine: Attacked | None = None
@@ -105,7 +105,7 @@ def attack_block(seeds: Sequence[int]) -> list[Comparison]:
 
 
 def compare(attack: Attack, certificate: bp.Certificate) -> Comparison:
-    """Hold a certificate against the least distances that are found by looking."""
+    """Compare a certificate with the least distances found by dense samples."""
     machine, motion = attack.machine, attack.trajectory
     sweep = machine.sweep(motion.time, motion.q)
     own, excused = _against_itself(attack, certificate, sweep)
@@ -124,7 +124,7 @@ def compare(attack: Attack, certificate: bp.Certificate) -> Comparison:
 
 @dataclass(frozen=True)
 class _Claim:
-    """What was proven of a distance, and the least that was found [m]."""
+    """A proven bound of a distance, and the least distance found [m]."""
 
     proven: float
     found: Least
@@ -133,10 +133,10 @@ class _Claim:
     known: bool
 
     def refutations(self, seed: int, *, safe: bool) -> list[Refutation]:
-        """What is wrong with it."""
+        """The contradictions to the claim."""
         found = self.found
         touches = found.distance <= 0.0
-        least = max(found.distance, 0.0)  # of parts that overlap the depth is not known
+        least = max(found.distance, 0.0)  # the depth of overlapping parts is not known
         unsafe = (touches and self.proven >= 0.0) or least < self.clearance - _KEPT
         if least >= self.proven - _ROUNDING and not (safe and unsafe):
             return []
@@ -150,12 +150,12 @@ class _Claim:
 
     @property
     def comparable(self) -> bool:
-        """Whether the two say how sharp the proof is: where a clearance is kept, for elsewhere it ends early."""
+        """Whether the two show how sharp the proof is: only if a clearance is kept, else the proof ends early."""
         return self.known and self.clearance + 1e-4 < self.found.distance and self.proven <= self.found.distance
 
     @property
     def below(self) -> float:
-        """How far what was proven lies below what was found, as a part of it."""
+        """By which part of the found distance the proven one is below it."""
         return 1.0 - self.proven / self.found.distance
 
 
@@ -176,12 +176,12 @@ def _against_obstacles(attack: Attack, certificate: bp.Certificate, sweep: Sweep
 def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -> tuple[list[_Claim], int]:
     """One claim for every cause for which links may come nearer to each other than proven.
 
-    With how many pairs of links touch by construction though the motion is called safe.
+    Also the number of pairs that touch by construction although the motion is called safe.
     """
     machine = attack.machine
 
     def excused(found: Least | None) -> bool:
-        """Whether links that are not compared touch, and do so by construction."""
+        """Whether links that are not compared touch by construction."""
         if found is None or found.distance > 0.0 or not certificate.safe:
             return False
         share = touch_share(machine.raw, machine.bodies, "tip", (found.link, found.other))
@@ -190,7 +190,7 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
     robot = machine.robot
     kept, pieces = self_pairs(robot), self_pieces(robot)
     looked_at = {frozenset((pieces[a].link, pieces[b].link)) for a, b in kept.kept}
-    looked_at -= {frozenset((pair.link, pair.other)) for pair in kept.left_out}  # of which some parts are left out
+    looked_at -= {frozenset((pair.link, pair.other)) for pair in kept.left_out}  # some of their parts are left out
     entry = next((entry for entry in certificate.clearances if entry.kind == "machine"), None)
     groups: dict[str, list[LinkPair]] = {}
     claims: list[_Claim] = []
@@ -216,7 +216,7 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
             found = sweep.between(pairs)
         if found is None:
             continue
-        # what cannot meet, or touches by construction, is not in the least distance that is reported
+        # the reported least distance excludes pairs that cannot meet or touch by construction
         proven = (_UNREPORTED if entry is None else entry.distance) if known else 0.0
         same = entry is not None and {entry.link, entry.obstacle} == {found.link, found.other}
         claims.append(_Claim(proven, found, 0.0, cause, known and same))
@@ -227,7 +227,7 @@ COMPARED = "links nearer to each other than proven"
 
 
 def _cause(machine: Attacked, pair: LinkPair, looked_at: set[frozenset[str]]) -> str:
-    """Of which kind it is when the links of a pair come nearer than proven."""
+    """The kind of a refutation by a pair of links that come nearer than proven."""
     if frozenset(pair) in looked_at:
         return COMPARED
     if pair not in machine.pairs.adjacent:
@@ -257,7 +257,7 @@ class Summary:
 
 
 def summarise(comparisons: Sequence[Comparison]) -> Summary:
-    """Count what was found; `below` are the median and the 90th percentile."""
+    """Count the results; `below` has the median and the 90th percentile."""
     below = [share for one in comparisons for share in one.below]
     median, high = (float(np.quantile(below, part)) if below else float("nan") for part in (0.5, 0.9))
     causes = Counter(refutation.cause for one in comparisons for refutation in one.refutations)

@@ -1,9 +1,9 @@
-"""Distances between convex parts that are upper bounds of the true ones, whatever rounding or iterations do.
+"""Upper bounds on the distances between convex parts, valid in spite of rounding and few iterations.
 
 A gap is the distance between one point of each part, found by Gilbert's iteration over the
 corners of their difference, with the least of every simplex by non-negative least squares.
-Two points of two solids can only be further apart than the solids, so a claim of more than a
-gap is refuted. Where parts overlap the gap is 0 or less, and says nothing of the depth.
+Two points of two solids are never nearer to each other than the solids, so a claim of more
+than a gap is refuted. If parts overlap, the gap is 0 or less and does not tell the depth.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from validation.raw_urdf import RawShape
 _ITERATIONS = 80  # a round rim needs about 30, corners fewer than 15
 _CONVERGED = 1e-9  # m between the upper and the lower bound
 _TOUCHING = 1e-9  # m between two parts that touch
-_POINTS_LOOKED_AT, _PARTS_LOOKED_AT, _PAIRS_LOOKED_AT = 12, 4, 5  # of what is nearest by its points
-_ALL_PAIRS = 100  # of parts, up to which all are looked at
-_OUTLINE = 16  # points of a link that are looked at first
-_ROUND = 0.98  # of a cylinder's radius that its points reach between them
-_HOLLOW = 1.001  # times its own volume that the hull of a mesh has, from which on it closes something
+_POINTS_LOOKED_AT, _PARTS_LOOKED_AT, _PAIRS_LOOKED_AT = 12, 4, 5  # of those with the nearest points
+_ALL_PAIRS = 100  # of parts, up to which all are measured
+_OUTLINE = 16  # points of a link that are measured first
+_ROUND = 0.98  # part of a cylinder's radius that the polygon of its points reaches
+_HOLLOW = 1.001  # volume of a mesh's hull over its own, from which the mesh counts as hollow
 _ONE = np.array([0.0, 0.0, 0.0, 1.0])  # corners whose weights add up to 1 meet at the origin
-_SIDES = 16  # of the prism on which points of a cylinder lie
+_SIDES = 16  # of the prism that has the points of a cylinder
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +38,10 @@ class Part:
 
     Attributes
     ----------
-    corners: (k, 3) [m]; of a cylinder the middles of its ends.
+    corners: (k, 3) [m]; for a cylinder the middles of its ends.
     radius: [m]
     disc: radius of a cylinder about the line from end to end [m].
-    points: (m, 3) on its surface, for a first look [m].
+    points: (m, 3) on its surface, for a coarse search [m].
     """
 
     corners: Matrix
@@ -61,7 +61,7 @@ class Part:
 
     @cached_property
     def middle(self) -> Vector:
-        """A point of it."""
+        """A point inside."""
         return np.asarray(self.corners.mean(axis=0))
 
 
@@ -82,7 +82,7 @@ def gap(first: Part, second: Part, rotation: Matrix, translation: Vector) -> flo
         system[:3] = np.array(corners).T
         try:
             weights, _ = nnls(system, _ONE)
-        except RuntimeError:  # it cycles, where corners nearly coincide
+        except RuntimeError:  # cycles if corners nearly coincide
             break
         corners = [corner for corner, weight in zip(corners, weights.tolist(), strict=True) if weight > 0.0]
         weights = weights[weights > 0.0]
@@ -92,7 +92,7 @@ def gap(first: Part, second: Part, rotation: Matrix, translation: Vector) -> flo
 
 
 class Body:
-    """Parts that move together, and a tree of the points on them."""
+    """Parts that move together, with a tree of their points."""
 
     def __init__(self, name: str, parts: list[Part]) -> None:
         self.name, self.parts = name, parts
@@ -116,14 +116,14 @@ class Body:
 
     @cached_property
     def outline(self) -> Body:
-        """The same with a few of its points, for a first look at many moments."""
+        """The same body with fewer points, for a coarse search over many moments."""
         found = Body(self.name, self.parts)
         rows = np.linspace(0, len(self.points) - 1, min(_OUTLINE, len(self.points))).astype(int)
         found.points, found.owner, found.fat = self.points[rows], self.owner[rows], self.fat[rows]
         return found
 
     def holds(self, point: Vector) -> bool:
-        """Whether a point (3,) lies in one of the parts."""
+        """Whether a point (3,) is in one of the parts."""
         if np.linalg.norm(point - self.centre) > self.reach:
             return False
         alone = Part(point[None, :], 0.0, point[None, :])
@@ -131,13 +131,13 @@ class Body:
         return any(gap(alone, part, np.eye(3), np.zeros(3)) <= 0.0 for part in near)
 
     def nearest_parts(self, place: Vector, count: int) -> list[int]:
-        """The parts on which the points nearest to `place` (3,) lie."""
+        """The parts with the points nearest to `place` (3,)."""
         found = self.tree.query(place, k=min(count, len(self.points)))[1]
         return list(dict.fromkeys(self.owner[np.atleast_1d(found)].tolist()))
 
 
 def least_pair(first: Body, second: Body, rotation: Matrix, translation: Vector) -> tuple[float, tuple[int, int]]:
-    """The least gap of the parts whose points are nearest, and which two they are; never below the true distance."""
+    """The least gap of the parts with the nearest points, and these two parts; never below the true distance."""
     if len(first.parts) * len(second.parts) <= _ALL_PAIRS:
         return _least_of_all(first, second, rotation, translation)
     placed = first.points @ rotation.T + translation
@@ -153,7 +153,7 @@ def least_pair(first: Body, second: Body, rotation: Matrix, translation: Vector)
 
 
 def _least_of_all(first: Body, second: Body, rotation: Matrix, translation: Vector) -> tuple[float, tuple[int, int]]:
-    """The same over all parts, those first whose balls are nearest."""
+    """The same over all parts, in the order of the distance of their balls."""
     between = (first.middles @ rotation.T + translation)[:, None] - second.middles[None]
     lower = np.linalg.norm(between, axis=2) - first.reaches[:, None] - second.reaches[None]
     best, where = np.inf, (0, 0)
@@ -168,7 +168,7 @@ def _least_of_all(first: Body, second: Body, rotation: Matrix, translation: Vect
 
 
 def first_look(first: Body, second: Body, rotations: Array, translations: Matrix, rows: Indices) -> Vector:
-    """(K,) about how far the bodies are apart at `rows` (K,) of T placements, to within the spacing of the points."""
+    """(K,) distance of the bodies at `rows` (K,) of T placements, to within the spacing of the points."""
     placed = np.einsum("tij,pj->tpi", rotations[rows], first.points) + translations[rows][:, None]
     distance, nearest = second.tree.query(placed.reshape(-1, 3))
     apart = (distance - second.fat[nearest]).reshape(len(rows), -1) - first.fat
@@ -223,18 +223,18 @@ def hull_of(corners: Matrix, faces: Array, *, points: int = 30) -> Part:
 
 
 def is_hollow(vertices: Matrix, faces: Array) -> bool:
-    """Whether the convex hull of a mesh is more than the mesh."""
-    mesh = trimesh.Trimesh(vertices, faces)  # corners that coincide, as in an STL, are made one
+    """Whether the convex hull of a mesh is larger than the mesh."""
+    mesh = trimesh.Trimesh(vertices, faces)  # merges coincident corners, as in an STL
     return not mesh.is_watertight or bool(mesh.convex_hull.volume > _HOLLOW * abs(mesh.volume))
 
 
 def solid_mesh(vertices: Matrix, faces: Array) -> list[Part]:
-    """A mesh as one solid where it is convex, else as its triangles, without what lies inside."""
+    """A mesh as one solid if it is convex, else as its triangles without the interior."""
     return triangles(vertices, faces) if is_hollow(vertices, faces) else [hull_of(vertices, faces, points=100)]
 
 
 def triangles(vertices: Matrix, faces: Array, *, points: int = 400) -> list[Part]:
-    """Every triangle of a mesh as a part of its own."""
+    """Every triangle of a mesh as its own part."""
     each = max(1, points // len(faces))
     return [Part(c, 0.0, np.vstack((c, spread(c, _ONE_FACE, each)))) for c in vertices[faces]]
 

@@ -1,8 +1,8 @@
-"""Whether the configurations of a path hang together, by dense samples: of a path that was not planned, is there a way?
+"""Whether the configurations of a path are connected, by dense samples: does a path without a plan have a solution?
 
-At places close together along the path as many configurations are drawn as cover what the joints can do there. Two are
-neighbours where no joint moves far from one to the other, at one place or from place to place. Nothing of the
-planner's search is used. A way that is missed would have to pass where the samples leave a gap.
+At closely spaced places along the path, enough configurations are drawn to cover the joints' freedom there. Two are
+neighbours if no joint differs much between them, at one place or at successive places. Nothing of the planner's search
+is used. A solution that is missed would have to pass through a gap in the samples.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 _SPACING = 0.02  # m of path between places
 _DRAWN = 5000  # configurations at each place
-_WANDER = 0.15  # rad or m by which as many are moved, to fill what lies between
-_NEAR = 0.15  # rad or m: neighbours at one place; those of two places may be apart by a third more
-_THINNED = 0.4  # of it: nearer ones are one
+_WANDER = 0.15  # rad or m by which as many more are moved, to fill the gaps
+_NEAR = 0.15  # rad or m between neighbours at one place; a third more between two places
+_THINNED = 0.4  # part of `_NEAR`; nearer ones count as one
 
 
 class DenseLayers:
@@ -33,7 +33,7 @@ class DenseLayers:
 
     Parameters
     ----------
-    drawn: configurations that are drawn at each place.
+    drawn: configurations drawn at each place.
     seed: of the draws.
     """
 

@@ -1,8 +1,8 @@
-"""The least distances of a moving machine, as its URDF is written, by looking at many moments.
+"""The least distances of a moving machine, from its URDF as written, at many moments.
 
-A first look goes over points on every link at some hundred moments; the nearest few are then
-measured exactly, and the moment is closed in on. What is found is never below the true least
-distance, and nearly always equal to it.
+A coarse search covers points on every link at some hundred moments; the nearest few are then
+measured exactly and refined in time. The distance found is never below the true least distance,
+and nearly always equal to it.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from validation.raw_urdf import Placements, RawJoint, RawMachine
 
 Relative = Callable[[Vector], Placements]
 
-_STEP = 0.02  # rad or m of a joint from moment to moment, at most
-_MOMENTS = 320  # at most, beside the samples
-_ROUGH_MOMENTS = 80  # of the first look
-_FINE = 65  # moments between two of the first look
-_LOOKED_AT, _LOOKS = 10, 7  # of the places where two bodies seemed near, how many are measured, at how many moments
-_PIN = 0.35  # of the smaller link: nearer to the joint than this, its two links may touch by construction
-_PIN_MOMENTS = 12  # at which that is looked at
-_CLOSED_IN = 3  # of these, how many are closed in on
+_STEP = 0.02  # rad or m, the most that a joint moves between moments
+_MOMENTS = 320  # at most, in addition to the samples
+_ROUGH_MOMENTS = 80  # of the coarse search
+_FINE = 65  # moments between two of the coarse search
+_LOOKED_AT, _LOOKS = 10, 7  # near places that are measured, and the moments of each
+_PIN = 0.35  # part of the smaller link; nearer to the joint its two links may touch by construction
+_PIN_MOMENTS = 12  # at which that is checked
+_CLOSED_IN = 3  # how many of these are refined
 
 
 @dataclass(frozen=True)
 class Least:
-    """The least distance that was found between two bodies, and when [m, s]."""
+    """The least distance found between two bodies, and its time [m, s]."""
 
     link: str
     other: str
@@ -42,7 +42,7 @@ class Least:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a first look found two bodies near each other, and the moments around it."""
+    """A place at which the coarse search found two bodies near each other, and the moments around it."""
 
     rough: float
     first: Body
@@ -59,11 +59,11 @@ def link_bodies(machine: RawMachine) -> dict[str, Body]:
 
 
 class Sweep:
-    """A machine on its way: straight lines in its joints between the samples.
+    """A moving machine: straight joint motions between the samples.
 
     Parameters
     ----------
-    joints: that are driven, in the order of the columns of q.
+    joints: the driven ones, in the order of the columns of q.
     time, q: (T,) [s] and (T, n) [rad or m].
     """
 
@@ -88,7 +88,7 @@ class Sweep:
         return self._machine.placements(columns, len(times), *links)
 
     def to_obstacle(self, obstacle: RawObstacle) -> Least | None:
-        """The least distance of all links for which it counts; None where it never appears."""
+        """The least distance of all links for which the obstacle counts; None if it never appears."""
         links = [body for name, body in self.moving.items() if obstacle.links is None or name in obstacle.links]
         times = self.times[self.times >= obstacle.appears_at]
         if obstacle.appears_at <= self.times[-1]:
@@ -104,7 +104,7 @@ class Sweep:
         return _nearest_of(places)
 
     def between(self, pairs: Iterable[tuple[str, str]]) -> Least | None:
-        """The least distance of any of some pairs of links."""
+        """The least distance over some pairs of links."""
         places: list[_Place] = []
         for one, other in pairs:
             relative = partial(self._past_link, one, other)
@@ -112,10 +112,10 @@ class Sweep:
         return _nearest_of(places) if places else None
 
     def inside_beyond(self, outer: str, inner: str, joint: RawJoint) -> Least | None:
-        """Where a point of one of the two links of `joint` lies in the other, far from the joint.
+        """A point of one of the two links of `joint` that is inside the other, far from the joint.
 
         Far is more than `_PIN` of the smaller link from the axis of a hinge, or from the origin
-        of a slide. None where no such point is found at some moments of the way.
+        of a slide. None if no such point is found at some moments of the motion.
         """
         rows = np.unique(np.linspace(0, len(self.times) - 1, _PIN_MOMENTS).astype(int))
         rotations, translations = self._past_link(outer, inner, self.times)
@@ -123,7 +123,7 @@ class Sweep:
         for row in rows.tolist():
             rotation, translation = rotations[row], translations[row]
             own = (other.points - translation) @ rotation  # of the other's points, in the frame of the joint's child
-            sizes = ((one.points, one.fat), (own, other.fat))  # of a ball the points are its middle
+            sizes = ((one.points, one.fat), (own, other.fat))  # the points of a ball are its middle
             reach = min(float(np.max(np.linalg.norm(points, axis=1) + fat)) for points, fat in sizes)
             for body, points in ((other, one.points @ rotation.T + translation), (one, own)):
                 frame = one.points if body is other else own
@@ -160,7 +160,7 @@ def past_link(placed: Mapping[str, Placements], one: str, other: str) -> Placeme
 
 
 def _places(first: Body, second: Body, relative: Relative, times: Vector) -> list[_Place]:
-    """Where two bodies are near each other, at one or two moments."""
+    """The places where two bodies are near each other, at one or two moments."""
     rotation, translation = relative(times)
     rows = np.unique(np.linspace(0, len(times) - 1, min(_ROUGH_MOMENTS, len(times))).astype(int))
     rough = first_look(first.outline, second, rotation, translation, rows)
@@ -200,12 +200,12 @@ class _Look:
 
     @property
     def least(self) -> Least:
-        """What is known so far."""
+        """The least distance known so far."""
         return Least(self.place.first.name, self.place.second.name, self.distance, self.time)
 
 
 def _look(place: _Place) -> _Look:
-    """With all points of the bodies, at a few moments about a place."""
+    """Measure with all points of the bodies at a few moments around a place."""
     times = np.linspace(place.low, place.high, _LOOKS if place.high > place.low else 1)
     rotation, translation = place.relative(times)
     row = int(np.argmin(first_look(place.first, place.second, rotation, translation, np.arange(len(times)))))
@@ -214,11 +214,11 @@ def _look(place: _Place) -> _Look:
 
 
 def _close_in(look: _Look, known: float) -> Least:
-    """The least distance about a moment, by halving the time around it.
+    """The least distance around a moment, by halving the time interval.
 
     Parameters
     ----------
-    known: the least that was found elsewhere; where it is not undercut, one round is enough [m].
+    known: the least distance found elsewhere [m]; one round is enough if it is not undercut.
     """
     place, low, high = look.place, look.place.low, look.place.high
     moment, distance = look.time, look.distance
@@ -237,7 +237,7 @@ def _close_in(look: _Look, known: float) -> Least:
 def _descend(
     place: _Place, pair: tuple[int, int], rotation: Array, translation: Matrix, row: int, distance: float
 ) -> tuple[int, float]:
-    """From row to row, in ever smaller steps, to where two parts are nearest."""
+    """Step from row to row, in ever smaller steps, to the least distance of two parts."""
     first, second = place.first.parts[pair[0]], place.second.parts[pair[1]]
     for step in (8, 4, 2, 1):
         for other in (row - step, row + step):

@@ -1,11 +1,11 @@
 """The work that the global optimum saves against local laws, on seeded straight paths of the backhoe.
 
 Every case is a straight path of the bucket tip, 1 to 5 m long, position only, from a
-random posture of the machine. It is planned twice, from that posture and with the start
-left free, and each motion is held against two local laws that begin at the same posture
-and keep the plan's own timing: the pseudo-inverse (least velocity norm, blind to limits)
-and the completed law (keeps the limits, and may get stuck). A path counts only if it can
-be followed at all from its posture.
+random configuration. It is planned twice, from that configuration and with a free start,
+and each motion is compared with two local laws that begin at the same configuration and
+keep the plan's timing: the pseudo-inverse (least velocity norm, ignores limits) and the
+completed law (keeps the limits, may get stuck). A path counts only if it can be followed
+from its configuration.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SHORTEST, LONGEST = 1.0, 5.0  # m
 SPEED = 0.4  # m/s
 GRIDS = ((5.0, 0.2), (2.5, 0.2), (1.25, 0.2))  # deg of pitch, m of path between layers
 Costs = list[tuple[float, float]]
-"""Of one case on every grid of `GRIDS`: the best route, and the refined one [J]."""
+"""The costs of the best and of the refined route of one case, on every grid of `GRIDS` [J]."""
 _MACHINE = "backhoe"
 LAWS = (
     "pseudo-inverse, limits or not",
@@ -48,7 +48,7 @@ LAWS = (
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A posture (n,), and where the tip goes from it, (3,) each [m]; how many were drawn before it."""
+    """A configuration (n,), the path of the tip from it, (3,) each [m], and the number of cases drawn before."""
 
     number: int
     q: Vector
@@ -56,7 +56,7 @@ class Case:
     end: Vector
 
     def problem(self, robot: bp.Robot, *, free: bool) -> tuple[Problem, TipPath]:
-        """The path as a problem, with the start at the posture or left free."""
+        """The path as a problem, with the start at the configuration or free."""
         waypoints = [{"position": place.tolist()} for place in (self.begin, self.end)]
         task = {"path": {"waypoints": waypoints, "speed": SPEED}}
         scene = scene_of(robot, [], start=None if free else self.q, task=task, objective="work")
@@ -67,7 +67,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Savings:
-    """The work of one optimum and of every law of `LAWS` at its timing [J]; None where a law gives no motion."""
+    """The work of one optimum and of every law of `LAWS` at its timing [J]; None if a law gives no motion."""
 
     optimum: float
     laws: tuple[float | None, ...]
@@ -75,7 +75,7 @@ class Savings:
 
 @dataclass(frozen=True)
 class Result:
-    """The case of that number: the savings from the same start and from a free one (None where that failed)."""
+    """The savings of one case from the same start and from a free one (None if that failed), by its number."""
 
     number: int
     same: Savings
@@ -85,17 +85,17 @@ class Result:
 
     @property
     def worse(self) -> bool:
-        """Whether, from the same start, a law that keeps the limits needs less."""
+        """Whether a law that keeps the limits needs less work from the same start."""
         return any(law is not None and exceeds(self.same.optimum, law) for law in self.same.laws[1:])
 
 
 def exceeds(optimum: float, law: float) -> bool:
-    """Whether an optimum is worse by more than inertia, which the search leaves out, explains: 0.1 % and 1 J."""
+    """Whether an optimum is worse by more than inertia, which the search ignores, can explain: 0.1 % and 1 J."""
     return optimum > law * 1.001 + 1.0
 
 
 def draw_cases(robot: bp.Robot, seed: int) -> Iterator[Case]:
-    """Cases, without end; not all can be followed."""
+    """Yield cases without end; not all can be followed."""
     rng = np.random.default_rng(seed)
     kinematics = bp.Kinematics(robot)
     proximity = bp.Proximity(robot, ())
@@ -115,14 +115,14 @@ def draw_cases(robot: bp.Robot, seed: int) -> Iterator[Case]:
 def measure_paths(
     *, paths: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, Result], object]
 ) -> tuple[list[Result], bool]:
-    """The first cases that can be followed from their posture, and whether it was interrupted; see `Campaign`."""
+    """The first cases that can be followed from their configuration, and whether it was interrupted; see `Campaign`."""
     cases = draw_cases(load_machine(_MACHINE), seed)
     with Campaign(measure_case, list[Result], jobs=jobs, folder=folder) as campaign:
         return campaign.first(cases, paths, watch=watch), campaign.interrupted
 
 
 def measure_case(case: Case) -> list[Result]:
-    """One case; nothing where it cannot be followed from its posture."""
+    """One case; nothing if it cannot be followed from its configuration."""
     robot = load_machine(_MACHINE)
     problem, path = case.problem(robot, free=False)
     same = bp.plan(robot, problem.scene, method="optimal")
@@ -158,7 +158,7 @@ def _follows(plan: bp.Plan) -> bool:
 
 
 def savings_table(results: list[Result]) -> list[Row]:
-    """Work summed over the cases: every law beside the optimum, from the same start and from a free one."""
+    """Work summed over the cases: every law and the optimum, from the same start and from a free one."""
     rows: list[Row] = []
     for start in ("same", "free"):
         found = [savings for result in results if (savings := getattr(result, start)) is not None]
@@ -187,7 +187,7 @@ def measure_grids(*, paths: int, seed: int, jobs: int, folder: Path | None) -> t
 
 
 def cost_on_grids(case: Case) -> list[Costs]:
-    """The costs of one case with a free start; nothing where it cannot be followed on every grid."""
+    """The costs of one case with a free start; nothing if it cannot be followed on every grid."""
     problem, path = case.problem(load_machine(_MACHINE), free=True)
     costs = [_route_costs(problem, path, grid, layer) for grid, layer in GRIDS]
     found = [cost for cost in costs if cost is not None]
@@ -212,7 +212,7 @@ def convergence_table(found: Sequence[Costs]) -> list[Row]:
 
 
 def _route_costs(problem: Problem, path: TipPath, grid: float, layer: float) -> tuple[float, float] | None:
-    """The cost in [J] of the graph's route and of the refined one; None where there is none."""
+    """The costs of the graph's route and of the refined one [J]; None if there is no route."""
     objective, proximity = PathCost(problem), bp.Proximity(problem.robot, ())
     resolver = PathResolver(
         problem, path, proximity=proximity, find_detour=lambda *_: None,

@@ -1,4 +1,4 @@
-"""What is proven free between configurations, without the planner: advancing step by step, and small trees."""
+"""Proofs of free motion between configurations, without the planner: conservative advancement and small trees."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LEAST_STEP = 2e-3  # part of a motion below which an advance counts as stuck
 
 
 def margins(proximity: bp.Proximity, q: Vector) -> Vector:
-    """(P,) distances beyond the clearances [m] at `q` (n,); one, infinite, where there is nothing."""
+    """(P,) distances beyond the clearances [m] at `q` (n,); a single infinite one if there are no pairs."""
     if not proximity.pairs:
         return np.array([np.inf])
     return np.asarray(proximity.distances(q) - proximity.clearance)
@@ -60,7 +60,7 @@ def trees_meet(
 
 
 def _towards(proximity: bp.Proximity, tree: list[Vector], wanted: Vector) -> Vector:
-    """(n,) as far from the nearest of a tree to `wanted` as the straight motion is proven free."""
+    """(n,) the end of the proven free part of the straight motion from the nearest node of a tree to `wanted`."""
     a = min(tree, key=lambda q: float(np.sum(np.square(q - wanted))))
     part = free_part(proximity, a, wanted, 0.0)
     return wanted if part >= 1.0 else a + 0.95 * part * (wanted - a)

@@ -1,9 +1,9 @@
-"""Motions to a goal beside the best that is known: duration or cost, bound, and spread over seeds.
+"""Motions to a goal compared with the best known: duration or cost, bound, and spread over seeds.
 
-Every random site is planned with one or several seeds of the planner. The best motion known
-of a site is kept in a file from run to run: whatever finds a better one, by another seed, more
-effort or another planner, makes the ratios of all others larger. It is kept with a digest of the
-scene, so that a site that is drawn otherwise than before begins anew.
+Every random site is planned with one or several seeds of the planner. The least known cost of a
+site is kept in a file from run to run: a better motion, by another seed, more effort or another
+planner, makes the ratios of all others larger. It is kept with a digest of the scene, so that a
+site that is drawn differently begins anew.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from validation.tables import Row as TableRow
 from validation.tables import markdown, percent
 
 VERSION = 1
-WITHIN = (1.03, 1.1, 1.3)  # times the best known: the shares of motions within these are counted
-_LIFTED = 1e-3  # m by which all that moves is lifted by the work that counts as little; chosen
+WITHIN = (1.03, 1.1, 1.3)  # multiples of the best known cost within which motions are counted
+_LIFTED = 1e-3  # m by which the work that counts as little lifts all moving parts; chosen
 _ROUNDING = 1e-6  # part of a bound by which a motion may be below it
 
 
@@ -50,13 +50,13 @@ class Row:
     Attributes
     ----------
     planning_seed: of the planner, not of the site.
-    verdict: ``verified``, ``failed``, or ``error`` where an exception was raised.
-    seconds: planning time on the processor [s].
+    verdict: ``verified``, ``failed``, or ``error`` if an exception was raised.
+    seconds: processor time of planning [s].
     cost: of the motion by the objective, in its unit; of verified plans only, else None.
     duration: of the motion [s]; likewise.
-    bound: proven, no motion costs less; None where the plan has none.
+    bound: the proven least cost of any motion; None if the plan has none.
     digest: of the scene.
-    little: of the cost, see `little_cost`; 0 where none counts as that.
+    little: the cost that counts as little, see `little_cost`; 0 if none does.
     """
 
     machine: str
@@ -83,7 +83,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """Of the site, its seed and the objective; in the file of the best."""
+        """The name of site, seed and objective in the file of the best."""
         return name_of(self.key, self.objective)
 
     @property
@@ -98,7 +98,7 @@ class Row:
 
 
 def name_of(key: SiteKey, objective: str) -> str:
-    """A site and an objective in the file of the best."""
+    """The name of a site and an objective in the file of the best."""
     return f"{key}, seed {key.seed}, {objective}"
 
 
@@ -107,7 +107,7 @@ def name_of(key: SiteKey, objective: str) -> str:
 
 @dataclass
 class Best:
-    """The least cost known of every site, and what found it.
+    """The least known cost of every site, and what found it.
 
     Attributes
     ----------
@@ -119,24 +119,24 @@ class Best:
     found_by: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def add(self, name: str, digest: str, cost: float, found_by: str) -> None:
-        """A motion that was verified."""
+        """Add a verified motion."""
         place = (name, digest)
         if cost < self.costs.get(place, np.inf):
             self.costs[place], self.found_by[place] = cost, found_by
 
     def add_rows(self, rows: Iterable[Row], effort: str) -> None:
-        """All verified motions of a run."""
+        """Add all verified motions of a run."""
         for row in rows:
             if row.cost is not None:
                 self.add(row.name, row.digest, row.cost, f"{effort}, seed {row.planning_seed}")
 
     def of(self, row: Row) -> float:
-        """The least known cost of a row's site; NaN where none is known."""
+        """The least known cost of a row's site; NaN if none is known."""
         return self.costs.get((row.name, row.digest), np.nan)
 
     @staticmethod
     def load(path: Path) -> Best:
-        """What was saved; nothing where there is no such file.
+        """Load a saved file; empty if there is none.
 
         Raises
         ------
@@ -166,20 +166,20 @@ class Best:
 
 
 def with_objective(scene: bp.Scene, objective: str) -> bp.Scene:
-    """The scene, to be planned for the least of an objective."""
+    """The scene with an objective to minimize."""
     return scene.model_copy(update={"objective": objective})
 
 
 def digest_of(scene: bp.Scene) -> str:
-    """A few letters that differ where anything differs but the objective and the name."""
+    """A short text that differs if anything but the objective and the name differs."""
     content = scene.model_dump(by_alias=True, exclude_unset=True, exclude={"objective", "name"}, mode="json")
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def little_cost(robot: bp.Robot, scene: bp.Scene, objective: str) -> float:
-    """Of an objective that is an energy, as much as lifts all moving links and the payload by a millimetre [J]; else 0.
+    """The energy that lifts all moving links and the payload by a millimetre [J]; 0 if the objective is no energy.
 
-    Plans that cost less differ by nothing that can be measured on the machine.
+    The difference between plans that cost less cannot be measured on the machine.
     """
     if objective not in ("work", "hydraulic"):
         return 0.0
@@ -188,19 +188,19 @@ def little_cost(robot: bp.Robot, scene: bp.Scene, objective: str) -> float:
 
 
 def cost_of(plan: bp.Plan, objective: str) -> float:
-    """What the motion of a plan costs, in the objective's unit."""
+    """The cost of a plan's motion, in the objective's unit."""
     return float(plan.metrics.duration if objective == "time" else plan.metrics.energy[objective])
 
 
 def bound_of(plan: bp.Plan, objective: str) -> float | None:
-    """What no motion costs less than, by the objective; None where the plan says nothing about it."""
+    """The lower bound on the cost of any motion, by the objective; None if the plan has none."""
     if plan.bound is None:
         return None
     return float(plan.bound.duration) if objective == "time" else plan.bound.energy.get(objective)
 
 
 def run_site(key: SiteKey, settings: Settings, draw: Callable[[bp.Robot, SiteKey], Site] = random_site) -> list[Row]:
-    """Draw a site and plan it, with every seed of the planner."""
+    """Draw a site and plan it with every seed of the planner."""
     robot = load_machine(key.machine)
     site = draw(robot, key)
     scene = with_objective(site.scene, settings.objective)
@@ -236,7 +236,7 @@ def run(
     folder: Path | None = None,
     watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Row], bool]:
-    """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
+    """The rows of all sites in the order of the keys, and whether the run was interrupted; see `call_for_all`."""
     call = partial(run_site, settings=settings, draw=draw)
     found, interrupted = call_for_all(call, keys, result=list[Row], jobs=jobs, folder=folder, watch=watch)
     return [row for rows in found for row in rows], interrupted
@@ -246,7 +246,7 @@ def run(
 
 
 def spreads(rows: Sequence[Row]) -> list[float]:
-    """Of every site that was planned with several seeds: the greatest cost over the least."""
+    """The greatest cost over the least, of every site planned with several seeds."""
     costs: dict[str, list[float]] = {}
     for row in rows:
         if row.cost is not None:
@@ -255,7 +255,7 @@ def spreads(rows: Sequence[Row]) -> list[float]:
 
 
 def violations(rows: Sequence[Row], best: Best) -> list[str]:
-    """The sites with a verified motion, of any run, below a bound that was proven for the same site."""
+    """The sites with a verified motion, of any run, below a proven bound of the same site."""
     bounds: dict[str, float] = {}
     for row in rows:
         if row.bound is not None:
@@ -267,7 +267,7 @@ def violations(rows: Sequence[Row], best: Best) -> list[str]:
 def table(rows: Sequence[Row], best: Best) -> str:
     """The figures of every group, and of all of them, as text.
 
-    Where a cost can be little (`little_cost`), the shares are given once more with all that is less counted as that.
+    If a cost can be little (`little_cost`), the shares are given again with lower costs raised to it.
     """
     groups = dict.fromkeys(row.group for row in rows)
     lines = [_figures(" ".join(group), [row for row in rows if row.group == group], best) for group in groups]
@@ -275,7 +275,7 @@ def table(rows: Sequence[Row], best: Best) -> str:
 
 
 def _figures(name: str, rows: Sequence[Row], best: Best) -> TableRow:
-    # what is not verified is within nothing
+    # a motion that is not verified is within no multiple
     ratios = [np.inf if row.cost is None else _ratio(row.cost, best.of(row)) for row in rows]
     some = [
         np.inf if row.cost is None else _ratio(max(row.cost, row.little), max(best.of(row), row.little)) for row in rows
@@ -297,7 +297,7 @@ def _figures(name: str, rows: Sequence[Row], best: Best) -> TableRow:
 
 
 def _ratio(a: float, b: float) -> float:
-    """`a` over `b`; two costs of nothing are equal."""
+    """`a` over `b`; 1 if both costs are 0."""
     return a / b if b > 0.0 else (1.0 if a <= b else np.inf)
 
 
@@ -306,7 +306,7 @@ def _spread(values: Sequence[float], parts: Sequence[float] = (0.5, 0.9, 1.0)) -
 
 
 def failures(rows: Sequence[Row]) -> str:
-    """Every row that is not verified, in a line."""
+    """A line for every row that is not verified."""
     return "\n".join(
         f"  {row.name}, planned with seed {row.planning_seed}{' (a way is known)' if row.way_known else ''}: "
         f"{row.reason}, {row.message}"

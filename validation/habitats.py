@@ -20,12 +20,12 @@ class Habitat:
 
     Attributes
     ----------
-    source, tip: what `load_robot` takes; a source None is the machine of `telescope`.
+    source, tip: arguments of `load_robot`; a source None is the machine of `telescope`.
     low, high: (3,) corners of the box that the machine itself fills [m].
     clearance, influence: of the scene [m].
     far: least distance between start and goal of the tip [m].
     length: least and greatest length of a path [m].
-    extra: greatest margin of an obstacle that is close to the way [m].
+    extra: greatest margin of an obstacle close to the path [m].
     """
 
     source: str | None
@@ -66,13 +66,13 @@ assert tuple(HABITATS) == MACHINES
 
 @cache
 def load_machine(machine: str) -> bp.Robot:
-    """The robot for which the sites of a machine are drawn; loaded once in a process."""
+    """The robot for which the sites of a machine are drawn; loaded once per process."""
     habitat = HABITATS[machine]
     return bp.load_robot(telescope_file() if habitat.source is None else habitat.source, tip=habitat.tip)
 
 
 def folded_ways(machine: str, start: Vector, goal: Vector) -> Iterator[Matrix]:
-    """Ways (W, n) by which an arm that is drawn in, swung over and stretched out again gets from start to goal."""
+    """Paths (W, n) from start to goal by drawing the arm in, swinging it and stretching it out again."""
     if machine != "backhoe":
         return
     for boom, stick in ((1.2, -2.3), (0.7, -2.3), (1.3, -1.2)):
@@ -90,14 +90,14 @@ def folded_ways(machine: str, start: Vector, goal: Vector) -> Iterator[Matrix]:
 
 @dataclass(frozen=True)
 class Narrows:
-    """The narrow part of a site, and where start and goal must lie.
+    """The narrow part of a site, and the conditions on start and goal.
 
     Attributes
     ----------
     form: trench, gap, slot, shelf, beam or pipes.
-    obstacles: entries of a scene file; none of pipes, which are drawn across the way.
-    turn: angle about z of the axes in which `holds` looks.
-    holds: whether the tip at start and goal, (3,) each in those axes, lies as it should.
+    obstacles: entries of a scene file; none for pipes, which are drawn across the path.
+    turn: angle about z of the axes of `holds`.
+    holds: whether the tip at start and goal, (3,) each in those axes, is placed as required.
     """
 
     form: str
@@ -106,18 +106,18 @@ class Narrows:
     holds: Callable[[Vector, Vector], bool]
 
     def accepts(self, start: Vector, goal: Vector) -> bool:
-        """Whether the way from one tip position (3,) to another leads through the narrow part."""
+        """Whether the path from one tip position (3,) to another leads through the narrow part."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         return bool(self.holds(*(np.array([c * p[0] + s * p[1], -s * p[0] + c * p[1], p[2]]) for p in (start, goal))))
 
 
 def draw_narrows(machine: str, index: int, rng: np.random.Generator) -> Narrows:
-    """One of the machine's narrow forms, in turn, at a random angle about it."""
+    """One of the machine's narrow forms, in turn, at a random angle around the machine."""
     return _NARROWS[machine](index, rng)
 
 
 def _both_sides(gap: float, size: Sequence[float], x: float, z: float, turn: float) -> list[Record]:
-    """Two boxes of one size with their middles at (x, z), and a gap between them [m]."""
+    """Two boxes of one size with centres at (x, z) and a gap between them [m]."""
     return [turned_box(size, [x, side * 0.5 * (gap + size[1]), z], turn) for side in (-1.0, 1.0)]
 
 

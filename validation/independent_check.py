@@ -1,13 +1,13 @@
 """A second opinion on a motion: distances without coal, ten times finer in time.
 
-Every link's collision shape is covered with points read from the URDF itself; each
+Every link's collision shape, as read from the URDF itself, is covered with points; each
 obstacle is a signed distance function of this package. The least value over all points
-and moments can only lie above the true distance, so a motion is refuted as soon as it
-falls below what the certificate claims to have proven.
+and moments cannot be below the true distance, so a motion is refuted as soon as that value
+is below the certificate's claim.
 
 All points at all moments are covered, but few are measured one by one: a link's points are
 grouped in a tree of balls, the moments in windows. A signed distance changes by no more than
-the point moves, so a ball and a window whose middle is far enough away need no closer look.
+the point moves, so a ball and a window with a middle far enough away need no refinement.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ Indices = NDArray[np.intp]
 
 SPANS = np.array([64, 8, 1])  # moments in a window, from coarse to fine
 CHUNK = 20_000  # balls in windows at once
-CLAIM_SLACK = 1e-6  # m below what is proven that a distance may be found, for rounding
-CLEARANCE_SLACK = 2e-4  # m below the clearance: what the certificate takes for keeping it, doubled
+CLAIM_SLACK = 1e-6  # m by which a distance may be below the proven one, for rounding
+CLEARANCE_SLACK = 2e-4  # m below the clearance; twice what the certificate accepts as keeping it
 
 
 @dataclass(frozen=True)
 class Least:
-    """The least distance found between two bodies, and when [m, s]."""
+    """The least distance found between two bodies, and its time [m, s]."""
 
     link: str
     obstacle: str
@@ -64,17 +64,17 @@ class _Track:
         self._spread = np.concatenate(spreads)
 
     def spread(self, level: Indices, window: Indices) -> NDArray[np.float64]:
-        """(K,) how far any point of the cover is within a window from where it is at its middle [m]."""
+        """(K,) the most that a point of the cover is off its place at a window's middle, within the window [m]."""
         return np.asarray(self._spread[self._first[level] + window])
 
 
 def refutations(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> list[str]:
-    """Describe what contradicts the plan's certificate; empty where nothing does.
+    """Describe what contradicts the plan's certificate; empty if nothing does.
 
     Parameters
     ----------
-    refine: moments looked at for every sample of the plan.
-    itself: whether the machine is also held against itself.
+    refine: moments checked per sample of the plan.
+    itself: whether the machine is also checked against itself.
     """
     proven = {entry.obstacle: entry.distance for entry in plan.certificate.clearances if entry.kind == "obstacle"}
 
@@ -151,7 +151,7 @@ def _placements(robot: bp.Robot, q: Matrix) -> list[tuple[Matrix, Matrix]]:
         slide, axis = np.split(np.asarray(model.joints[joint].createData().S, dtype=float).reshape(6), 2)
         angle = q[:, model.joints[joint].idx_q]
         cross = pin.skew(axis)
-        # Rodrigues; of a prismatic joint the axis is 0
+        # Rodrigues; the axis of a prismatic joint is 0
         turn = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1.0 - np.cos(angle))[:, None, None] * (cross @ cross)
         R_before = R_parent @ T.rotation
         moved = angle[:, None] * slide
@@ -160,10 +160,10 @@ def _placements(robot: bp.Robot, q: Matrix) -> list[tuple[Matrix, Matrix]]:
 
 
 def _least(track: _Track, distance: SignedDistance, present: NDArray[np.bool_], below: float) -> tuple[float, int]:
-    """The least distance over all points and moments, and its moment; infinite where it is not under `below`.
+    """The least distance over all points and moments, and its moment; infinite if it is not under `below`.
 
-    A branch and bound over balls and windows at once: whatever is left when a distance
-    is known may lie under it.
+    A branch and bound over balls and windows at once: everything left when a distance is
+    known may be under it.
     """
     cover, count = track.cover, len(track.translation)
     window = np.arange(track.windows[0])
@@ -216,7 +216,7 @@ def _in_time(
     part = (window[:, None] * BRANCHES + np.arange(BRANCHES)).ravel()
     kept = part * SPANS[finer] < len(present)
     last = np.minimum((part + 1) * SPANS[finer], len(present)) - 1
-    kept &= present[last]  # what has appeared stays
+    kept &= present[last]  # obstacles that have appeared stay
     return finer[kept], part[kept], np.repeat(node, BRANCHES)[kept], np.repeat(lower, BRANCHES)[kept]
 
 

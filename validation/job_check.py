@@ -1,7 +1,7 @@
-"""A second opinion on a job: every motion against the ground of its moment, and its volumes.
+"""A second opinion on a job: every motion against the ground at its time, and the volumes.
 
-The ground of each moment follows from the motions alone. It is written as a height map, and the
-motion is then attacked by `independent_check` like any plan in a scene with that map.
+The ground at each time follows from the motions alone. It is written as a height map, and the
+motion is then checked by `independent_check` like any plan in a scene with that map.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _SAME = 1e-9  # m^3
 
 
 def job_refutations(plan: bp.JobPlan, *, refine: int = 4, cycles: slice = slice(None)) -> list[str]:
-    """Describe what contradicts a job's plan; empty where nothing does.
+    """Describe what contradicts a job's plan; empty if nothing does.
 
     Parameters
     ----------
-    refine: moments looked at for every sample.
-    cycles: which of them are attacked.
+    refine: moments checked per sample.
+    cycles: those that are checked.
     """
     found = volume_errors(plan)
     for cycle in plan.cycles[cycles]:
@@ -47,7 +47,7 @@ def leg_refutations(plan: bp.JobPlan, leg: bp.CycleLeg, *, refine: int = 4) -> l
 
 
 def volume_errors(plan: bp.JobPlan) -> list[str]:
-    """What of the volumes does not add up to 1e-9 m^3."""
+    """Describe volumes that do not add up to within 1e-9 m^3."""
     found = []
     for cycle in plan.cycles:
         area = cycle.before.cell**2
@@ -67,14 +67,14 @@ def volume_errors(plan: bp.JobPlan) -> list[str]:
 
 
 def _scene_with_maps(plan: bp.JobPlan, leg: bp.CycleLeg, folder: Path) -> bp.Scene:
-    """The site with everything that changes on it as height maps in `folder`."""
+    """The site with all its changing parts as height maps in `folder`."""
     content = plan.job.scene_dict()
     known = {one["name"] for one in content.get("obstacles", [])} | {zone["name"] for zone in content.get("zones", [])}
     maps: list[dict[str, Any]] = []
     for obstacle in leg.problem.obstacles:
         if obstacle.name in known:
             continue
-        if obstacle.cluster is None:  # what the job adds to the site
+        if obstacle.cluster is None:  # added to the site by the job
             maps.append(obstacle.spec.model_dump(mode="json", exclude_unset=True) | {"clearance": obstacle.clearance})
             continue
         solid: Any = obstacle.cluster.solid

@@ -1,4 +1,4 @@
-"""Jobs planned with the chosen pattern and with the plain one, both in full, and attacked cycle by cycle."""
+"""Jobs planned in full with the chosen and with the plain pattern, and checked cycle by cycle."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from validation.tables import markdown
 
 @dataclass(frozen=True)
 class JobRun:
-    """What one job came to.
+    """The results of one job.
 
     Attributes
     ----------
     name: of the job's file.
-    plan: with the pattern that the job asks for.
-    plain: with level layers of 0.15 m; None where it was not planned.
-    seconds: of the processor, for `plan` [s].
-    refuted: what an independent check has against `plan`; None where it was not asked.
+    plan: with the job's own pattern.
+    plain: with level layers of 0.15 m; None if not planned.
+    seconds: processor time of `plan` [s].
+    refuted: what contradicts `plan` in an independent check; None if not checked.
     """
 
     name: str
@@ -33,7 +33,7 @@ class JobRun:
 
 
 def run_job(file: Path, *, effort: str, plain: bool, attack: bool) -> JobRun:
-    """Plan a job, and the same with the plain pattern; attack every cycle of the first."""
+    """Plan a job with its own and with the plain pattern; check every cycle of the first plan."""
     job = bp.load_job(file)
     begun = time.process_time()
     plan = bp.plan_job(job, effort=effort)

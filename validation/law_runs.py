@@ -6,11 +6,11 @@ The scenes are those of `planar_scenes`. The laws:
 - paper: equation (12) as printed, with the printed gains, 100 iterations;
 - null space: the completed law without the shield;
 - shield: the pseudo-inverse behind the shield, without null-space terms;
-- straight: the completed law behind the shield, its first attempt alone;
-- reactive: the plan of `--method reactive`, all of its attempts.
+- straight: only the first attempt of the completed law behind the shield;
+- reactive: the plan of `--method reactive` with all its attempts.
 
-A motion touches where it comes closer than 0 to anything by the independent check.
-Verified plans are held against that check as a whole.
+A motion touches if a distance of the independent check is below 0.
+Verified plans are checked by it as a whole.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PERIOD = 0.02  # s between the samples of a law that is driven without the shiel
 
 @dataclass(frozen=True)
 class Run:
-    """The motion of one law on one scene; `refuted` says what contradicts a verified plan."""
+    """The motion of one law on one scene; `refuted` has what contradicts a verified plan."""
 
     scene: int
     law: str
@@ -95,13 +95,13 @@ def _largest_step(motion: bp.Trajectory) -> float:
 def _touches(problem: Problem, motion: bp.Trajectory) -> bool:
     certificate = certify_problem(problem, motion)
     plan = Plan(problem, "reactive", 0, motion, certificate, measure_motion(problem, motion, certificate))
-    # the paper's iterations are few and far apart, the others are samples 20 ms apart
+    # the paper's iterations are few and far apart; the other samples are 20 ms apart
     refine = 10 if len(motion) <= 101 else 2
     return any(least.distance < 0.0 for least in least_distances(plan, refine=refine))
 
 
 def _unshielded(problem: Problem, *, null_space: bool) -> tuple[bp.Trajectory, bool]:
-    """The law alone, at the pace that the joint rates allow, and whether it arrives."""
+    """The motion of the law alone, as fast as the joint rates allow, and whether it arrives."""
     robot, goal = problem.robot, problem.goals[0].target
     assert problem.start_q is not None
     kinematics, proximity = bp.Kinematics(robot), bp.Proximity(robot, problem.obstacles)
@@ -122,7 +122,7 @@ def _unshielded(problem: Problem, *, null_space: bool) -> tuple[bp.Trajectory, b
 
 
 def _printed(problem: Problem) -> tuple[bp.Trajectory, bool]:
-    """Equation (12), one iteration a second, and whether it ends on the goal."""
+    """The motion by equation (12), one iteration per second, and whether it ends on the goal."""
     robot, goal = problem.robot, problem.goals[0].target
     assert problem.start_q is not None
     kinematics, proximity = bp.Kinematics(robot), bp.Proximity(robot, problem.obstacles)

@@ -1,9 +1,9 @@
-"""Which links of a machine must not touch each other, by their shapes as they are written.
+"""Which links of a machine must not touch each other, by their shapes as written.
 
-Two links may only be left out where they touch by construction: by their shapes as they are
-written they touch over at least 85 % of the range of the joint between them, or, with several
-joints between them, in as many random postures. MoveIt's setup assistant leaves out by the same
-idea, from 95 % on. Links that move together are no pair.
+Two links may be left out only if they touch by construction: their shapes as written touch
+over at least 85 % of the range of the joint between them, or, with several joints between them,
+in as many random configurations. MoveIt's setup assistant follows the same idea, from 95 % on.
+Links that move together are no pair.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from validation.raw_urdf import Placements, RawMachine
 
 LinkPair = tuple[str, str]
 
-BY_CONSTRUCTION = 0.85  # of a joint's range, or of random postures
-_POSTURES = 101  # over the range of a joint, or of all joints at random
-_FIRM = 1001  # random postures of which a share of 85 % is known to within 1.1 %
-_APART = 1e-6  # m from which on two links do not touch
-PIN_PLAY = 0.01  # m: links that are nowhere further apart are joined by a pin with play; no need to look on
+BY_CONSTRUCTION = 0.85  # of a joint's range, or of random configurations
+_POSTURES = 101  # over the range of a joint, or random ones of all joints
+_FIRM = 1001  # random configurations, by which a share of 85 % is known to within 1.1 %
+_APART = 1e-6  # m, from which two links do not touch
+PIN_PLAY = 0.01  # m: links that are never further apart are joined by a pin with play; the search can end
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of links that move against each other, as (the one further out, the other).
+    """Pairs of links that move relative to each other, as (outer link, inner link).
 
     Attributes
     ----------
-    counted: that are apart in some posture, with how far, as far as `PIN_PLAY` [m].
-    touching: that touch wherever the joint between them stands.
-    touching_afar: that touch in all random postures, though more than one joint lies between them.
-    adjacent: of all of these, those with one joint between them.
+    counted: apart in some configuration; with the distance, up to `PIN_PLAY` [m].
+    touching: touch at every angle of the joint between them.
+    touching_afar: touch in all random configurations, with more than one joint between them.
+    adjacent: those of all these with one joint between them.
     """
 
     counted: dict[LinkPair, float]
@@ -47,7 +47,7 @@ class Pairs:
 
 
 def find_pairs(machine: RawMachine, bodies: Mapping[str, Body], tip: str) -> Pairs:
-    """All pairs of links of a machine that is moved at `tip`."""
+    """All pairs of links of a machine with the tip `tip`."""
     joints = machine.chain(tip)
     names = [joint.name for joint in joints]
     carriers = machine.bodies(names)
@@ -70,7 +70,7 @@ def find_pairs(machine: RawMachine, bodies: Mapping[str, Body], tip: str) -> Pai
 
 
 def touch_share(machine: RawMachine, bodies: Mapping[str, Body], tip: str, pair: LinkPair) -> float:
-    """In which part of the range of the joint between them two links touch, or of random postures; 0 to 1."""
+    """The share (0 to 1) of the range of the joint between two links, or of random configurations, with contact."""
     outer, inner = pair
     names = [joint.name for joint in machine.chain(tip)]
     carriers = machine.bodies(names)
@@ -85,7 +85,7 @@ def touch_share(machine: RawMachine, bodies: Mapping[str, Body], tip: str, pair:
 
 
 def _postures(machine: RawMachine, tip: str, count: int = _POSTURES) -> dict[str, dict[str, Placements]]:
-    """Placements with one joint over its range, by its name; under "" with all joints at random."""
+    """Placements with one joint over its range, by its name; under "" those with all joints at random."""
     joints = machine.chain(tip)
     bounds = np.array(
         [(-np.pi, np.pi) if joint.kind == "continuous" else (joint.lower, joint.upper) for joint in joints], dtype=float
@@ -99,7 +99,7 @@ def _postures(machine: RawMachine, tip: str, count: int = _POSTURES) -> dict[str
 
 
 def _furthest(one: Body, other: Body, placed: Mapping[str, Placements]) -> float:
-    """How far two links were seen apart [m]; 0 where they touch in all postures."""
+    """The largest distance of two links [m]; 0 if they touch in all configurations."""
     rotations, translations = past_link(placed, one.name, other.name)
     between = np.linalg.norm(rotations @ one.centre + translations - other.centre, axis=1) - one.reach - other.reach
     furthest = max(float(np.max(between)), 0.0)

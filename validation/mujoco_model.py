@@ -1,4 +1,4 @@
-"""A machine and its site as a MuJoCo model, from the words of the URDF and of the scene file."""
+"""A machine and its site as a MuJoCo model, from the texts of the URDF and of the scene file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from validation.link_pairs import Pairs
 from validation.raw_obstacles import Record, read_cloud, turn_of
 from validation.raw_urdf import RawMachine, RawShape, read_mesh
 
-DEEP = 1e-4  # m inside each other from which on two geoms count as touching
+DEEP = 1e-4  # m of penetration from which two geoms count as touching
 _GROUND = 3.0  # m below the lowest height of a height map
 SITE = "site/"
 
@@ -32,7 +32,7 @@ class ModelDraft:
 
     Attributes
     ----------
-    hollow: names of the geoms of which MuJoCo takes the hull, and the mesh is less.
+    hollow: names of the geoms whose mesh is smaller than the hull that MuJoCo takes.
     """
 
     machine: RawMachine
@@ -43,7 +43,7 @@ class ModelDraft:
 
     def __post_init__(self) -> None:
         self.spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-        # a machine's own base must not be welded to the world, or its links were never held against it
+        # a machine's base must not be welded to the world, or its links would never be checked against it
         bodies = {self.machine.root: self.spec.worldbody.add_body(name=self.machine.root, mocap=True)}
         for joint in self.machine.joints:
             rotation, translation = joint.rotation, joint.translation
@@ -63,12 +63,12 @@ class ModelDraft:
                 self._link_geom(bodies[link], shape)
 
     def exclude(self, pairs: Pairs) -> None:
-        """Links that touch by construction, wherever the joints between them stand."""
+        """Exclude the links that touch by construction, at all angles of the joints between them."""
         for one, other in pairs.touching | pairs.touching_afar:
             self.spec.add_exclude(bodyname1=one, bodyname2=other)
 
     def obstacle(self, record: Record, folder: Path) -> None:
-        """An obstacle as a body that can be moved."""
+        """Add an obstacle as a body that can be moved."""
         body = self.spec.worldbody.add_body(name=site_body(record["name"]), mocap=True)
         shape, kinds = record["shape"], mujoco.mjtGeom
         place = {"pos": np.array(record.get("position", (0.0, 0.0, 0.0))), "quat": _quaternion(turn_of(record))}
@@ -115,7 +115,7 @@ class ModelDraft:
     def _geom(self, body: Any, kind: Any, size: Any, **place: Any) -> str:
         self.geoms += 1
         name = f"geom {self.geoms}"
-        # machine against machine and site, the site not against itself
+        # the machine is checked against itself and the site, the site not against itself
         of_site = body.name.startswith(SITE)
         affinity = {"contype": 2, "conaffinity": 0} if of_site else {"contype": 1, "conaffinity": 3}
         body.add_geom(name=name, type=kind, size=np.array(size, dtype=float), mass=1.0, **affinity, **place)
@@ -150,7 +150,7 @@ class ModelDraft:
 
 
 def _thick(vertices: Matrix, faces: Matrix) -> tuple[Matrix, Matrix]:
-    """The same mesh; of a flat one two copies beside it, for MuJoCo has no flat ones."""
+    """The same mesh; a flat one as two copies on its sides, since MuJoCo has no flat meshes."""
     across = np.linalg.svd(vertices - vertices.mean(axis=0))[2][2]
     if float(np.ptp(vertices @ across)) > DEEP:
         return vertices, faces

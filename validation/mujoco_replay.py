@@ -1,9 +1,8 @@
 """A motion replayed in MuJoCo: its own model of the URDF and the site, its own kinematics and contacts.
 
-The shapes come from the files by `raw_urdf` and `raw_obstacles`; nothing of the planner's own
-geometry is asked. MuJoCo takes a mesh as its convex hull, which closes a bucket or a channel:
-a contact in a hull is only counted where triangles of the mesh touch too, else it is skipped and
-counted as such.
+The shapes come from the files by `raw_urdf` and `raw_obstacles`; none of the planner's own
+geometry is used. MuJoCo takes a mesh as its convex hull, which closes a bucket or a channel:
+a contact in a hull counts only if triangles of the mesh touch too, else it is counted as skipped.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ from validation.servo_drives import EPISODE, Episode
 from validation.surfaces import LinkDistances
 
 Shifts = Mapping[str, Vector]
-"""(3,) how far each obstacle that is there has moved [m]."""
+"""(3,) displacement of each present obstacle [m]."""
 
-_AWAY = np.array([0.0, 0.0, -1e3])  # m: where something stands that has not appeared
-_CHECKED = 10  # steps of a servo from one that is replayed to the next
+_AWAY = np.array([0.0, 0.0, -1e3])  # m: the place of what has not appeared yet
+_CHECKED = 10  # steps of a servo between two that are replayed
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Two bodies inside each other, and where it was deepest [m, s].
+    """A contact of two bodies, with the greatest depth and its time [m, s].
 
     Attributes
     ----------
@@ -53,13 +52,13 @@ class Contact:
 
 @dataclass(frozen=True)
 class Replay:
-    """What was found on a motion.
+    """The contacts found on a motion.
 
     Attributes
     ----------
-    moments: that were looked at.
+    moments: number of those checked.
     contacts: one for every two bodies.
-    skipped: pairs of bodies whose contact lies in the hull of a mesh alone, of which no triangle touches.
+    skipped: pairs of bodies with a contact only in the hull of a mesh, of which no triangle touches.
     """
 
     moments: int
@@ -68,11 +67,11 @@ class Replay:
 
 
 class MujocoSite:
-    """A machine and what stands around it, as a MuJoCo model.
+    """A machine and its surroundings as a MuJoCo model.
 
     Parameters
     ----------
-    robot: of which only the file, the tip and the order of the joints are used.
+    robot: only its file, its tip and the order of its joints are used.
     """
 
     def __init__(self, robot: bp.Robot, scene: bp.Scene) -> None:
@@ -82,7 +81,7 @@ class MujocoSite:
         records += [
             solid_of(zone.model_dump(by_alias=True, exclude_none=True))
             for zone in scene.zones
-            if zone.kind in ("cab", "ceiling", "floor")  # a wall is given in two ways, a sector is no solid
+            if zone.kind in ("cab", "ceiling", "floor")  # a wall has two forms, a sector is no solid
         ]
         self.obstacles = {
             record["name"]: read_obstacle(record, folder=scene.folder, clearance=scene.clearance) for record in records
@@ -99,11 +98,11 @@ class MujocoSite:
         self._mocap = {name: int(self._model.body(site_body(name)).mocapid[0]) for name in self.obstacles}
 
     def replay(self, time: Vector, q: Matrix) -> Replay:
-        """Put the machine at every moment (T,), q (T, n), and look what touches."""
+        """Place the machine at every moment (T,), q (T, n), and collect the contacts."""
         return self.replay_among(zip(time.tolist(), q, map(self._shifts, time.tolist()), strict=True))
 
     def replay_among(self, moments: Iterable[tuple[float, Vector, Shifts]]) -> Replay:
-        """The same, with where every obstacle that is there has moved to at each moment."""
+        """The same, with the displacements of the present obstacles at each moment."""
         worst: dict[tuple[str, str], Contact] = {}
         skipped: set[tuple[str, str]] = set()
         count = 0
@@ -121,12 +120,12 @@ class MujocoSite:
         return Replay(count, tuple(found), frozenset(skipped - worst.keys()))
 
     def _shifts(self, moment: float) -> Shifts:
-        """How far every obstacle that has appeared has moved."""
+        """The displacement of every obstacle that has appeared."""
         obstacles = self.obstacles.values()
         return {one.name: one.shift(np.array([moment]))[0] for one in obstacles if one.appears_at <= moment}
 
     def _contacts(self, moment: float, q: Vector, shifts: Shifts) -> list[tuple[Contact, bool]]:
-        """What touches, and whether it may be in a hull alone."""
+        """The contacts, and whether each may be only in a hull."""
         model, data = self._model, self._data
         data.qpos[self._address] = q
         for name, body in self._mocap.items():
@@ -143,12 +142,12 @@ class MujocoSite:
         return found
 
     def _contact(self, names: list[str], depth: float, moment: float, shifts: Shifts) -> Contact | None:
-        """The contact of two MuJoCo bodies; None where it does not count."""
+        """The contact of two MuJoCo bodies; None if it does not count."""
         site = [name for name in names if name.startswith(SITE)]
         if site:
             (link,) = set(names) - set(site)
             obstacle = self.obstacles[site[0].removeprefix(SITE)]
-            # what stands in a part that does not move is not the motion's fault
+            # a contact with a part that does not move is not the motion's fault
             if obstacle.name not in shifts or link in self._standing:
                 return None
             if obstacle.links is not None and link not in obstacle.links:
@@ -183,7 +182,7 @@ def _as_written(robot: bp.Robot) -> tuple[RawMachine, dict[str, Body], Pairs]:
 
 
 def replay(robot: bp.Robot, scene: bp.Scene, trajectory: bp.Trajectory, *, refine: int = 10) -> Replay:
-    """Replay a motion at `refine` moments for each of its samples."""
+    """Replay a motion at `refine` moments per sample."""
     time = trajectory.time
     parts = [np.linspace(a, b, refine, endpoint=False) for a, b in pairwise(time.tolist())]
     moments = np.concatenate([*parts, time[-1:]])
@@ -201,7 +200,7 @@ def replay_drives(robot: bp.Robot, *, episodes: int, seed: int) -> Iterator[tupl
             if step % _CHECKED == 0:
                 shifts = {name: one.shift.copy() for name, one in episode.standing.items()}
                 seen.append((state.time, state.q.copy(), shifts))
-        # what appears later stands in the model from the beginning, and is left out until it is there
+        # later obstacles are in the model from the beginning and ignored until they appear
         records = [one.spec.model_dump(by_alias=True, exclude_none=True) for one in episode.standing.values()]
         site = MujocoSite(robot, scene_of(robot, records, start=seen[0][1]))
         yield f"drive {number}", site.replay_among(seen)

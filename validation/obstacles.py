@@ -1,8 +1,8 @@
 """Random obstacles as entries of a scene file, without names (`name_all` adds them).
 
-`random_obstacle` and `random_fixtures` draw what is likely around a machine;
-the others draw one obstacle about a given place. The numbers drawn, and their order, are
-part of what a seed means: a change makes other sites of the same keys.
+`random_obstacle` and `random_fixtures` draw likely surroundings of a machine; the others draw
+one obstacle at a given place. The numbers drawn and their order are part of the meaning of a
+seed: a change makes other sites of the same keys.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Record = dict[str, Any]
 
 MACHINES = ("planar4", "backhoe", "panda", "telescope")
 
-# the backhoe's, 1 to 4 m long and 0.05 to 0.2 m thick, are cut down to the arm's reach
+# pipes of 1 to 4 m length and 0.05 to 0.2 m thickness for the backhoe, scaled to the arm's reach
 _PIPE_SCALE = {"backhoe": 1.0, "planar4": 0.4, "panda": 0.2, "telescope": 1.0}
 
 
@@ -133,7 +133,7 @@ def _around_panda(rng: np.random.Generator) -> Record:
 
 
 def _with_own_clearance(record: Record, part: float, clearances: Sequence[float], rng: np.random.Generator) -> Record:
-    """`record`, in a fraction `part` of all cases with a clearance of its own [m]."""
+    """`record`, in a fraction `part` of the cases with its own clearance [m]."""
     if rng.random() < part:
         record["clearance"] = float(rng.choice(clearances))
     return record
@@ -180,11 +180,11 @@ _FIXTURES: dict[str, Callable[[np.random.Generator], list[Record]]] = {
 }
 
 
-# --- about a place ------------------------------------------------------------------------
+# --- at a place ------------------------------------------------------------------------
 
 
 def lump(machine: str, middle: Vector, rng: np.random.Generator) -> Record:
-    """A compact obstacle about a point (3,), in the plane of a planar arm."""
+    """A compact obstacle at a point (3,), in the plane of a planar arm."""
     scale = float(rng.uniform(0.08, 0.25)) * (0.3 if machine == "panda" else 1.0)
     middle = _in_plane(machine, middle)
     if rng.random() < 0.5:
@@ -194,7 +194,7 @@ def lump(machine: str, middle: Vector, rng: np.random.Generator) -> Record:
 
 
 def pipe(machine: str, middle: Vector, rng: np.random.Generator) -> Record:
-    """A thin level capsule about a point (3,), in the plane of a planar arm."""
+    """A thin level capsule at a point (3,), in the plane of a planar arm."""
     scale = _PIPE_SCALE[machine]
     turn = float(rng.uniform(0.0, np.pi))
     half = 0.5 * scale * float(rng.uniform(1.0, 4.0)) * _level(turn)
@@ -219,7 +219,7 @@ def planar_obstacle(rng: np.random.Generator) -> Record:
 
 
 def course_obstacle(index: int, rng: np.random.Generator) -> Record:
-    """A ball, a crate or a post in turn, of one size each, in the backhoe's reach."""
+    """A ball, a crate or a post in turn, each of one size, in the backhoe's reach."""
     radius, angle = rng.uniform(2.5, 6.0), rng.uniform(-1.3, 1.3)
     x, y, _ = radius * _level(angle)
     place = np.array([x, y, rng.uniform(-2.5, 3.0)])
@@ -231,7 +231,7 @@ def course_obstacle(index: int, rng: np.random.Generator) -> Record:
 
 
 def appearing_obstacle(place: Vector, rng: np.random.Generator) -> Record:
-    """A ball, a tilted box or a post about a place (3,): what may get in a backhoe's way."""
+    """A ball, a tilted box or a post at a place (3,), as may get in a backhoe's way."""
     kind = int(rng.integers(3))
     if kind == 0:
         return sphere(rng.uniform(0.1, 0.4), place)
@@ -259,7 +259,7 @@ def shift(record: Record, step: Vector) -> Record:
 
 
 def extent(record: Record) -> tuple[Vector, Vector]:
-    """The corners (3,), lowest and highest, of the box along the axes that holds an obstacle."""
+    """The lowest and highest corner (3,) of an obstacle's axis-aligned bounding box."""
     if record["shape"] == "capsule":
         ends = np.array([record["from"], record["to"]])
         return ends.min(axis=0) - record["radius"], ends.max(axis=0) + record["radius"]

@@ -1,11 +1,11 @@
 """OMPL's own planners on the same problem, with the same check of motions and the same processor time.
 
 The space is that of `planning.sample_path`: joint positions over their greatest rates, so that
-lengths are times [s]. Goals are several clear postures. What a planner finds in its time is
-shortened, rounded and timed by the package itself, so that only the way is compared.
+lengths are times [s]. Goals are several clear configurations. The path that a planner finds in
+its time is shortened, rounded and timed by the package itself, so that only the path is compared.
 
-RRTConnect ends at its first way; it is started anew with other seeds until the time is over, and
-the shortest way counts. The others improve theirs for as long as they may.
+RRTConnect ends at its first path; it is restarted with other seeds until the time is over, and the
+shortest path counts. The others improve their path for as long as they may.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from backhoe_planner.planning import (
 )
 
 PLANNERS = ("RRTConnect", "RRTstar", "InformedRRTstar", "BITstar")
-SPARE = 0.002  # m kept beyond every clearance, as the package's own search does where ways are narrow
+SPARE = 0.002  # m kept beyond every clearance, as by the package's own search in narrow places
 _MOST_GOALS = 12
-_RANGE = 1.0  # s of joint time: the longest motion that is added to a tree
-_POINTS = 24  # on a way, and
-_STEPS = 8  # ways between two ways, at which it is looked whether one can be moved into the other
+_RANGE = 1.0  # s of joint time: the longest motion added to a tree
+_POINTS = 24  # on a path, and
+_STEPS = 8  # intermediate paths that are checked when one path is deformed into another
 
 
 @dataclass(frozen=True, eq=False)
 class Challenge:
-    """A problem as OMPL takes it: from one configuration to any of several.
+    """A problem for OMPL: from one configuration to any of several.
 
     Attributes
     ----------
@@ -56,13 +56,13 @@ class Challenge:
     goals: tuple[Vector, ...]
 
     def check(self, brake: Brake | None = None) -> MotionCheck:
-        """A new check of motions, which remembers nothing yet."""
+        """A new check of motions with an empty memory."""
         ends = [self.start, *self.goals]
         return MotionCheck(self.problem, self.proximity, ends, spare=SPARE, brake=brake)
 
 
 def pose_challenge(robot: bp.Robot, scene: bp.Scene, *, seed: int) -> Challenge | None:
-    """The scene as a challenge, its goal by clear postures; None where none is found."""
+    """The scene as a challenge, its goal as clear configurations; None if none is found."""
     problem = build_problem(robot, scene)
     assert problem.start_q is not None
     world = World(problem, seed=seed, work=Work(EFFORTS["normal"]))
@@ -73,7 +73,7 @@ def pose_challenge(robot: bp.Robot, scene: bp.Scene, *, seed: int) -> Challenge 
 
 
 def _goal_postures(world: World) -> tuple[Vector, ...]:
-    """Up to a dozen clear postures on the goals, the nearest first."""
+    """Up to a dozen clear configurations on the goals, the nearest first."""
     near, count = world.problem.start_q, world.work.effort.starting_points
     found: list[Vector] = []
     for goal in world.problem.goals:
@@ -86,11 +86,11 @@ def _goal_postures(world: World) -> tuple[Vector, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A way that a planner found.
+    """A path that a planner found.
 
     Attributes
     ----------
-    way: its corners.
+    way: the corners of the path.
     motion: along it, as fast as the limits allow.
     """
 
@@ -99,7 +99,7 @@ class Found:
 
 
 def solve(challenge: Challenge, planner: str, seconds: float, *, seed: int) -> Found | None:
-    """The best way that one of `PLANNERS` finds in so many seconds of processor time; None where it finds none."""
+    """The best path that one of `PLANNERS` finds in `seconds` of processor time; None if it finds none."""
     find = _restarts if planner == "RRTConnect" else partial(_improving, planner=planner)
     way = find(challenge, Brake(seconds), seed=seed)
     if way is None:
@@ -165,7 +165,7 @@ def _improving(challenge: Challenge, brake: Brake, *, planner: str, seed: int) -
     corners = np.array([state[0:n] for state in definition.getSolutionPath().getStates()]) * rate
     corners[0] = challenge.start
     corners[-1] = min(challenge.goals, key=lambda goal: float(np.max(np.abs(goal - corners[-1]))))
-    # the scaling has moved the corners by its rounding
+    # scaling has moved the corners by rounding
     clear = all(check.segment_is_clear(a, b) for a, b in itertools.pairwise(corners))
     return JointPath(corners) if clear else None
 
@@ -183,20 +183,20 @@ def _validator(base: Any, information: Any, check: MotionCheck, brake: Brake) ->
     class Validator(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, a: Any, b: Any) -> bool:
             if brake.is_used_up():
-                return False  # some planners look at many motions before they ask whether to end
+                return False  # some planners check many motions before they ask whether to end
             return check.segment_is_clear(np.array(a[0:n]) * rate, np.array(b[0:n]) * rate)
 
     return Validator(information)
 
 
-# --- the same way or another ---------------------------------------------------------
+# --- the same path or another ---------------------------------------------------------
 
 
 def can_be_moved(check: MotionCheck, a: Matrix, b: Matrix) -> bool:
-    """Whether a way (A, n) can be moved straight into another (B, n), clear all along.
+    """Whether a path (A, n) can be deformed straight into another (B, n), clear all along.
 
-    Both are compared at equal parts of their lengths. That is enough for two ways to be of one
-    homotopy class, not needed: two that cannot be moved straight may still be.
+    Both are compared at equal parts of their lengths. This is sufficient for one homotopy
+    class, not necessary: two paths that cannot be deformed straight may still be in one.
     """
     first, second = _resampled(a, check.rate), _resampled(b, check.rate)
     if np.max(np.abs(first[-1] - second[-1]) / check.rate) > 0.05:
@@ -215,5 +215,5 @@ def _resampled(way: Matrix, rate: Vector) -> Matrix:
 
 
 def same_end(rate: Vector, a: Matrix, b: Matrix) -> bool:
-    """Whether two ways end in the same posture, within 0.05 s of every joint."""
+    """Whether two paths end in the same configuration, within 0.05 s of every joint."""
     return bool(np.max(np.abs(a[-1] - b[-1]) / rate) < 0.05)

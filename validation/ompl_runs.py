@@ -1,4 +1,4 @@
-"""The planner beside OMPL's own on the same sites: who finds a way, how long it takes to drive, which way it is."""
+"""The planner and OMPL's own on the same sites: who finds a path, its duration, and which paths are alike."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from validation.sites import Site, SiteKey
 from validation.tables import Row as TableRow
 from validation.tables import markdown, percent
 
-OWN = "as ours"  # as many seconds as our plan took
-_SHORTER = 0.97  # part of our duration below which another motion counts as better
+OWN = "as ours"  # the seconds that our plan took
+_SHORTER = 0.97  # part of our duration, below which another motion counts as shorter
 
 
 @dataclass(frozen=True)
 class Run:
-    """What one planner found on one site in its time.
+    """The result of one planner on one site in its time.
 
     Attributes
     ----------
     planner: of OMPL, or ``ours``.
-    allowed: seconds of processor time that it had, or `OWN`.
-    seconds: the same in figures, for ours what it took [s].
-    duration: of the motion [s]; None where none was found or the certificate does not hold.
-    ours: duration of our motion [s]; None where there is none.
-    end: whether it ends in the posture in which ours ends.
-    moved: whether the way can be moved straight into ours; then both are of one homotopy class.
+    allowed: its processor time in seconds, or `OWN`.
+    seconds: the same as a number; for ours the time that it took [s].
+    duration: of the motion [s]; None if none was found or the certificate does not hold.
+    ours: duration of our motion [s]; None if there is none.
+    end: whether it ends in the same configuration as ours.
+    moved: whether the path can be deformed straight into ours; then both are of one homotopy class.
     """
 
     name: str
@@ -89,14 +89,14 @@ def compare(
     folder: Path | None = None,
     watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Run], bool]:
-    """The runs on all sites, and whether it was interrupted; see `call_for_all`."""
+    """The runs on all sites, and whether the campaign was interrupted; see `call_for_all`."""
     call = partial(compare_on_site, settings=settings, seconds=seconds, draw=draw)
     found, interrupted = call_for_all(call, keys, result=list[Run], jobs=jobs, folder=folder, watch=watch)
     return [run for runs in found for run in runs], interrupted
 
 
 def add_to_best(best: Best, runs: Sequence[Run]) -> None:
-    """Remember what any of the planners found, where it is the best."""
+    """Add the motions of all planners to the best known."""
     for run in runs:
         if run.duration is not None:
             best.add(run.name, run.digest, run.duration, f"{run.planner}, {run.seconds:.2g} s")

@@ -2,8 +2,8 @@
 
 Random verified plans of the backhoe (sites of `validation.sites`) are streamed through a
 servo. Shortly before the machine reaches a random place of the plan, a ball, a box or a post
-appears there, and stays. Contacts are measured without coal. If the machine does not arrive,
-the planner looks for a way from where it stands to the end of the plan.
+appears there and stays. Contacts are measured without coal. If the machine does not arrive,
+the planner searches for a motion from its place to the end of the plan.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ D = TypeVar("D")
 _SITES = [(kind, task) for kind in KINDS for task in ("goal", "path")]
 _PER_PLAN = 5  # placements on every plan
 _LONGEST = 90.0  # s of one drive
-_BLOCKED = 16.0  # s of standing blocked after which a drive is ended,
-_BLOCKED_AT_END = 2.0  # where the end of the plan is taken
+_BLOCKED = 16.0  # s of standing blocked after which a drive ends,
+_BLOCKED_AT_END = 2.0  # if the end of the plan is occupied
 _END_TAKEN = 0.2  # part of the obstacles on the end of a plan that are kept
-_SPARE = 0.02  # m beyond the clearance that the machine has of what appears
+_SPARE = 0.02  # m beyond the machine's clearance from a new obstacle
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ class Followed(Generic[D]):
 
 
 class Immediate(Executor):
-    """Runs every call at once, and records its duration [s]."""
+    """Runs every call at once and records its duration [s]."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Call `fn`, and return a future that is done."""
+        """Call `fn` and return a future that is done."""
         begun = time.monotonic()
         future: Future[R] = Future()
         try:
@@ -72,7 +72,7 @@ class Immediate(Executor):
 
 
 class SceneDistances:
-    """Distances without coal to the obstacles of a scene, of the links for which each counts."""
+    """Distances without coal from the obstacles of a scene to the links for which they count."""
 
     def __init__(self, robot: bp.Robot, scene: bp.Scene) -> None:
         still = np.zeros(3)
@@ -96,17 +96,17 @@ class Drive:
 
     Attributes
     ----------
-    site, turn, obstacle: what was driven past what.
+    site, turn, obstacle: the plan and the obstacle.
     arrived: at the end of the plan.
     status, reason: of the follower at the end.
-    least_distance: to any obstacle, at the steps that were checked [m].
-    problems: limits that were broken, contacts.
+    least_distance: to any obstacle, at the checked steps [m].
+    problems: broken limits and contacts.
     seconds: in each status [s].
     late: later than planned [s].
-    searches: times of the searches for a way round [s].
-    end_taken: what appeared is closer than its clearance to the end of the plan.
-    planner: the planner's answer where the end is free but the drive did not arrive.
-    other_posture: the planner's way leads to another posture.
+    searches: times of the searches for a detour [s].
+    end_taken: whether the obstacle is closer than its clearance to the end of the plan.
+    planner: the planner's answer if the end is free but the drive did not arrive.
+    other_posture: whether the planner's motion leads to another configuration.
     """
 
     site: str
@@ -133,7 +133,7 @@ class Drive:
 
 
 def places_on_machine(robot: bp.Robot, postures: Matrix, rng: np.random.Generator) -> Matrix:
-    """(K, 3) where a random point of a link is in each posture (K, n), the outer links more often."""
+    """(K, 3) a random point of a link in each configuration (K, n), more often of the outer links."""
     covers = [cover for cover in link_shapes(robot)[0] if cover.joint > 1]
     weights = np.square([float(cover.joint) for cover in covers])
     cover = covers[int(rng.choice(len(covers), p=weights / weights.sum()))]
@@ -156,7 +156,7 @@ class Placement:
         self.obstacle = ""
 
     def put(self) -> bool:
-        """Follow the plan until shortly before a random place, and put an obstacle there; False where none fits."""
+        """Follow the plan until shortly before a random place and put an obstacle there; False if none fits."""
         plan, rng, servo = self.plan, self.rng, self.servo
         at = float(rng.uniform(0.15, 1.0)) * plan.trajectory.duration
         lead = float(rng.uniform(0.5, 3.0))
@@ -181,7 +181,7 @@ class Placement:
         return False
 
     def drive(self, site: str, turn: int, *, every: int) -> Drive:
-        """Follow the plan to its end, or until it is clear that it does not arrive."""
+        """Follow the plan to its end, or until the drive will not arrive."""
         servo, distances = self.servo, SceneDistances(self.robot, self.scene)
         problems: list[str] = []
         statuses: Counter[str] = Counter()
@@ -224,7 +224,7 @@ class Placement:
         return bool(np.abs(way.trajectory.q[-1] - self.plan.trajectory.q[-1]).max() > 1e-3)
 
     def _way_from_here(self) -> bp.Plan:
-        """The planner's own answer: from where the machine stands to the tip's pose at the end of the plan."""
+        """The planner's own answer, from the machine's place to the tip's pose at the end of the plan."""
         end = bp.Kinematics(self.robot).at(self.plan.trajectory.q[-1])
         content = scene_content(self.scene)
         content["start"] = {"joints": dict(zip(self.robot.joint_names, self.servo.q.tolist(), strict=True))}
@@ -233,7 +233,7 @@ class Placement:
 
 
 def scene_content(scene: bp.Scene) -> Record:
-    """The scene as a file has it, to be changed."""
+    """The scene as the content of a file, to be changed."""
     return dict(scene.model_dump(by_alias=True, exclude_none=True))
 
 
@@ -246,11 +246,11 @@ def place_obstacles(
     folder: Path | None,
     watch: Callable[[int, Drive], object],
 ) -> Followed[Drive]:
-    """Put obstacles onto plans, and drive.
+    """Put obstacles onto plans and drive.
 
     Parameters
     ----------
-    every: distances are checked at every so many steps, and where the margin is small.
+    every: steps between checks of distances, which are also checked where the margin is small.
     jobs, folder, watch: see `Campaign`.
     """
     call = partial(place_on_site, seed=seed, every=every)
@@ -260,7 +260,7 @@ def place_obstacles(
 
 
 def place_on_site(number: int, *, seed: int, every: int) -> list[Drive]:
-    """The drives past what is put onto the plan of the site of that number; none where no plan is verified."""
+    """The drives past obstacles on the plan of a site, by its number; none if the plan is not verified."""
     drives: list[Drive] = []
     site, plan = random_plan("backhoe", number, seed=seed)
     if not plan.verified or plan.trajectory.duration < 2.0:

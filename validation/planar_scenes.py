@@ -1,4 +1,4 @@
-"""Random scenes for a planar arm: one to six solid obstacles, free start, free posture at the goal."""
+"""Random scenes for a planar arm: one to six solid obstacles, free configurations at start and goal."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from validation.obstacles import name_all, planar_obstacle
 from validation.scenes import scene_of
 
 _ROOM: dict[str, Any] = {"clearance": 0.02, "influence": 0.4}  # m
-_SPARE = 0.01  # m that start and goal posture keep beyond every clearance, so that neither is on the edge
-_POSTURES = 100  # looked at among the same obstacles, before others are drawn
+_SPARE = 0.01  # m that start and goal configuration keep beyond every clearance, so that neither is on the edge
+_POSTURES = 100  # tried among the same obstacles before others are drawn
 
 
 def random_planar_scene(robot: bp.Robot, rng: np.random.Generator) -> bp.Scene:
     """A scene for a planar arm with 1 to 6 balls, blocks and capsules anywhere in its workspace.
 
-    Start and goal are tip and joints of two random free postures; whether a way leads
-    from one to the other is not known.
+    Start and goal come from two random free configurations; whether a motion leads from
+    one to the other is not known.
     """
     kinematics = bp.Kinematics(robot)
     while True:

@@ -1,6 +1,6 @@
 """The planner on many random sites: how often, how fast and how well it solves them.
 
-Every (machine, kind, task) is a group of sites, each drawn from a seed of its own. A site
+Every (machine, kind, task) is a group of sites, each drawn from its own seed. A site
 gives a `Row`, a group a `Summary`, and two runs a `Comparison`. Planning time is processor
 time, in seconds and as a multiple of a reference measured beside it, 1000 calls of
 `Proximity.distances` on the same site: other processes do not lengthen it, and on a faster
@@ -50,15 +50,15 @@ class Row:
 
     Attributes
     ----------
-    verdict: ``verified``, ``failed``, or ``error`` where an exception was raised.
-    seconds: planning time on the processor [s].
-    reference: time of 1000 calls of `Proximity.distances` on this site [s]; None where
+    verdict: ``verified``, ``failed``, or ``error`` if an exception was raised.
+    seconds: processor time of planning [s].
+    reference: time of 1000 calls of `Proximity.distances` on this site [s]; None if
         an exception came before.
     duration, tip_length: of the motion [s, m]; of verified plans only, else None.
     margin: the least, of verified plans with anything near [m].
-    bound: what no motion falls short of, of verified plans to a goal [s].
-    refuted: what contradicts the certificate; empty where nothing does, None where the
-        plan was not held against the independent check.
+    bound: the least duration of any motion, of verified plans to a goal [s].
+    refuted: what contradicts the certificate; empty if nothing does, None if the plan
+        was not checked independently.
     """
 
     machine: str
@@ -97,7 +97,7 @@ class Row:
 
     @property
     def above_bound(self) -> float | None:
-        """The duration over its bound; None where there is no bound above 0."""
+        """The duration over its bound; None if there is no bound above 0."""
         return self.duration / self.bound if self.duration is not None and self.bound else None
 
     @property
@@ -120,31 +120,31 @@ class Summary:
 
     @property
     def verified(self) -> list[Row]:
-        """Those whose plan is verified."""
+        """The rows with a verified plan."""
         return [row for row in self.rows if row.verified]
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Why the others are not, and how many, most frequent first."""
+        """The reasons of the others and their numbers, the most frequent first."""
         return dict(Counter(row.reason for row in self.rows if not row.verified).most_common())
 
     @property
     def refuted(self) -> int | None:
-        """How many verified plans the independent check refutes; None where it was not asked."""
+        """The number of verified plans that the independent check refutes; None without the check."""
         checked = [row.refuted for row in self.verified if row.refuted is not None]
         return sum(map(bool, checked)) if checked else None
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What changed in one group, on the sites that both runs have.
+    """The changes in one group, on the sites that both runs have.
 
     Attributes
     ----------
-    before, now: how many are verified.
+    before, now: numbers of verified plans.
     time_ratio: median of planning time now over before, each as a multiple of its own
         reference; over the sites that both runs verified.
-    lost, won: the sites that went from verified to not, and the other way.
+    lost, won: the sites that are no longer, and those that are newly verified.
     """
 
     group: Group
@@ -160,7 +160,7 @@ class Comparison:
 
 
 def run_site(key: SiteKey, settings: Settings) -> Row:
-    """Draw a site, plan it, and hold the plan against the independent check where asked."""
+    """Draw a site, plan it, and check the plan independently if the settings ask for it."""
     known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False, "reference": None}
     begun = time.process_time()
     try:
@@ -195,7 +195,7 @@ def _reference(robot: bp.Robot, site: Site) -> float:
     return 10.0 * (time.process_time() - begun)
 
 
-# --- all of them ----------------------------------------------------------------------
+# --- all sites ----------------------------------------------------------------------
 
 
 def run(
@@ -206,13 +206,13 @@ def run(
     folder: Path | None = None,
     watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Row], bool]:
-    """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
+    """The rows of all sites in the order of the keys, and whether the run was interrupted; see `call_for_all`."""
     call = partial(run_site, settings=settings)
     return call_for_all(call, keys, result=Row, jobs=jobs, folder=folder, watch=watch, died=_died)
 
 
 def _died(key: SiteKey) -> Row:
-    """The row of a site at which the process died, twice."""
+    """The row of a site at which the process died twice."""
     return Row(
         **asdict(key), form=key.kind, way_known=False, blocked=False, verdict="error", reason="error",
         message="the process that planned it died, twice", seconds=float("nan"), reference=None,
@@ -279,7 +279,7 @@ def _part(part: int, whole: int) -> str:
 
 
 def failures(rows: Sequence[Row]) -> str:
-    """The indices of the sites that are not verified, group by group; a star where a way is known."""
+    """The indices of the sites that are not verified, group by group; a star marks a known solution."""
     failed: dict[Group, list[str]] = {}
     for row in rows:
         if not row.verified:
@@ -292,7 +292,7 @@ def failures(rows: Sequence[Row]) -> str:
 
 
 def compare(before: Sequence[Row], now: Sequence[Row]) -> list[Comparison]:
-    """What changed from one run to another, by group, on the sites that both have."""
+    """The changes from one run to another, by group, on the sites that both have."""
     old = {row.key: row for row in before}
     pairs = [(old[row.key], row) for row in now if row.key in old]
     found = []
@@ -316,7 +316,7 @@ def compare(before: Sequence[Row], now: Sequence[Row]) -> list[Comparison]:
 
 
 def comparison_table(comparisons: Sequence[Comparison]) -> str:
-    """What changed, as text."""
+    """The changes as text."""
     if not comparisons:
         return "no site is in both runs"
     rows: list[TableRow] = [

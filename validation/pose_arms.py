@@ -26,12 +26,12 @@ class _Joint:
 
     Attributes
     ----------
-    xyz, rpy: where it is on the link before [m], [rad]; it turns about, or slides along, its own z.
-    limits: [rad or m]; None where it is continuous.
+    xyz, rpy: its placement on the previous link [m], [rad]; it turns about, or slides along, its own z.
+    limits: [rad or m]; None if it is continuous.
     rate: [rad/s or m/s].
-    shape: from where to where the link's cylinder reaches [m]; None for no shape.
+    shape: the ends of the link's cylinder [m]; None for no shape.
     radius: of the cylinder [m].
-    kind: ``revolute`` or ``prismatic``; left out where it is continuous.
+    kind: ``revolute`` or ``prismatic``; ignored if it is continuous.
     """
 
     xyz: tuple[float, float, float]
@@ -79,7 +79,7 @@ ARMS = tuple(_JOINTS)
 
 
 def write_arm(name: str, folder: Path) -> Path:
-    """Write one of `ARMS` into a folder; the file of its URDF. Its tip is the link ``tip``."""
+    """Write one of `ARMS` into a folder and return the file of its URDF. Its tip is the link ``tip``."""
     parts = [_link("base", (_O, (0.0, 0.0, 0.1)), 0.08)]
     before = "base"
     for number, joint in enumerate(_JOINTS[name], 1):

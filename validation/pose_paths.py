@@ -1,9 +1,9 @@
-"""Paths of full poses on redundant arms, of the kinds that the field measures path planners with.
+"""Paths of full poses on redundant arms, of the kinds by which path planners are usually measured.
 
 The kinds follow the sets of TORM (Kang et al. 2020) and CppFlow (Morgan et al. 2024): written
-words, circles, squares and an S, turns on the spot, ways around one and two cubes and between
-poles; 200 to 1,000 waypoints, each with position and orientation. Every problem is drawn from a
-seed of its own. On ``beyond``, ``corner`` and ``inside`` one waypoint is impossible on purpose: far out of
+words, circles, squares and an S, turns on the spot, paths around one and two cubes and between
+poles; 200 to 1,000 waypoints, each with position and orientation. Every problem is drawn from its
+own seed. On ``beyond``, ``corner`` and ``inside`` one waypoint is impossible on purpose: far out of
 reach, a corner a few millimetres out of reach, or within a block.
 """
 
@@ -33,13 +33,13 @@ MACHINES = ARMS
 TOLERANCE = 0.001  # m
 _ROTATION_TOLERANCE = np.radians(0.1)
 _LONGEST_STEP = np.radians(7.0)  # of a joint from waypoint to waypoint
-_OUT_OF_REACH = 0.003  # m by which a corner is
-_BESIDE = 40  # waypoints before it that may be out of reach too: 7 cm and more
+_OUT_OF_REACH = 0.003  # m by which a corner is out of reach
+_BESIDE = 40  # waypoints before that corner that may be out of reach too: 7 cm and more
 _CLEARANCE = 0.01  # m of every obstacle
-_PLACES = 400  # draws of where a path lies, until its poses can be reached clear of everything
-_LOOKED_AT = 40  # poses of a path for each draw
+_PLACES = 400  # draws of a path's place until its poses can be reached clear of everything
+_LOOKED_AT = 40  # poses of a path checked for each draw
 _GUESSES = 24  # for each of these poses
-_AT_ONCE = 40  # samples of a motion within which a waypoint is looked for behind the one before
+_AT_ONCE = 40  # samples of a motion in which a waypoint is searched after the previous one
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Shape:
     Attributes
     ----------
     points: (K, 3) corners [m].
-    turns: (K,) orientations at the corners, against the tool's.
-    waypoints: how many the path has.
+    turns: (K,) orientations at the corners, relative to the tool's.
+    waypoints: their number on the path.
     blocks: obstacles in this frame.
     """
 
@@ -66,7 +66,7 @@ class Problem:
 
     Attributes
     ----------
-    impossible: the number of the first waypoint that cannot be reached, from 1; None where none is known.
+    impossible: the number of the first waypoint that cannot be reached, from 1; None if none is known.
     """
 
     kind: str
@@ -78,15 +78,15 @@ class Problem:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of planning one problem.
+    """The result of planning one problem.
 
     Attributes
     ----------
-    seconds: of the processor [s]; memory: greatest of the process [MB].
+    seconds: processor time [s]; memory: peak of the process [MB].
     step: the largest change of a joint between successive waypoints [rad or m].
     off: greatest distance of a waypoint from the motion [m], a radian as 0.25 m.
     duration: of the motion [s].
-    together: of one that is not verified, although no waypoint is impossible: whether its configurations hang together.
+    together: whether the configurations are connected, for a plan not verified without an impossible waypoint.
     """
 
     kind: str
@@ -140,7 +140,7 @@ def _ess(rng: np.random.Generator) -> Shape:
 
 
 def _word(rng: np.random.Generator) -> Shape:
-    """``hel`` in one stroke after the other; between letters the pen is lifted."""
+    """``hel``, stroke by stroke; the pen is lifted between letters."""
     letters = [
         [[(0, 0), (0, 2)], [(0, 1), (1, 1)], [(1, 2), (1, 0)]],
         [[(1, 0), (0, 0), (0, 2), (1, 2)], [(0, 1), (1, 1)]],
@@ -156,7 +156,7 @@ def _word(rng: np.random.Generator) -> Shape:
 
 
 def _turn(rng: np.random.Generator) -> Shape:
-    """On the spot about two axes of the tool, there and back."""
+    """Turns on the spot about two axes of the tool, there and back."""
     far = rng.uniform(0.5, 0.8)
     angles = [(0, 0, 0), (0, far, 0), (0, -far, 0), (0, 0, 0), (0, 0, far), (0, 0, -far), (0, 0, 0)]
     return Shape(np.zeros((len(angles), 3)), Rotation.from_rotvec(np.array(angles)), 200)
@@ -176,7 +176,7 @@ def _cube(name: str, size: float, x: float, y: float, z: float) -> Record:
 
 
 def _one_cube(rng: np.random.Generator) -> Shape:
-    """A bow around a cube that stands beside the tool."""
+    """A curve around a cube beside the tool."""
     size = rng.uniform(0.06, 0.1)
     off = 0.5 * size + 0.1
     points = [(-0.2, 0.0), (-off, 0.0), (-off, off), (off, off), (off, 0.0), (0.2, 0.0)]
@@ -191,7 +191,7 @@ def _two_cubes(rng: np.random.Generator) -> Shape:
 
 
 def _poles(rng: np.random.Generator) -> Shape:
-    """A winding way between poles that stand along y."""
+    """A winding path between poles in a row along y."""
     spacing, high = rng.uniform(0.13, 0.16), 0.12
     points, poles = [], []
     for number in range(4):
@@ -266,13 +266,13 @@ def _scene(robot: bp.Robot, name: str, blocks: Sequence[Record], positions: Matr
 
 
 def densely(shape: Shape) -> tuple[Matrix, Rotation]:
-    """(W, 3) positions, and as many orientations, evenly along a shape."""
+    """(W, 3) positions and as many orientations, evenly along a shape."""
     moved = np.linalg.norm(np.diff(shape.points, axis=0), axis=1)
     turned = TURN_LEVER * (shape.turns[:-1].inv() * shape.turns[1:]).magnitude()
     measure = np.concatenate(([0.0], np.cumsum(np.maximum(moved, turned))))
     # the corners are waypoints too
     at = np.unique(np.concatenate((np.linspace(0.0, measure[-1], shape.waypoints - len(measure) + 2), measure)))
-    at = at[np.concatenate(([True], np.diff(at) > 1e-9))]  # rounding makes two of one
+    at = at[np.concatenate(([True], np.diff(at) > 1e-9))]  # rounding may duplicate a waypoint
     points = np.column_stack([np.interp(at, measure, column) for column in shape.points.T])
     return points, Slerp(measure, shape.turns)(at)
 
@@ -285,7 +285,7 @@ def _placed(block: Record, middle: Vector, tool: Rotation) -> Record:
 def _with_a_corner_out_of_reach(
     robot: bp.Robot, positions: Matrix, rotations: Rotation, corners: Flags
 ) -> tuple[Matrix, int]:
-    """A path moved away from the machine until a corner is out of reach; and the first waypoint that is, from 1."""
+    """A path moved away until a corner is out of reach, and the number of the first waypoint that is, from 1."""
     outward = np.mean(positions, axis=0) * (1.0, 1.0, 0.0)
     outward /= np.linalg.norm(outward)
 
@@ -304,7 +304,7 @@ def _with_a_corner_out_of_reach(
 
 
 def _solve(robot: bp.Robot, positions: Matrix, rotations: Rotation) -> tuple[Array, Flags]:
-    """(W, G, n) where the search for each pose ends from each of some guesses; (W, G) whether it arrived."""
+    """(W, G, n) the ends of the search for each pose from each of G guesses; (W, G) whether it arrived."""
     turns = rotations.as_matrix()
     targets = [TipTarget(position, None, turn) for position, turn in zip(positions, turns, strict=True)]
     rng = np.random.default_rng(0)
@@ -317,7 +317,7 @@ def _solve(robot: bp.Robot, positions: Matrix, rotations: Rotation) -> tuple[Arr
 def _can_be_reached(
     robot: bp.Robot, blocks: Sequence[Record], positions: Matrix, rotations: Rotation, corners: Flags
 ) -> bool:
-    """Whether some poses of a path, its corners among them, can be reached, clear of everything, each for itself."""
+    """Whether some poses of a path, with its corners, can each be reached clear of everything."""
     some = np.unique(np.append(np.linspace(0, len(positions) - 1, _LOOKED_AT).astype(int), np.flatnonzero(corners)))
     q, arrived = _solve(robot, positions[some], rotations[some])
     if not arrived.any(axis=1).all():
@@ -335,7 +335,7 @@ def _can_be_reached(
 
 
 def solve(problem: Problem, *, seed: int = 0) -> Result:
-    """Plan a problem; time is of the processor, memory of the whole process."""
+    """Plan a problem; measure processor time and the memory of the whole process."""
     begun = time.process_time()
     plan = bp.plan(problem.robot, problem.scene, seed=seed)
     seconds = time.process_time() - begun
@@ -356,11 +356,11 @@ def solve(problem: Problem, *, seed: int = 0) -> Result:
 
 
 def waypoint_steps(problem: Problem, q: Matrix) -> tuple[float, float]:
-    """The largest change of a joint from waypoint to waypoint, and how far the motion passes by one at most.
+    """The largest change of a joint between waypoints, and the largest distance of a waypoint from the motion.
 
     Parameters
     ----------
-    q: (T, n) the motion's samples, joints straight between them [rad or m].
+    q: (T, n) the motion's samples, with straight joint motions between them [rad or m].
 
     Returns
     -------
@@ -390,7 +390,7 @@ def waypoint_steps(problem: Problem, q: Matrix) -> tuple[float, float]:
 
 
 def _vector(position: Vector, rotation: Matrix | None) -> Vector:
-    """(12,) position and orientation, with the distance of the field: a radian counts as 0.25 m."""
+    """(12,) position and orientation, with the usual distance: a radian counts as 0.25 m."""
     assert rotation is not None
     return np.concatenate((position, TURN_LEVER / np.sqrt(2.0) * rotation.ravel()))
 

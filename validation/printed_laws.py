@@ -1,24 +1,24 @@
 """How often each law arrives, touches and jumps, over seeded random scenes of planar4.
 
-One point obstacle (`count_point_scenes`), a recipe under which something stands in the
-way in every scene:
+One point obstacle (`count_point_scenes`), by a recipe that puts an obstacle in the way in
+every scene:
 
 1. Start and goal configuration: every joint uniform within its limits (a half turn
-   either way), no link in contact with another. The goal is where the second one has
-   its tip; it asks for the position alone.
+   either way), no link in contact with another. The goal is the tip position of the
+   second one; its orientation is free.
 2. The obstacle: a random point of the arm at a random one of the first 25 iterations of
    the plain law, moved by up to 0.25 m in x and in y.
-3. At the start, and at the configuration that the goal was taken from, the arm is
-   outside the region: its centre lines are more than 0.5 m from the obstacle.
+3. At the start, and at the configuration that gave the goal, the arm is outside the
+   region: its centre lines are more than 0.5 m from the obstacle.
 
-Measured on every motion, between its samples too (the joints move linearly): the
-distance of the links' centre lines to the point. Below 0.05 m the arm touches: half the
-thickness of a link and the radius of the sphere that the point is for the completed law.
-The laws as printed know no joint limits, no rates and no contact of the arm with itself;
-the completed law keeps all of these, and here also 0.3 m from the point.
+The distance of the links' centre lines to the point is measured on every motion, between
+its samples too (the joints move linearly). Below 0.05 m the arm touches: half the thickness
+of a link and the radius of the sphere that replaces the point for the completed law. The
+laws as printed ignore joint limits, rates and contacts of the arm with itself; the
+completed law keeps all of these, and here also 0.3 m from the point.
 
-Several solid obstacles (`count_solid_scenes`, scenes by `random_planar_scene`): what the
-terms of the completed law are worth on its first attempt, the tip straight for the goal.
+Several solid obstacles (`count_solid_scenes`, scenes by `random_planar_scene`): the effect
+of the terms of the completed law on its first attempt, with the tip straight to the goal.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ ARRIVED = 0.01  # m
 TOUCH = 0.05  # m from a centre line
 REQUIRED = 0.3  # m from a centre line
 JUMP = 1.0  # rad in one iteration
-SPHERE = 0.01  # m, radius of what the point is for the completed law
+SPHERE = 0.01  # m, radius of the sphere that replaces the point for the completed law
 PLAIN = Gains(s_e=0.2)
 
 
 @dataclass(frozen=True)
 class PointScene:
-    """Joints at the start (4,), tip at the goal (3,), the point obstacle (3,)."""
+    """The joints at the start (4,), the tip at the goal (3,) and the point obstacle (3,)."""
 
     start: Vector
     goal: Vector
@@ -65,7 +65,7 @@ class PointScene:
 
 @dataclass(frozen=True)
 class PrintedLaw:
-    """The law as printed, with one choice of what the paper leaves open."""
+    """The law as printed, with one choice of the details that the paper leaves open."""
 
     name: str
     gains: Gains
@@ -74,7 +74,7 @@ class PrintedLaw:
 
 
 def printed_laws(joint_names: Sequence[str]) -> list[PrintedLaw]:
-    """Plain pseudo-inverse, obstacle term, and all four readings of the directionality."""
+    """The plain pseudo-inverse, the obstacle term, and all four readings of the directionality."""
     first, second = joint_names[:2]
     turning = Gains(s_e=0.2, s_o=0.2, s_k={first: 0.01, second: 0.01})
     return [
@@ -124,7 +124,7 @@ def iterate(kinematics: bp.Kinematics, scene: PointScene, law: PrintedLaw, count
     return np.array(found)
 
 
-# --- what is measured -----------------------------------------------------------------
+# --- measurements -----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,8 @@ class Outcome:
 
     error: float  # of the tip at the end [m]
     arrival: int | None  # first sample on the goal
-    closest: float  # centre lines to the point, between the samples too [m]
-    at_samples: float  # the same at the samples alone, as the paper looks [m]
+    closest: float  # centre lines to the point, also between the samples [m]
+    at_samples: float  # the same at the samples only, as in the paper [m]
     largest_step: float  # of any joint in one sample [rad]
 
     @property
@@ -198,7 +198,7 @@ def random_point_scene(robot: bp.Robot, kinematics: bp.Kinematics, rng: np.rando
 
 
 def as_scene(robot: bp.Robot, scene: PointScene) -> bp.Scene:
-    """The same scene for the completed law: the point a small sphere."""
+    """The same scene for the completed law, with a small sphere for the point."""
     point = {"name": "point", **sphere(SPHERE, scene.obstacle)}
     task = {"goal": {"position": scene.goal.tolist()}}
     return scene_of(robot, [point], start=scene.start, task=task, clearance=REQUIRED - SPHERE, influence=REGION)
@@ -240,7 +240,7 @@ def count_point_scenes(count: int, seed: int) -> list[Row]:
 
 
 def first_attempt(problem: Problem, *, null_space: bool = True) -> tuple[bp.Trajectory, bool]:
-    """The completed law's first attempt, straight for the goal, and whether it arrives."""
+    """The completed law's first attempt, straight to the goal, and whether it arrives."""
     attempts = approach_goal(stepper_at_start(problem), problem.goals[0], [], work=Work(), null_space=null_space)
     attempt = next(iter(attempts))
     return attempt.stepper.trajectory(), attempt.arrived
@@ -262,7 +262,7 @@ def stepper_at_start(problem: Problem) -> Stepper:
 
 @dataclass(frozen=True)
 class Terms:
-    """The null-space terms of the completed law that are switched on."""
+    """The active null-space terms of the completed law."""
 
     name: str
     obstacle: bool
@@ -278,7 +278,7 @@ TERMS = (
 
 
 def drive(problem: Problem, terms: Terms, *, longest: float = 60.0) -> tuple[bool, float]:
-    """The completed law with some of its terms, straight for the goal: (arrived, duration [s])."""
+    """Drive by the completed law with some of its terms, straight to the goal: (arrived, duration [s])."""
     stepper = stepper_at_start(problem)
     limits = problem.limits
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, directionality=terms.directionality)

@@ -1,8 +1,8 @@
 """Random sites and motions around a random machine, many of them close to contact on purpose.
 
-Every obstacle shape of the scene file, movers, obstacles that appear, that count for some links
-only, with clearances of their own. A motion is a straight line in the joints from waypoint to
-waypoint; nothing plans it.
+Sites have every obstacle shape of the scene file, moving and appearing obstacles, obstacles for
+some links only, and obstacles with their own clearance. A motion is a straight joint motion from
+waypoint to waypoint, without planning.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from validation.raw_urdf import RawMachine, read_raw_urdf
 TURNS = 5  # sites and motions for every machine
 _CLEARANCE = 0.02  # m, of every scene
 _SHAPES = ("sphere", "box", "cylinder", "capsule", "halfspace", "mesh", "heightmap", "pointcloud")
-_RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg: so that rates are kept
-_SUDDEN = 100.0  # rad/s^2 or m/s^2: from one way to the other within 0.02 s, twice over; distances are what is attacked
-_SHORTEST, _MOST_SAMPLES = 0.4, 40  # s between two samples, and how many there are at most
-_GRAZES = (0.0, 0.0003, 0.003, 0.02)  # m beyond its clearance that an obstacle is passed at
-_INSTANT = 1e-3  # s over which it is seen how fast a point moves
-_STARTS = 5  # postures that are tried as the first
-_HALVINGS = 7  # between a clear and a touching posture, or place
+_RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg, so that rates are kept
+_SUDDEN = 100.0  # rad/s^2 or m/s^2: reverses within 0.02 s, twice over; the attack is on distances
+_SHORTEST, _MOST_SAMPLES = 0.4, 40  # s between two samples, and the largest number of samples
+_GRAZES = (0.0, 0.0003, 0.003, 0.02)  # m beyond its clearance at which an obstacle is passed
+_INSTANT = 1e-3  # s over which the speed of a point is measured
+_STARTS = 5  # configurations tried as the first
+_HALVINGS = 7  # between a clear and a touching configuration or place
 
 
 @dataclass(frozen=True, eq=False)
 class Attacked:
-    """A machine twice: as the planner has read it, and as it is written."""
+    """A machine twice: as read by the planner, and as written."""
 
     robot: bp.Robot
     raw: RawMachine
@@ -45,13 +45,13 @@ class Attacked:
     pairs: Pairs
 
     def sweep(self, time: Vector, q: Matrix) -> Sweep:
-        """The machine on its way through samples (T,) and (T, n)."""
+        """The moving machine through samples (T,) and (T, n)."""
         return Sweep(self.raw, self.bodies, self.robot.joint_names, time, q)
 
 
 @dataclass(frozen=True, eq=False)
 class Attack:
-    """A machine, a site and a motion that are named by a seed."""
+    """A machine, a site and a motion, named by a seed."""
 
     seed: int
     machine: Attacked
@@ -61,7 +61,7 @@ class Attack:
 
 
 def random_attacked(seed: int, folder: Path) -> Attacked:
-    """The machine of a seed; neighbouring seeds share one. Something that has a shape moves in each."""
+    """The machine of a seed; neighbouring seeds share one. In each, at least one link with a shape moves."""
     for turn in count():
         file = write_random_machine(np.random.default_rng([turn, seed // TURNS]), folder)
         raw = read_raw_urdf(file)
@@ -73,14 +73,14 @@ def random_attacked(seed: int, folder: Path) -> Attacked:
 
 
 def random_attack(seed: int, machine: Attacked, folder: Path) -> Attack:
-    """Draw the site and the motion of a seed; files go into `folder`."""
+    """Draw the site and the motion of a seed; files are written to `folder`."""
     draft = _Draft(seed, machine, folder)
     draft.draw()
     return draft.attack()
 
 
 class _Draft:
-    """A site and a motion as they are drawn."""
+    """A site and a motion while they are drawn."""
 
     def __init__(self, seed: int, machine: Attacked, folder: Path) -> None:
         self.seed, self.machine, self.folder = seed, machine, folder
@@ -106,7 +106,7 @@ class _Draft:
             self._put_in_the_way(sweep)
 
     def attack(self) -> Attack:
-        """What was drawn."""
+        """The drawn site and motion."""
         names = self.machine.robot.joint_names
         content = {
             "version": 1,
@@ -128,7 +128,7 @@ class _Draft:
         )
 
     def _sampled(self) -> bp.Trajectory:
-        """The motion in 2 to 40 samples: in some attacks more than the waypoints, on the same way."""
+        """The motion in 2 to 40 samples; in some attacks more than the waypoints, on the same path."""
         rng = np.random.default_rng([2, self.seed])
         coarse = bp.Trajectory.from_steps(self.time, self.q)
         most = np.minimum(np.diff(self.time) / _SHORTEST, _MOST_SAMPLES / len(self.time)).astype(int)
@@ -146,7 +146,7 @@ class _Draft:
         return self.machine.robot.random_q(self.rng)
 
     def _clear_posture(self) -> Vector:
-        """The first of a few postures in which the links keep off each other, if there is one."""
+        """The first of a few configurations without contact between links, if there is one."""
         pairs = self.machine.pairs.counted
         for _ in range(_STARTS):
             q = self._posture()
@@ -161,11 +161,11 @@ class _Draft:
         for _ in range(int(rng.integers(1, 7))):
             found.append(found[-1] + near * (self._posture() - found[-1]))
         q = np.array(found)
-        if rng.random() < 0.35:  # of one joint alone, and of the last one, the travel is bounded best
+        if rng.random() < 0.35:  # the bound on travel is sharpest for a single joint, and for the last one
             last = q.shape[1] - 1
             moving = np.arange(last + 1) == (last if rng.random() < 0.6 else rng.integers(last + 1))
             q = np.where(moving, q, q[0])
-        if rng.random() < 0.05:  # further than the joints may go, or another turn of a continuous one
+        if rng.random() < 0.05:  # beyond the joint limits, or another turn of a continuous joint
             q[-1] += rng.normal(0.0, 1.0, q.shape[1])
         return q
 
@@ -174,7 +174,7 @@ class _Draft:
         return np.concatenate(([0.0], np.cumsum(legs * self.rng.uniform(1.0, 2.0, len(legs)))))
 
     def _bisect(self) -> None:
-        """Put a waypoint at the edge between a clear and a touching posture of two bodies."""
+        """Put a waypoint at the edge between a clear and a touching configuration of two bodies."""
         rng = self.rng
         postures = np.array([self._posture() for _ in range(12)])
         body = self._pair_distance()
@@ -192,7 +192,7 @@ class _Draft:
         self.time = self._timed(self.q)
 
     def _pair_distance(self) -> Any:
-        """How far two bodies are apart at a posture; None where there are no two."""
+        """A function for the distance of two bodies at a configuration; None if there are no two."""
         counted = list(self.machine.pairs.counted)
         standing = [obstacle for record in self.records if (obstacle := self._raw(record)).body is not None]
         if standing and (self.rng.random() < 0.5 or not counted):
@@ -239,7 +239,7 @@ class _Draft:
         return record
 
     def _zone(self, sweep: Sweep) -> Record:
-        """A ceiling, a floor or a cab about where the machine is at some moment."""
+        """A ceiling, a floor or a cab near the machine's place at some moment."""
         rng = self.rng
         heights = [float(p[0, 2]) for _, p in sweep.placements(rng.uniform(0.0, self.time[-1], 1)).values()]
         zone: Record = {"name": "zone", "kind": str(rng.choice(["ceiling", "floor", "cab"]))}
@@ -274,7 +274,7 @@ class _Draft:
         return {**record, **self._surveyed(shape, number, size)}
 
     def _surveyed(self, shape: str, number: int, size: Vector) -> Record:
-        """What comes from a file: a mesh, a height map, a cloud of points."""
+        """An obstacle from a file: a mesh, a height map or a point cloud."""
         rng = self.rng
         if shape == "mesh":
             file = f"obstacle{number}.{rng.choice(['stl', 'obj', 'ply'])}"
@@ -291,7 +291,7 @@ class _Draft:
         return {"file": file, "resolution": float(rng.uniform(0.03, 0.2))}
 
     def _graze(self, sweep: Sweep) -> None:
-        """Move an obstacle until it is passed at about its clearance."""
+        """Move an obstacle until the machine passes it at about its clearance."""
         record = self.records[int(self.rng.integers(len(self.records)))]
         middle = sweep.placements(np.array([0.0]))["tip"][1][0]
         wanted = float(self.rng.choice(_GRAZES))
@@ -307,14 +307,14 @@ class _Draft:
             if least.distance > 0.0 and abs(missing) < 1e-4:
                 return
             clear = clear or least.distance > 0.0
-            # away from the machine by what is missing; out of a contact, of which the depth is not known, by a step
+            # away from the machine by the missing distance; out of a contact, whose depth is not known, by a step
             ahead = missing if least.distance > 0.0 else step
             _move(record, ahead * away)
             moved += ahead
             step *= 0.7 if clear else 1.3
 
     def _put_in_the_way(self, sweep: Sweep) -> None:
-        """Put something small where the machine is at its fastest, between two samples: it is passed through."""
+        """Put a small obstacle where the machine is fastest, between two samples: the motion passes through it."""
         rng = self.rng
         segment = int(rng.integers(len(self.time) - 1))
         share = rng.uniform(0.2, 0.8)

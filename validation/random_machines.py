@@ -1,7 +1,7 @@
 """Random machines, written as URDF text with their meshes: odd axes, offsets, branches, fixed extras.
 
-Nothing about them is sensible on purpose, only possible: one to seven joints, links of several
-shapes, a cab fixed to the base, tools fixed to the last link, brackets and arms that do not move.
+They are valid but not sensible on purpose: one to seven joints, links of several shapes, a cab
+fixed to the base, tools fixed to the last link, brackets and arms that do not move.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _RATE = 2.0  # rad/s or m/s of every joint
 
 
 def write_random_machine(rng: np.random.Generator, folder: Path) -> Path:
-    """Write a machine into a folder; the file of its URDF. Its tip is the link ``tip``."""
+    """Write a machine into a folder and return the file of its URDF. Its tip is the link ``tip``."""
     draft = _Draft(rng, folder)
     joints = int(rng.integers(1, 8))
     draft.link("base", draft.base_shapes())
@@ -47,7 +47,7 @@ def write_random_machine(rng: np.random.Generator, folder: Path) -> Path:
 
 @dataclass
 class _Draft:
-    """The elements of a URDF as they are drawn."""
+    """The elements of a URDF while they are drawn."""
 
     rng: np.random.Generator
     folder: Path
@@ -61,7 +61,7 @@ class _Draft:
         self.elements.append(f'<link name="{name}"><inertial><mass value="1"/>{inertia}</inertial>{inner}</link>')
 
     def joint(self, name: str, kind: str, parent: str, child: str, place: Vector) -> None:
-        """A joint at `place` (3,) in its parent, turned anyhow."""
+        """A joint at `place` (3,) in its parent, with random orientation."""
         rng = self.rng
         axis = np.zeros(3)
         axis[int(rng.integers(3))] = rng.choice([-1.0, 2.0])
@@ -83,7 +83,7 @@ class _Draft:
         )
 
     def extras(self, name: str, reach: Vector) -> None:
-        """A bracket fixed to a link, or an arm beside the chain that is held still."""
+        """A bracket fixed to a link, or an arm outside the chain that does not move."""
         rng = self.rng
         if rng.random() < 0.2:
             self.hang(f"{name}_bracket", name, reach * rng.uniform(0.0, 1.0) + rng.normal(0.0, 0.1, 3))
@@ -98,7 +98,7 @@ class _Draft:
         self.joint(f"{name}_fixed", "fixed", parent, name, place)
 
     def beside(self, far: float) -> Vector:
-        """(3,) a place up to about `far` away."""
+        """(3,) a place at up to about `far`."""
         direction = self.rng.normal(size=3)
         return np.asarray(direction / np.linalg.norm(direction) * far * self.rng.uniform(0.4, 1.0))
 
@@ -118,13 +118,13 @@ class _Draft:
         return [beam, *(self.lump(reach * rng.uniform(0.0, 1.0)) for _ in range(int(rng.integers(0, 3))))]
 
     def lump(self, place: Vector | None = None) -> str:
-        """Any shape, turned anyhow, about a place."""
+        """A random shape with random orientation at a place."""
         rng = self.rng
         middle = (np.zeros(3) if place is None else place) + rng.normal(0.0, 0.05, 3)
         return self.shape(rng.uniform(0.04, 0.35, 3), middle, rng.uniform(-np.pi, np.pi, 3))
 
     def shape(self, size: Vector, place: Vector, rpy: Vector) -> str:
-        """A box, cylinder, sphere or mesh of about a size (3,), as the text inside a collision."""
+        """A box, cylinder, sphere or mesh of about a size (3,), as the content of a collision element."""
         kind = int(self.rng.choice(4, p=[0.35, 0.3, 0.1, 0.25]))
         if kind == 0:
             inner = f'<box size="{_text(size)}"/>'
@@ -151,14 +151,14 @@ class _Draft:
         return f'<mesh filename="{name}" scale="{_text(scale)}"/>'
 
     def write(self) -> Path:
-        """The URDF's file."""
+        """Write the URDF and return its file."""
         file = self.folder / "machine.urdf"
         file.write_text('<robot name="random">\n' + "\n".join(self.elements) + "\n</robot>\n")
         return file
 
 
 def random_mesh(rng: np.random.Generator, *, hollow: float = 0.4) -> trimesh.Trimesh:
-    """A mesh of few triangles in the unit cube: a boulder, a prism, a tilted plate; or hollow, a channel or an L."""
+    """A mesh of few triangles in the unit cube: a boulder, prism or tilted plate; or hollow, a channel or an L."""
     solid = (1.0 - hollow) / 3.0
     kind = int(rng.choice(5, p=[solid, solid, 0.5 * hollow, 0.5 * hollow, solid]))
     if kind == 0:

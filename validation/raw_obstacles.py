@@ -1,7 +1,7 @@
-"""The obstacles of a scene as convex parts, from the words of the scene file: no code of the planner's own.
+"""The obstacles of a scene as convex parts, from the text of the scene file, without the planner's code.
 
-Every mesh is its triangles, every cell of a height map the ground below both ways of
-splitting it into triangles, every point of a cloud the voxel that holds it.
+A mesh becomes its triangles, a cell of a height map the ground below both of its splits into
+triangles, and a point of a cloud the voxel that contains it.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from validation.raw_urdf import read_mesh, rotation_of
 
 Record = dict[str, Any]
 
-_DEEP = 3.0  # m of ground below the lowest height: more than anything is put below it
-_LEVELS = (0.0, 0.3, 0.8, 1.6)  # m below the surface of what is looked at first
+_DEEP = 3.0  # m of ground below the lowest height, deeper than any obstacle
+_LEVELS = (0.0, 0.3, 0.8, 1.6)  # m below the surface, of the points measured first
 _PRISM_TOP = np.array([[0, 1, 2]])
 
 
 @dataclass(frozen=True, eq=False)
 class RawObstacle:
-    """An obstacle as it is written.
+    """An obstacle as written.
 
     Attributes
     ----------
-    body: its parts in world axes where it stands when it appears; None for a half-space.
+    body: its parts in world axes at the place where it appears; None for a half-space.
     point, normal: of a half-space.
     """
 
@@ -45,7 +45,7 @@ class RawObstacle:
     normal: Vector
 
     def shift(self, time: Vector) -> Matrix:
-        """(T, 3) how far it has moved at `time` (T,) [m]."""
+        """(T, 3) its displacement at `time` (T,) [m]."""
         return np.maximum(time - self.appears_at, 0.0)[:, None] * self.velocity
 
     def below_plane(self, part: Part, rotation: Array, translation: Matrix) -> Vector:
@@ -64,8 +64,8 @@ def read_obstacle(record: Record, *, folder: Path, clearance: float) -> RawObsta
 
     Parameters
     ----------
-    folder: in which its file lies.
-    clearance: the scene's, for an obstacle that has none of its own [m].
+    folder: of its file.
+    clearance: of the scene, for an obstacle without its own [m].
     """
     normal = np.array(record.get("normal", (0.0, 0.0, 1.0)), dtype=float)
     links = record.get("links")
@@ -83,7 +83,7 @@ def read_obstacle(record: Record, *, folder: Path, clearance: float) -> RawObsta
 
 
 def solid_of(zone: Record) -> Record:
-    """A zone as the obstacle that it forbids: a ceiling, a floor or a cab."""
+    """The obstacle that a zone stands for: a ceiling, a floor or a cab."""
     plain = {"name": zone["name"], "clearance": zone.get("stop", 0.0), "links": zone.get("links")}
     if zone["kind"] == "cab":
         return {**plain, "shape": "box", **{key: zone[key] for key in ("size", "position", "rpy") if key in zone}}
@@ -124,7 +124,7 @@ def turn_of(record: Record) -> Matrix:
 
 
 def read_cloud(file: Path) -> Matrix:
-    """(n, 3) the points of a PLY, or of text with x, y, z in the first columns."""
+    """(n, 3) the points of a PLY file, or of text with x, y, z in the first columns."""
     if file.suffix == ".ply":
         return np.asarray(trimesh.load(file, process=False).vertices, dtype=float)
     return np.loadtxt(file, delimiter=",", ndmin=2)[:, :3]
@@ -146,7 +146,7 @@ def _ground(heights: Matrix, size: tuple[float, float], turn: Matrix, place: Vec
             top = cell[triangle]
             prism = np.vstack((top, top * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]))
             surface = np.vstack((top, spread(top, _PRISM_TOP, 4)))
-            # what is deep in the ground is near to no point of its surface
+            # parts deep in the ground are near no point of its surface
             points = np.vstack([surface - [0.0, 0.0, depth] for depth in _LEVELS])
             found.append(Part(prism @ turn.T + place, 0.0, points @ turn.T + place))
     return found

@@ -1,8 +1,8 @@
-"""A URDF as it is written: its links with their shapes, its joints, and where they are.
+"""A URDF as written: its links with their shapes, its joints, and their placements.
 
-Read from the XML alone, so that it can be held against what the planner made of the file.
-Joints that are not driven stand at 0, or at the limit nearest to it, or where what they copy puts
-them. Held ones are fixed where they are held.
+It is read from the XML alone, so that the planner's reading of the file can be checked against it.
+Joints that are not driven are at 0, at the limit nearest to it, or where a joint that they mimic
+puts them. Held joints are fixed at their held values.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class RawShape:
 
 @dataclass(frozen=True, eq=False)
 class RawJoint:
-    """One joint; the limits are None where there are none, `rest` is where it stands while it is not driven."""
+    """One joint; missing limits are None, and `rest` is its value while it is not driven."""
 
     name: str
     kind: str
@@ -59,13 +59,13 @@ class RawJoint:
     rest: float
 
     def fixed(self) -> RawJoint:
-        """A fixed joint that has its child where this one rests."""
+        """A fixed joint with the child at the place that it has at rest."""
         turn, slide = self.motion(np.array([self.rest]))
         rotation, translation = self.rotation @ turn[0], self.translation + self.rotation @ slide[0]
         return replace(self, kind="fixed", rotation=rotation, translation=translation)
 
     def motion(self, value: Vector) -> Placements:
-        """How its child has moved at (T,) values [rad or m], in its own frame."""
+        """The motion of its child at (T,) values [rad or m], in its own frame."""
         if self.kind == "prismatic":
             return np.broadcast_to(np.eye(3), (len(value), 3, 3)), value[:, None] * self.axis
         x, y, z = self.axis
@@ -76,7 +76,7 @@ class RawJoint:
 
 @dataclass(frozen=True, eq=False)
 class RawMachine:
-    """The links with their shapes, and the joints in an order in which parents come first."""
+    """The links with their shapes, and the joints with parents first."""
 
     root: str
     shapes: dict[str, tuple[RawShape, ...]]
@@ -84,12 +84,12 @@ class RawMachine:
 
     @cached_property
     def joint_above(self) -> dict[str, RawJoint]:
-        """The joint of which each link but the root is the child."""
+        """The joint above each link except the root."""
         return {joint.child: joint for joint in self.joints}
 
     @cached_property
     def _below_root(self) -> dict[str, list[str]]:
-        """For each link the links from the root to it, itself included."""
+        """For each link, the links from the root to it, including itself."""
         found = {self.root: [self.root]}
         for joint in self.joints:
             found[joint.child] = [*found[joint.parent], joint.child]
@@ -106,7 +106,7 @@ class RawMachine:
         return tuple(reversed(found))
 
     def bodies(self, driven: Sequence[str]) -> dict[str, str]:
-        """For each link the last of the `driven` joints that moves it; "" where none does."""
+        """For each link, the last of the `driven` joints that moves it; "" if none does."""
         found = {self.root: ""}
         for joint in self.joints:
             found[joint.child] = joint.name if joint.name in driven else found[joint.parent]
@@ -139,8 +139,8 @@ def read_raw_urdf(
 
     Parameters
     ----------
-    find_mesh: from the name of a mesh to its file; beside the URDF by default.
-    hold: joints that are held, and where [rad or m].
+    find_mesh: from the name of a mesh to its file; next to the URDF by default.
+    hold: held joints and their values [rad or m].
     """
     robot = ET.parse(file).getroot()
     shapes: dict[str, tuple[RawShape, ...]] = {}
@@ -161,7 +161,7 @@ def read_raw_urdf(
 
 
 def _rest(elements: Mapping[str, ET.Element], name: str, hold: Mapping[str, float]) -> tuple[float, bool]:
-    """Where a joint rests, and whether it is held there or copies one that is."""
+    """The value of a joint at rest, and whether it is held there or mimics a held joint."""
     element = elements[name]
     mimic = element.find("mimic")
     if name in hold:
@@ -176,7 +176,7 @@ def _rest(elements: Mapping[str, ET.Element], name: str, hold: Mapping[str, floa
 
 
 def _bounds(element: ET.Element) -> tuple[float | None, float | None]:
-    """The limits of a joint's position; None where there are none."""
+    """The limits of a joint's position; None if there are none."""
     limit = element.find("limit")
     lower, upper = (None if limit is None or key not in limit.attrib else float(limit.attrib[key]) for key in _BOUNDS)
     return lower, upper
@@ -237,7 +237,7 @@ def _origin(element: ET.Element) -> tuple[Matrix, Vector]:
 
 
 def rotation_of(rpy: Vector) -> Matrix:
-    """(3, 3) of roll, pitch, yaw about the fixed axes x, y, z [rad]."""
+    """(3, 3) the rotation by roll, pitch, yaw about the fixed axes x, y, z [rad]."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [

@@ -1,7 +1,7 @@
 """A servo that starts from rest inside obstacles, inside itself, outside a limit, or both.
 
-`Proximity` checks every step. If the servo does not come out, `another_way` searches for a
-way out without any code of the servo's own search.
+`Proximity` checks every step. If the servo does not get out, `another_way` searches for a way out
+without code of the servo's own search.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from validation.scenes import scene_of
 from validation.servo_drives import CLEARANCE, plain_obstacle
 
 _KINDS = ("obstacle", "obstacle", "obstacle", "several obstacles", "itself", "limit", "limit and obstacle")
-_RESTS = 9000  # steps: longer than the servo takes until it searches again
+_RESTS = 9000  # steps, more than until the servo searches again
 _LONGEST = 30.0  # s for one recovery
 _WRONG = ("grew", "did not shrink", "not nearer", "deeper than at the start", "further outside")
 
 
 class Start:
-    """A posture that is closer to something than allowed, outside a limit, or both."""
+    """A configuration that violates a clearance, a joint limit, or both."""
 
     def __init__(self, robot: bp.Robot, rng: np.random.Generator, number: int) -> None:
         self.robot = robot
@@ -50,7 +50,7 @@ class Start:
                 continue
             count = 0 if "obstacle" not in self.kind else int(rng.integers(1, 4)) if "several" in self.kind else 1
             obstacles = name_all([plain_obstacle(rng) for _ in range(count)])
-            # a scene's start lies within the limits; the servo then gets as `q` where the machine stands
+            # a scene's start is within the limits; the servo then gets the real configuration as `q`
             within = robot.random_q(rng) if "limit" in self.kind else q
             self.q, self.scene = q, scene_of(robot, obstacles, start=within, clearance=CLEARANCE)
             self.proximity = bp.Proximity(
@@ -61,14 +61,14 @@ class Start:
                 return
 
     def depths(self, q: Vector) -> Vector:
-        """(1 + obstacles,) the deepest violation of the machine by itself and by every obstacle [m]."""
+        """(1 + obstacles,) the deepest violation within the machine and with every obstacle [m]."""
         depth = self.proximity.clearance - self.proximity.distances(q)
         owner = self.proximity.owner
         found = [float(np.max(depth[owner == k], initial=0.0)) for k in range(-1, len(self.scene.obstacles))]
         return np.array(found)
 
     def outside(self, q: Vector) -> Vector:
-        """(n,) how far every joint is outside its limits [rad]."""
+        """(n,) the violation of every joint's limits [rad]."""
         limits = self.robot.limits
         return np.maximum(np.maximum(q - limits.upper, limits.lower - q), 0.0)
 
@@ -79,12 +79,12 @@ class Recovery:
 
     Attributes
     ----------
-    out: nothing is violated any more.
+    out: whether nothing is violated any more.
     time: of the servo [s].
     counts: steps of each kind; those of `_WRONG` should be 0.
-    q: (n,) where it ended.
+    q: (n,) the last configuration.
     left: (1 + obstacles,) the violations there [m].
-    slowest: the longest step on the processor [s].
+    slowest: the longest processor time of a step [s].
     """
 
     out: bool
@@ -96,12 +96,12 @@ class Recovery:
 
 
 def come_back(start: Start, wish: dict[str, Any]) -> Recovery:
-    """Let the servo find its way back, and judge every step by `Proximity`.
+    """Let the servo recover, and judge every step by `Proximity`.
 
     At every step, the deepest violation of every obstacle, of the machine itself and of
-    every limit must fall, and what is gone must stay gone. On a way that the servo says
-    leads past what is no shallower, the length to go must fall instead, and nothing may
-    be deeper than at the start.
+    every limit must fall, and a violation that is gone must stay gone. On a route that the
+    servo says leads past places no shallower, the remaining length must fall instead, and
+    nothing may be deeper than at the start.
     """
     servo = bp.Servo(start.robot, start.scene, q=start.q)
     before, before_out = start.depths(start.q), start.outside(start.q)
@@ -164,10 +164,10 @@ def _depth_after_descent(start: Start, q: Vector) -> float:
 
 
 def another_way(start: Start, q: Vector, rng: np.random.Generator) -> str | None:
-    """The kind of search that finds a way out never deeper than the start; None where none does.
+    """The kind of search that finds a way out never deeper than the start; None if none does.
 
-    Descents by linear programmes from 20 postures around; straight lines to 2000 clear
-    postures; and a tree of 3000 postures grown from the start.
+    Descents by linear programmes from 20 configurations around; straight lines to 2000 clear
+    configurations; and a tree of 3000 configurations grown from the start.
     """
     robot, limits, ceiling = start.robot, start.robot.limits, np.maximum(start.deepest, 0.0) + 1e-7
     low, high = np.minimum(limits.lower, start.q), np.maximum(limits.upper, start.q)
@@ -179,7 +179,7 @@ def another_way(start: Start, q: Vector, rng: np.random.Generator) -> str | None
         count = max(int(np.max(np.abs(b - a)) / 0.02), 1)
         return all(allowed(a + part / count * (b - a)) for part in range(1, count + 1))
 
-    for origin in () if start.outside(start.q).any() else (start.q, q):  # descents do not care for limits
+    for origin in () if start.outside(start.q).any() else (start.q, q):  # descents ignore limits
         if _depth_after_descent(start, origin) <= 0.0:
             return "descent"
         for _ in range(10):
@@ -205,14 +205,14 @@ def another_way(start: Start, q: Vector, rng: np.random.Generator) -> str | None
 
 @dataclass(frozen=True)
 class RecoveryRecord:
-    """How one recovery ended.
+    """The result of one recovery in short.
 
     Attributes
     ----------
-    ending: of what kind the start was, and how it ended.
-    note: what is to be looked at; empty where all is well.
-    way_out: [s], of the servo; 0 where it did not come out.
-    slowest: the longest step on the processor [s].
+    ending: the kind of the start and of the ending.
+    note: what needs attention; empty if nothing does.
+    way_out: [s], of the servo; 0 if it did not get out.
+    slowest: the longest processor time of a step [s].
     """
 
     ending: str
@@ -224,7 +224,7 @@ class RecoveryRecord:
 def recover(
     *, count: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, RecoveryRecord], object]
 ) -> tuple[dict[str, Any], bool]:
-    """Let a servo recover from a number of starts: how that ended, and whether it was interrupted; see `Campaign`."""
+    """The results of recoveries from a number of starts, and whether they were interrupted; see `Campaign`."""
     found, interrupted = call_for_all(
         partial(recover_from, seed=seed), range(count), result=RecoveryRecord, jobs=jobs, folder=folder, watch=watch
     )
@@ -238,7 +238,7 @@ def recover(
 
 
 def recover_from(number: int, *, seed: int) -> RecoveryRecord:
-    """Let a servo recover from the start of that number, with a random wish."""
+    """Let a servo recover from a start, by its number, with a random wish."""
     robot = load_machine("backhoe")
     rng = np.random.default_rng([seed, number, 7])
     start = Start(robot, rng, number)

@@ -1,10 +1,10 @@
-"""An obstacle put before the end of a plan while a servo follows it, and then taken away.
+"""An obstacle put before the end of a plan while a servo follows it, and then removed.
 
 Random verified plans of the backhoe (`validation.placements`) are streamed through a servo. A
-ball, a box or a post appears that is up to `_DEEPEST` too near to the end of the plan, so that
-the machine stands close before it. After a moment, or after longer than the patience of the
-follower, the obstacle is taken away. Nothing is in the way then, so each drive must arrive;
-`_PATIENCE` is longer than the longest break of the follower.
+ball, a box or a post appears that is up to `_DEEPEST` too close to the end of the plan, so that
+the machine stops just before it. At once, or after longer than the patience of the follower, the
+obstacle is removed. Nothing is in the way then, so each drive must arrive; `_PATIENCE` is longer
+than the longest break of the follower.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from validation.servo_drives import stopping_line
 
 _DT = 0.004  # s
 _PER_PLAN = 6  # removals on every plan
-_DEEPEST = 0.05  # m less than its clearance that the obstacle has of the machine at the end of the plan
+_DEEPEST = 0.05  # m by which the obstacle's clearance is violated at the end of the plan
 _LEAD = (0.3, 1.5)  # s before the end of the plan at which the obstacle appears
-_STAYS = (0.0, 5.0)  # s beyond the planned end after which the obstacle is taken away: before and after a search
-_PATIENCE = 30.0  # s from the removal on, beside the rest of the plan
-_SPARE = 0.02  # m beyond the clearance that the machine has of what appears while it brakes
-_FARTHEST = 1.5  # m that the obstacle is moved on, to be as near as it is to be
+_STAYS = (0.0, 5.0)  # s after the planned end at which the obstacle is removed: before and after a search
+_PATIENCE = 30.0  # s from the removal, in addition to the rest of the plan
+_SPARE = 0.02  # m beyond the machine's clearance from the new obstacle while it brakes
+_FARTHEST = 1.5  # m that the obstacle is moved at most until it is close enough
 _TRIES = 20
 
 
 @dataclass(frozen=True)
 class Removal:
-    """How one drive ended.
+    """The result of one drive.
 
     Attributes
     ----------
-    site, turn, obstacle: what was driven up to what.
-    stayed: when the obstacle was taken away, after the end that was planned [s].
+    site, turn, obstacle: the plan and the obstacle.
+    stayed: time of the removal after the planned end [s].
     before: status of the follower then.
-    off, left: how far the machine was from the end of the plan [rad or m], and its clock [s].
+    off, left: distance of the machine from the end of the plan [rad or m], and of its clock [s].
     arrived: at the end of the plan.
     status, reason: of the follower at the end.
-    took: from the removal on [s].
+    took: time from the removal [s].
     """
 
     site: str
@@ -68,7 +68,7 @@ class Removal:
 def take_obstacles_away(
     *, count: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, Removal], object]
 ) -> Followed[Removal]:
-    """Put obstacles before the ends of plans, and take them away; see `Campaign`."""
+    """Put obstacles before the ends of plans and remove them; see `Campaign`."""
     call = partial(remove_on_site, seed=seed)
     with Campaign(call, list[Removal], jobs=jobs, folder=folder) as campaign:
         drives = campaign.first(numbers(1), count, most=_PER_PLAN, watch=watch)
@@ -76,7 +76,7 @@ def take_obstacles_away(
 
 
 def remove_on_site(number: int, *, seed: int) -> list[Removal]:
-    """The drives to the end of the plan of the site of that number; none where no plan is verified."""
+    """The drives to the end of the plan of a site, by its number; none if the plan is not verified."""
     site, plan = random_plan("backhoe", number, seed=seed)
     if not plan.verified:
         return []
@@ -86,7 +86,7 @@ def remove_on_site(number: int, *, seed: int) -> list[Removal]:
 
 
 def _drive(plan: bp.Plan, rng: np.random.Generator, site: str, turn: int) -> Removal | None:
-    """One drive; None where nothing fits near the end, or the machine arrives in spite of it."""
+    """One drive; None if no obstacle fits near the end, or if the machine arrives in spite of it."""
     servo = bp.Servo(plan.robot, plan.scene, _DT, q=plan.trajectory.q[0])
     follower = bp.PlanFollower(servo, plan, executor=Immediate())
     appears, stays = plan.trajectory.duration - float(rng.uniform(*_LEAD)), float(rng.uniform(*_STAYS))
@@ -122,7 +122,7 @@ def _drive(plan: bp.Plan, rng: np.random.Generator, site: str, turn: int) -> Rem
 
 
 def _before_the_end(plan: bp.Plan, rng: np.random.Generator, servo: bp.Servo) -> Record | None:
-    """A new obstacle a little too near to the end of the plan, clear of where the machine can brake."""
+    """A new obstacle a little too close to the end of the plan, clear of the machine's braking path."""
     motion, clearance = plan.trajectory, plan.scene.clearance
     line = stopping_line(servo)[::3]
     for _ in range(_TRIES):
@@ -148,7 +148,7 @@ def _before_the_end(plan: bp.Plan, rng: np.random.Generator, servo: bp.Servo) ->
 
 
 def _alone(plan: bp.Plan, new: Record) -> bp.Proximity:
-    """Distances to one obstacle alone."""
+    """Distances to a single obstacle."""
     scene = bp.scene_from_dict(scene_content(plan.scene) | {"obstacles": [new], "zones": []})
     return bp.Proximity(plan.robot, build_obstacles(scene, plan.robot), self_collision=False)
 

@@ -1,10 +1,10 @@
-"""The planner beside RoboPlan on problems for the Panda: who finds a way, in how much processor time, how long it is.
+"""The planner and RoboPlan on problems for the Panda: success, processor time and duration of the motion.
 
 RoboPlan is a C++ planner on the same Pinocchio and coal (https://github.com/open-planning/roboplan). It is not
-among this project's dependencies: ``pip install roboplan``. Its own chain is used as its examples show it: inverse
-kinematics with a check of collisions, RRT-Connect, shortcuts, TOPP-RA. Both get the machine loaded;
-the site counts as work of both. What each asks of a motion differs: RoboPlan looks for contacts at steps of
-0.05 rad, this planner proves the scene's clearance between all samples.
+among this project's dependencies: ``pip install roboplan``. Its own chain is used as in its examples: inverse
+kinematics with a collision check, RRT-Connect, shortcuts, TOPP-RA. The machine is loaded for both beforehand;
+building the site counts for both. Their requirements differ: RoboPlan checks for contacts at steps of 0.05 rad,
+this planner proves the scene's clearance between all samples.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from validation.tables import Row as TableRow
 from validation.tables import markdown, percent
 
 _GROUP = "arm"
-_SHARE = "example-robot-data"  # the folder of the package with the meshes
-_NODES = 20_000  # of a tree of RoboPlan; its default of 1,000 leaves more cages unsolved
+_SHARE = "example-robot-data"  # the package folder with the meshes
+_NODES = 20_000  # of RoboPlan's tree; its default of 1,000 leaves more cages unsolved
 _IK_TRIES = 40  # of RoboPlan's inverse kinematics, each with its own restarts
 _PART = 0.02  # s between the samples of its motions
 
 
 @dataclass(frozen=True)
 class Run:
-    """What one planner made of one problem.
+    """The result of one planner on one problem.
 
     Attributes
     ----------
     kind: of the problem.
     planner: ``ours`` or ``RoboPlan``.
     seconds: of processor time [s].
-    duration: of the motion [s]; None where there is none.
+    duration: of the motion [s]; None if there is none.
     proven: whether the certificate holds for it.
     """
 
@@ -61,7 +61,7 @@ class Run:
 
 
 def compare_on_site(key: SiteKey, settings: Settings, draw: Callable[[bp.Robot, SiteKey], Site]) -> list[Run]:
-    """Plan one problem with both, one after the other on the same core."""
+    """Plan one problem with both planners, one after the other on the same core."""
     robot = load_machine(key.machine)
     scene = with_objective(draw(robot, key).scene, "time")
     name, seed = name_of(key, "time"), settings.planning_seeds[0]
@@ -69,7 +69,7 @@ def compare_on_site(key: SiteKey, settings: Settings, draw: Callable[[bp.Robot, 
     plan = bp.plan(robot, scene, seed=seed, effort=settings.effort)
     took = time.process_time() - begun
     runs = [Run(name, key.kind, "ours", took, plan.metrics.duration if plan.verified else None, plan.verified)]
-    theirs = _loaded(key.machine)  # before the clock runs
+    theirs = _loaded(key.machine)  # before timing starts
     begun = time.process_time()
     motion = _plan(theirs, robot, scene, seed=seed)
     took = time.process_time() - begun
@@ -86,7 +86,7 @@ def compare(
     folder: Path | None = None,
     watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Run], bool]:
-    """The runs on all problems, and whether it was interrupted; see `call_for_all`."""
+    """The runs on all problems, and whether the campaign was interrupted; see `call_for_all`."""
     call = partial(compare_on_site, settings=settings, draw=draw)
     found, interrupted = call_for_all(call, keys, result=list[Run], jobs=jobs, folder=folder, watch=watch)
     return [run for runs in found for run in runs], interrupted
@@ -122,7 +122,7 @@ def _figures(kind: tuple[str, str], runs: Sequence[Run]) -> TableRow:
 
 @cache
 def _loaded(machine: str) -> tuple[Any, Any]:
-    """RoboPlan's model of a machine: URDF and folder of meshes; read once in a process."""
+    """RoboPlan's model of a machine: URDF and folder of meshes; read once per process."""
     import roboplan.core as core
 
     robot = load_machine(machine)
@@ -132,7 +132,7 @@ def _loaded(machine: str) -> tuple[Any, Any]:
 
 
 def _plan(loaded: tuple[Any, Any], robot: bp.Robot, scene: bp.Scene, *, seed: int) -> bp.Trajectory | None:
-    """RoboPlan's motion, timed by TOPP-RA with the same limits; None where it finds none."""
+    """RoboPlan's motion, timed by TOPP-RA with the same limits; None if it finds none."""
     import roboplan.rrt
     import roboplan.toppra
 
@@ -155,7 +155,7 @@ def _plan(loaded: tuple[Any, Any], robot: bp.Robot, scene: bp.Scene, *, seed: in
     planner.setRngSeed(seed)
     try:
         path = planner.plan(start, goal)
-    except RuntimeError:  # how it says that it found nothing
+    except RuntimeError:  # its report of failure
         return None
     path = core.PathShortcutter(site, core.PathShortcuttingOptions(group_name=_GROUP, seed=seed)).shortcut(path)
     timed = roboplan.toppra.PathParameterizerTOPPRA(site, _GROUP)
@@ -165,7 +165,7 @@ def _plan(loaded: tuple[Any, Any], robot: bp.Robot, scene: bp.Scene, *, seed: in
 
 
 def _adopt(core: Any, site: Any, robot: bp.Robot) -> None:
-    """Give RoboPlan the limits of acceleration that count here, and the pairs of links that its authors leave out."""
+    """Give RoboPlan our acceleration limits, and the pairs of links that its authors leave out."""
     limits = {
         name: {"max_acceleration": [float(most)]}
         for name, most in zip(robot.joint_names, robot.limits.acceleration, strict=True)
@@ -178,7 +178,7 @@ def _adopt(core: Any, site: Any, robot: bp.Robot) -> None:
 
 
 def _srdf(robot: bp.Robot) -> Path:
-    """The file beside the URDF that says which links may touch."""
+    """The file next to the URDF with the pairs of links that may touch."""
     urdf = robot.urdf.path
     return urdf.parents[1] / "srdf" / f"{urdf.stem}.srdf"
 
@@ -223,4 +223,4 @@ def _build(core: Any, site: Any, scene: bp.Scene) -> None:
             names += [f"{record.name} end {number}" for number in (0, 1)]
         else:
             raise TypeError(f"{record.name}: a {type(record).__name__} is not taken over")
-    site.setCollisions(list(combinations(names, 2)), False)  # it would look whether they touch each other
+    site.setCollisions(list(combinations(names, 2)), False)  # or it would check them against each other

@@ -1,8 +1,8 @@
-"""A site as it comes from a survey: a scan of a million points, a terrain of a million cells, a fine mesh.
+"""A surveyed site: a scan of a million points, a terrain of a million cells, a fine mesh.
 
-What they cost beside the same site without them: the time to take them in, to plan and of a
-servo's step, and memory. What is verified is checked against the points themselves, without
-the package's distances.
+Their cost compared with the same site without them: the time to load, to plan and of a servo
+step, and memory. Verified plans are checked against the points themselves, without the
+package's distances.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ GROUND = -0.45  # m: mean height of the ground around the machine
 FOLDS = 0.06  # m: amplitude of its waves
 SCAN, TERRAIN, MESH = "scan", "terrain", "rock"
 KINDS = (SCAN, TERRAIN, MESH)
-SOLIDS = "solids"  # primitives where the scan's points lie: what a scan costs more than these is of the scan
+SOLIDS = "solids"  # primitives at the places of the scan's points: the cost beyond these is that of the scan
 START = {"swing": 0.0, "boom": 0.7, "stick": -1.2, "bucket": -1.2}
-ROCK = (2.6, -4.2, 0.4)  # m: where the mesh stands
+ROCK = (2.6, -4.2, 0.4)  # m: the place of the mesh
 _CLEARANCE = 0.1  # m
-_NEAR = 0.5  # m beyond a link, within which points are looked at
-_EVERY = 5  # of so many samples of a motion one is checked
-_PITCHES, _ATTEMPTS = 360, 10  # steps of pitch by which a goal's postures are looked through, and starts for each
-_BLOCK = 50  # steps that one servo takes before the next one's turn
+_NEAR = 0.5  # m around a link, within which points are checked
+_EVERY = 5  # samples of a motion from one that is checked to the next
+_PITCHES, _ATTEMPTS = 360, 10  # steps of pitch over a goal's configurations, and starts for each
+_BLOCK = 50  # steps of one servo before the next one's turn
 _EXTENT = 15.0  # m to all sides of a scan
 _SIZE = 50.0  # m, edge of a terrain
 _PLAIN: tuple[dict[str, Any], ...] = (
@@ -59,13 +59,13 @@ _SOLIDS: tuple[dict[str, Any], ...] = (
 
 @dataclass(frozen=True)
 class Survey:
-    """The files of a survey in a folder, and what they hold."""
+    """The files of a survey in a folder, and their content."""
 
     folder: Path
     points: Matrix
 
     def raw_points(self, kinds: Sequence[str]) -> Matrix:
-        """(n, 3) points of the scan, of the terrain's grid and corners of the mesh [m], world."""
+        """(n, 3) points of the scan and of the terrain's grid, and corners of the mesh [m], world."""
         known: dict[str, Matrix] = {}
         if SCAN in kinds:
             known[SCAN] = self.points
@@ -78,7 +78,7 @@ class Survey:
         return np.vstack([np.zeros((0, 3)), *known.values()])
 
     def obstacles(self, kinds: Sequence[str] = KINDS, *, resolution: float = 0.05) -> list[dict[str, Any]]:
-        """Their entries in a scene."""
+        """The scene entries of these kinds."""
         known: dict[str, dict[str, Any]] = {
             SCAN: {"shape": "pointcloud", "file": "scan.ply", "resolution": resolution},
             TERRAIN: {"shape": "heightmap", "file": "terrain.csv", "size": [_SIZE, _SIZE]},
@@ -98,7 +98,7 @@ def write_survey(folder: Path, rng: np.random.Generator, *, points: int, cells: 
 
     Parameters
     ----------
-    points, triangles: of the scan and of the mesh, about.
+    points, triangles: approximate numbers for the scan and the mesh.
     cells: along each edge of the terrain.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def write_survey(folder: Path, rng: np.random.Generator, *, points: int, cells: 
 
 
 def scan_points(rng: np.random.Generator, count: int) -> Matrix:
-    """(count, 3) points on a yard's ground, a wall beside it, a heap and a bush [m]."""
+    """(count, 3) points on a yard's ground, a wall next to it, a heap and a bush [m]."""
     kind = rng.choice(4, size=count, p=[0.7, 0.15, 0.1, 0.05])
     xy = rng.uniform(-_EXTENT, _EXTENT, (count, 2))
     z = ground_height(xy[:, 0], xy[:, 1])
@@ -136,7 +136,7 @@ def scan_points(rng: np.random.Generator, count: int) -> Matrix:
 
 
 def site_scene(survey: Survey, goal: Vector, *, kinds: Sequence[str], resolution: float = 0.05) -> bp.Scene:
-    """The yard with a goal for the tip (3,) [m], and what was surveyed of it."""
+    """The yard with a goal for the tip (3,) [m] and the surveys of these kinds."""
     data: Mapping[str, Any] = {
         "version": 1,
         "start": {"joints": START},
@@ -148,7 +148,7 @@ def site_scene(survey: Survey, goal: Vector, *, kinds: Sequence[str], resolution
 
 
 def goals(robot: bp.Robot, rng: np.random.Generator) -> Iterator[Vector]:
-    """Places of the tip above the ground, within reach, one after the other."""
+    """Yield places for the tip above the ground and within reach."""
     kinematics = bp.Kinematics(robot)
     while True:
         tip = kinematics.at(robot.random_q(rng)).tip_position
@@ -157,9 +157,9 @@ def goals(robot: bp.Robot, rng: np.random.Generator) -> Iterator[Vector]:
 
 
 def least_gap(robot: bp.Robot, motion: Matrix, points: Matrix) -> float:
-    """Distance from raw points to the nearest moving link over postures (T, n) [m], without the package's distances.
+    """Distance from raw points to the moving links over configurations (T, n) [m], without the package's distances.
 
-    Links are the hulls of their pieces. A point is at least as far away as it is beyond any plane of their faces.
+    Links are the hulls of their pieces. A point is at least as far from a hull as from the plane of any face.
     """
     data, least = robot.model.createData(), np.inf
     moving = [piece for piece in robot.pieces if piece.joint > 0]
@@ -183,9 +183,9 @@ def least_gap(robot: bp.Robot, motion: Matrix, points: Matrix) -> float:
 
 
 def widest_gap(robot: bp.Robot, goal: Vector, points: Matrix) -> float:
-    """The largest `least_gap` of all postures that put the tip at a goal (3,), by steps of pitch [m].
+    """The largest `least_gap` of all configurations with the tip at a goal (3,), by steps of pitch [m].
 
-    Minus infinity where none does.
+    Minus infinity if there are none.
     """
     pitches = np.linspace(-np.pi, np.pi, _PITCHES, endpoint=False)
     found = [
@@ -197,13 +197,13 @@ def widest_gap(robot: bp.Robot, goal: Vector, points: Matrix) -> float:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a site costs on the processor, beside planning and steps.
+    """The costs of a site in addition to planning and steps.
 
     Attributes
     ----------
-    intake: to take it in [s].
-    memory: the most that the process has had by then [MB].
-    page: of one plan [MB].
+    intake: processor time to load it [s].
+    memory: peak of the process until then [MB].
+    page: size of the page of one plan [MB].
     """
 
     intake: float
@@ -214,21 +214,21 @@ class Cost:
 def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vector) -> Cost:
     """The cost of the yard with these kinds of surveys, and of one motion to a goal (3,) [m]."""
     scene = site_scene(survey, goal, kinds=kinds)
-    gc.collect()  # what an earlier call took in would be known
+    gc.collect()  # or the files of an earlier call would be known
     begun = time.process_time()
     problem = build_problem(robot, scene)
     intake = time.process_time() - begun
     page = len(plan_page(plan_problem(problem))[0]) / 1e6
-    bp.Servo(robot, scene)  # which takes memory, too
+    bp.Servo(robot, scene)  # which needs memory too
     return Cost(intake, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page)
 
 
 def drive_in_turn(
     robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]], *, goal: Vector, steps: int, seed: int
 ) -> Matrix:
-    """(S, steps) processor times of the servo's steps beside each of S sets of surveys, with the same wishes [us].
+    """(S, steps) processor times of the servo's steps with each of S sets of surveys and the same wishes [us].
 
-    Some steps of each in turn, so that what else the computer does slows all of them alike.
+    They take some steps in turn, so that other load on the computer slows all of them alike.
 
     goal: (3,) of the scene [m]; the servo does not use it.
     """
@@ -244,15 +244,15 @@ def drive_in_turn(
 
 @dataclass(frozen=True)
 class PlanCosts:
-    """What planning to G goals costs on the processor with each of S sets of surveys.
+    """The costs of planning to G goals with each of S sets of surveys.
 
     Attributes
     ----------
-    seconds: (G, S) to plan, without taking the site in [s].
-    durations: (G, S) of the plans that are verified, nan of the others [s].
-    least_gap: (S,) of all verified plans from the raw points [m]; infinite where nothing was surveyed.
-    blocked: (G, S) whether no posture with the tip at the goal keeps the clearance from the raw points; of goals to
-        which a plan was verified it is not asked.
+    seconds: (G, S) processor time of planning, without loading the site [s].
+    durations: (G, S) of the verified plans, nan for the others [s].
+    least_gap: (S,) of all verified plans from the raw points [m]; infinite without surveys.
+    blocked: (G, S) whether no configuration with the tip at the goal keeps the clearance from the raw points; not
+        checked for goals with a verified plan.
     """
 
     seconds: Matrix
@@ -262,12 +262,12 @@ class PlanCosts:
 
 
 def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]], *, count: int, seed: int) -> PlanCosts:
-    """Plan to goals that are reached in the yard without surveys, with all sets in turn for each.
+    """Plan to goals that can be reached in the yard without surveys, with all sets in turn for each.
 
     Parameters
     ----------
-    sets: of kinds, the first of them empty. It is planned with before the others and after them, for the mean.
-    count: of goals.
+    sets: of kinds, the first of them empty; it is used before and after the others, for the mean.
+    count: number of goals.
     """
     raw = [survey.raw_points(kinds) for kinds in sets]
     places = goals(robot, np.random.default_rng(seed))
@@ -300,7 +300,7 @@ def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]],
 
 
 def _timed(robot: bp.Robot, scene: bp.Scene) -> tuple[float, bp.Plan]:
-    """A plan, and what it costs on the processor once the site is taken in [s]."""
+    """The processor time of planning with the site loaded [s], and the plan."""
     problem = build_problem(robot, scene)
     begun = time.process_time()
     plan = plan_problem(problem)

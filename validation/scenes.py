@@ -12,7 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from validation.obstacles import Record
 
-NO_TASK: Record = {"goal": {"position": [4.0, 0.0, 0.0]}}  # of scenes in which nothing is planned; a scene has a task
+NO_TASK: Record = {"goal": {"position": [4.0, 0.0, 0.0]}}  # for scenes without planning, since a scene needs a task
 
 
 def scene_of(
@@ -24,7 +24,7 @@ def scene_of(
     folder: Path | None = None,
     **rest: Any,
 ) -> bp.Scene:
-    """The scene with these entries; without a start where `start` (n,) is None. Files of obstacles are in `folder`."""
+    """The scene with these entries; without a start if `start` (n,) is None. Files of obstacles are in `folder`."""
     content: Record = {"version": 1, "task": task, "obstacles": list(obstacles), **rest}
     if start is not None:
         content["start"] = {"joints": dict(zip(robot.joint_names, start.tolist(), strict=True))}
@@ -32,6 +32,6 @@ def scene_of(
 
 
 def quaternion(rotation: Matrix) -> list[float]:
-    """[w, x, y, z] of a rotation matrix (3, 3), as a scene file has it."""
+    """[w, x, y, z] of a rotation matrix (3, 3), as in a scene file."""
     x, y, z, w = pin.Quaternion(rotation).coeffs().tolist()
     return [w, x, y, z]

@@ -1,8 +1,8 @@
 """Random sequences, planned leg by leg and with the next leg in mind.
 
 A random sequence has the obstacles and the start of a random site (`validation.sites`), and six legs with
-one or several goals each, of which any will do, such as places to dump at: the tips of random postures that
-are clear of everything, each with any pitch or with one of a range.
+one or several alternative goals each, such as places to dump at: the tips of random clear configurations,
+each with any pitch or with a range of pitch.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from validation.sites import SPARE, SiteKey, random_site
 MACHINE = "backhoe"
 LEGS = 6
 _KINDS = ("open", "cluttered")
-_HALF_RANGE = 0.5  # rad to each side of a posture's pitch, where a goal asks for one
-_LOWEST = -1.0  # m: height of the goals' tips; what is deeper is mostly in the ground
+_HALF_RANGE = 0.5  # rad to each side of a configuration's pitch, if a goal has a pitch range
+_LOWEST = -1.0  # m: least height of the goals; deeper ones are mostly in the ground
 _TRIES = 2000
 
 
@@ -37,10 +37,10 @@ class Row:
     ----------
     index: of the sequence.
     objective: of all its legs.
-    alone, ahead: its cost leg by leg, and with the next leg in mind [unit]; None where it is not verified.
+    alone, ahead: its cost leg by leg, and with the next leg in mind [unit]; None if not verified.
     alone_seconds, ahead_seconds: processor time of planning [s].
-    tried: how many ways over other ends were planned.
-    alone_duration, ahead_duration: of the motions [s]; 0 where not verified.
+    tried: number of planned alternatives with other ends.
+    alone_duration, ahead_duration: of the motions [s]; 0 if not verified.
     """
 
     index: int
@@ -55,17 +55,17 @@ class Row:
 
     @property
     def saved(self) -> float | None:
-        """The part of the cost that is saved; None where one of the two is not verified."""
+        """The saved part of the cost; None if one of the two is not verified."""
         return None if self.alone is None or self.ahead is None else 1.0 - self.ahead / self.alone
 
     @property
     def is_worse(self) -> bool:
-        """Whether to have the next leg in mind made it worse."""
+        """Whether planning with the next leg in mind made it worse."""
         return self.alone is not None and (self.ahead is None or self.ahead > self.alone * (1.0 + 1e-9))
 
 
 def random_sequence(robot: bp.Robot, index: int, *, seed: int, objective: str, places: int) -> bp.Scene:
-    """A random scene with a sequence of goals, `places` a leg; `robot` is `load_machine(MACHINE)`."""
+    """A random scene with a sequence of goals, `places` per leg; `robot` is `load_machine(MACHINE)`."""
     site = random_site(robot, SiteKey(MACHINE, _KINDS[index % len(_KINDS)], "goal", index, seed))
     content = site.scene.to_dict()
     rng = np.random.default_rng([seed, index, 4])
@@ -115,13 +115,13 @@ def run_all(
     jobs: int = -1,
     folder: Path | None = None,
 ) -> tuple[list[Row], bool]:
-    """`count` random sequences planned both ways, and whether it was interrupted; see `call_for_all`."""
+    """`count` random sequences planned both ways, and whether the run was interrupted; see `call_for_all`."""
     call = partial(run_sequence, seed=seed, objective=objective, places=places, effort=effort)
     return call_for_all(call, range(count), result=Row, jobs=jobs, folder=folder)
 
 
 def describe(rows: Sequence[Row]) -> str:
-    """What came of the rows, in a few lines."""
+    """The results of the rows in a few lines."""
     saved = np.array([row.saved for row in rows if row.saved is not None])
     lines = [
         f"{len(rows)} sequences, objective {rows[0].objective}: verified leg by leg "

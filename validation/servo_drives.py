@@ -1,8 +1,8 @@
-"""A servo driven by wishes that jump, push and run into limits, with a second opinion on every step.
+"""A servo driven by wishes that jump, push and run into limits, with an independent check of its steps.
 
-The backhoe is driven among obstacles that stand, obstacles that appear where the machine
-can still stop, and obstacles that come towards it no faster than it can evade: a linear
-programme over the joint rates gives that speed, of which `EVADED_PART` is used.
+The backhoe is driven among obstacles that stand still, obstacles that appear where the machine
+can still stop, and obstacles that approach no faster than it can evade: a linear programme
+over the joint rates gives that speed, of which `EVADED_PART` is used.
 Distances are those of `surfaces`, without coal.
 """
 
@@ -31,14 +31,14 @@ from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import LinkDistances, Nearest
 
 CLEARANCE = 0.05  # m, of every scene
-EVADED_PART = 0.5  # of the speed that the machine can evade at
+EVADED_PART = 0.5  # of the speed at which the machine can evade
 EPISODE = 4000  # steps on one site
 CLOSE = 0.004  # m of margin below which every step is checked
-_SPARE = 0.02  # m beyond the clearance that the machine has of what is put up
+_SPARE = 0.02  # m beyond the machine's clearance from a new obstacle
 
 
 def plain_obstacle(rng: np.random.Generator) -> Record:
-    """A random obstacle of the backhoe with the scene's clearance; in a tenth of the cases firm ground deep below."""
+    """A random obstacle for the backhoe with the scene's clearance; in a tenth of the cases deep ground."""
     if rng.random() < 0.1:
         return halfspace([0.0, 0.0, rng.uniform(-4.5, -1.0)], [0.0, 0.0, 1.0])
     record = random_obstacle("backhoe", rng)
@@ -56,7 +56,7 @@ def free_posture(robot: bp.Robot, rng: np.random.Generator) -> Vector:
 
 @dataclass
 class _Standing:
-    """An obstacle on the site: what it is, its distance function, how far it has moved (3,) [m]."""
+    """An obstacle on the site, its distance function and its displacement (3,) [m]."""
 
     spec: obstacle_shapes.ObstacleSpec
     distance: SignedDistance
@@ -66,7 +66,7 @@ class _Standing:
 
     @property
     def place(self) -> Vector:
-        """(3,) about where it is; 4 m before the machine where its shape has no place."""
+        """(3,) its approximate place; 4 m in front of the machine if its shape has none."""
         place = getattr(self.spec, "position", getattr(self.spec, "start", (4.0, 0.0, 0.0)))
         return np.array(place) + self.shift
 
@@ -82,7 +82,7 @@ class Episode:
         wanted = int(rng.integers(4, 21))
         while len(self.standing) < wanted:
             self._put_up(f"obstacle {len(self.standing)}", q[None])
-        # records, so that the servo reads what a user would give it
+        # records, so that the servo reads the same input as from a user
         scene = scene_of(robot, self._records, start=q, clearance=CLEARANCE)
         self.servo = bp.Servo(robot, scene, circulate=bool(rng.integers(2)))
         self.kind = "none"
@@ -91,7 +91,7 @@ class Episode:
         self._joint_velocity = np.zeros(robot.n)
 
     def _put_up(self, name: str, postures: Vector) -> _Standing | None:
-        """Draw an obstacle that the machine keeps clear of in all of some postures (W, n); None where it does not."""
+        """Draw an obstacle that is clear of the machine in all configurations (W, n); None if the drawn one is not."""
         record = {"name": name, **plain_obstacle(self.rng)}
         scene = scene_of(self.robot, [record], start=postures[0], clearance=CLEARANCE)
         new = _Standing(scene.obstacles[0], obstacle_distance(scene.obstacles[0], scene))
@@ -105,7 +105,7 @@ class Episode:
     def _records(self) -> list[Record]:
         return [one.spec.model_dump(by_alias=True, exclude_none=True) for one in self.standing.values()]
 
-    # --- what happens ------------------------------------------------------------------
+    # --- events ------------------------------------------------------------------
 
     def step(self, number: int) -> bp.ServoState:
         """The servo's next step, after the events that are due."""
@@ -123,7 +123,7 @@ class Episode:
         return state
 
     def nearest(self, q: Vector) -> Nearest:
-        """What is nearest to the machine at `q` (n,), without coal."""
+        """The obstacle nearest to the machine at `q` (n,), without coal."""
         return self.distances.least(q, {name: (one.distance, one.shift) for name, one in self.standing.items()})
 
     def _change_wish(self) -> None:
@@ -152,7 +152,7 @@ class Episode:
         return {"tip_velocity": velocity}
 
     def _appear(self, name: str) -> None:
-        """Put up an obstacle where the machine can still stop before it, where one fits."""
+        """Put an obstacle where the machine can still stop before it, if one fits."""
         new = self._put_up(name, stopping_line(self.servo))
         if new is not None:
             self.servo.add(build_obstacle(new.spec, folder=Path(), clearance=CLEARANCE))
@@ -176,12 +176,12 @@ class Episode:
     def _evasion_speed(self, movers: set[str]) -> float:
         """The speed at which every mover nearby can be evaded at once, at most 1 [m/s].
 
-        The greatest s for which joint rates within the limits let no margin of what
-        stands fall by more than half a second allows, and every margin of what moves
-        grow by s (10 cm of it in reserve).
+        The greatest s for which joint rates within the limits let no margin to a standing
+        obstacle fall faster than it would last for half a second, and every margin to a
+        moving one grow by s (with 10 cm of it in reserve).
         """
         servo, limits, n = self.servo, self.servo.limits, self.robot.n
-        # what has moved by its shift stands where a velocity of that size takes it in a second
+        # an obstacle with the velocity `shift` is displaced by it after one second
         shifted = [one.spec.model_copy(update={"velocity": tuple(one.shift)}) for one in self.standing.values()]
         obstacles = [build_obstacle(spec, folder=Path(), clearance=CLEARANCE) for spec in shifted]
         proximity = bp.Proximity(self.robot, obstacles)
@@ -205,15 +205,15 @@ class Episode:
 
 @dataclass(frozen=True)
 class DriveRecord:
-    """What happened on one site.
+    """The results of one site.
 
     Attributes
     ----------
     steps: of the drive.
-    checked: of them, those at which distances were measured without coal.
+    checked: those of them at which distances were measured without coal.
     counts, statuses: steps of each kind, and with each status of the servo.
-    least: the least distance that was measured.
-    problems: limits that were broken, contacts.
+    least: the least measured distance.
+    problems: broken limits and contacts.
     """
 
     steps: int
@@ -233,11 +233,11 @@ def drive(
     folder: Path | None,
     watch: Callable[[int, DriveRecord], object],
 ) -> tuple[dict[str, Any], bool]:
-    """Drive for a number of steps, site after site: what went wrong, and whether it was interrupted.
+    """Drive for a number of steps, site after site; return the problems and whether the run was interrupted.
 
     Parameters
     ----------
-    every: distances are checked at every so many steps, and wherever the servo's own
+    every: steps between checks of distances, which are also checked if the servo's own
         margin is below `CLOSE`; limits, accelerations and finiteness at every step.
     jobs, folder, watch: see `Campaign`.
     """
@@ -265,7 +265,7 @@ def drive(
 
 
 def drive_on_site(case: tuple[int, int], *, seed: int, every: int) -> DriveRecord:
-    """Drive on one site, given its number and how many steps to drive."""
+    """Drive on one site, given its number and the number of steps."""
     number, length = case
     robot = load_machine("backhoe")
     episode = Episode(robot, LinkDistances(robot), np.random.default_rng([seed, number]))
@@ -301,7 +301,7 @@ def stopping_line(servo: bp.Servo) -> Matrix:
 
 
 def broken_limits(servo: bp.Servo, state: bp.ServoState, before: Vector) -> list[str]:
-    """Which of its limits a step of the servo broke, in words; `before` are the rates (n,) at the step before."""
+    """The limits that a step of the servo broke, in words; `before` has the rates (n,) at the previous step."""
     limits, found = servo.limits, []
     if not all(np.isfinite(part).all() for part in (state.q, state.v, state.feedback_force)):
         found.append("not finite")
