@@ -15,8 +15,8 @@ from backhoe_planner.machine import load_mesh
 from backhoe_planner.site.schema import obstacle_shapes
 
 SignedDistance = Callable[[Matrix], NDArray[np.float64]]
-_APART = 0.02  # m between points on a height map, along an edge of a cell; along both they are 2.5 cm apart at most
-_NEAREST = (8, 64)  # voxels among which the nearest one is looked for: those with the nearest middles
+_APART = 0.02  # m between points on a height map, along a cell's edge; at most 2.5 cm between any neighbours
+_NEAREST = (8, 64)  # voxels, those with the nearest middles, among which the nearest one is searched
 
 
 def sphere_distance(points: Matrix, radius: float) -> NDArray[np.float64]:
@@ -51,9 +51,9 @@ def hull_distance(points: Matrix, hull: trimesh.Trimesh) -> NDArray[np.float64]:
 
 
 def height_map_distance(heights: Matrix, size: tuple[float, float]) -> SignedDistance:
-    """The distance to the ground below a height map, centred: that to points on its surface, at most 2.5 cm apart.
+    """The distance to the ground below a height map, centred, by points on its surface at most 2.5 cm apart.
 
-    It lies above the true distance by less than 0.8 mm at 0.1 m. Between four heights the surface is bilinear.
+    It exceeds the true distance by less than 0.8 mm at 0.1 m. Between four heights the surface is bilinear.
     """
     rows, columns = heights.shape
     x, y = (
@@ -87,10 +87,10 @@ def height_map_distance(heights: Matrix, size: tuple[float, float]) -> SignedDis
 
 
 def voxels_distance(points: Matrix, edge: float) -> SignedDistance:
-    """The distance to all voxels with an `edge` [m] in which any of `points` (k, 3) lies.
+    """The distance to all voxels with an `edge` [m] that contain any of `points` (k, 3).
 
-    It is exact where no more than 64 voxels have a middle that is nearer than the nearest one's farthest corner: up
-    to some 40 edges off a wall. Further off it may lie above the true distance, by less than half an edge. Within
+    It is exact if no more than 64 voxels have a middle nearer than the nearest one's farthest corner, which holds up
+    to some 40 edges from a wall. Further away it may exceed the true distance by less than half an edge. Within
     voxels it is the depth in the deepest.
     """
     half = 0.5 * edge
@@ -106,7 +106,7 @@ def voxels_distance(points: Matrix, edge: float) -> SignedDistance:
             off = np.abs(at[open_, None] - middles[number]) - half
             out = np.linalg.norm(np.maximum(off, 0.0), axis=2) + np.minimum(np.max(off, axis=2), 0.0)
             found[open_] = np.min(out, axis=1)
-            # a voxel with its middle further off than that is no nearer
+            # a voxel with a middle further away than that is no nearer
             open_ = open_[away[:, -1] - np.sqrt(3.0) * half < found[open_]]
             if not len(open_) or count == len(middles):
                 break
@@ -116,9 +116,9 @@ def voxels_distance(points: Matrix, edge: float) -> SignedDistance:
 
 
 def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
-    """The distance to an obstacle of a scene, where it stands at time 0, as a function of points (K, 3).
+    """The distance to an obstacle of a scene at its place at time 0, as a function of points (K, 3).
 
-    Points of a scan come from text; a PLY is not read here.
+    Points of a scan are read from text; a PLY is not read here.
     """
     if isinstance(spec, obstacle_shapes.HalfSpace):
         point, normal = np.array(spec.point), np.array(spec.normal)

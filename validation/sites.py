@@ -1,33 +1,32 @@
 """Seeded random scenes for studies, benchmarks and tests.
 
-A random site is named by machine, kind, task and index (`SiteKey`), and drawn from a
-generator of its own that is seeded with these: the same wherever, and in whichever
-order, it is drawn.
+A random site is named by machine, kind, task and index (`SiteKey`), and drawn from its
+own generator with these as the seed: it does not depend on where, or in which order,
+sites are drawn.
 
     kind        goal                                     path
     open        1 to 3 obstacles beside start and goal   1 to 3 beside a known motion
     cluttered   6 to 10 obstacles                        6 to 10 beside a known motion
     narrow      a trench, a gap, a slot under a beam,    a trench (backhoe), or obstacles
-                pipes across the way                     a few centimetres from the motion
+                pipes across the path                    a few centimetres from the motion
     scan        as open, as one point cloud
     terrain     as open, on uneven ground with pits about start and goal, or along the motion
 
-What is known of each site stands in its record. The start, and a configuration at the
-goal, are always free with `SPARE` beyond every clearance. That a way leads from one to
-the other is known (`way_known`) where one of a few simple motions, or in narrow sites
-two small random trees that met, was proven free. Of the first 40 sites of each kind
-that is so in
+What is known of each site is in its record. The start, and a configuration at the goal,
+are always free with `SPARE` beyond every clearance. A solution is known (`way_known`) if
+one of a few simple motions, or in narrow sites two small random trees that met, was
+proven free. Of the first 40 sites of each kind this holds for
 
     open       25 planar4, 38 backhoe, 37 panda
     cluttered  14 planar4, 33 backhoe, 27 panda
     narrow     none of the gaps and slots of planar4; most of the others
 
-Of the rest nothing is known; some may have no solution.
+Nothing is known of the rest; some may have no solution.
 
-A path comes from a joint motion that follows it, free with `SPARE` to spare: a
-resolution is known (for the panda always), save where the site is `blocked`, that is
-where an obstacle was put on the path (a detour is then allowed, and nothing is known
-of it), or where the start lies elsewhere and no way to the path was found.
+A path comes from a joint motion that follows it, free with `SPARE` beyond every
+clearance, so a solution is known (for the panda always), unless the site is `blocked`,
+that is, an obstacle was put on the path (a detour is then allowed, and no solution is
+known), or the start is elsewhere and no motion to the path was found.
 """
 
 from __future__ import annotations
@@ -53,16 +52,16 @@ KINDS = ("open", "cluttered", "narrow")
 SURVEYED = ("scan", "terrain")
 TASKS = ("goal", "path")
 
-SPARE = 0.01  # m beyond every clearance that what is called free keeps
-_LEG = 0.05  # m between the configurations that are looked at along a tip path, at most
-_SAGITTA = 3e-3  # m that the tip may be off the path between them
+SPARE = 0.01  # m beyond every clearance that free configurations keep
+_LEG = 0.05  # m, the most between checked configurations along a tip path
+_SAGITTA = 3e-3  # m, the most that the tip may deviate from the path between them
 _TRIES = 400
-_GROWTH = 60  # branches of the trees that look for a way in a narrow site
+_GROWTH = 60  # branches of the trees that search for a solution in a narrow site
 
 
 @dataclass(frozen=True)
 class SiteKey:
-    """The name of a random site, from which it is drawn."""
+    """The name of a random site, which determines it."""
 
     machine: str
     kind: str
@@ -74,25 +73,25 @@ class SiteKey:
         return f"{self.machine}/{self.kind}/{self.task}/{self.index}"
 
     def generator(self, *turn: int) -> np.random.Generator:
-        """The site's own generator; `turn` for another one of the same site."""
+        """The site's own generator; `turn` selects another one of the same site."""
         place = (MACHINES.index(self.machine), (*KINDS, *SURVEYED).index(self.kind), TASKS.index(self.task))
         return np.random.default_rng([self.seed, *place, self.index, *turn])
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A scene, and what is known of it.
+    """A scene and what is known of it.
 
     Attributes
     ----------
-    key: from which it was drawn.
-    scene: what is to be planned.
-    form: what makes it narrow (trench, gap, beam, pipes, close), or its kind.
-    start_q: (n,) the free start; None where the scene leaves it out.
+    key: its name.
+    scene: to be planned.
+    form: of its narrow part (trench, gap, beam, pipes, close), or its kind.
+    start_q: (n,) the free start; None if the scene has no start.
     goal_q: (n,) a free configuration at the goal, or at the end of the path.
-    motion: (W, n) joint motion along the path from which the path was made, free where
-        the site is not blocked; None for a goal.
-    blocked: an obstacle stands on the path.
+    motion: (W, n) the joint motion from which the path was made, free unless the site is
+        blocked; None for a goal.
+    blocked: an obstacle is on the path.
     way_known: a solution is known to exist.
     """
 
@@ -122,7 +121,7 @@ def random_site(robot: bp.Robot, key: SiteKey) -> Site:
 
 
 class _Draft:
-    """One attempt to draw a site; where a part comes back as None, the site is drawn anew."""
+    """One attempt to draw a site; if a part returns None, the site is drawn again."""
 
     def __init__(self, robot: bp.Robot, key: SiteKey, rng: np.random.Generator) -> None:
         self.robot = robot
@@ -140,7 +139,7 @@ class _Draft:
         if ends is None:
             return None
         start, goal = ends
-        # what would stand in the way of the ends is left out, so nothing is drawn in vain
+        # obstacles that collide with start or goal are left out, so nothing is drawn in vain
         wanted = self._count(len(built))
         loose = self._pipes(start, goal) if form == "pipes" else self._beside(np.array([start, goal]), wanted)
         if (form == "pipes" and not loose) or (self.key.kind != "narrow" and len(loose) < wanted):
@@ -155,7 +154,7 @@ class _Draft:
         return Site(self.key, scene, form, start, goal, None, False, self._way(proximity, start, goal))
 
     def _free_ends(self, proximity: bp.Proximity, narrows: Narrows | None) -> tuple[Vector, Vector] | None:
-        """Two free configurations whose tips are apart, with the narrow part between them."""
+        """Two free configurations with their tips apart and the narrow part between them."""
         free: list[tuple[Vector, Vector]] = []
         for _ in range(60):
             q = self._random_q()
@@ -257,7 +256,7 @@ class _Draft:
     def _bucket_motion(self, *, radial: bool) -> tuple[list[Record], Matrix] | None:
         """A path of two or three waypoints, and the joint motion that follows it.
 
-        A radial one, for a trench, lies in the plane of the arm and goes below the ground.
+        A radial path, for a trench, is in the plane of the arm and goes below the ground.
         """
         count = int(self.rng.integers(2, 4))
         proximity = self._proximity([])
@@ -296,7 +295,7 @@ class _Draft:
         return waypoints, motion
 
     def _follow(self, path: TipPath, first: Vector) -> Matrix | None:
-        """(W, n) configurations along a path, each near the one before; None where it breaks off."""
+        """(W, n) configurations along a path, each near the previous one; None if the path breaks off."""
         stations = np.unique(np.concatenate((np.arange(0.0, path.length, _LEG), path.stations))).tolist()
         reach = tip_travel_bound(self.robot)
         motion, station = [first], 0.0
@@ -304,7 +303,7 @@ class _Draft:
         while ahead:
             found = bp.solve_inverse_kinematics(self.robot, path.target(ahead[-1]), start=motion[-1], attempts=1)
             step = np.abs(found.q - motion[-1])
-            # the sagitta of the tip's way between the two: where it may leave the path, look in between
+            # the sagitta of the tip's motion between the two: check in between if it may leave the path
             if not found.reached or 0.125 * float(np.sum(step) * (step @ reach)) > _SAGITTA:
                 if ahead[-1] - station < _LEG / 16.0:
                     return None
@@ -365,7 +364,7 @@ class _Draft:
         return found[:count]
 
     def _close_to(self, configurations: Matrix, count: int) -> list[Record]:
-        """Obstacles brought up to a few centimetres from a motion (W, n)."""
+        """Obstacles moved up to a few centimetres from a motion (W, n)."""
         found: list[Record] = []
         for _ in range(6):
             if len(found) >= count:
@@ -373,7 +372,7 @@ class _Draft:
             moved = []
             for record in (random_obstacle(self.key.machine, self.rng) for _ in range(2 * count)):
                 proximity = self._proximity([record], itself=False)
-                # the convex set moved along the normal of its nearest point comes nearest there
+                # a convex set that moves along the normal of its nearest point comes nearest there
                 near = [proximity.at(q) for q in configurations[::5]]
                 best = min((n for n in near if len(n)), key=lambda n: float(np.min(n.margin)), default=None)
                 if best is None:
@@ -387,7 +386,7 @@ class _Draft:
         return found[:count]
 
     def _keeping(self, records: Sequence[Record], configurations: Matrix) -> list[Record]:
-        """Those that stand outside the machine and leave every configuration (W, n) free."""
+        """Those outside the machine that leave every configuration (W, n) free."""
         records = [r for r in records if r["shape"] == "halfspace" or self.habitat.outside(*extent(r))]
         if not records:
             return []
@@ -399,7 +398,7 @@ class _Draft:
         return [record for index, record in enumerate(records) if index not in hit]
 
     def _surveyed(self, records: list[Record], configurations: Matrix) -> list[Record]:
-        """The obstacles as they are in a site of this kind, where configurations (W, n) are to be free."""
+        """The obstacles in the form of this kind of site, with configurations (W, n) to be kept free."""
         if self.key.kind == "scan":
             return [scan(self.robot, self.key.machine, records, self.rng)]
         if self.key.kind == "terrain":
@@ -421,7 +420,7 @@ class _Draft:
         return np.asarray(self.rng.uniform(lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower)))
 
     def _pose(self, q: Vector) -> Record:
-        """The tip's pose at `q` as a goal: the position, and in some sites the angle too."""
+        """The tip's pose at `q` as a goal: its position, and in some sites its angle too."""
         at = self.kinematics.at(q)
         pose: Record = {"position": at.tip_position.tolist()}
         kind = int(self.rng.integers(3))

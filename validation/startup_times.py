@@ -1,7 +1,6 @@
-"""Processor time of whole processes: the command line from its start to its end.
+"""Processor time of whole processes: the command line from start to end.
 
-Python's own byte code is written first, as it is wherever a package is installed; what counts
-is the least of several runs.
+Python's byte code is written first, as in an installed package; the least of several runs counts.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ SIMPLEST = """version: 1
 start: {joints: {swing: 0.0, boom: 0.4, stick: -1.6, bucket: -0.9}}
 task: {goal: {joints: {swing: 0.8, boom: 0.5, stick: -1.4, bucket: -0.7}}}
 """
-_NOISE = 0.25  # of a ratio; two runs of the same code on a machine with neighbours
+_NOISE = 0.25  # of a ratio; two runs of the same code on a shared machine
 
 
 def processor_time(arguments: Sequence[str], environment: Mapping[str, str]) -> float:
-    """The processor time of one Python process and of those that it starts [s].
+    """The processor time of a Python process and its child processes [s].
 
     Raises
     ------
-    RuntimeError: it fails; what it says is in the message.
+    RuntimeError: it fails; the message has its output.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=dict(environment))
@@ -41,12 +40,12 @@ def processor_time(arguments: Sequence[str], environment: Mapping[str, str]) -> 
 
 
 def startup_figures(*, runs: int, arms: Sequence[tuple[str, str]]) -> list[Figure]:
-    """`--help`, a plan of the simplest scene, and `inspect` of machines, beside loading the libraries alone.
+    """`--help`, a plan of the simplest scene and `inspect` of machines, compared with loading the libraries alone.
 
     Parameters
     ----------
     runs: of each; the least counts.
-    arms: names and tips of example robots to be inspected, from a cache folder that is filled before.
+    arms: names and tips of example robots to inspect, from a cache folder that is filled before.
     """
     with tempfile.TemporaryDirectory() as folder:
         scene, plan = Path(folder, "scene.yaml"), Path(folder, "plan.json")

@@ -1,9 +1,9 @@
-"""One obstacle course of the backhoe on which the steps of the law and of the servo are timed.
+"""An obstacle course of the backhoe on which the steps of the law and of the servo are timed.
 
-All times are in microseconds on the processor, which other processes do not lengthen.
-Measured beside them, on the same configurations, are the Pinocchio and coal calls alone over
-all pairs, and a step of Pink with its collision barrier on the same model and pairs, where
-Pink is installed (pip install pin-pink "qpsolvers[daqp]").
+All times are processor times in microseconds, which other processes do not lengthen. On the
+same configurations, the Pinocchio and coal calls alone are timed over all pairs, and a step of
+Pink with its collision barrier on the same model and pairs, if Pink is installed
+(pip install pin-pink "qpsolvers[daqp]").
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ Times = NDArray[np.float64]
 START = np.array([0.0, 0.4, -1.6, -0.9])
 WHOLE = "whole step"
 SPARE = 0.05  # m beyond every clearance that the start keeps
-_NOT_AT_HAND = 5  # steps after other work, whose code and data are not at hand: measured, the first takes 2 to 7 times
+_NOT_AT_HAND = 5  # steps after other work, with code and data not in the cache: the first takes 2 to 7 times, measured
 
 
 @contextmanager
 def collecting_only_new() -> Iterator[None]:
-    """Let Python look for garbage only among what is made within, as a program that keeps a clock does.
+    """Let Python collect only garbage made within, as a program in real time does.
 
-    Afterwards it looks through all again: what OMPL made would else be left when Python ends, and OMPL lists it.
-    Where something was kept out of the search before, that and what was made until then stay out of it.
+    Afterwards it collects all again; otherwise objects of OMPL would be left when Python ends, and OMPL lists them.
+    If something was frozen before, it stays frozen with everything made until then.
     """
     kept_before = gc.get_freeze_count() > 0
     gc.collect()
@@ -53,7 +53,7 @@ def collecting_only_new() -> Iterator[None]:
 
 
 def obstacle_course(robot: bp.Robot, count: int, rng: np.random.Generator) -> Problem:
-    """The backhoe among `count` obstacles in its reach, none of which it touches at the start."""
+    """The backhoe among `count` obstacles in its reach, without contact at the start."""
     while True:
         obstacles = name_all([course_obstacle(index, rng) for index in range(count)])
         problem = build_problem(robot, scene_of(robot, obstacles, start=START))
@@ -68,9 +68,9 @@ class StepTimes:
 
     Attributes
     ----------
-    times: (steps,) of every part and of the whole step, which is the last.
-    configurations: (n,) some of those on the way.
-    rows: nearby pairs in a step, in the mean.
+    times: (steps,) of every part and, last, of the whole step.
+    configurations: (n,) some of those passed.
+    rows: mean number of nearby pairs in a step.
     """
 
     times: dict[str, Times]
@@ -79,18 +79,18 @@ class StepTimes:
 
     @property
     def whole(self) -> Times:
-        """(steps,) of the whole step on the processor."""
+        """(steps,) processor times of the whole step."""
         return self.times[WHOLE]
 
 
 class LawDrive:
-    """The law's steps on the way from one random goal of the tip to the next.
+    """The law's steps from one random goal of the tip to the next.
 
-    Where no step is clear, not even braking, a motion ends: the next one begins at the problem's start.
+    If no step is clear, not even braking, a motion ends, and the next one begins at the problem's start.
 
     Attributes
     ----------
-    ended: how often a motion has ended so.
+    ended: number of motions that ended so.
     """
 
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
@@ -105,7 +105,7 @@ class LawDrive:
         return Stepper(self._problem, self._problem.start_q, proximity=self._proximity, kinematics=self._kinematics)
 
     def take(self, steps: int) -> StepTimes:
-        """Go on for some steps, and time their parts."""
+        """Take some steps and time their parts."""
         times, configurations, rows = np.empty((steps, 4)), [], 0
         for taken in times:
             stepper = self._stepper
@@ -133,7 +133,7 @@ class LawDrive:
 
 
 class ServoDrive:
-    """The servo's steps, on the processor and on the clock; every 10th configuration is kept.
+    """The servo's steps in processor and clock time; every 10th configuration is kept.
 
     The wish changes every 300 steps between tip and joint velocities. The first `moving`
     obstacles go to and fro.
@@ -144,7 +144,7 @@ class ServoDrive:
         self._wish: dict[str, Vector] = {}
 
     def take(self, steps: int) -> StepTimes:
-        """Go on for some steps, and time them."""
+        """Take some steps and time them."""
         times, configurations, servo = np.empty((steps, 2)), [], self._servo
         for taken in times:
             self._choose_motions()
@@ -179,7 +179,7 @@ class LibraryCalls:
         self._geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
 
     def take(self, configurations: list[Vector]) -> Times:
-        """Time them at each configuration (n,)."""
+        """Time the calls at each configuration (n,)."""
         model, data = self._model, self._data
         geometry_model, geometry = self._geometry
         found = []
@@ -216,7 +216,7 @@ class PinkSteps:
         self._task.set_target(self._configuration.get_transform_frame_to_world(tip))
 
     def take(self, configurations: list[Vector]) -> Times:
-        """Time it at each configuration (n,) at which its problem has a solution."""
+        """Time the step at each configuration (n,) at which its problem has a solution."""
         found = []
         for q in configurations:
             begun = time.thread_time()
@@ -230,7 +230,7 @@ class PinkSteps:
 
 
 class Drive(Protocol):
-    """What goes on for some steps and times them."""
+    """A drive that takes some steps and times them."""
 
     def take(self, steps: int, /) -> StepTimes:
         """The times of the next steps."""
@@ -246,7 +246,7 @@ class TimesInTurn:
     steps: all of them.
     calls: (C,) of the library calls at the steps' configurations.
     ratios: (B,) of each block, the median step over the median of the calls.
-    pink: (K,) of Pink's step at the configurations; none where it is not installed.
+    pink: (K,) of Pink's step at the configurations; empty if it is not installed.
     """
 
     steps: StepTimes
@@ -256,24 +256,24 @@ class TimesInTurn:
 
     @property
     def ratio(self) -> float:
-        """The median step over the median of the calls, of all blocks together."""
+        """The median step over the median of the calls, over all blocks together."""
         return float(np.median(self.steps.whole) / np.median(self.calls))
 
     def spread(self) -> str:
-        """The ratio, and between which the middle half of the blocks' ratios is, as text."""
+        """The ratio and the range of the middle half of the blocks' ratios, as text."""
         low, high = np.percentile(self.ratios, [25, 75])
         return f"{self.ratio:.2f} ({low:.2f} to {high:.2f})"
 
 
 def time_in_turn(problem: Problem, drive: Drive, steps: int, *, block: int = 100, pink: bool = False) -> TimesInTurn:
-    """Time steps in turn with the library calls alone, so that what else the computer does slows both.
+    """Time steps in turn with the library calls alone, so that other load on the computer slows both.
 
-    The first steps after the calls are not timed: one step in a hundred would else be the 99th percentile.
+    The first steps after the calls are not timed; otherwise one step in a hundred would set the 99th percentile.
 
     Parameters
     ----------
-    block: steps, after which the calls are timed at configurations of these.
-    pink: whether Pink's step is timed at some of them, too.
+    block: steps after which the calls are timed at configurations of these.
+    pink: whether Pink's step is timed at some of them too.
     """
     libraries = LibraryCalls(problem)
     taken, calls, of_pink = [], [], [np.zeros(0)]
@@ -298,9 +298,9 @@ def time_in_turn(problem: Problem, drive: Drive, steps: int, *, block: int = 100
 
 
 def least_of(runs: Sequence[TimesInTurn]) -> TimesInTurn:
-    """Of runs that took the same steps, the least time of each step and of each call.
+    """The least time of each step and of each call, over runs that took the same steps.
 
-    What else the computer does hardly lengthens the same step in all of them.
+    Other load on the computer hardly lengthens the same step in all of them.
     """
     first, blocks = runs[0], len(runs[0].ratios)
     times = {name: np.min([run.steps.times[name] for run in runs], axis=0) for name in first.steps.times}
@@ -311,5 +311,5 @@ def least_of(runs: Sequence[TimesInTurn]) -> TimesInTurn:
 
 
 def percentiles(times: Times) -> dict[str, float]:
-    """The median and the 95th and 99th percentile."""
+    """The median and the 95th and 99th percentiles."""
     return dict(zip(("median", "p95", "p99"), np.percentile(times, [50, 95, 99]).tolist(), strict=True))

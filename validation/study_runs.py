@@ -1,7 +1,7 @@
-"""Studies that are killed, sent to a cluster, or timed: whether their table is that of an undisturbed run, and what
-a study costs beside its plans.
+"""Studies that are killed, sent to a cluster or timed: whether their table equals that of an undisturbed run, and the
+overhead of a study.
 
-The plans are quick ones of the planar arm, of random goals and clearances.
+The plans are quick ones for the planar arm with random goals and clearances.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _ENDS = 900.0  # s after which a run counts as stuck
 
 @dataclass(frozen=True)
 class Timed:
-    """What one run took.
+    """The times of one run.
 
     Attributes
     ----------
-    rows: how many it planned.
+    rows: number of planned rows.
     wall: [s], from the first row done to the last.
-    whole: [s], with the start of its processes.
+    whole: [s], including the start of its processes.
     processor: of all of its processes [s].
     planning: of its plans [s].
     """
@@ -44,7 +44,7 @@ class Timed:
 
 
 def write_study(folder: Path, rows: int) -> Path:
-    """A study of that many rows, as a file in a folder."""
+    """Write a study of `rows` rows as a file in a folder."""
     content: dict[str, Any] = {
         "version": 1,
         "name": f"{rows} quick plans of the planar arm",
@@ -66,14 +66,14 @@ def write_study(folder: Path, rows: int) -> Path:
 
 
 def begin(study: Path, output: Path, *options: str) -> subprocess.Popen[bytes]:
-    """The command, begun in a group of processes of its own."""
+    """Start the command in its own process group."""
     command = [sys.executable, "-m", "backhoe_planner", "study", str(study), "-o", str(output), *options]
     environment = os.environ | {"PYTHONPATH": str(_ROOT)}
     return subprocess.Popen(command, start_new_session=True, env=environment, stdout=subprocess.DEVNULL)
 
 
 def run_to_its_end(study: Path, output: Path, *options: str) -> Timed:
-    """A run that nothing disturbs, and what it took."""
+    """Run a study undisturbed and return its times."""
     import pyarrow.parquet as pq
 
     before = journal_rows(output)
@@ -97,11 +97,11 @@ def run_to_its_end(study: Path, output: Path, *options: str) -> Timed:
 
 
 def kill_often(study: Path, output: Path, *, kills: int, rows: int, seed: int) -> list[int]:
-    """Begin a study again and again and kill it -9 with all its processes; how many rows were done each time.
+    """Start a study repeatedly and kill it by -9 with all its processes; return the rows done each time.
 
     Parameters
     ----------
-    rows: of the study; each run is killed at a random moment after a random number of them, the first one at its start.
+    rows: of the study; each run is killed at a random moment after a random number of rows, the first at its start.
     """
     rng, done = random.Random(seed), []
     for target in [0, *sorted(rng.randrange(1, rows) for _ in range(kills - 1))]:
@@ -118,7 +118,7 @@ def kill_often(study: Path, output: Path, *, kills: int, rows: int, seed: int) -
 
 
 def run_on_cluster(study: Path, output: Path, *, kill_at: int) -> int:
-    """Run a study on a Dask cluster of two workers, one of which is killed -9 after some rows; the row it was at."""
+    """Run a study on a Dask cluster of two workers, kill one by -9 after some rows, and return the row count then."""
     import distributed
 
     from backhoe_planner.studies import StudyStep, load_study, run_study
@@ -137,7 +137,7 @@ def run_on_cluster(study: Path, output: Path, *, kill_at: int) -> int:
 
 
 def journal_rows(folder: Path) -> int:
-    """How many rows the journal of a folder has."""
+    """The number of rows in the journal of a folder."""
     file = folder / "journal.jsonl"
     return max(0, file.read_bytes().count(b"\n") - 1) if file.exists() else 0
 

@@ -1,6 +1,6 @@
 """Points on every link's collision shape, read from the URDF itself, as trees of balls.
 
-`LinkDistances` looks at one configuration; `independent_check` at whole motions.
+`LinkDistances` is for one configuration, `independent_check` for whole motions.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from validation.signed_distances import SignedDistance, box_distance, cylinder_d
 
 Indices = NDArray[np.intp]
 
-SPACING = 0.04  # m between points on a surface at most
-BRANCHES = 8  # of a ball: an octree's, and three halvings of the points
-_ON_MESH = 1500  # points on a mesh beside its corners
+SPACING = 0.04  # m, the most between points on a surface
+BRANCHES = 8  # of a ball: as in an octree, by three halvings of the points
+_ON_MESH = 1500  # points on a mesh in addition to its corners
 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
     """Points on all collision shapes of a link, as a tree of balls in the frame of its joint.
 
-    A ball without children is a point; its radius is how far the shape reaches beyond it.
+    A ball without children is a point; its radius is the reach of the shape beyond it.
     """
 
     link: str
     joint: int
     centre: Matrix  # (M, 3)
     radius: NDArray[np.float64]  # (M,)
-    first: Indices  # (M,) the first child, -1 where there is none
-    children: Indices  # (M,) how many
+    first: Indices  # (M,) the first child, -1 if there is none
+    children: Indices  # (M,) number of children
 
     @property
     def points(self) -> Matrix:
@@ -58,7 +58,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The least signed distance found [m], and between which two; infinite where nothing was near."""
+    """The least signed distance found [m] and its two bodies; infinite if nothing was near."""
 
     distance: float
     link: str
@@ -70,7 +70,7 @@ class LinkDistances:
 
     Parameters
     ----------
-    links: names of the links that are looked at; all that move by default.
+    links: names of the links; all moving ones by default.
     """
 
     def __init__(self, robot: bp.Robot, *, links: Iterable[str] | None = None) -> None:
@@ -132,7 +132,7 @@ def _cover(link: str, joint: int, points: Matrix, fat: NDArray[np.float64]) -> C
         centre[alone] = held[begin[alone]]
         away = np.linalg.norm(held - np.repeat(centre, sizes, axis=0), axis=1)
         radius = np.maximum.reduceat(away + fat[members], begin)
-        # what is a point has no parts; all other balls of a level are split at once
+        # points have no parts; all other balls of a level are split at once
         members, sizes = members[np.repeat(~alone, sizes)], sizes[~alone]
         members, sizes, children = _split(points, members, sizes)
         first, counts = np.full(len(alone), -1), np.zeros(len(alone), dtype=int)
@@ -143,16 +143,16 @@ def _cover(link: str, joint: int, points: Matrix, fat: NDArray[np.float64]) -> C
 
 
 def _split(points: Matrix, members: Indices, sizes: Indices) -> tuple[Indices, Indices, Indices]:
-    """Sets of points, each split into up to `BRANCHES` parts, cut across their longest sides.
+    """Split sets of points into up to `BRANCHES` parts each, across their longest sides.
 
     Parameters
     ----------
     members: (N,) indices of points, set by set.
-    sizes: (S,) how many points each set has, 2 or more.
+    sizes: (S,) number of points of each set, 2 or more.
 
     Returns
     -------
-    (N,) and (P,) the same of the parts, and (S,) how many parts each set has.
+    (N,) and (P,) the same for the parts, and (S,) number of parts of each set.
     """
     children = np.ones(len(sizes), dtype=int)
     if not len(sizes):

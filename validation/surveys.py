@@ -1,7 +1,7 @@
-"""What stands around a machine as a surveyor brings it: points of a scan, and a height map of the ground.
+"""The surroundings of a machine as a survey: points of a scan, and a height map of the ground.
 
-Both lie in frames of their own. Files are written to a folder that is gone when the process ends; what
-is in them follows from the generator, so that a site is the same wherever it is drawn.
+Both have their own frames. Files are written to a folder that is deleted when the process ends; their
+content depends only on the generator, so that a site is the same wherever it is drawn.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from validation.obstacles import Record, extent, name_all
 from validation.scenes import scene_of
 from validation.signed_distances import obstacle_distance
 
-_POINTS = 60_000  # that are drawn in the box around an obstacle; those of its shell are kept
-_EDGES = {"planar4": 0.05, "backhoe": 0.06, "panda": 0.015, "telescope": 0.06}  # m, of a voxel, about
-_GROUND = {"planar4": 0.5, "backhoe": -0.1, "panda": -0.02, "telescope": -0.1}  # m: height of the ground, about
-_REACH = {"planar4": 4.5, "backhoe": 7.5, "panda": 1.2, "telescope": 7.5}  # m: half an edge of the ground
-_CELLS = (40, 120)  # of the ground along an edge, at least and at most
+_POINTS = 60_000  # drawn in the box around an obstacle; those of its shell are kept
+_EDGES = {"planar4": 0.05, "backhoe": 0.06, "panda": 0.015, "telescope": 0.06}  # m, approximate, of a voxel
+_GROUND = {"planar4": 0.5, "backhoe": -0.1, "panda": -0.02, "telescope": -0.1}  # m, approximate height of the ground
+_REACH = {"planar4": 4.5, "backhoe": 7.5, "panda": 1.2, "telescope": 7.5}  # m, half an edge of the ground
+_CELLS = (40, 120)  # of the ground along an edge, least and most
 _STEEPEST = 1.5  # slope of the sides of a pit
 
 
 @cache
 def folder() -> Path:
-    """Where the files are, in this process."""
+    """The folder of the files in this process."""
     made = tempfile.TemporaryDirectory()
     atexit.register(made.cleanup)
     return Path(made.name)
 
 
 def scan(robot: bp.Robot, machine: str, records: Sequence[Record], rng: np.random.Generator) -> Record:
-    """One scan of the surfaces of obstacles, with noise, in a frame that is turned and shifted."""
+    """One scan of the surfaces of obstacles, with noise, in a turned and shifted frame."""
     edge = _EDGES[machine] * float(rng.uniform(0.6, 1.8))
     found = []
     scene = scene_of(robot, name_all(records), start=robot.middle)
@@ -61,7 +61,7 @@ def scan(robot: bp.Robot, machine: str, records: Sequence[Record], rng: np.rando
 def ground(robot: bp.Robot, machine: str, configurations: Matrix, clear: float, rng: np.random.Generator) -> Record:
     """Uneven ground with pits, in which the machine keeps about `clear` [m] at configurations (W, n).
 
-    Around an arm that moves in a level plane it is a wall of that kind.
+    For an arm that moves in a level plane it is a wall of this kind.
     """
     half, count = _REACH[machine], int(rng.integers(*_CELLS))
     x = np.linspace(-half, half, count + 1)
@@ -91,14 +91,14 @@ def ground(robot: bp.Robot, machine: str, configurations: Matrix, clear: float, 
 
 
 def _written(numbers: Matrix) -> str:
-    """The name of a file with these, which follows from what is in it."""
+    """Write these numbers to a file whose name depends only on its content; return the name."""
     name = f"{hashlib.sha256(np.ascontiguousarray(numbers).tobytes()).hexdigest()[:16]}.csv"
     np.savetxt(folder() / name, numbers, fmt="%.4f", delimiter=",")
     return name
 
 
 def _points_of(robot: bp.Robot, configurations: Matrix) -> Matrix:
-    """(k, 3) points of all links that move, at configurations (W, n): of the boxes around their pieces [m], world."""
+    """(k, 3) points of the boxes around the pieces of all moving links, at configurations (W, n) [m], world."""
     data, found = robot.model.createData(), []
     grid = np.array(list(np.ndindex(9, 9, 9))) / 8.0
     for piece in robot.pieces:

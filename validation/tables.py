@@ -10,13 +10,13 @@ Row = Mapping[str, str | float]
 
 
 def percent(holds: Iterable[bool]) -> float:
-    """The share that holds [%]; NaN of none."""
+    """The share that is true [%]; NaN for none."""
     found = list(holds)
     return 100.0 * sum(found) / len(found) if found else float("nan")
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """An aligned table: names to the left, numbers to the right; the first row's keys are the heads."""
+    """An aligned table, names left and numbers right; the first row's keys are the heads."""
     heads = list(rows[0])
     cells = [[_cell(row[head]) for head in heads] for row in rows]
     widths = [max(len(head), *(len(line[column]) for line in cells)) for column, head in enumerate(heads)]

@@ -1,13 +1,13 @@
-"""Problems for the Panda at a table, at a shelf and at a cage of bars, each with a known way.
+"""Problems for the Panda at a table, at a shelf and at a cage of bars, each with a known solution.
 
-    table   4 to 9 boxes on a table top; the tip low between them, from one place to another
+    table   4 to 9 boxes on a table top; the tip moves low between them from place to place
     shelf   a back, two sides, three boards and a divider; from one compartment into another
-    cage    upright bars around the arm between two rings; the hand through one gap, then another
+    cage    upright bars around the arm between two rings; the hand moves from one gap to another
 
-At start and goal the hand reaches in along its own axis. From both it is drawn back straight,
-by inverse kinematics, and two random trees meet between the postures drawn back to: so a way is
-known, and how hard it is to get out of a compartment does not decide which problems are kept.
-Named like random sites (`SiteKey`), with the machine ``panda``.
+At start and goal the hand reaches in along its own axis. From both it is drawn back straight
+by inverse kinematics, and two random trees meet between the drawn-back configurations: so a
+solution is known, and the difficulty of leaving a compartment does not decide which problems
+are kept. They are named like random sites (`SiteKey`), with the machine ``panda``.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ MACHINE = "panda"
 _TRIES = 400  # drawings of one problem
 _ENDS = 25  # places drawn for each end of a motion
 _GROWTH = 300  # branches of the trees
-_STEP = 0.04  # m between the configurations of a hand that is drawn back
-_STRAIGHT = 0.15  # rad or m that a joint may change between them, so that the tip is drawn back about straight
+_STEP = 0.04  # m between the configurations while the hand is drawn back
+_STRAIGHT = 0.15  # rad or m, the most that a joint may change between them, for a nearly straight tip path
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class _Reach:
-    """Where the hand is, how it got there, and how far it must be drawn back."""
+    """A place of the hand, its direction of approach, and the distance by which it must be drawn back."""
 
     position: Vector
     approach: Vector
     roll: float
     back: float
     place: int
-    """Which compartment or gap: start and goal lie in different ones."""
+    """The compartment or gap; start and goal are in different ones."""
 
     @property
     def rotation(self) -> Matrix:
-        """(3, 3) of the hand: it points along `approach`, and at roll 0 its fingers open upward or outward."""
+        """(3, 3) the hand's rotation: it points along `approach`, and at roll 0 its fingers open upward or outward."""
         away = _UP if abs(self.approach[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
         across = away - (away @ self.approach) * self.approach
         across /= np.linalg.norm(across)
@@ -62,7 +62,7 @@ class _Reach:
 
 @dataclass(frozen=True)
 class _Furniture:
-    """Obstacles, and how a place for the hand is drawn among them."""
+    """Obstacles, and a function that draws a place for the hand among them."""
 
     obstacles: list[Record]
     reach: Callable[[np.random.Generator], _Reach]
@@ -73,7 +73,7 @@ def tabletop_problem(robot: bp.Robot, key: SiteKey, *, by_joints: bool = False) 
 
     Parameters
     ----------
-    by_joints: whether the goal is given by the joints, else by the full pose of the tip.
+    by_joints: whether the goal is given by the joints; else by the full pose of the tip.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _drawn_back(
     other: _Reach | None,
     rng: np.random.Generator,
 ) -> tuple[_Reach, Matrix] | None:
-    """A place for the hand, elsewhere than `other`, and the configurations (W, n) by which it is drawn back."""
+    """A place for the hand other than `other`, and the configurations (W, n) by which it is drawn back."""
     for _ in range(_ENDS):
         wanted = reach(rng)
         apart = np.inf if other is None else float(np.linalg.norm(wanted.position - other.position))

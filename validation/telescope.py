@@ -2,10 +2,10 @@
 
     swing, boom, stick, slide, bucket
 
-It is no maker's machine. Its size is that of `models/backhoe.urdf`, of which it has the axes and
-signs; the links are solid boxes of one density each. The post, whose corners swing 0.2 m behind
-its axis, turns 50 mm in front of the chassis. The slide lengthens the stick, so that the tip has
-one freedom more for the same pose: position and pitch take four of five joints.
+It is not a real product. Size, axes and signs are those of `models/backhoe.urdf`; each link is a
+solid box of one density. The post, whose corners swing 0.2 m behind its axis, turns 50 mm in
+front of the chassis. The slide lengthens the stick and gives the machine one redundant joint:
+position and pitch of the tip need four of the five.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _joint(
 
 @cache
 def telescope_file() -> Path:
-    """The URDF as a file; written once in a process, and gone with it."""
+    """The URDF as a file; written once per process and deleted with it."""
     folder = tempfile.TemporaryDirectory(prefix="telescope-")
     atexit.register(folder.cleanup)
     file = Path(folder.name) / "telescope.urdf"

@@ -1,11 +1,10 @@
-"""How long plans take that are followed live with nothing new in the way, beside how long they are planned.
+"""The duration of plans followed live without new obstacles, compared with their planned duration.
 
 Random verified plans of three machines (`validation.placements`) are streamed through a servo from
-their start. What stands around was known to the planner. Each drive may end one step after the step
-in which the plan ends: that one is needed where the machine still comes to rest. Where a plan leads
-close past an obstacle, or to the limit of a joint, the servo may hold the machine back: it keeps room
-to brake all joints in proportion with 80 % of their acceleration, and a plan does not. Such drives are
-told apart.
+their start. The planner knew all obstacles. Each drive may end one step after the step in which the
+plan ends, in which the machine comes to rest. If a plan leads close past an obstacle or to a joint
+limit, the servo may slow the machine down: it keeps room to brake all joints in proportion with 80 % of
+their acceleration, and a plan does not. Such drives are counted separately.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from validation.campaigns import Campaign
 from validation.obstacles import MACHINES
 from validation.placements import Followed, Immediate, random_plan
 
-_STEPS = (0.001, 0.004)  # s: of the servo
+_STEPS = (0.001, 0.004)  # s, of the servo
 _HOLDING = (Status.SLIDING, Status.NEAR_LIMIT, Status.EVADING)
-_LATEST = 10.0  # s beyond the plan after which a drive is ended
+_LATEST = 10.0  # s after the planned end at which a drive ends
 
 
 @dataclass(frozen=True)
@@ -37,13 +36,13 @@ class UndisturbedDrive:
 
     Attributes
     ----------
-    site: what was driven.
+    site: name of the site.
     dt: step of the servo [s].
     duration: as planned [s].
     steps_late: steps after the one in which the plan ends.
     deviation: greatest, of any joint [rad or m].
     arrived: at the end of the plan.
-    held_back: steps in which the servo held the machine back, at a limit, an obstacle or a zone.
+    held_back: steps in which the servo slowed the machine down, at a limit, an obstacle or a zone.
     """
 
     site: str
@@ -69,7 +68,7 @@ def follow_undisturbed(
 
 
 def follow_on_site(case: tuple[str, int], *, seed: int) -> list[UndisturbedDrive]:
-    """The drives along the plan of a machine's site, by its number, one a step; none where no plan is verified."""
+    """The drives along the plan of a machine's site, by its number, one per `dt`; none if the plan is not verified."""
     machine, number = case
     site, plan = random_plan(machine, number, seed=seed)
     return [_drive(plan, str(site), dt) for dt in _STEPS] if plan.verified else []

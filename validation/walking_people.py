@@ -1,12 +1,11 @@
-"""The servo among people who walk: how long its steps take, how much work they are, and what it touches.
+"""The servo among walking people: the time and work of its steps, and its contacts.
 
 Some capsules of a person's size walk to and fro at a walking pace, most of them through the
-machine, which is driven by wishes that jump. Beside them things stand. People who walk into
-the machine cannot all be evaded; what stands must never be touched.
+machine, which is driven by wishes that jump. Other obstacles stand still. People who walk into
+the machine cannot all be evaded; obstacles that stand still must never be touched.
 
-A drive is the same at every repetition. Of each step the shortest of its times on the
-processor counts: what the machine's other processes, an interrupt or a cold cache add is
-not there each time.
+A drive is the same at every repetition, and the shortest processor time of each step counts:
+the additions by other processes, interrupts or a cold cache are not there each time.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from validation.tables import Row
 
 _PEOPLE, _STANDING = 3, 4
 _RADIUS = 0.25  # m
-_MISSES = 0.3  # m: of the point of the machine that somebody walks to
+_MISSES = 0.3  # m from the point of the machine that a person walks to
 _PACE = (0.2, 0.6)  # m/s, slow enough for people among machines
-_TURNS_AFTER = 2400  # steps on the way, until somebody walks elsewhere; to the machine, back, and again
+_TURNS_AFTER = 2400  # steps until a person turns: to the machine, back, and again
 _WISHES_FOR = 300  # steps
 
 
@@ -36,12 +35,12 @@ class Walk(NamedTuple):
 
     Attributes
     ----------
-    times: (N,) of every step, the shortest of all repetitions [ms].
+    times: (N,) of every step, the shortest over all repetitions [ms].
     once: (N,) of the first drive alone [ms].
     work: (N, 5) of every step, in the order of `StepWork`.
-    evading: part of the steps in which the machine gave way to somebody.
-    least: the least distance to what stands, by `Proximity` every 10 steps [m].
-    unproven: steps on the braking path of before.
+    evading: part of the steps in which the machine evaded a person.
+    least: the least distance to standing obstacles, by `Proximity` every 10 steps [m].
+    unproven: steps on the previous braking path.
     """
 
     times: NDArray[np.float64]
@@ -100,13 +99,13 @@ def _scene(robot: bp.Robot, q: Vector, clearance: float, obstacles: list[dict[st
 
 
 def _reach(robot: bp.Robot, q: Vector) -> float:
-    """How far the machine is from its foot, about [m]."""
+    """The approximate reach of the machine from its base [m]."""
     tip = bp.Kinematics(robot).at(q).tip_position
     return float(np.linalg.norm(tip[:2]))
 
 
 def _standing(robot: bp.Robot, q: Vector, clearance: float, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Posts and boxes around, that the machine keeps clear of at q (n,)."""
+    """Posts and boxes around the machine that are clear of it at q (n,)."""
     reach = _reach(robot, q)
     found: list[dict[str, Any]] = []
     while len(found) < _STANDING:
@@ -124,7 +123,7 @@ def _standing(robot: bp.Robot, q: Vector, clearance: float, rng: np.random.Gener
 
 
 def _place(robot: bp.Robot, q: Vector, clearance: float, rng: np.random.Generator) -> Vector:
-    """(2,) where somebody stands who is a step or two from the machine at q (n,)."""
+    """(2,) the place of a person a step or two from the machine at q (n,)."""
     points = bp.Kinematics(robot).at(q).points
     while True:
         angle, away = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 2.0) + _RADIUS + clearance
