@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Whether a killed study ends with the table of an undisturbed run, and its overhead beside its plans.
+"""Whether a killed study ends with the table of an undisturbed run, and the overhead of a study.
 
 `kills`: the study is killed with -9, with all of its processes, at random moments and restarted; its table is compared
 byte by byte with that of an undisturbed run, as is that of a Dask cluster of two workers, one of which is killed.

@@ -146,7 +146,7 @@ class Campaign(Generic[T, R]):
         Parameters
         ----------
         cases: drawn as needed.
-        most: results of one case.
+        most: largest number of results of one case.
         watch: called with the number of results and the last one; may be called for more than `count`.
         """
         found: list[X] = []

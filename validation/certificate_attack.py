@@ -3,7 +3,7 @@
 A comparison is a machine, a site and a motion. It refutes the certificate if a body comes nearer
 than was proven, or if two touch although the certificate calls the motion safe. Links that the
 planner does not compare may touch only by construction (validation/link_pairs.py): at nearly all
-angles of their joint, or in nearly all configurations; or, if they share a joint, near its axis.
+positions of their joint, or in nearly all configurations; or, if they share a joint, near its axis.
 Such contacts are counted.
 """
 

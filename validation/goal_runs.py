@@ -54,7 +54,7 @@ class Row:
     seconds: processor time of planning [s].
     cost: of the motion by the objective, in its unit; of verified plans only, else None.
     duration: of the motion [s]; likewise.
-    bound: the proven least cost of any motion; None if the plan has none.
+    bound: proven lower bound on the cost of any motion; None if the plan has none.
     digest: of the scene.
     little: the cost that counts as little, see `little_cost`; 0 if none does.
     """

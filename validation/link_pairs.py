@@ -22,7 +22,7 @@ from validation.raw_urdf import Placements, RawMachine
 LinkPair = tuple[str, str]
 
 BY_CONSTRUCTION = 0.85  # of a joint's range, or of random configurations
-_POSTURES = 101  # over the range of a joint, or random ones of all joints
+_POSTURES = 101  # configurations over the range of a joint, or random ones of all joints
 _FIRM = 1001  # random configurations, by which a share of 85 % is known to within 1.1 %
 _APART = 1e-6  # m, from which two links do not touch
 PIN_PLAY = 0.01  # m: links that are never further apart are joined by a pin with play; the search can end
@@ -35,7 +35,7 @@ class Pairs:
     Attributes
     ----------
     counted: apart in some configuration; with the distance, up to `PIN_PLAY` [m].
-    touching: touch at every angle of the joint between them.
+    touching: touch at every position of the joint between them.
     touching_afar: touch in all random configurations, with more than one joint between them.
     adjacent: those of all these with one joint between them.
     """

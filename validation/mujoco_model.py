@@ -63,7 +63,7 @@ class ModelDraft:
                 self._link_geom(bodies[link], shape)
 
     def exclude(self, pairs: Pairs) -> None:
-        """Exclude the links that touch by construction, at all angles of the joints between them."""
+        """Exclude the links that touch by construction, at all positions of the joints between them."""
         for one, other in pairs.touching | pairs.touching_afar:
             self.spec.add_exclude(bodyname1=one, bodyname2=other)
 

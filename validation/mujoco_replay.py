@@ -30,7 +30,7 @@ from validation.surfaces import LinkDistances
 Shifts = Mapping[str, Vector]
 """(3,) displacement of each present obstacle [m]."""
 
-_AWAY = np.array([0.0, 0.0, -1e3])  # m: the place of what has not appeared yet
+_AWAY = np.array([0.0, 0.0, -1e3])  # m: the place of obstacles that have not appeared
 _CHECKED = 10  # steps of a servo between two that are replayed
 
 

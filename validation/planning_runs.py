@@ -56,7 +56,7 @@ class Row:
         an exception came before.
     duration, tip_length: of the motion [s, m]; of verified plans only, else None.
     margin: the least, of verified plans with anything near [m].
-    bound: the least duration of any motion, of verified plans to a goal [s].
+    bound: lower bound on the duration of any motion, of verified plans to a goal [s].
     refuted: what contradicts the certificate; empty if nothing does, None if the plan
         was not checked independently.
     """

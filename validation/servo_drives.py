@@ -47,7 +47,7 @@ def plain_obstacle(rng: np.random.Generator) -> Record:
 
 
 def free_posture(robot: bp.Robot, rng: np.random.Generator) -> Vector:
-    """(n,) a random posture whose links keep 2 cm from each other."""
+    """(n,) a random configuration whose links keep 2 cm from each other."""
     alone = bp.Proximity(robot)
     while np.min(alone.distances(q := robot.random_q(rng))) < 0.02:
         pass

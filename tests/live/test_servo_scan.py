@@ -12,7 +12,7 @@ import pytest
 from backhoe_planner import InputError, Servo
 from backhoe_planner.live import Placements
 
-# opens the wall: what is built, how often boxes are found and pairs looked at, are counted within
+# opens the wall: built objects, box searches and checks of pairs are counted within
 from backhoe_planner.live.boxes import cluster_pairs
 from backhoe_planner.live.boxes.box_places import MOST_PARTS, Line, box_urgency, inexact_boxes
 from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs

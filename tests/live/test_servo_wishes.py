@@ -58,7 +58,7 @@ def test_a_joint_at_its_limit_does_not_let_the_others_run_away(backhoe: Robot) -
 
 @pytest.mark.long
 def test_wishes_are_followed_at_least_as_well_as_by_standing_still(backhoe: Robot) -> None:
-    """Zero is always an allowed velocity, so the nearest allowed one is never farther from the wish.
+    """Zero is always an allowed velocity, so the nearest allowed one is never farther from the wish than zero.
 
     Nor is it faster: in a convex set that contains 0, the point nearest to a wish is no longer than the wish. The
     first half second is left for braking motions in other directions.
@@ -104,7 +104,7 @@ def test_a_stick_pressed_onto_the_ground_stays_there(backhoe: Robot) -> None:
 
 
 def test_a_wall_refuses_the_whole_wish_into_it_and_never_more(backhoe: Robot) -> None:
-    """All of 0.4 m/s straight into a wall once the tip is at it; nothing on the free way there."""
+    """All of 0.4 m/s straight into a wall once the tip is at it; nothing on the free path there."""
     wall = {"name": "wall", "shape": "box", "size": [0.1, 5.0, 2.5], "position": [4.95, 0.0, -1.5], "clearance": 0.1}
     servo, wish = standing(backhoe, [0.0, 0.2, -1.3, -0.8], obstacles=[wall]), np.array([0.4, 0.0, 0.0])
     states = driven(servo, wish, 6.0)

@@ -1,4 +1,4 @@
-"""scripts/reproduce_paper.py runs from any folder and writes what it prints."""
+"""scripts/reproduce_paper.py runs from any folder and writes all its files."""
 
 from __future__ import annotations
 

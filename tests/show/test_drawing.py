@@ -51,7 +51,7 @@ def test_a_node_name_is_one_level_of_the_tree() -> None:
     assert node_name("gas pipe") == "gas pipe"
 
 
-def test_names_that_would_share_a_node_are_kept_apart() -> None:
+def test_names_that_would_share_a_node_get_different_ones() -> None:
     nodes = node_names(["a/b", "a\N{DIVISION SLASH}b", "c"])
     assert len(set(nodes.values())) == 3
 

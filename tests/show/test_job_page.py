@@ -139,7 +139,7 @@ def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp
     assert page.inner_text("#now").startswith("Cycle 1 of")
     assert page.inner_text("#badge") == "Verified"
     picture, section = (page.locator(name).bounding_box() for name in ("#stage", "#section-card"))
-    assert section["x"] >= picture["x"] + picture["width"]  # beside the picture, in which it would hide the bucket
+    assert section["x"] >= picture["x"] + picture["width"]  # next to the picture, in which it would hide the bucket
     for width in (1280, 950, 760, 480):
         page.set_viewport_size({"width": width, "height": 800})
         card, button = (page.locator(name).bounding_box() for name in ("#section-card", "#section-fold"))

@@ -258,7 +258,7 @@ def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, m
         assert "Verified" in tab.page.locator("#verdict").inner_text()
     assert not viewer.alive()
     tab.page.wait_for_function("!document.getElementById('notice').hidden")
-    # three.js warns where a frame falls between a light and the word that it casts no shadow
+    # three.js warns if a frame is drawn before a new light is set to cast no shadow
     expected = ("WebSocket", "has no shadow")
     assert [text for text in tab.complaints if not any(word in text for word in expected)] == []
 

@@ -30,7 +30,7 @@ POINT = re.compile(r"(-?[\d.]+),(-?[\d.]+)")
 
 @pytest.fixture(scope="module")
 def plan() -> bp.StandPlan:
-    """A map of 2 x 7 places from x 4, y 3 m on, without an answer; the machine of the job's file stands at 0, 0."""
+    """A map of 2 x 7 places from x 4, y 3 m on, without a solution; the job's own machine is at 0, 0."""
 
     def spot(number: int, x: float, y: float) -> Spot:
         base = Base((x, y), 0.25 * math.pi)
