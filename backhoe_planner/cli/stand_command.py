@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import show, standing
 from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
+from backhoe_planner.files.output_file import check_apart, check_ending, check_output
 
 _LITTLE = 0.02  # part of the cost by which estimates and searches differ anyway; chosen
 
@@ -51,7 +51,7 @@ def stand(
     """
     check_apart([output, html, plot])
     loaded = bp.load_job(file)
-    check_record(output, loaded.files)
+    standing.check_stand_outputs(output, loaded)
     if html is not None:
         check_output(html, loaded.files)
         check_ending(html, show.PAGE_FORMATS, what="a page")

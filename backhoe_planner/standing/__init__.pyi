@@ -9,4 +9,5 @@ from .sections import layout as layout
 from .site_map import SiteMap as SiteMap
 from .site_map import Spot as Spot
 from .site_map import site_map as site_map
+from .stand_file import check_stand_outputs as check_stand_outputs
 from .stand_file import stand_to_dict as stand_to_dict

@@ -24,7 +24,7 @@ from backhoe_planner.standing.site_map import LINE_STEP, SAME_SHARE, Spot, SpotF
 
 _SPARE = 0.05  # m of radius by which a section is within the reach at both ends; chosen
 _OVERLAP = 0.1  # m by which a section extends beyond the slope that the previous one leaves; chosen
-_MOST_PLACES = 50
+MOST_PLACES = 50
 _TRIES = 2  # places of a section that are planned, the best first
 _AROUND = 1.0  # m of ground around everything that is dug, heaped and reached
 _APART = 0.4  # m between places of a section that are tried
@@ -112,7 +112,7 @@ def layout(job: Job, finder: SpotFinder) -> tuple[Section, ...] | str:
         return f"the teeth reach {area.depth:.2f} m deep over only {max(longest, 0.0):.2f} m, too short for its slopes"
     fewest = max(math.ceil((trench.length - slope) / (longest - slope) - 1e-9), 1)
     why = ""
-    for count in range(fewest, min(fewest + 2, _MOST_PLACES) + 1):
+    for count in range(fewest, min(fewest + 2, MOST_PLACES) + 1):
         found = []
         for backward in (False, True):
             sections = _laid_out(job, finder, trench, count, slope, reach, backward=backward)
@@ -123,7 +123,7 @@ def layout(job: Job, finder: SpotFinder) -> tuple[Section, ...] | str:
                 found.append((cost, backward, sections))
         if found:
             return min(found, key=lambda one: one[:2])[2]
-    return why or f"it takes more than {_MOST_PLACES} places"
+    return why or f"it takes more than {MOST_PLACES} places"
 
 
 def _laid_out(

@@ -14,6 +14,7 @@ from backhoe_planner.files.output_file import check_output, check_record, whole_
 from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.job import Job
 from backhoe_planner.standing.result import Place, RankedPlace, StandPlan
+from backhoe_planner.standing.sections import MOST_PLACES
 
 _FORMAT = "backhoe-planner/stand"
 _DIGITS = 4  # of the numbers written for the map: a tenth of a millimetre
@@ -47,10 +48,8 @@ def save_stand(plan: StandPlan, path: Path) -> None:
     ------
     OutputError: the folder does not exist or cannot be written; or a file is one of the job's.
     """
-    check_record(path, plan.job.files)
+    check_stand_outputs(path, plan.job, places=len(plan.places))
     own = files_of(path, len(plan.places))
-    for file in own[1:]:
-        check_output(file, plan.job.files)
     for number, place in enumerate(plan.places, start=1):
         job, motions, ground = own[3 * number - 2 : 3 * number + 1]
         with whole_file(job) as stream:
@@ -63,6 +62,22 @@ def save_stand(plan: StandPlan, path: Path) -> None:
         one["files"] = [file.name for file in own[3 * number - 2 : 3 * number + 1]]
     with whole_file(path) as stream:
         json.dump(content, stream, allow_nan=False, indent=1)
+
+
+def check_stand_outputs(path: Path, job: Job, *, places: int = MOST_PLACES) -> None:
+    """Check that an answer and the files of its places can be written, before the long search for it.
+
+    Parameters
+    ----------
+    places: how many places there are at most.
+
+    Raises
+    ------
+    OutputError: the folder does not exist or cannot be written; or a file is a folder, or one of the job's.
+    """
+    check_record(path, job.files)
+    for file in files_of(path, places)[1:]:
+        check_output(file, job.files)
 
 
 def files_of(path: Path, places: int) -> list[Path]:

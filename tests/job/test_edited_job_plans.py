@@ -46,7 +46,7 @@ def test_edited_motions_loads_and_settings_are_reported(tmp_path: Path) -> None:
     cycle["place"][0] += 0.3
     cycle["load"]["mass"] = [1.05 * mass for mass in cycle["load"]["mass"]]
     legs = {leg["name"]: leg for leg in cycle["legs"]}
-    legs["swing"]["payload"] = 0.0
+    legs["swing"]["payload"], legs["cut"]["payload"] = 0.0, 9999.0
     for key in ("time", "q"):
         legs["dump"][key] = legs["dump"][key][: len(legs["dump"][key]) // 3]
     edited["ground"]["bank"] = -0.01
@@ -55,6 +55,7 @@ def test_edited_motions_loads_and_settings_are_reported(tmp_path: Path) -> None:
     assert not found.verified
     for said in (
         "the soil falls at x", "kg in the bucket with the teeth at r", "swing: the file says 0.000 kg",
+        "cut: the file says 9999.000 kg",
         "the bucket is not open at its end", "ground before the first cycle is not that of the job",
         "effort, seed, compared patterns or steps were changed",
     ):  # fmt: skip

@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_jobs import TINY, tiny_plan
+from small_jobs import TINY, small_job, tiny_plan
 
 import backhoe_planner as bp
-from backhoe_planner.job import Cycle, job_from_dict, plan_job, same_ground
+from backhoe_planner.job import Cycle, build_worksite, job_from_dict, plan_job, same_ground
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.dumping import SiteState
 from validation.job_check import leg_refutations, volume_errors
 
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.5, "position": [3.7, 0.0, 0.5]}
+
+
+def test_a_start_without_a_joint_is_refused_by_its_key_in_the_job() -> None:
+    with pytest.raises(bp.SceneError, match=r"^start: joints are missing: swing"):
+        build_worksite(small_job(start={"boom": 0.9, "stick": -1.6, "bucket": -1.8}))
 
 
 def test_every_motion_is_proven_and_the_design_is_met() -> None:

@@ -188,7 +188,30 @@ def test_a_pitch_out_of_reach_is_reported_with_the_pitches_in_reach(backhoe: bp.
     spans = [[float(number) for number in re.findall(r"-?[\d.]+", span)] for span in told.split(" or ")]
     assert any(low <= -2.0 <= high for low, *_, high in spans), messages[0]
     assert not any(low <= 1.4 <= high for low, *_, high in spans), messages[0]
-    assert "by itself" not in messages[1]
+    assert "alone can be reached" not in messages[1]
+
+
+def test_the_pitches_in_reach_have_no_gap_where_every_pitch_is_reached(backhoe: bp.Robot) -> None:
+    """At this position every pitch from -2.355 to -0.17 rad is reached, by a scan of all pitches."""
+    task = {"goal": {"position": [3.8, -1.0, 0.8], "pitch": -3.1}}
+    posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    scene = bp.scene_from_dict({"version": 1, "start": {"joints": posture}, "task": task})
+    message = bp.plan(backhoe, scene, effort="quick").message
+    found = re.search(r"with a pitch of (\S+) to (\S+) rad$", message)
+    assert found is not None, message
+    assert float(found[1]) == pytest.approx(-2.355, abs=0.05)
+    assert float(found[2]) == pytest.approx(-0.17, abs=0.05)
+
+
+def test_what_narrows_the_reach_is_named(backhoe: bp.Robot) -> None:
+    """A goal at the left, with the swing kept within 1 rad by a zone, and with the swing held straight ahead."""
+    posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    sector = {"kind": "swing_sector", "name": "road", "from": -1.0, "to": 1.0, "stop": 0.0}
+    content = {"version": 1, "start": {"joints": posture}, "task": {"goal": {"position": [0.5, 4.0, 0.8]}}}
+    message = bp.plan(backhoe, bp.scene_from_dict({**content, "zones": [sector]}), effort="quick").message
+    assert "with swing at the limit (within road)" in message
+    message = bp.plan(backhoe, bp.scene_from_dict({**content, "hold": {"swing": 0.0}}), effort="quick").message
+    assert message.endswith("; held are swing at 0")
 
 
 def test_a_path_that_begins_out_of_reach_is_reported_with_its_beginning(planar4: bp.Robot) -> None:

@@ -11,12 +11,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_jobs import small_job
+import yaml
+from small_jobs import TINY, small_job
 
 import backhoe_planner as bp
 from backhoe_planner.job import Job, build_worksite, load_job_plan
 from backhoe_planner.machine import Base, Robot
-from backhoe_planner.standing import MachineFootprint, SiteMap, layout, site_map, spot_finder, stand_to_dict
+from backhoe_planner.standing import (
+    MachineFootprint,
+    SiteMap,
+    check_stand_outputs,
+    layout,
+    site_map,
+    spot_finder,
+    stand_to_dict,
+)
 from backhoe_planner.standing.reach_map import reach_map
 
 TRENCH = {"width": 0.6, "depth": 0.3}
@@ -222,3 +231,15 @@ def test_the_files_of_an_answer_can_be_loaded_as_jobs_and_plans(answer: bp.Stand
     assert load_job_plan(plan).cost == pytest.approx(answer.cost)
     assert np.loadtxt(ground, delimiter=",").shape == answer.places[0].plan.start.shape
     assert stand_to_dict(answer)["cost"] == pytest.approx(answer.cost)
+
+
+def test_files_that_cannot_be_written_are_found_before_the_search(tmp_path: Path) -> None:
+    job = bp.job_from_dict(TINY)
+    check_stand_outputs(tmp_path / "stand.json", job)
+    (tmp_path / "stand_2.json").mkdir()
+    check_stand_outputs(tmp_path / "stand.json", job, places=1)
+    with pytest.raises(bp.OutputError, match=r"stand_2\.json: is a folder"):
+        check_stand_outputs(tmp_path / "stand.json", job)
+    (tmp_path / "dig_1.yaml").write_text(yaml.safe_dump(TINY))
+    with pytest.raises(bp.OutputError, match=r"dig_1\.yaml: is an input of this command"):
+        check_stand_outputs(tmp_path / "dig.json", bp.load_job(tmp_path / "dig_1.yaml"))
