@@ -753,7 +753,7 @@ def test_inspect_prints_torque_limits_of_any_size(run: Run, tmp_path: Path, give
 
 
 def test_plan_and_page_cannot_be_the_same_file(run: Run, tmp_path: Path) -> None:
-    assert "where another output goes" in refused(
+    assert "the path of another output" in refused(
         run, tmp_path, "plan", PLANAR4, scene_file(tmp_path), "-o", "both.json", "--html", "both.json"
     )
 

@@ -79,6 +79,7 @@ def test_an_interrupted_job_reports_its_cycles_and_resumes_with_the_same_setting
     assert resumed[2:] == [None]
 
 
+@pytest.mark.long
 def test_job_and_stand_warn_of_machine_meshes_and_far_obstacles(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine without masses, an open crate on its site, and a pipe whose position is in millimetres."""
     urdf = bp.load_robot("example:backhoe").urdf.path.read_text()

@@ -184,6 +184,7 @@ def steps() -> list[bp.JobPlan]:
     return found
 
 
+@pytest.mark.long
 def test_a_job_ends_as_full_when_no_truck_has_room(steps: list[bp.JobPlan]) -> None:
     assert (steps[-1].reason, len(steps[-1].cycles)) == ("full", 1)
     left = [one for one in steps[-1].undug if one.reason == "left"]
@@ -218,6 +219,7 @@ def test_a_start_outside_joint_limits_is_refused_before_planning() -> None:
         plan_job(job)
 
 
+@pytest.mark.long
 def test_soil_too_hard_for_a_cut_of_3_cm_ends_as_too_hard() -> None:
     """With 80 times the cohesion of common earth, 3 cm resist like 2.4 m of it."""
     plan = plan_job(small_job(soil={"cohesion": 400e3}), effort="quick")
@@ -235,6 +237,7 @@ def test_a_trench_askew_to_the_arm_is_not_reported_as_having_steep_ends() -> Non
     assert not any("the ends are too steep" in one.words for one in undug)
 
 
+@pytest.mark.long
 def test_a_wide_trench_in_line_with_the_arm_is_not_reported_as_askew() -> None:
     """Its lanes fan out along the walls, the near ones by more than a tenth."""
     site = build_worksite(small_job(dig=trench(**{"from": [4.4, 0.0], "to": [2.2, 0.0], "width": 1.5})))

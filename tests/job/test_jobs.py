@@ -148,6 +148,7 @@ def test_the_depth_of_the_design_counts_from_the_ground_of_the_job_not_the_surve
     assert np.nanmin(found.design) == pytest.approx(-0.4, abs=1e-12)
 
 
+@pytest.mark.long
 def test_level_ground_extends_beyond_its_grid() -> None:
     # the bucket is at z -3 m, outside the grid
     below = {"start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}}

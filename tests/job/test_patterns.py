@@ -181,7 +181,9 @@ def test_joints_for_many_rows_of_places_equal_those_for_each_row() -> None:
     np.testing.assert_allclose(site.plane.place(q[found]), wanted, atol=1e-9)
 
 
-@pytest.mark.parametrize("width", [0.67, pytest.param(0.75, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "width", [pytest.param(0.67, marks=pytest.mark.long), pytest.param(0.75, marks=pytest.mark.long)]
+)
 def test_the_proof_of_a_cut_along_a_wall_counts_all_soil_and_holds_after_loading(width: float, tmp_path: Path) -> None:
     """Along a wall the ends of the blade take soil that a profile of its middle does not contain."""
     dig = {"trench": {"from": [4.2, 0.0], "to": [2.9, 0.0], "width": width, "depth": 0.4}}

@@ -335,6 +335,7 @@ def test_a_detour_that_becomes_blocked_is_replaced_by_another(backhoe: Robot) ->
     assert least_margin(backhoe, steps, ball, second) >= -1e-6
 
 
+@pytest.mark.long
 def test_a_distant_new_obstacle_does_not_change_the_detour(backhoe: Robot) -> None:
     executor = Immediate()
     servo = Servo(backhoe, site(backhoe), DT)

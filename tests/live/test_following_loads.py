@@ -96,6 +96,7 @@ def test_a_rod_that_is_too_long_stops_the_machine_at_the_wall(
     assert nearest.margin >= 0.0
 
 
+@pytest.mark.long
 def test_margins_in_each_leg_are_those_of_the_machine_with_its_load(backhoe: Robot, with_rod: Plan) -> None:
     servo = Servo(backhoe, with_rod.scene, dt=DT)
     servo.add(wall_at(backhoe, 0.37))  # near enough to be checked, and never reached

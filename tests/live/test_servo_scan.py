@@ -471,6 +471,7 @@ def test_insufficient_boxes_are_searched_again_only_every_tenth_step_while_braki
     assert found[4:] == [200, 201, 202]
 
 
+@pytest.mark.long
 def test_a_machine_at_rest_next_to_a_scan_evades_an_approaching_person(backhoe: Robot) -> None:
     servo = slid_along_a_wall(backhoe)
     for _ in range(50):

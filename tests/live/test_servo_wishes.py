@@ -254,6 +254,7 @@ def stones_around(robot: Robot, q: list[float], count: int, rng: np.random.Gener
     return [stone for number, stone in enumerate(stones) if number not in too_near]
 
 
+@pytest.mark.long
 def test_the_work_of_a_step_is_bounded_between_hundreds_of_obstacles(panda: Robot) -> None:
     """In every direction, corners of most links come too close to many obstacles at once.
 

@@ -90,6 +90,7 @@ def test_a_mesh_is_closed_unless_a_part_of_it_is_open(name: str) -> None:
     assert not is_closed(trimesh.util.concatenate([FACE, two_sided(SHEET)]))
 
 
+@pytest.mark.long
 def test_a_coarse_body_with_a_fine_detail_is_solid_just_below_its_surface() -> None:
     ground = trimesh.creation.box((200.0, 200.0, 60.0))  # its top is at height 0
     ground.apply_translation([0.0, 0.0, -30.0])

@@ -293,6 +293,7 @@ terrains = st.tuples(st.integers(2, 6), st.integers(2, 6)).flatmap(
 )
 
 
+@pytest.mark.long
 @given(terrains, st.sampled_from([0.0, 0.02, 0.3]))
 def test_columns_contain_the_surface_and_the_ground_below(heights: Matrix, tolerance: float) -> None:
     size = (4.0, 6.0)

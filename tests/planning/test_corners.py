@@ -65,6 +65,7 @@ def test_a_reversal_of_the_path_remains_a_stop(planar4: bp.Robot) -> None:
     np.testing.assert_allclose(left, [0.6])
 
 
+@pytest.mark.long
 def test_waypoints_half_a_micrometre_apart_before_a_corner_are_followed(backhoe: bp.Robot) -> None:
     """The direction is taken 1 um from a waypoint, here beyond the next one, so that the first seems to bend."""
     points = [[4.0, 0.0, 0.0], [4.0, 0.5, 0.0], [4.0, 0.5 + 5e-7, 0.0], [3.6, 0.5, 0.0]]
@@ -90,6 +91,7 @@ def test_a_path_without_length_is_refused(backhoe: bp.Robot, points: list[dict[s
         bp.plan(backhoe, scene)
 
 
+@pytest.mark.long
 def test_a_fine_polyline_has_no_stops(backhoe: bp.Robot) -> None:
     """9 points on an arc: the tip stops only at the ends."""
     points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.3] for a in np.linspace(-0.4, 0.4, 9)]

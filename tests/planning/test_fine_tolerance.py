@@ -82,6 +82,7 @@ def test_sharp_corners_are_followed_within_the_tolerance_without_obstacles(
     assert largest_error(plan) <= plan.certificate.tracking.max_error <= tolerance
 
 
+@pytest.mark.long
 def test_a_motion_is_certified_for_a_tolerance_above_its_error_only(panda: bp.Robot) -> None:
     """With 1.5 times the error of the tip as the tolerance, but not with 0.9 times."""
     path = {"waypoints": LINE, "tolerance": 0.005, "detour": False}

@@ -74,6 +74,7 @@ def test_the_machine_waits_or_gives_way_to_a_worker_who_crosses_the_path(backhoe
     assert found.trajectory.duration > alone.trajectory.duration
 
 
+@pytest.mark.long
 def test_a_goal_is_reached_past_a_walking_worker(backhoe: bp.Robot) -> None:
     walker = WORKER | {"from": [3.0, 5.0, 0.0], "to": [3.0, 5.0, 1.8], "velocity": [0.0, -0.8, 0.0]}
     assert plan(backhoe, GOAL, walker).verified

@@ -401,6 +401,7 @@ def test_a_saving_is_described_without_a_sign(percent: float, words: str) -> Non
     assert whole == f"{words} {'as' if words == 'as much' else 'than'} the law's"
 
 
+@pytest.mark.long
 def test_a_path_begins_where_its_cost_and_that_of_the_approach_are_least_together(backhoe: bp.Robot) -> None:
     """The plan of least effort could have been the fastest plan of the same scene.
 

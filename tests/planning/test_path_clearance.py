@@ -72,6 +72,7 @@ def test_a_route_keeps_an_additional_distance_where_possible(backhoe: bp.Robot) 
     assert from_the_ball(proximity, moved.q) >= clearance + FURTHER
 
 
+@pytest.mark.long
 def test_a_path_whose_motion_is_proven_too_near_is_planned_again(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

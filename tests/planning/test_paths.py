@@ -123,6 +123,7 @@ def beside_a_wall(gap: float) -> bp.Scene:
     return site([[1.4, -0.5, 0.0], [1.4, 0.5, 0.0]], [wall], detour=False)
 
 
+@pytest.mark.long
 def test_a_path_along_a_wall_at_exactly_the_clearance_is_verified(elbow: bp.Robot) -> None:
     found = bp.plan(elbow, beside_a_wall(CLEARANCE), effort="quick")
     assert found.verified
@@ -186,6 +187,7 @@ def test_a_waypoint_past_the_swing_limit_is_reported_with_the_joint_and_its_dist
     assert nearest(found).position_error == pytest.approx((np.array(points[2]) - axis) @ outward, rel=0.02)
 
 
+@pytest.mark.long
 def test_an_obstacle_at_the_end_of_a_path_blocks_it_up_to_the_end(planar4: bp.Robot) -> None:
     found = bp.plan(planar4, site(LINE, [ball(2.0, 1.0, 0.2)]), effort="quick")
     near = 0.2 + CLEARANCE
@@ -262,7 +264,11 @@ def test_redundancy_is_the_dimension_of_the_null_space(
 
 @pytest.mark.parametrize(
     ("name", "asked"),
-    [("backhoe", ""), ("panda", "rotation"), pytest.param("telescope", "pitch", marks=pytest.mark.long)],
+    [
+        ("backhoe", ""),
+        pytest.param("panda", "rotation", marks=pytest.mark.long),
+        pytest.param("telescope", "pitch", marks=pytest.mark.long),
+    ],
 )
 def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     """Every solution of the inverse kinematics, from random guesses, has a node within two grid steps."""

@@ -334,6 +334,7 @@ def test_a_failed_or_interrupted_search_prints_nothing(tmp_path: Path, mode: str
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
 
 
+@pytest.mark.long
 def test_a_command_that_sampled_prints_no_error_at_its_end(tmp_path: Path) -> None:
     """No object of OMPL, which would complain, is left when the process ends."""
     scene = {

@@ -153,6 +153,7 @@ def test_a_carried_load_counts_as_a_link_of_the_machine(backhoe: Robot) -> None:
     assert loaded.pieces_of(("boom",)) == bare.pieces_of(("boom",))
 
 
+@pytest.mark.long
 def test_a_given_motion_is_a_leg_after_an_approach_to_its_beginning(backhoe: Robot, done: Plan) -> None:
     problem = build_problem(backhoe, scene_of(LEGS[0], {"name": "cut", "wait": 1.0}))
     q = done.trajectory.q[done.legs[0].last] + np.array([0.05, 0.02, 0.0, 0.0])
@@ -242,6 +243,7 @@ def test_a_sequence_reports_if_time_ran_out(backhoe: Robot) -> None:
         assert bool(plan.note) == bool(said)
 
 
+@pytest.mark.long
 def test_other_ends_are_tried_if_a_later_leg_fails(backhoe: Robot) -> None:
     either = {"name": "either", "goal": [NEAR, FAR]}
     level = {"name": "high", "goal": {"position": [4.0, 1.0, 1.4]}, "keep": {"above": 0.6}}

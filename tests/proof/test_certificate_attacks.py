@@ -100,6 +100,7 @@ def test_velocities_that_do_not_fit_the_motion_are_reported(backhoe: bp.Robot) -
     assert any("velocities" in problem for problem in bp.certify(backhoe, given, lying).problems)
 
 
+@pytest.mark.long
 def test_a_corner_cut_between_two_samples_is_not_followed(backhoe: bp.Robot) -> None:
     """Both samples are on the path; the chord between them misses the corner by more than the tolerance."""
     corner = [[4.6, 0.0, -0.3], [4.6, 0.4, -0.3], [4.2, 0.4, -0.3]]
@@ -278,6 +279,7 @@ def test_a_plan_whose_file_requests_less_speed_is_not_verified(backhoe: bp.Robot
     assert "125 % of the asked 0.4 m/s" in again.message
 
 
+@pytest.mark.long
 def test_on_the_approach_and_on_a_detour_the_tip_may_be_faster(backhoe: bp.Robot) -> None:
     stone = {"name": "stone", "shape": "sphere", "radius": 0.15, "position": [4.1, 0.0, -0.35]}
     path = {"waypoints": [{"position": [4.6, 0.0, -0.3]}, {"position": [3.6, 0.0, -0.6]}], "speed": 0.1}

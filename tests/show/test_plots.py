@@ -134,6 +134,7 @@ def test_the_envelope_has_the_data_sheets_figures(backhoe: Robot, tmp_path: Path
         assert figure in text
 
 
+@pytest.mark.long
 def test_the_envelope_of_a_planar_arm_is_plotted(planar4: Robot, tmp_path: Path) -> None:
     plot_envelope(planar4, tmp_path / "reach.png")
     assert (tmp_path / "reach.png").read_bytes().startswith(MAGIC[".png"])

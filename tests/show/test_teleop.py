@@ -619,6 +619,7 @@ def test_every_change_of_the_site_is_in_the_recording_or_its_notes(seed: int, ba
                 np.testing.assert_allclose(there[name], expected, atol=2 * session.dt)
 
 
+@pytest.mark.long
 def test_only_a_recording_has_unrecorded_changes(backhoe: Robot) -> None:
     plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
     assert (is_recording(plan), unrecorded_changes(plan)) == (False, ())

@@ -80,11 +80,13 @@ def test_if_no_cut_fills_the_bucket_the_fullest_cuts_count(keys: dict[str, Any])
     assert found.bank.max() < build_worksite(_job(**keys)).volume / 1.25  # in loose soil, with the default swell
 
 
+@pytest.mark.long
 def test_soil_that_cannot_be_cut_is_reported_with_the_force_of_a_3_cm_cut() -> None:
     with pytest.raises(bp.SceneError, match=r"makes no cut in this soil; found .*even at 3 cm it takes \w+: \d+ of"):
         reach_map(_job(soil={"cohesion": 1e6}), ground=0.0, depth=0.3)
 
 
+@pytest.mark.long
 def test_a_trench_as_wide_as_the_bucket_is_dug_only_from_its_own_line(plain: SiteMap) -> None:
     stands = np.isfinite(plain.cost)
     assert stands.any()
@@ -104,6 +106,7 @@ def test_a_symmetric_site_has_the_same_cost_from_both_sides(plain: SiteMap) -> N
     np.testing.assert_allclose(plain.share, plain.share[:, ::-1], atol=1e-9)
 
 
+@pytest.mark.long
 def test_moving_the_site_moves_its_map(plain: SiteMap) -> None:
     def moved(x: float, y: float) -> list[float]:
         return [AT[0] - y, AT[1] + x]  # a quarter turn, then a shift

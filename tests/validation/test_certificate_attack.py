@@ -20,7 +20,7 @@ from validation.raw_obstacles import RawObstacle, read_obstacle
 from validation.raw_urdf import read_raw_urdf, rotation_of
 from validation.signed_distances import SignedDistance, box_distance, capsule_distance, cylinder_distance
 
-FIRSTS = (15, 25)  # first seeds of two machines that are quick to compare
+FIRSTS = (45,)  # first seeds of machines that are quick to compare
 SEEDS = [seed for first in FIRSTS for seed in range(first, first + TURNS)]
 
 
@@ -57,6 +57,7 @@ def raised(certificate: bp.Certificate, by: float) -> bp.Certificate:
     return replace(certificate, clearances=entries)
 
 
+@pytest.mark.long
 def test_a_certificate_that_claims_5_mm_more_is_refuted(attacks: list[tuple[Attack, bp.Certificate]]) -> None:
     told = [compare(attack, raised(honest, 0.005)) for attack, honest in attacks]
     causes = [r.cause for one in told for r in one.refutations]

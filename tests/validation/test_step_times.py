@@ -49,6 +49,7 @@ def test_earlier_garbage_is_collected_only_after_the_timing(raised: type[Excepti
     assert seen() is None
 
 
+@pytest.mark.long
 def test_objects_frozen_before_the_timing_stay_frozen() -> None:
     before = gc.get_freeze_count()
     assert before > 0  # everything that exists before the first test
