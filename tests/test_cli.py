@@ -374,6 +374,20 @@ def test_inspect_prints_the_extent_of_each_obstacle(run: Run, tmp_path: Path) ->
     assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1 piece"
 
 
+def test_inspect_prints_what_moves_or_appears_and_the_swing_sectors(run: Run, tmp_path: Path) -> None:
+    sector = {"kind": "swing_sector", "name": "road", "from": -1.0, "to": 1.2, "stop": 0.2}
+    walker = {"name": "walker", "shape": "sphere", "radius": 0.3, "position": [4, -3, 1]}
+    content = REACH | {
+        "obstacles": [walker | {"velocity": [0.3, 0.4, 0.0], "appears_at": 2.0}, walker | {"name": "post"}],
+        "zones": [sector],
+    }
+    status, said, _ = run("inspect", PLANAR4, scene_file(tmp_path, content))
+    assert status == 0
+    assert "  walker appears at 2 s and moves at 0.50 m/s\n" in said
+    assert "  post " not in said
+    assert "  road (zone, swing_sector) keeps joint1 within -45.8 to 57.3 deg\n" in said  # -0.8 to 1 rad
+
+
 def test_inspect_prints_the_position_of_joints_that_do_not_move_the_tip(run: Run) -> None:
     status, said, _ = run("inspect", "example:panda", "--tip", "panda_hand")
     assert status == 0

@@ -88,8 +88,8 @@ def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Rob
 
 def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
     """Print where every obstacle and zone is, and how many parts it has."""
-    obstacles = site.build_obstacles(scene, robot)
-    if not obstacles:
+    obstacles, sectors = site.build_obstacles(scene, robot), site.swing_sectors(robot, scene).values()
+    if not obstacles and not sectors:
         OUT.print("\nsite          no obstacles")
         return
     print_warnings(site.obstacle_warnings(robot, obstacles))
@@ -100,7 +100,21 @@ def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
         spans = [_span(float(a), float(b)) for a, b in zip(low, high, strict=True)]
         shape = obstacle.spec.shape if obstacle.zone is None else f"zone, {obstacle.zone.kind}"
         table.add_row(obstacle.name, shape, *spans, _parts_of(obstacle))
-    OUT.print(table)
+    if obstacles:
+        OUT.print(table)
+    for obstacle in obstacles:
+        if words := _changes(obstacle):
+            OUT.print(f"  {obstacle.name} {words}")
+    for zone in sectors:
+        low, high = DEGREES * (zone.start + zone.stop), DEGREES * (zone.end - zone.stop)
+        OUT.print(f"  {zone.name} (zone, {zone.kind}) keeps {robot.joint_names[0]} within {low:.1f} to {high:.1f} deg")
+
+
+def _changes(obstacle: bp.Obstacle) -> str:
+    """When an obstacle appears and how fast it moves; empty if it stands still from the beginning."""
+    speed = math.hypot(*obstacle.velocity.tolist())
+    parts = [f"appears at {obstacle.appears_at:g} s"] * (obstacle.appears_at > 0.0)
+    return " and ".join([*parts, *[f"moves at {speed:.2f} m/s"] * (speed > 0.0)])
 
 
 def _span(low: float, high: float) -> str:

@@ -85,7 +85,7 @@ def test_the_page_shows_the_work_and_energy_of_the_plan(plan: JobPlan) -> None:
     assert facts["Work"][0] == f"{figures.work / 1e3:.0f} kJ"
     assert facts["Energy"] == (
         f"{figures.kwh_per_m3:.3f} kWh/m³",
-        f"in the ground, from the pump; about {plan.fuel:.2f} l of diesel",
+        f"of soil in the ground, from the pump; in all about {plan.fuel:.2f} l of diesel",
     )
     assert figures.kwh_per_m3 * 3.6e6 * plan.bank > plan.work
 

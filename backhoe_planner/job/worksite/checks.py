@@ -154,8 +154,8 @@ def _check_any(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: M
     raise SceneError(
         "cannot be dug anywhere", file=site.job.file,
         key="dig.trench" if site.job.dig.trench is not None else "dig.surface", found=_causes(lanes) or "out of reach",
-        hint="stand nearer or farther; what is protected stays, with its clearance; the teeth go in and come out "
-        "along slopes, which needs length",
+        hint="obstacles stay undug, with their clearance: move them or the dig; or place the machine elsewhere, as the "
+        "teeth go in and come out along slopes, which needs length",
     )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
 def _whence(plan: JobPlan) -> str:
     if plan.robot.hydraulics is None:
         return "in the ground, at the joints"
-    return f"in the ground, from the pump; about {plan.fuel:.2f} l of diesel"
+    return f"of soil in the ground, from the pump; in all about {plan.fuel:.2f} l of diesel"
 
 
 def cycle_rows(plan: JobPlan) -> list[dict[str, Any]]:

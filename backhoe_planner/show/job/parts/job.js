@@ -137,7 +137,9 @@
   for (const one of job.compared) {
     const row = patterns.insertRow();
     if (one.chosen) row.className = "chosen";
-    row.append(element("td", "", one.name), element("td", "", `${one.cycles} cycles`),
+    const name = element("td", "", one.name);
+    if (!one.finished) name.append(element("span", "hint", " leaves some"));
+    row.append(name, element("td", "", `${one.cycles} cycles`),
       element("td", "", `${number(one.duration / 60, 1)} min`), element("td", "", `${number(one.work / 1e6, 2)} MJ`));
   }
   get("legs").hidden = get("now").hidden = get("cycles-section").hidden = job.cycles.length === 0;
