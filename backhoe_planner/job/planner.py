@@ -179,7 +179,7 @@ class _Run:
                     break
                 if made.part == "limits":  # a shallower cut exceeds them, too
                     too_hard = made.words
-                elif found.step != WALLS:  # most of the soil is dug even without a last cut along a wall
+                elif found.step != WALLS and made.part != "rules":  # without a last cut along a wall most is dug
                     stopped = made.words
                 leave_out(found)
                 if refused > _MOST_REFUSED:

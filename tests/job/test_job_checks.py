@@ -127,6 +127,16 @@ def test_a_job_without_a_swing_motion_to_the_dump_ends_as_blocked(monkeypatch: p
     assert (found.verdict, found.reason, found.note) == ("failed", "blocked", words)
 
 
+def test_a_job_whose_cuts_break_a_rule_ends_as_not_done_since_nothing_is_in_the_way(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    words = "the underside of the plate rubs"
+    monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("rules", words))
+    found = plan_job(small_job(), effort="quick")
+    assert (found.verdict, found.reason) == ("failed", "not_done")
+    assert found.note.endswith(words)
+
+
 @pytest.mark.long
 def test_a_job_whose_cuts_along_a_wall_alone_fail_ends_as_not_done(
     monkeypatch: pytest.MonkeyPatch,

@@ -35,9 +35,9 @@ class Failed:
 
     Attributes
     ----------
-    part: ``cut`` if the cut is impossible, so that another may be tried, or ``limits`` if the cut exceeds what the
-        machine can do; otherwise ``approach``, ``swing``, ``dump``; ``full`` if no more soil can be dumped, and
-        ``unreachable`` if the bucket cannot be emptied anywhere.
+    part: ``cut`` if nothing leads along the cut, so that another may be tried, ``rules`` if its motion breaks a rule of
+        cuts, or ``limits`` if the cut exceeds what the machine can do; otherwise ``approach``, ``swing``, ``dump``;
+        ``full`` if no more soil can be dumped, and ``unreachable`` if the bucket cannot be emptied anywhere.
     words: the same in a sentence.
     """
 
@@ -154,7 +154,7 @@ class CyclePlanner:
             motion = cut_motion(site, cut, path, pace=pace)
             broken = broken_rules(site.digger, profile, motion.q, swing=cut.swing)
             if broken:
-                return Failed("cut", "; ".join(broken))
+                return Failed("rules", "; ".join(broken))
             digging, _ = dig(site, motion, cut.swing, state.ground)
             load = load_of(site, cut.swing, digging)
             problem = cut_problem(site, load, digging, self.leg_problem("cut", motion, state, 0.0), state.ground)
