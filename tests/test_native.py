@@ -792,8 +792,8 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 }  # fmt: skip
 
 
-# functions that may answer instead of coal; their plain versions leave the answer to coal, so what they answer is held
-# against coal itself: tests/machine/test_clusters.py, tests/site/test_clearance_screen.py, tests/site/test_over_ground.py
+# Functions that may answer instead of coal. Their plain versions leave the answer to coal, with which they are compared
+# in tests/machine/test_clusters.py, tests/site/test_clearance_screen.py, tests/site/test_over_ground.py.
 OF_COAL = (
     first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, distances_within,
     kept_over_ground, read_over_ground,
