@@ -392,7 +392,10 @@ class PlanFollower:
             kept = f"; {self._kept.lost}" if self._kept.lost else ""
             return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}"
         if self._round is not None:
-            return FollowerStatus.GOING_ROUND, "" if self._round.around is None else f"round {self._round.around}"
+            return (
+                FollowerStatus.GOING_ROUND,
+                "back to the plan" if self._round.around is None else f"round {self._round.around}",
+            )
         return FollowerStatus.FOLLOWING, ""
 
     @staticmethod

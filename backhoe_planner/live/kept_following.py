@@ -58,8 +58,9 @@ class KeptFollowing:
             return 1.0
         gradients, across = self._keep.gradients(q), _across(v, rates)
         stopping = max(_BRAKED * float(np.max(np.abs(across) / self._limits.acceleration)), _SLIDES)
-        # being ahead on the plan or behind loses nothing: only what is beside it
-        beside, sliding = gradients @ _across(q - reference.q, rates), gradients @ across
+        # being ahead on the plan or behind loses nothing, as long as the plan goes that far: only what is beside it
+        abreast = reference.at(max(reference.clock + _ahead(q - reference.q, rates), 0.0))
+        beside, sliding = gradients @ (q - abreast), gradients @ across
         if not ((beside < -_LEAST) | (beside + stopping * sliding < -_LEAST)).any():
             if time >= self._until:
                 self._lost = ""
@@ -73,6 +74,12 @@ class KeptFollowing:
             return None
         lost = beside < -_LEAST
         return float(np.min((left[lost] + _LEAST) / -beside[lost], initial=1.0))
+
+
+def _ahead(off: Vector, rates: Vector) -> float:
+    """How far ahead of the plan's clock a machine is that is `off` (n,) from it [s]; negative if it is behind."""
+    along = float(rates @ rates)
+    return min(max(float(off @ rates) / along, -_AHEAD), _AHEAD) if along > _STILL else 0.0
 
 
 def _across(vector: Vector, rates: Vector) -> Vector:

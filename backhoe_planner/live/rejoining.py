@@ -160,7 +160,7 @@ class _Search:
 
     def _why(self, here: Obstruction | None) -> str:
         """Why no detour was found, in words."""
-        kept = "" if self._problem.keep is None else ", keeping what is asked for on the way"
+        kept = "" if self._problem.keep is None else "; a way around it must satisfy `keep`"
         return f"{self._what_stands(here)}{kept}"
 
     def _what_stands(self, here: Obstruction | None) -> str:

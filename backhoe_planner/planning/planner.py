@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Problem, TipPath, Trajectory, drive_of, retime, slow_tip
+from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, retime, slow_tip
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _SLOWER = 3  # at most so many plans, each with slower joints; chosen, because each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen; slower joints are not tried for a load so far beyond its limit
 _APART = (5e-4, 3e-3)  # m added to the clearance, tried in turn; chosen: a curve swings out by some tenths of a mm
+_LONGER = 1.1  # times the fastest motion past moving obstacles, that one of little cost may take; chosen
 _LONG_SEARCH = 4  # times the usual starting points, for a start given by the tip; chosen: all else depends on it
 
 
@@ -57,7 +58,20 @@ def plan_motion(
     effort: how much counted work the searches may do.
     brake: ends a search that takes too long; by default there is no time limit.
     """
-    brake = brake or Brake()
+    settings: dict[str, Any] = {"seed": seed, "effort": effort, "brake": brake or Brake(), "watch": watch}
+    outcome, certificate = _plan_motion(problem, method, **settings)
+    if outcome.reason == "blocked" and problem.is_dynamic and problem.goals and not problem.objective.is_time:
+        found = _past_movers(problem, method, **settings)
+        outcome, certificate = found or (outcome, certificate)
+    if certificate.verified and outcome.reason:  # the machine already stands at the goal, within its tolerance
+        outcome = replace(outcome, reason="", message="")
+    return outcome, certificate
+
+
+def _plan_motion(
+    problem: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
+) -> tuple[Outcome, Certificate]:
+    """The same, without a second look at moving obstacles."""
     if problem.wait is not None:
         assert problem.start_q is not None
         rest = Trajectory.from_steps(np.array([0.0, problem.wait]), np.tile(problem.start_q, (2, 1)))
@@ -76,9 +90,26 @@ def plan_motion(
             slowed,
             limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
         )
-    if certificate.verified and outcome.reason:  # the machine already stands at the goal, within its tolerance
-        outcome = replace(outcome, reason="", message="")
     return outcome, certificate
+
+
+def _past_movers(problem: Problem, method: Method, **settings: Any) -> tuple[Outcome, Certificate] | None:
+    """A motion past moving obstacles that slow motions of little cost meet, and its proof; None if none is found.
+
+    A fast motion is planned first, then one of little cost that takes not much longer.
+
+    Parameters
+    ----------
+    settings: as for `plan_motion`.
+    """
+    found, certificate = _plan_motion(replace(problem, objective=OBJECTIVES["time"]), method, **settings)
+    if found.reason or not certificate.verified:
+        return None
+    longest = min(_LONGER * found.trajectory.duration, problem.max_duration)
+    cheaper, certificate = _plan_motion(replace(problem, max_duration=longest), method, **settings)
+    if not cheaper.reason and certificate.verified:
+        found = cheaper
+    return found, certify_motion(problem, found.trajectory)
 
 
 def _find_proven(

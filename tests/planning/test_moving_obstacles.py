@@ -128,3 +128,18 @@ def test_a_machine_that_gave_way_goes_on_once_the_worker_has_passed(backhoe: bp.
     assert found.verified
     assert refutations(found) == []
     assert found.metrics.duration < 15.0
+
+
+@pytest.mark.long
+def test_a_fast_motion_past_a_car_is_found_if_all_slow_ones_of_little_work_meet_it(backhoe: bp.Robot) -> None:
+    car = {
+        "name": "car", "shape": "box", "size": [0.8, 0.8, 2.5], "position": [2.6, -1.5, 1.2], "velocity": [0, 1.0, 0],
+        "clearance": 0.3,
+    }  # fmt: skip
+    start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+    content = {"version": 1, "start": start, "task": {"goal": {"position": [1.2, 2.4, 1.5]}}, "obstacles": [car]}
+    plan = bp.plan(backhoe, bp.scene_from_dict({**content, "objective": "work"}), effort="quick")
+    assert plan.verified, plan.message
+    fastest = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.metrics.energy["work"] <= 1.01 * fastest.metrics.energy["work"]
+    assert plan.certificate.duration is None

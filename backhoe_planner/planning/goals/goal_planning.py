@@ -59,7 +59,9 @@ class ToGoal:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             branch.play(best.motion)
             message = f"{ended}; the search for a better motion was not finished" if ended else ""
-            allowed = None if searched.allowed_time is None else stepper.time + searched.allowed_time
+            allowed = searched.allowed_time
+            if allowed is not None:
+                allowed = min(stepper.time + allowed, world.problem.max_duration)
             findings = Findings(way=best.way, allowed_time=allowed)
             return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = f"none of the {searched.looked_at:,} motions that were sampled leads there"

@@ -106,6 +106,9 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
             + (f" ({q[j]:.4g} degrees are {meant[j]:.4g} rad)" if np.isfinite(meant[j]) else "")
             for j in outside
         )
+        sectors = [zone.name for zone in swing_sectors(world.problem.robot, world.problem.scene).values()]
+        if sectors and outside[0] == 0:
+            words += f" (within {' and '.join(sectors)})"
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
