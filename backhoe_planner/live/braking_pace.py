@@ -53,10 +53,13 @@ class BrakingPace:
     """
 
     def __init__(self, reference: Reference, limits: JointLimits, parts: Sequence[PlanPart]) -> None:
+        if reference.end <= 0.0:
+            self._time, self._pace = np.zeros(1), np.ones(1)
+            return
         count = max(round(reference.end / _STEP), 1) + 1
         self._time = np.linspace(0.0, reference.end, count)
         q = np.array([reference.at(time) for time in self._time.tolist()])
-        v = np.gradient(q, self._time, axis=0) if reference.end > 0.0 else np.zeros_like(q)
+        v = np.gradient(q, self._time, axis=0)
         line = 0.5 * v * np.max(np.abs(v) / (BRAKING * limits.acceleration), axis=1)[:, None]
         part = np.searchsorted([one.begins for one in parts], self._time, side="right") - 1
         pace = np.ones(count)

@@ -150,3 +150,10 @@ def test_the_plan_goes_on_only_as_fast_as_braking_straight_ahead_keeps_the_band(
 def reference_rates(reference: Reference, moment: float) -> np.ndarray:
     """(n,) the rates of the reference at `moment` [s]."""
     return np.asarray((reference.at(moment + 1e-4) - reference.at(moment - 1e-4)) / 2e-4)
+
+
+def test_a_motion_of_one_sample_has_a_pace(backhoe: bp.Robot) -> None:
+    rest = bp.Trajectory.from_steps(np.zeros(1), np.array([A]))
+    screen = ClearanceScreen(bp.Proximity(backhoe, []))
+    parts = [PlanPart(0.0, keep_of(backhoe, level_scene()), screen)]
+    assert BrakingPace(Reference(rest, backhoe.limits), backhoe.limits, parts).at(0.0) == 1.0

@@ -99,3 +99,9 @@ def test_a_max_duration_without_a_meaning_is_refused(task: dict[str, Any], said:
     with pytest.raises(bp.SceneError) as caught:
         scene(task)
     assert said in str(caught.value)
+
+
+def test_far_more_time_than_needed_costs_no_more_search(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, reach(10_000.0, objective="work"), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.trajectory.duration < 100.0

@@ -627,6 +627,15 @@ BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
     "missing": (None, ["no such path file"]),
     "empty": ("", ["empty"]),
     "blank": ("\n\n", ["empty"]),
+    "commas only": (",,\n,,\n", ["the file is empty"]),
+    "quaternion of a pose": (
+        "x,y,z,pose.orientation.w,ow\n1,2,3,1,0\n4,5,6,1,0\n",
+        ["header", "other", "found pose.orientation.w"],
+    ),
+    "roll in degrees": (
+        "x,y,z,roll_deg,pitch [rad]\n1,2,3,0,1\n4,5,6,0,1\n",
+        ["header", "found roll_deg, pitch [rad]"],
+    ),
     "header only": ("x,y,z\n", ["at least 2 waypoints", "found 0"]),
     "one row": ("x,y,z\n1,2,3\n", ["at least 2 waypoints", "found 1"]),
     "no header": ("1,2,3\n4,5,6\n", ["header", "a column is missing: x, y, z", "found 1,2,3"]),

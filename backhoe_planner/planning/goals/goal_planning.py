@@ -107,7 +107,7 @@ class ToGoal:
         longest = world.problem.max_duration
         if not np.isfinite(longest):
             return None
-        least = stepper.time + bound_for_allowed_time(world.problem, stepper.q)
+        least = bound_for_allowed_time(world.problem, stepper.q)
         if least <= longest:
             return None
         message = f"no motion can take less than {least:.2f} s, max_duration allows {longest:g} s"

@@ -57,6 +57,7 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # for another cost than the time and for each of `Effort.ways_at_once`: how many of the cheapest straight lines are
 # also tried with some joints early or late, and how many of all these get a few rounds; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
+_LONGEST = 20.0  # times the fastest motion: chosen, more time costs samples and gains nothing
 _GAIN = 0.005  # part of the cost that counts as a gain
 # times the least time to any posture, from which another search may find a much shorter motion; chosen: on random
 # sites of backhoe, Panda and telescope one motion in fifty takes longer
@@ -225,7 +226,9 @@ class MotionSearch:
                 ended.append(search.best)
                 fastest = search.best.motion
                 # of a motion for which max_duration is too short the certificate says so
-                allowed = max(most, fastest.duration) if np.isfinite(most) else allowed_time(bound, fastest.duration)
+                allowed = allowed_time(bound, fastest.duration)
+                if np.isfinite(most):
+                    allowed = max(min(most, _LONGEST * fastest.duration), fastest.duration)
                 self._descents.longest = min(self._descents.longest, allowed)
                 self._descents.offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
                 if has_room(bound, fastest.duration):

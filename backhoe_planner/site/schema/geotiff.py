@@ -22,7 +22,9 @@ from backhoe_planner.files.found_file import is_file
 
 # numbers of tags and keys in the standard
 _SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _WORDS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 34737, 42112, 42113
-_PHOTOMETRIC, _ORIENTATION, _SAMPLE_FORMAT = 262, 274, 339
+_BITS, _COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _SAMPLE_FORMAT = 258, 259, 262, 274, 339
+_BYTE_COUNTS = (279, 325)  # of strips and of tiles
+_UNCOMPRESSED, _UNSIGNED = 1, 1
 _WHITE_IS_ZERO, _NORTH_WEST_FIRST, _SIGNED = 0, 1, 2
 _MODEL, _RASTER, _UNIT, _UPRIGHT_UNIT = 1024, 1025, 3076, 4099
 _GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
@@ -68,6 +70,7 @@ def read_geotiff(path: Path) -> HeightTable:
                         "is not a height map", file=path, found=f"an image of mode {image.mode}",
                         allowed="one band of numbers",
                     )  # fmt: skip
+                _check_readable(tags, path)
                 numbers = np.array(image)
         except InputError:
             raise
@@ -97,11 +100,29 @@ def read_geotiff(path: Path) -> HeightTable:
 
 def _as_stored(numbers: NDArray[Any], tags: dict[int, Any]) -> NDArray[Any]:
     """The numbers of the file: Pillow takes those of 8 bits for shades, unsigned and brighter the greater they are."""
+    if numbers.dtype == np.int32 and _first(tags.get(_SAMPLE_FORMAT, _UNSIGNED)) == _UNSIGNED:
+        return numbers.view(np.uint32) if _first(tags.get(_BITS)) == 32 else numbers
     if numbers.dtype != np.uint8:
         return numbers
     if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
         numbers = ~numbers
     return numbers.view(np.int8) if _first(tags.get(_SAMPLE_FORMAT)) == _SIGNED else numbers
+
+
+def _check_readable(tags: dict[int, Any], path: Path) -> None:
+    """Refuse what Pillow reads as other numbers than are meant."""
+    with path.open("rb") as stream:
+        is_big_endian = stream.read(2) == b"MM"
+    if is_big_endian and tags.get(_COMPRESSION, _UNCOMPRESSED) != _UNCOMPRESSED:
+        wrong = "is compressed in big-endian order"
+    elif _first(tags.get(_BITS, 8)) < 8:
+        wrong = f"has numbers of {_first(tags[_BITS])} bits"
+    elif any(np.any(np.array(tags.get(tag, 1)) == 0) for tag in _BYTE_COUNTS):
+        wrong = "leaves out tiles (SPARSE_OK)"
+    else:
+        return
+    hint = "gdal_translate -co COMPRESS=LZW makes another file of it"
+    raise InputError(wrong, file=path, allowed="all of it, little-endian, in 8 bits or more", hint=hint)
 
 
 def _first(value: Any) -> Any:

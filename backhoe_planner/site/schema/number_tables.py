@@ -17,7 +17,9 @@ _FEWEST_NUMBERED = 3  # rows from which on a rising first column counts as row n
 
 
 def cells_of(line: str) -> list[str]:
-    """The cells between semicolons (a comma in them is a decimal point), otherwise between commas, or blanks."""
+    """The cells between tabs, or semicolons (a comma in them is a decimal point), or commas, or blanks."""
+    if "\t" in line:
+        return _unquoted(line, "\t")
     if ";" in line:
         return [cell.replace(",", ".") for cell in _unquoted(line, ";")]
     if "," in line:

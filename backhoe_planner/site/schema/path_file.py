@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +20,11 @@ from backhoe_planner.site.schema.tasks import Waypoint
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 _COLUMNS = (*_POSITION, "pitch", *_QUATERNION)
 _TIME = "time"
+_UNIT = re.compile(r"(?:_(?:deg|rad)(?:rees|ians)?|\s*[\[(].*)$")
 # other names for columns of orientations, in lower case, letters and digits only
 _OTHER_ORIENTATIONS = {
-    "roll", "yaw", *(stem + axis for stem in ("q", "quat", "quaternion", "orientation", "rot", "r") for axis in "wxyz"),
+    "roll", "pitch", "yaw", "q0", "q1", "q2", "q3",
+    *(stem + axis for stem in ("q", "quat", "quaternion", "orientation", "rot", "r") for axis in "wxyz"),
 }  # fmt: skip
 
 
@@ -56,7 +59,10 @@ def read_path_file(path: Path) -> PathFile:
         rows = [(f"line {number}", row) for number, row in enumerate(table, start=1)]
     except csv.Error as error:
         raise SceneError(f"cannot be read: {error}", file=path) from error
-    (_, header), *rows = [(line, [cell.strip() for cell in row]) for line, row in rows if any(map(str.strip, row))]
+    rows = [(line, [cell.strip() for cell in row]) for line, row in rows if any(map(str.strip, row))]
+    if not rows:
+        raise SceneError("the file is empty", file=path, allowed="a path")
+    (_, header), *rows = rows
     header = [name.lower() if name.lower() in _COLUMNS else name for name in header]
     if between == ";":
         rows = [(line, [cell.replace(",", ".") for cell in row]) for line, row in rows]
@@ -94,8 +100,10 @@ def _waypoint(path: Path, line: str, header: Sequence[str], row: Sequence[str]) 
 
 
 def _plain(column: str) -> str:
-    """The name of a column in lower case, letters and digits only."""
-    return "".join(filter(str.isalnum, column.lower()))
+    """The name of a column in lower case, without unit and signs; of `pose.orientation.w` only `orientationw`."""
+    parts = _UNIT.sub("", column.lower()).split(".")
+    belongs = "orientation" if any("orientation" in part for part in parts[:-1]) else ""
+    return "".join(filter(str.isalnum, belongs + parts[-1]))
 
 
 def _not_used(column: str, path: Path) -> str:

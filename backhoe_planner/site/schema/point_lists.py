@@ -32,7 +32,10 @@ _NAMES = (
     ("z", "h", "height", "elev", "elevation", "altitude"),
 )
 _METRES = re.compile(r"(?:_m|[\s_]*[\[(]\s*(?:m|met(?:re|er)s?)\s*[\])])$")  # "x [m]", "x (metres)", "x_m"
-_BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
+_BEFORE_UNIT = re.compile(r" +(?=[\[(])")
+_OTHER_UNITS = re.compile(
+    r"(?:^|[^a-z])(?:mm|cm|km|ft|feet|foot|inch(?:es)?|deg(?:rees)?|lat(?:itude)?|lon(?:gitude)?)(?:[^a-z]|$)"
+)
 
 
 def read_point_list(path: Path) -> Matrix:
@@ -119,10 +122,19 @@ def _named(words: str, path: Path, *, of: Iterable[str], is_header: bool) -> tup
     """
     cells = [cell.strip().strip('"').lower() for cell in cells_of(_BEFORE_UNIT.sub("", words))]
     cells = [_METRES.sub("", cell) for cell in cells]
+    if is_header and any(_OTHER_UNITS.search(cell) for cell in cells):
+        raise InputError("is not in metres", file=path, key="header", found=words[:60], allowed="x, y, z in metres")
     found = [[index for index, cell in enumerate(cells) if cell in names] for names in _NAMES]
-    if [len(each) for each in found] == [1, 1, 1]:
-        return tuple(index for (index,) in found)
     following = next((line for line in of if line.strip() and not line.startswith(COMMENTS)), "")
+    if [len(each) for each in found] == [1, 1, 1]:
+        columns = tuple(index for (index,) in found)
+        given = len(cells_of(following))
+        if len(cells) != given > max(columns) and sorted(columns) != [0, 1, 2]:
+            raise InputError(
+                "the header has another number of columns than the lines", file=path, key="header", found=words[:60],
+                allowed=f"{given} names", hint="names with blanks stand in quotes or between tabs",
+            )  # fmt: skip
+        return columns
     unknown = is_header and len(cells) > len(_NAMES)
     if (any(found) or unknown) and len(cells) == len(cells_of(following)):
         raise InputError(
