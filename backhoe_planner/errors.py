@@ -74,6 +74,17 @@ class InputError(PlannerError, ValueError):
         super().__init__(text)
 
     @classmethod
+    def of(cls, error: InputError, *, file: str | Path | None, key: str | None) -> Self:
+        """The same problem, with what is found, allowed and to be done, at another place.
+
+        Parameters
+        ----------
+        error: the error at the place where it was noticed.
+        file, key: the place where it is to be mended, as for the class.
+        """
+        return cls(error.problem, file=file, key=key, found=error.found, allowed=error.allowed, hint=error.hint)
+
+    @classmethod
     def unknown_name(
         cls,
         problem: str,

@@ -64,7 +64,6 @@ class BrakingPace:
         part = np.searchsorted([one.begins for one in parts], self._time, side="right") - 1
         pace = np.ones(count)
         for index, one in enumerate(parts):
-            pace[part == index] = 1.0
             if one.keep is None:
                 continue
             rows = np.flatnonzero((part == index) & (np.abs(line).max(axis=1) > _ROUNDING))

@@ -59,7 +59,8 @@ class KeptFollowing:
         gradients, across = self._keep.gradients(q), _across(v, rates)
         stopping = max(_BRAKED * float(np.max(np.abs(across) / self._limits.acceleration)), _SLIDES)
         # being ahead on the plan or behind loses nothing, as long as the plan goes that far: only what is beside it
-        abreast = reference.at(max(reference.clock + _ahead(q - reference.q, rates), 0.0))
+        ahead = min(max(_time_along(q - reference.q, rates), -_AHEAD), _AHEAD)
+        abreast = reference.at(max(reference.clock + ahead, 0.0))
         beside, sliding = gradients @ (q - abreast), gradients @ across
         if not ((beside < -_LEAST) | (beside + stopping * sliding < -_LEAST)).any():
             if time >= self._until:
@@ -76,13 +77,12 @@ class KeptFollowing:
         return float(np.min((left[lost] + _LEAST) / -beside[lost], initial=1.0))
 
 
-def _ahead(off: Vector, rates: Vector) -> float:
-    """How far ahead of the plan's clock a machine is that is `off` (n,) from it [s]; negative if it is behind."""
-    along = float(rates @ rates)
-    return min(max(float(off @ rates) / along, -_AHEAD), _AHEAD) if along > _STILL else 0.0
+def _time_along(vector: Vector, rates: Vector) -> float:
+    """In what time [s] the plan goes as far along its rates (n,) as `vector` (n,) does; 0 if it stands still."""
+    squared = float(rates @ rates)
+    return float(vector @ rates) / squared if squared > _STILL else 0.0
 
 
 def _across(vector: Vector, rates: Vector) -> Vector:
     """(n,) the part of `vector` (n,) that is across the plan's rates (n,)."""
-    along = float(rates @ rates)
-    return vector - (float(vector @ rates) / along) * rates if along > _STILL else vector
+    return vector - _time_along(vector, rates) * rates

@@ -163,9 +163,7 @@ def _in_leg(error: SceneError, scene: Scene, index: int) -> SceneError:
         key = f"{leg_key(scene, index)}.{rest}"
     elif getattr(leg, first, None) is not None:
         key = f"{leg_key(scene, index)}.{key}"
-    return SceneError(
-        error.problem, file=error.file, key=key or None, found=error.found, allowed=error.allowed, hint=error.hint
-    )
+    return SceneError.of(error, file=error.file, key=key or None)
 
 
 def _build(robot: Robot, scene: Scene, obstacles: tuple[Obstacle, ...]) -> Problem:

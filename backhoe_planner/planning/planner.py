@@ -9,9 +9,10 @@ A failure in normal use is returned as a reason with its numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,10 +59,10 @@ def plan_motion(
     effort: how much counted work the searches may do.
     brake: ends a search that takes too long; by default there is no time limit.
     """
-    settings: dict[str, Any] = {"seed": seed, "effort": effort, "brake": brake or Brake(), "watch": watch}
-    outcome, certificate = _plan_motion(problem, method, **settings)
+    plan = functools.partial(_plan_motion, method=method, seed=seed, effort=effort, brake=brake or Brake(), watch=watch)
+    outcome, certificate = plan(problem)
     if outcome.reason == "blocked" and problem.is_dynamic and problem.goals and not problem.objective.is_time:
-        found = _past_movers(problem, method, **settings)
+        found = _past_movers(problem, plan)
         outcome, certificate = found or (outcome, certificate)
     if certificate.verified and outcome.reason:  # the machine already stands at the goal, within its tolerance
         outcome = replace(outcome, reason="", message="")
@@ -93,20 +94,22 @@ def _plan_motion(
     return outcome, certificate
 
 
-def _past_movers(problem: Problem, method: Method, **settings: Any) -> tuple[Outcome, Certificate] | None:
+def _past_movers(
+    problem: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]]
+) -> tuple[Outcome, Certificate] | None:
     """A motion past moving obstacles that slow motions of little cost meet, and its proof; None if none is found.
 
     A fast motion is planned first, then one of little cost that takes not much longer.
 
     Parameters
     ----------
-    settings: as for `plan_motion`.
+    plan: finds a motion and its certificate.
     """
-    found, certificate = _plan_motion(replace(problem, objective=OBJECTIVES["time"]), method, **settings)
+    found, certificate = plan(replace(problem, objective=OBJECTIVES["time"]))
     if found.reason or not certificate.verified:
         return None
     longest = min(_LONGER * found.trajectory.duration, problem.max_duration)
-    cheaper, certificate = _plan_motion(replace(problem, max_duration=longest), method, **settings)
+    cheaper, certificate = plan(replace(problem, max_duration=longest))
     if not cheaper.reason and certificate.verified:
         found = cheaper
     return found, certify_motion(problem, found.trajectory)

@@ -127,9 +127,7 @@ def _errors_of(scene: Scene) -> Iterator[None]:
     except RobotError:
         raise
     except InputError as error:
-        raise SceneError(
-            error.problem, file=scene.file, key=error.key, found=error.found, allowed=error.allowed, hint=error.hint
-        ) from None
+        raise SceneError.of(error, file=scene.file, key=error.key) from None
 
 
 def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:

@@ -216,9 +216,7 @@ def _body(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece
         file = getattr(spec, "file", None)
         if error.file is not None or file is None:
             raise
-        raise InputError(
-            error.problem, file=folder / file, key=error.key, found=error.found, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error, file=folder / file, key=error.key) from error
 
 
 def offset_at(obstacle: Obstacle, time: float) -> Vector:

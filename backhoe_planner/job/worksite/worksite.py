@@ -152,9 +152,7 @@ def _problem(job: Job, robot: Robot) -> Problem:
         if error.key is None or not error.key.startswith("start.joints"):
             raise
         key = "start" + error.key.removeprefix("start.joints")  # a job gives the joints right there
-        raise SceneError(
-            error.problem, file=error.file, key=key, found=error.found, allowed=error.allowed, hint=error.hint
-        ) from None
+        raise SceneError.of(error, file=error.file, key=key) from None
     if job.start is None:
         problem = replace(problem, start_q=None)
     return problem

@@ -226,9 +226,10 @@ class MotionSearch:
                 ended.append(search.best)
                 fastest = search.best.motion
                 # of a motion for which max_duration is too short the certificate says so
-                allowed = allowed_time(bound, fastest.duration)
                 if np.isfinite(most):
                     allowed = max(min(most, _LONGEST * fastest.duration), fastest.duration)
+                else:
+                    allowed = allowed_time(bound, fastest.duration)
                 self._descents.longest = min(self._descents.longest, allowed)
                 self._descents.offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
                 if has_room(bound, fastest.duration):

@@ -106,9 +106,7 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
             + (f" ({q[j]:.4g} degrees are {meant[j]:.4g} rad)" if np.isfinite(meant[j]) else "")
             for j in outside
         )
-        sectors = [zone.name for zone in swing_sectors(world.problem.robot, world.problem.scene).values()]
-        if sectors and outside[0] == 0:
-            words += f" (within {' and '.join(sectors)})"
+        words += _within_sectors(world) if outside[0] == 0 else ""
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
@@ -181,9 +179,7 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     at_limit = tuple(name for name, gap in zip(names, gaps, strict=True) if gap < _SMALL)
     if at_limit:
         message += f", with {' and '.join(at_limit)} at the limit"
-        sectors = [zone.name for zone in swing_sectors(world.problem.robot, world.problem.scene).values()]
-        if sectors and names[0] in at_limit:
-            message += f" (within {' and '.join(sectors)})"
+        message += _within_sectors(world) if names[0] in at_limit else ""
     held = world.problem.robot.hold
     if held:
         message += f"; held are {', '.join(f'{name} at {value:g}' for name, value in held.items())}"
@@ -193,6 +189,12 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
         q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error
     )
     return Outcome(rest_at_start(world, best.q), "unreachable", message, Findings(nearest=pose, joints=at_limit))
+
+
+def _within_sectors(world: World) -> str:
+    """The swing sectors that limit the first joint, in words; empty if there are none."""
+    sectors = [zone.name for zone in swing_sectors(world.problem.robot, world.problem.scene).values()]
+    return f" (within {' and '.join(sectors)})" if sectors else ""
 
 
 def _position_alone(world: World, target: TipTarget) -> str:

@@ -64,13 +64,14 @@ def read_geotiff(path: Path) -> HeightTable:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         try:
             with Image.open(path, formats=("TIFF",)) as image:
-                tags: dict[int, Any] = dict(getattr(image, "tag_v2", {}))
+                directory: Any = getattr(image, "tag_v2", {})
+                tags: dict[int, Any] = dict(directory)
                 if image.mode not in _FORMATS:
                     raise InputError(
                         "is not a height map", file=path, found=f"an image of mode {image.mode}",
                         allowed="one band of numbers",
                     )  # fmt: skip
-                _check_readable(tags, path)
+                _check_readable(tags, path, is_big_endian=directory.prefix == b"MM")
                 numbers = np.array(image)
         except InputError:
             raise
@@ -109,10 +110,8 @@ def _as_stored(numbers: NDArray[Any], tags: dict[int, Any]) -> NDArray[Any]:
     return numbers.view(np.int8) if _first(tags.get(_SAMPLE_FORMAT)) == _SIGNED else numbers
 
 
-def _check_readable(tags: dict[int, Any], path: Path) -> None:
+def _check_readable(tags: dict[int, Any], path: Path, *, is_big_endian: bool) -> None:
     """Refuse what Pillow reads as other numbers than are meant."""
-    with path.open("rb") as stream:
-        is_big_endian = stream.read(2) == b"MM"
     if is_big_endian and tags.get(_COMPRESSION, _UNCOMPRESSED) != _UNCOMPRESSED:
         wrong = "is compressed in big-endian order"
     elif _first(tags.get(_BITS, 8)) < 8:
@@ -138,7 +137,7 @@ def _numbers(tags: dict[int, Any], tag: int, count: int, path: Path, key: str) -
     InputError: there are fewer, or one is not finite.
     """
     value = tags[tag]
-    found = np.array(value if isinstance(value, tuple) else (value,), dtype=float)
+    found = np.atleast_1d(np.array(value, dtype=float))
     if len(found) < count or not np.isfinite(found[:count]).all():
         raise InputError("is not what the tag holds", file=path, key=key, found=str(value), allowed=f"{count} numbers")
     return found[:count]

@@ -125,18 +125,19 @@ def _named(words: str, path: Path, *, of: Iterable[str], is_header: bool) -> tup
     if is_header and any(_OTHER_UNITS.search(cell) for cell in cells):
         raise InputError("is not in metres", file=path, key="header", found=words[:60], allowed="x, y, z in metres")
     found = [[index for index, cell in enumerate(cells) if cell in names] for names in _NAMES]
-    following = next((line for line in of if line.strip() and not line.startswith(COMMENTS)), "")
+    unknown = is_header and len(cells) > len(_NAMES)
+    if not (any(found) or unknown):
+        return None
+    given = len(cells_of(next((line for line in of if line.strip() and not line.startswith(COMMENTS)), "")))
     if [len(each) for each in found] == [1, 1, 1]:
         columns = tuple(index for (index,) in found)
-        given = len(cells_of(following))
         if len(cells) != given > max(columns) and sorted(columns) != [0, 1, 2]:
             raise InputError(
                 "the header has another number of columns than the lines", file=path, key="header", found=words[:60],
                 allowed=f"{given} names", hint="names with blanks stand in quotes or between tabs",
             )  # fmt: skip
         return columns
-    unknown = is_header and len(cells) > len(_NAMES)
-    if (any(found) or unknown) and len(cells) == len(cells_of(following)):
+    if len(cells) == given:
         raise InputError(
             "the header does not name x, y and z once each", file=path, key="header", found=words[:60],
             allowed="x, y, z; easting, northing, elevation; with others beside them",
