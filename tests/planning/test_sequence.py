@@ -114,6 +114,23 @@ def test_a_sequence_may_begin_with_a_wait(backhoe: Robot) -> None:
     assert found.legs[0].trajectory.duration == pytest.approx(0.5, abs=1e-9)
 
 
+def test_the_first_leg_that_moves_is_planned_again_after_a_wait(backhoe: Robot) -> None:
+    either = {"name": "either", "goal": [NEAR, FAR]}
+    right = {"name": "right", "goal": {"position": [1.0, -3.6, 1.2]}}
+    found = plan(backhoe, scene_of({"name": "warm up", "wait": 0.5}, either, right), effort="quick")
+    assert found.verified, found.message
+    assert found.legs[1].certificate.goal == 2
+
+
+def test_a_motion_longer_than_any_number_of_a_scene_may_be_is_written_and_read(backhoe: Robot, tmp_path: Path) -> None:
+    waits = [{"name": name, "wait": 9e4} for name in ("night", "day")]
+    plan(backhoe, scene_of(*waits, LEGS[0]), effort="quick").save(tmp_path / "p.json")
+    found = load_plan(tmp_path / "p.json")
+    assert found.verified, found.message
+    assert found.legs[1].trajectory.duration == pytest.approx(9e4)
+    assert found.trajectory.duration > 1.8e5
+
+
 def test_motions_with_legs_and_scenes_with_a_sequence_go_together_only(backhoe: Robot, done: Plan) -> None:
     with pytest.raises(InputError, match=r"trajectory\.begins"):
         certify(backhoe, scene_of(*LEGS), replace(done.trajectory, begins=()))

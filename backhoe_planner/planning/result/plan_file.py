@@ -24,7 +24,7 @@ from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.metrics import Metrics
 from backhoe_planner.planning.search.effort import EffortName
 from backhoe_planner.proof import Certificate
-from backhoe_planner.site import Finite, Obstruction
+from backhoe_planner.site import Finite, Moment, Obstruction
 
 Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
 Reason = Literal[
@@ -62,7 +62,7 @@ class RobotRecord(Record):
 class TrajectoryRecord(Record):
     """Samples of the motion; between them the joints move linearly in time."""
 
-    time: list[Finite]
+    time: list[Moment]
     """(T,) [s], from 0."""
     q: list[list[Finite]]
     """(T, n) joint positions [rad or m]."""

@@ -275,7 +275,8 @@ class Chain:
         anywhere: whether it may end anywhere on the goal of `b`, not just at `b`.
         """
         number = self._layers.index(layer)
-        start = self._layers[number - 1].ends[a] if number else None
+        own = None if self._moving[0] == 0 else self._start  # only the first leg's problem gives its start
+        start = self._layers[number - 1].ends[a] if number else own
         leg, asked = layer.leg, None
         self._left -= 1
         self.tried += 1
