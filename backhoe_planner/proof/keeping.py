@@ -61,7 +61,7 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
     begin, end = np.zeros(len(segment)), np.ones(len(segment))
     before, after = values[:-1], values[1:]
     looks = 0
-    while len(segment) and least >= -KEPT_TO:
+    while len(segment):
         looks += len(segment)
         bound = condition.lower_bounds(before, after, (end - begin)[:, None] * delta[segment], travel)
         proven = min(proven, float(np.min(bound, initial=np.inf, where=~_open(bound, least))))
@@ -70,7 +70,7 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
         if bool(np.any(open_ & finest)):
             worst = int(np.argmin(np.where(open_ & finest, bound, np.inf)))
             proven = min(proven, float(bound[worst]))
-            if proven < -KEPT_TO:
+            if proven < -KEPT_TO <= least:
                 moment = float(time[segment[worst]])
                 words = f"it is not proven that {condition.name} is kept at {moment:.2f} s"
                 return KeepUse(
@@ -94,5 +94,7 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
 
 
 def _open(bound: Vector, least: float) -> Flags:
-    """(P,) which bounds are too weak: below 0, or more than the resolution below the least measured margin."""
-    return np.asarray(bound < max(least - _RESOLUTION, -KEPT_TO))
+    """(P,) which bounds are too weak: more than the resolution below the least measured margin, or below 0 if it is not.
+    """
+    enough = least - _RESOLUTION
+    return np.asarray(bound < (enough if least < -KEPT_TO else max(enough, -KEPT_TO)))

@@ -88,10 +88,11 @@ def test_an_arc_over_or_under_a_height_between_two_samples_is_found(ur5: bp.Robo
     ends, extreme = sense * max(sense * heights[0], sense * heights[-1]), sense * max(sense * z for z in heights)
     assert sense * (extreme - ends) > 0.05
     motion = through(middle - turn, middle + turn, middle - turn)
-    for limit, kept in ((0.5 * (extreme + ends), False), (extreme + sense * 0.003, True)):
+    for limit in (ends - sense * 0.01, 0.5 * (extreme + ends), extreme + sense * 0.003):
         (use,) = bp.certify(ur5, scene(ur5, middle - turn, {side: limit}), motion).keep
-        assert use.kept is kept
-    assert 0.003 - 1.1e-3 <= use.margin <= 0.003 + 1e-6
+        margin = sense * (limit - extreme)
+        assert use.kept is (margin > 0.0)
+        assert margin - 1.1e-3 <= use.margin <= margin + 1e-6
 
 
 def test_the_margin_between_samples_is_proven_and_at_most_2_mm_or_2_mrad_below_the_true_one(ur5: bp.Robot) -> None:
