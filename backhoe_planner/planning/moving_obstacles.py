@@ -263,7 +263,7 @@ def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
 def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Trajectory | None:
     """The motion up to `moment` [s], then braked along itself as hard as accelerations allow; None if too slow.
 
-    The motion's own clock slows down evenly, and stops after 1 / rate.
+    The motion's own clock slows down evenly, and stops after 1 / rate, or where the motion ends.
     """
     rate = 1.0 / SAMPLE_PERIOD
     before = motion.time < moment - 1e-9
@@ -271,6 +271,8 @@ def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Traj
         count = max(int(np.ceil(1.0 / (rate * SAMPLE_PERIOD))), 1)
         run = np.linspace(0.0, 1.0 / rate, count + 1)[1:]
         own = moment + run - 0.5 * rate * run**2
+        ends = 1 + int(np.searchsorted(own, motion.duration))
+        run, own = run[:ends], own[:ends]
         time = np.concatenate((motion.time[before], [moment], moment + run))
         braked = Trajectory.from_steps(time, np.vstack((motion.q[before], motion.at(np.append(moment, own)))))
         if float(np.max(np.abs(braked.corner_accelerations()) / limits.acceleration)) <= 1.0 + 1e-7:

@@ -94,7 +94,6 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
 
 
 def _open(bound: Vector, least: float) -> Flags:
-    """(P,) which bounds are too weak: more than the resolution below the least measured margin, or below 0 if it is not.
-    """
+    """(P,) which bounds are too weak: below the least measured margin by more than the resolution, or below 0 alone."""
     enough = least - _RESOLUTION
     return np.asarray(bound < (enough if least < -KEPT_TO else max(enough, -KEPT_TO)))

@@ -104,6 +104,17 @@ def test_a_goal_that_becomes_blocked_is_reported_and_the_machine_stops_in_time(b
     assert np.all(found.trajectory.v[-1] == 0.0)
 
 
+def test_braking_ends_where_the_motion_ends(backhoe: bp.Robot) -> None:
+    """A sphere appears at the goal when the machine cannot stop short of it any more."""
+    task = {"goal": {"position": [3.2, 1.5, 1.2]}}
+    sphere = {"name": "s", "shape": "sphere", "radius": 0.2, "position": [3.2, 1.5, 1.2], "appears_at": 1.0}
+    undisturbed, found = plan(backhoe, task), plan(backhoe, task, sphere)
+    [reaction] = found.findings.reactions
+    assert not found.certificate.safe
+    assert reaction.stopped_at is not None
+    assert 1.0 < reaction.stopped_at < 1.1 * undisturbed.trajectory.duration
+
+
 def test_an_obstacle_that_appears_on_the_machine_is_not_safe(backhoe: bp.Robot) -> None:
     upon = {"name": "boulder", "shape": "sphere", "radius": 0.6, "position": [3.0, 0.3, 0.6], "appears_at": 0.5}
     found = plan(backhoe, GOAL, upon)
