@@ -1,14 +1,13 @@
 """Heights from a GeoTIFF, with their location.
 
-The following is read: one band of numbers; ModelPixelScale and ModelTiepoint, or a ModelTransformation
-without rotation; GDAL's tags for missing heights, and for the scale and offset of numbers; and the
-keys for whether a number is that of a point or of an area, and for the horizontal and vertical units
-(OGC 19-008r4, GeoTIFF Standard 1.1).
+The following is read: one band of numbers, of any size in strips or tiles that are plain or deflated, and up to
+32 bits in other compressions; ModelPixelScale and ModelTiepoint, or a ModelTransformation without rotation;
+GDAL's tags for missing heights, and for the scale, offset and unit of numbers; its masks; and the keys for
+whether a number is that of a point or of an area, and for units.
 """
 
 from __future__ import annotations
 
-import re
 import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,19 +18,37 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
+from backhoe_planner.site.schema.geo_keys import GeoKeys, numbers_of
+from backhoe_planner.site.schema.tiff_directory import Tags, TiffFile, read_tiff
+from backhoe_planner.site.schema.tiff_numbers import (
+    BITS,
+    COMPRESSION,
+    HEIGHT,
+    PLAIN,
+    SAMPLE_FORMAT,
+    WIDTH,
+    can_decode,
+    decode,
+    first,
+)
 
-# numbers of tags and keys in the standard
-_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _WORDS, _METADATA, _NO_DATA = 33550, 33922, 34264, 34735, 34737, 42112, 42113
-_BITS, _COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _SAMPLE_FORMAT = 258, 259, 262, 274, 339
+# numbers of tags in the standard
+_SCALE, _TIEPOINT, _TRANSFORMATION, _METADATA, _NO_DATA = 33550, 33922, 34264, 42112, 42113
+_KIND, _OLD_KIND, _PHOTOMETRIC, _ORIENTATION, _BANDS = 254, 255, 262, 274, 277
 _BYTE_COUNTS = (279, 325)  # of strips and of tiles
-_UNCOMPRESSED, _UNSIGNED = 1, 1
-_WHITE_IS_ZERO, _NORTH_WEST_FIRST, _SIGNED = 0, 1, 2
-_MODEL, _RASTER, _UNIT, _UPRIGHT_UNIT = 1024, 1025, 3076, 4099
-_GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
-# in the name of a projection, such as "California zone 5 (ftUS)"
-_FEET = re.compile(r"\b(?:ft|ftUS|foot|feet)\b", re.IGNORECASE)
+_REDUCED, _MASK, _OLD_REDUCED = 1, 4, 2  # kinds of image
+_UNSIGNED, _SIGNED = 1, 2
+_WHITE_IS_ZERO, _PALETTE, _NORTH_WEST_FIRST = 0, 3, 1
 _SQUARE_WITHIN = 1e-6  # of the cell: the two scales of square cells differ by rounding only
 _FORMATS = ("F", "I", "L", "I;16", "I;16B", "I;16L", "I;16N")  # Pillow's names of one band of numbers
+_MOST = 89_000_000  # heights: 0.7 GB; Pillow warns of more
+_COMPRESSIONS = {
+    5: "LZW", 7: "JPEG", 32773: "PackBits", 34887: "LERC", 34925: "LZMA", 50000: "Zstandard", 50001: "WebP",
+    50002: "JPEG XL",
+}  # fmt: skip
+_NOTED = ("scale", "offset", "unittype", "nodatavalue")  # of what GDAL notes of a band, what changes its heights
+_METRES = ("m", "metre", "meter", "metres", "meters")
+_AGAIN = "gdal_translate -ot Float32 -co COMPRESS=DEFLATE makes another file of it"
 
 
 class HeightTable(NamedTuple):
@@ -56,91 +73,111 @@ def read_geotiff(path: Path) -> HeightTable:
     ------
     InputError: missing, no TIFF of one band of numbers, in degrees or feet, turned, or with oblong cells.
     """
-    from PIL import Image, UnidentifiedImageError
-
     if not is_file(path):
         raise InputError("no such height map file", file=path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        try:
-            with Image.open(path, formats=("TIFF",)) as image:
-                directory: Any = getattr(image, "tag_v2", {})
-                tags: dict[int, Any] = dict(directory)
-                if image.mode not in _FORMATS:
-                    raise InputError(
-                        "is not a height map", file=path, found=f"an image of mode {image.mode}",
-                        allowed="one band of numbers",
-                    )  # fmt: skip
-                _check_readable(tags, path, is_big_endian=directory.prefix == b"MM")
-                numbers = np.array(image)
-        except InputError:
-            raise
-        except UnidentifiedImageError:
-            hint = "such as 64-bit floats: gdal_translate -ot Float32 makes 32-bit floats of them"
-            raise InputError(
-                "is not a TIFF that can be read, or has numbers that cannot", file=path, hint=hint
-            ) from None
-        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-            raise InputError("is too large", file=path, hint="cut out the site") from error
-        except Exception as error:  # Pillow passes on any exception of its decoders
-            raise InputError(f"is not a TIFF that can be read: {error}", file=path) from error
+    tiff = read_tiff(path)
+    tags = tiff.images[0]
+    if first(tags, _BANDS, 1) != 1 or tags.get(_PHOTOMETRIC) == _PALETTE:
+        found = "a palette of colours" if first(tags, _BANDS, 1) == 1 else f"{first(tags, _BANDS, 1)} bands"
+        raise InputError("is not a height map", file=path, found=found, allowed="one band of numbers")
+    if first(tags, WIDTH, 0) * first(tags, HEIGHT, 0) > _MOST:
+        raise InputError("is too large", file=path, allowed=f"{_MOST:,} heights", hint="cut out the site")
     if tags.get(_ORIENTATION, _NORTH_WEST_FIRST) != _NORTH_WEST_FIRST:
         raise InputError(
             "has its rows in another order", file=path, key="Orientation", found=tags[_ORIENTATION],
             allowed="1, from north to south", hint="gdal_translate writes it in that order",
         )  # fmt: skip
-    heights = _as_stored(numbers, tags).astype(float)[::-1]
-    missing = _number(tags.get(_NO_DATA))
+    numbers = decode(tiff, tags, path) if can_decode(tags) else _by_pillow(tiff, tags, path)
+    heights = np.where(_is_masked(tiff, path), np.nan, numbers.astype(float))[::-1]
+    said = _said_of_heights(tags, path)
+    missing = _number(said.get("nodatavalue"))
     if missing is not None:
         # the tag is decimal text, but heights are often 32-bit floats
         heights[np.isclose(heights, missing, rtol=1e-6, atol=0.0)] = np.nan
-    scale, offset = _scaling(tags, path)
+    scale, offset = _scaling(said, path)
     heights = scale * heights + offset
     return HeightTable(heights, *_place(tags, heights.shape[0], path))
 
 
-def _as_stored(numbers: NDArray[Any], tags: dict[int, Any]) -> NDArray[Any]:
+def _by_pillow(tiff: TiffFile, tags: Tags, path: Path) -> NDArray[Any]:
+    """The numbers of the first image, in a compression that needs Pillow."""
+    from PIL import Image, UnidentifiedImageError
+
+    _check_readable(tags, path, is_big_endian=tiff.order == ">")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        try:
+            with Image.open(path, formats=("TIFF",)) as image:
+                if image.mode not in _FORMATS:
+                    raise InputError("has numbers that cannot be read", file=path, found=image.mode, hint=_AGAIN)
+                return _as_stored(np.array(image), tags)
+        except InputError:
+            raise
+        except UnidentifiedImageError:
+            found, allowed = _compression(tags), "none, DEFLATE, LZW, ..."
+            raise InputError(
+                "is in a compression that cannot be read", file=path, found=found, allowed=allowed, hint=_AGAIN
+            ) from None
+        except Exception as error:  # Pillow passes on any exception of its decoders
+            raise InputError(f"is not a TIFF that can be read: {error}", file=path, found=_compression(tags)) from error
+
+
+def _compression(tags: Tags) -> str:
+    code = first(tags, COMPRESSION, PLAIN)
+    return f"compression {_COMPRESSIONS.get(code, code)}"
+
+
+def _is_masked(tiff: TiffFile, path: Path) -> NDArray[Any]:
+    """(rows, columns) or () which numbers a mask hides.
+
+    Raises
+    ------
+    InputError: the mask cannot be read, or there is another image, which may as well be meant.
+    """
+    main, *others = tiff.images
+    size, hidden = (main.get(WIDTH), main.get(HEIGHT)), np.array(False)
+    beside = path.with_name(path.name + ".msk")
+    if is_file(beside):
+        hint = "gdal_translate --config GDAL_TIFF_INTERNAL_MASK YES writes it into the GeoTIFF"
+        raise InputError("has a mask in another file, which is not read", file=path, found=beside.name, hint=hint)
+    for tags in others:
+        kind = first(tags, _KIND, 0)
+        if kind & _REDUCED or first(tags, _OLD_KIND, 0) == _OLD_REDUCED:
+            continue
+        if not kind & _MASK:
+            found = f"{len(tiff.images)} images"
+            raise InputError("holds several images", file=path, found=found, allowed="one, its mask and overviews")
+        if (tags.get(WIDTH), tags.get(HEIGHT)) != size or first(tags, _BANDS, 1) != 1 or not can_decode(tags):
+            raise InputError("its mask cannot be read", file=path, hint=_AGAIN)
+        hidden = hidden | ~(decode(tiff, tags, path) > 0.0)
+    return hidden
+
+
+def _as_stored(numbers: NDArray[Any], tags: Tags) -> NDArray[Any]:
     """The numbers of the file: Pillow takes those of 8 bits for shades, unsigned and brighter the greater they are."""
-    if numbers.dtype == np.int32 and _first(tags.get(_SAMPLE_FORMAT, _UNSIGNED)) == _UNSIGNED:
-        return numbers.view(np.uint32) if _first(tags.get(_BITS)) == 32 else numbers
+    kind = first(tags, SAMPLE_FORMAT, _UNSIGNED)
+    if numbers.dtype == np.int32 and kind == _UNSIGNED:
+        return numbers.view(np.uint32) if first(tags, BITS, 1) == 32 else numbers
     if numbers.dtype != np.uint8:
         return numbers
     if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
         numbers = ~numbers
-    return numbers.view(np.int8) if _first(tags.get(_SAMPLE_FORMAT)) == _SIGNED else numbers
+    return numbers.view(np.int8) if kind == _SIGNED else numbers
 
 
-def _check_readable(tags: dict[int, Any], path: Path, *, is_big_endian: bool) -> None:
-    """Refuse what Pillow reads as other numbers than are meant."""
-    if is_big_endian and tags.get(_COMPRESSION, _UNCOMPRESSED) != _UNCOMPRESSED:
+def _check_readable(tags: Tags, path: Path, *, is_big_endian: bool) -> None:
+    """Refuse what Pillow reads as other numbers than are meant, or not at all."""
+    bits = first(tags, BITS, 1)
+    if is_big_endian:
         wrong = "is compressed in big-endian order"
-    elif _first(tags.get(_BITS, 8)) < 8:
-        wrong = f"has numbers of {_first(tags[_BITS])} bits"
+    elif bits not in (8, 16, 32):
+        wrong = f"has numbers of {bits} bits"
     elif any(np.any(np.array(tags.get(tag, 1)) == 0) for tag in _BYTE_COUNTS):
         wrong = "leaves out tiles (SPARSE_OK)"
     else:
         return
-    hint = "gdal_translate -co COMPRESS=LZW makes another file of it"
-    raise InputError(wrong, file=path, allowed="all of it, little-endian, in 8 bits or more", hint=hint)
-
-
-def _first(value: Any) -> Any:
-    """A tag's only or first value."""
-    return value[0] if isinstance(value, tuple) and value else value
-
-
-def _numbers(tags: dict[int, Any], tag: int, count: int, path: Path, key: str) -> Vector:
-    """(count,) the numbers of a tag.
-
-    Raises
-    ------
-    InputError: there are fewer, or one is not finite.
-    """
-    value = tags[tag]
-    found = np.atleast_1d(np.array(value, dtype=float))
-    if len(found) < count or not np.isfinite(found[:count]).all():
-        raise InputError("is not what the tag holds", file=path, key=key, found=str(value), allowed=f"{count} numbers")
-    return found[:count]
+    allowed = "in this compression all of it, little-endian, in 8, 16 or 32 bits"
+    raise InputError(wrong, file=path, found=_compression(tags), allowed=allowed, hint=_AGAIN)
 
 
 def _number(text: object) -> float | None:
@@ -150,46 +187,77 @@ def _number(text: object) -> float | None:
         return None
 
 
-def _scaling(tags: dict[int, Any], path: Path) -> tuple[float, float]:
-    """The factor that turns the numbers of the first band into heights, and the offset added then [m]."""
+def _said_of_heights(tags: Tags, path: Path) -> dict[str, str]:
+    """What GDAL has noted of the first band: scale, offset, unittype and nodatavalue, as far as it has, as text.
+
+    It notes them in tags, or in a file of the same name that ends in .aux.xml.
+
+    Raises
+    ------
+    InputError: they are damaged, or the tags and the other file differ.
+    """
     from xml.etree import ElementTree  # only when a GeoTIFF is read
 
-    text = str(tags.get(_METADATA, "")).strip("\0 \n")
+    beside = path.with_name(path.name + ".aux.xml")
+    said = {"nodatavalue": str(tags[_NO_DATA])} if _NO_DATA in tags else {}
     try:
+        text = str(tags.get(_METADATA, "")).strip("\0 \n")
         items = ElementTree.fromstring(text).iter("Item") if text else ()
-        said = {item.get("role"): item.text for item in items if item.get("sample", "0") == "0"}
+        said |= {item.get("role", ""): item.text or "" for item in items if item.get("sample", "0") == "0"}
+        root = ElementTree.fromstring(beside.read_bytes()) if is_file(beside) else ElementTree.Element("none")
+    except ElementTree.ParseError as error:
+        raise InputError(f"scale and offset of its heights cannot be read: {error}", file=path) from None
+    for element in root.iterfind("PAMRasterBand[@band='1']/*"):
+        key, text = element.tag.lower(), (element.text or "").strip()
+        if key in _NOTED and text and not _are_same(said.setdefault(key, text), text):
+            found = f"{said[key]}, and {text} in {beside.name}"
+            raise InputError("says two things", file=path, key=element.tag, found=found, hint="delete the wrong one")
+    return {key: text.strip("\0 \n") for key, text in said.items()}
+
+
+def _are_same(text: str, other: str) -> bool:
+    """Whether two texts are the same, or the same number but for rounding."""
+    one, two = _number(text), _number(other)
+    if one is None or two is None:
+        return text.strip("\0 \n") == other
+    return bool(np.isclose(one, two, rtol=1e-6, atol=0.0, equal_nan=True))
+
+
+def _scaling(said: dict[str, str], path: Path) -> tuple[float, float]:
+    """The factor that turns the numbers of the first band into heights, and the offset added then [m].
+
+    Raises
+    ------
+    InputError: they cannot be read, or the unit of the heights is not the metre.
+    """
+    try:
         scale, offset = float(said.get("scale") or 1.0), float(said.get("offset") or 0.0)
         if not (np.isfinite(scale) and np.isfinite(offset)):
             raise ValueError(f"found {scale:g} and {offset:g}")
-        return scale, offset
-    except (ElementTree.ParseError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"scale and offset of its heights cannot be read: {error}", file=path) from None
+    unit = said.get("unittype", "")
+    if unit and unit.lower() not in _METRES:
+        raise InputError(
+            "its heights are not in metres", file=path, key="UnitType", found=unit, allowed=", ".join(_METRES),
+            hint="gdal_calc.py makes metres of them",
+        )  # fmt: skip
+    return scale, offset
 
 
-def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, float]:
+def _place(tags: Tags, rows: int, path: Path) -> tuple[Vector | None, float]:
     """(2,) x, y of the south-western height [m], and the distance between heights [m]."""
-    keys = [int(value) for value in tags.get(_KEYS, ())]
-    values = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
-    if values.get(_MODEL) == _GEOGRAPHIC:
-        raise InputError("is in degrees", file=path, allowed="metres", hint="project it, such as to UTM")
-    if values.get(_UNIT, _METRE) != _METRE:
-        found = f"unit {values[_UNIT]} of the EPSG registry"
-        raise InputError("is not in metres", file=path, found=found, allowed="metres (9001)")
-    words = str(tags.get(_WORDS, ""))
-    if _UNIT not in values and _FEET.search(words):
-        raise InputError("is not in metres", file=path, found=words.strip("\0| \n"), allowed="metres")
-    if values.get(_UPRIGHT_UNIT, _METRE) != _METRE:
-        found = f"unit {values[_UPRIGHT_UNIT]} of the EPSG registry"
-        raise InputError("its heights are not in metres", file=path, found=found, allowed="metres (9001)")
+    keys = GeoKeys(tags, path)
+    keys.check_metres()
     if _TRANSFORMATION in tags:
-        m = _numbers(tags, _TRANSFORMATION, 16, path, "ModelTransformation").reshape(4, 4)
+        m = numbers_of(tags, _TRANSFORMATION, 16, path, "ModelTransformation").reshape(4, 4)
         if abs(m[0, 1]) + abs(m[1, 0]) > _SQUARE_WITHIN * abs(m[0, 0]):
             raise InputError("is turned against north", file=path, hint="resample it along x and y")
         corner, scale, upward = m[:2, 3], np.array([m[0, 0], -m[1, 1]]), (m[2, 2], m[2, 3])
     elif _SCALE in tags and _TIEPOINT in tags:
-        pixel = _numbers(tags, _SCALE, 3, path, "ModelPixelScale")
+        pixel = numbers_of(tags, _SCALE, 3, path, "ModelPixelScale")
         scale, of_heights = pixel[:2], pixel[2]
-        i, j, k, x, y, z = _numbers(tags, _TIEPOINT, 6, path, "ModelTiepoint")
+        i, j, k, x, y, z = numbers_of(tags, _TIEPOINT, 6, path, "ModelTiepoint")
         corner, upward = np.array([x - i * scale[0], y + j * scale[1]]), (of_heights, z - k * of_heights)
     else:
         return None, 0.0
@@ -209,5 +277,5 @@ def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, 
         found = f"{scale[0]:g} x {scale[1]:g} m"
         raise InputError("its cells are not square", file=path, found=found, hint="resample it")
     cell = float(scale[0])
-    middle = 0.0 if values.get(_RASTER) == _POINT else 0.5  # of a cell, from the place in the tags to the height
+    middle = 0.0 if keys.places_are_points else 0.5  # of a cell, from the place in the tags to the height
     return np.array([corner[0] + middle * cell, corner[1] - (rows - 1 + middle) * cell]), cell

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -181,39 +179,6 @@ def test_the_size_of_a_height_map_must_be_that_of_its_geotiff(tmp_path: Path) ->
         build_obstacle(swapped, folder=tmp_path, clearance=0.1)
 
 
-def big_endian(
-    path: Path, heights: Matrix, *, bits: int = 32, compressed: bool = True, counts: int | None = None
-) -> Path:
-    """A TIFF of one strip with its numbers in big-endian order, written by hand; `counts` instead of its size."""
-    raw = heights[::-1].astype(">f4").tobytes()
-    data = zlib.compress(raw) if compressed else raw
-    rows, columns = heights.shape
-    size = len(data) if counts is None else counts
-    entries = {
-        256: (3, columns), 257: (3, rows), 258: (3, bits), 259: (3, 8 if compressed else 1), 262: (3, 1),
-        273: (4, 8), 277: (3, 1), 278: (3, rows), 279: (4, size), 339: (3, 3),
-    }  # fmt: skip
-    packed = b"".join(
-        struct.pack(">HHI", tag, kind, 1) + (struct.pack(">HH", value, 0) if kind == 3 else struct.pack(">I", value))
-        for tag, (kind, value) in sorted(entries.items())
-    )
-    data += b"\0" * (len(data) % 2)
-    path.write_bytes(
-        b"MM\0*" + struct.pack(">I", 8 + len(data)) + data + struct.pack(">H", len(entries)) + packed + bytes(4)
-    )
-    return path
-
-
-def test_geotiffs_whose_numbers_pillow_would_change_are_refused(tmp_path: Path) -> None:
-    heights = np.array([[10.0, 11.0], [12.0, 13.0]])
-    file = tmp_path / "a.tif"
-    np.testing.assert_array_equal(read_heights(big_endian(file, heights, compressed=False)), heights)
-    with pytest.raises(InputError, match=r"a\.tif: is compressed in big-endian order.*gdal_translate"):
-        read_heights(big_endian(file, heights))
-    with pytest.raises(InputError, match="leaves out tiles"):
-        read_heights(big_endian(file, heights, compressed=False, counts=0))
-
-
 def test_files_that_are_not_geotiffs_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.tif"
     with pytest.raises(InputError, match="no such height map file"):
@@ -226,7 +191,7 @@ def test_files_that_are_not_geotiffs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a\.tif"):
         Terrain.from_file(file)
     Image.new("RGB", (4, 4)).save(file)
-    with pytest.raises(InputError, match="is not a height map; found an image of mode RGB"):
+    with pytest.raises(InputError, match="is not a height map; found 3 bands"):
         Terrain.from_file(file)
 
 
