@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.obj_lines import obj_lines
 
 _HEADER = 1_000_000  # bytes in which the header of a PLY ends
 _NUMBERS = (3, 4, 6, 7)  # of a vertex in an OBJ: position, perhaps a weight, perhaps a colour
-_CONTINUED = re.compile(rb"\\\r?\n")  # the end of a line that continues in the next one
 _SHOWN = 60  # bytes of a wrong line in a message; chosen
 
 
@@ -25,13 +24,13 @@ def check_whole(path: Path) -> None:
     OSError: the file cannot be read.
     """
     kind = path.suffix.lower()
-    content = path.read_bytes() if kind in (".ply", ".off", ".stl", ".obj") else b""
+    content = path.read_bytes() if kind in (".ply", ".off", ".stl") else b""
     if kind == ".ply":
         _check_ply(path, content)
     elif kind == ".off":
         _check_off(path, content)
     elif kind == ".obj":
-        _check_obj(path, content)
+        _check_obj(path)
     elif kind == ".stl" and _is_text_stl(content) and b"endsolid" not in content[-_HEADER:]:
         raise InputError("the file is cut short", file=path, found="no line with endsolid", allowed="a whole file")
 
@@ -58,6 +57,10 @@ def _check_ply(path: Path, content: bytes) -> None:
 
 def _check_off(path: Path, content: bytes) -> None:
     lines = [line.partition(b"#")[0] for line in content.splitlines()]
+    strange = next((number for number, line in enumerate(lines, start=1) if b"_" in line or not line.isascii()), None)
+    if strange is not None:
+        found = lines[strange - 1][:_SHOWN].decode(errors="replace").strip()
+        raise InputError("is not a line of numbers", file=path, key=f"line {strange}", found=found)
     words = b" ".join(lines[:20]).split()
     if not words or not words[0].upper().endswith(b"OFF"):
         return
@@ -70,21 +73,20 @@ def _check_off(path: Path, content: bytes) -> None:
     _check_rows(path, rows, vertices + faces, f"{vertices} of vertices and {faces} of faces")
 
 
-def _check_obj(path: Path, content: bytes) -> None:
+def _check_obj(path: Path) -> None:
     vertices, sizes, faces = 0, set[int](), list[tuple[int, list[int]]]()
     counted_back = 0  # number of vertices before the first face that counts back from the last vertex
-    for number, line in enumerate(_CONTINUED.sub(b" ", content).splitlines(), start=1):
-        words = line.split()
+    for number, words in obj_lines(path):
         if words[:1] == [b"v"]:
             vertices += 1
             sizes.add(len(words) - 1)
             if len(words) - 1 not in _NUMBERS or len(sizes) > 1:
                 allowed = "v x y z, with or without a weight or a colour, the same in all lines"
-                raise _wrong_line(path, number, line, "a vertex as those before", allowed)
+                raise _wrong_line(path, number, words, "a vertex as those before", allowed)
         elif words[:1] == [b"f"]:
             corners = [word.partition(b"/")[0] for word in words[1:]]
             if len(corners) < 3 or not all(word.removeprefix(b"-").isdigit() and int(word) for word in corners):
-                raise _wrong_line(path, number, line, "a face", "f and three vertices or more, numbered from 1")
+                raise _wrong_line(path, number, words, "a face", "f and three vertices or more, numbered from 1")
             own = [int(word) for word in corners]
             faces.append((number, own))
             if min(own) < 0:
@@ -101,8 +103,8 @@ def _check_obj(path: Path, content: bytes) -> None:
         )
 
 
-def _wrong_line(path: Path, number: int, line: bytes, what: str, allowed: str) -> InputError:
-    found = line[:_SHOWN].decode(errors="replace").strip()
+def _wrong_line(path: Path, number: int, words: list[bytes], what: str, allowed: str) -> InputError:
+    found = b" ".join(words)[:_SHOWN].decode(errors="replace")
     return InputError(f"is not {what}", file=path, key=f"line {number}", found=found, allowed=allowed)
 
 

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
+from backhoe_planner.files.obj_lines import obj_lines, plain_obj
+from backhoe_planner.files.ply_faces import ply_of_triangles
 from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.machine.shape.closed_bodies import find_closed, open_edges
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
@@ -64,7 +66,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     try:
         check_whole(path)
         with np.errstate(all="ignore"):  # the coordinates are checked below
-            scene = trimesh.load_scene(path, process=False)
+            scene = _scene(path)
             parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]
             for part in parts:
                 _check_part(part, path)
@@ -84,6 +86,18 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise InputError("holds no triangles", file=path)
     _check_finite(np.asarray(mesh.vertices, dtype=float).ravel(), path)
     return mesh
+
+
+def _scene(path: Path) -> trimesh.Scene:
+    """The parts of a mesh file, as they are in the file."""
+    import trimesh
+
+    kind = path.suffix[1:].lower()
+    source = plain_obj(path) if kind == "obj" else ply_of_triangles(path)
+    if source is None:
+        return trimesh.load_scene(path, process=False)
+    beside = trimesh.resolvers.FilePathResolver(str(path))  # for materials
+    return trimesh.load_scene(source, file_type=kind, resolver=beside, process=False)
 
 
 def _welded(mesh: trimesh.Trimesh) -> Cells:
@@ -111,9 +125,12 @@ def is_closed(mesh: trimesh.Trimesh) -> bool:
 def _check_part(part: trimesh.Trimesh, path: Path) -> None:
     coordinates = np.asarray(part.vertices, dtype=float).ravel()
     if path.suffix.lower() == ".obj" and not np.isfinite(coordinates).all():  # the OBJ reader renumbers vertices
-        lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
-        _check_finite(np.array([words[1:4] for words in lines if words[:1] == ["v"]], dtype=float).ravel(), path)
+        vertices = [words[1:4] for _, words in obj_lines(path) if words[0] == b"v"]
+        _check_finite(np.array(vertices, dtype=float).ravel(), path)
     _check_finite(coordinates, path)
+    if len(part.faces) and int(np.min(part.faces)) < 0:
+        found = f"{int(np.min(part.faces))}"
+        raise InputError("a face has a vertex that is not there", file=path, found=found, allowed="numbers from 0")
 
 
 def _check_finite(coordinates: Vector, path: Path) -> None:

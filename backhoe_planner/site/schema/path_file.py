@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.files.records import describe
 from backhoe_planner.files.text_file import read_text
+from backhoe_planner.site.schema.number_tables import number_in
 from backhoe_planner.site.schema.tasks import Waypoint
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
@@ -117,7 +118,7 @@ def _not_used(column: str, path: Path) -> str:
 
 def _number(cell: str, path: Path, key: str) -> float:
     try:
-        value = float(cell)
+        value = number_in(cell)
     except ValueError:
         raise SceneError("is not a number", file=path, key=key, found=repr(cell)) from None
     if not math.isfinite(value):

@@ -11,6 +11,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.obj_lines import obj_lines
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.site.schema.number_tables import (
     COMMENTS,
@@ -84,17 +85,21 @@ def read_obj_vertices(path: Path) -> Matrix:
     InputError: missing, not text, or a vertex without three numbers.
     """
     points = []
-    for number, line in enumerate(read_text(path, what="point cloud", formats=POINT_FORMATS).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0] != "v":
-            continue
-        try:
-            x, y, z = (number_in(word) for word in words[1:4])
-        except ValueError:
-            raise InputError(
-                "is no vertex", file=path, key=f"line {number}", found=line.strip(), allowed="v X Y Z"
-            ) from None
-        points.append((x, y, z))
+    try:
+        for number, words in obj_lines(path):
+            if words[0] == b"v":
+                try:
+                    if b"_" in b"".join(words[1:4]):  # in Python a number may have underscores
+                        raise ValueError
+                    x, y, z = map(float, words[1:4])
+                except ValueError:
+                    found = b" ".join(words).decode(errors="replace")
+                    raise InputError(
+                        "is no vertex", file=path, key=f"line {number}", found=found, allowed="v X Y Z"
+                    ) from None
+                points.append((x, y, z))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from error
     return np.array(points, dtype=float).reshape(-1, 3)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
+from backhoe_planner.files.ply_faces import ply_of_triangles
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.whole_mesh import check_whole
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
@@ -157,7 +158,9 @@ def read_points(path: Path) -> Matrix:
 
         try:
             check_whole(path)
-            loaded = trimesh.load(path, process=False)
+            rewritten = ply_of_triangles(path)
+            source = path if rewritten is None else rewritten
+            loaded = trimesh.load(source, file_type=kind[1:], process=False)
         except InputError:
             raise
         except Exception as error:  # trimesh passes on any exception of its format readers
