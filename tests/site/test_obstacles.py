@@ -401,6 +401,75 @@ def test_points_are_read_from_the_columns_named_in_the_header(
     np.testing.assert_array_equal(read_points(tmp_path / "scan.csv"), points)
 
 
+SWAPPED = [[5.0, 4.0, 6.5], [8.0, 7.0, 9.0]]  # of points that are written y, x, z
+HEADS: dict[str, str] = {
+    "a title": "Survey of 3 May\nyxz\n",
+    "blank lines": "\n\nyxz\n",
+    "comments": "# Survey\n\n# of May\nyxz\n",
+    "a line of units": "yxz\nm,m,m\n",
+    "units in brackets": "yxz\n[m],[m],[m]\n",
+    "CloudCompare": "//Y,X,Z\n2\n",
+    "a byte order mark": "\ufeffyxz\n",
+    "German": "Nord,Ost,Höhe\n",
+    "German, Gauss-Krueger": "Hochwert,Rechtswert,H\n",
+    "French": "nord,est,altitude\n",
+    "Spanish": "Norte,Este,Cota\n",
+    "letters": "N,E,Z\n",
+}
+
+
+@pytest.mark.parametrize("head", HEADS.values(), ids=HEADS.keys())
+@pytest.mark.parametrize("mark", [",", ";", "\t", " "])
+def test_columns_are_named_after_titles_and_units_and_in_other_languages(head: str, mark: str, tmp_path: Path) -> None:
+    text = head.replace("yxz", "y,x,z").replace(",", mark) + "4,5,6.5\n7,8,9\n".replace(",", mark)
+    (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
+    np.testing.assert_array_equal(read_points(tmp_path / "scan.csv"), SWAPPED)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Ost;Nord;Hoch\n4;5;6\n", r"header: the header does not name x, y and z once each; found Ost;Nord;Hoch"),
+        ("a,b,c\n4,5,6\n", r"header: the header does not name x, y and z once each; found a,b,c"),
+        ("a b c\n4 5 6\n", r"header: the header does not name x, y and z once each; found a b c"),
+        ("y,x,z\nft,ft,ft\n4,5,6\n", r"header: is not in metres; found ft,ft,ft"),
+        ("# x [mm] y [mm] z [mm]\n4 5 6\n", r"header: is not in metres; found x \[mm\]"),
+        ("# units: feet\n4 5 6\n", r"header: is not in metres; found units: feet"),
+        ("//X Y Z\n3\n4 5 6\n7 8 9\n", r"line 2: has fewer than three numbers; found 3; allowed: .* follow, 2"),
+        ("x,y,z\n1,5,2,3\n4,5,6\n", r"another number of cells than the header or the first line; found line 2"),
+        ("x,y,z\n1,5,2,5,3,5\n4,5,5,5,6,5\n", r"another number of cells than the header .*no decimal commas"),
+        ("1,5,2,5,3,5\n4,5,5,5,6,5\n", r"may have decimal commas between commas; found 1,5,2,5,3,5"),
+        ("4,5,6\n1,5,2,3\n", r"another number of cells than the header or the first line; found line 2"),
+        ("O1 2 3\n4 5 6\n", r"line 1: is not a number; found O1 2 3"),
+        ("nr,x,y,z\nP1,4,,6\nP2,4,5,6\n", r"line 2: has an empty cell among x, y, z"),
+        ("1.0m 2.0m 3.0m\n", r"line 1: is not a number; found 1.0m"),
+        ("x,y,depth\n1,2,3\n", r"header: the header does not name x, y and z once each"),
+    ],
+)
+def test_heads_and_lines_that_may_be_meant_otherwise_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scan.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        read_points(tmp_path / "scan.csv")
+
+
+def test_many_comments_quotes_and_texts_are_read_without_reading_line_by_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Line by line takes ten times as long."""
+    points = np.round(np.random.default_rng(4).uniform(-9.0, 9.0, (500, 3)), 3)
+    rows = [",".join(f"{value}" for value in point) for point in points]
+    texts = {
+        "comments": "\n".join(["# x and y are a scanner's", *(line for row in rows for line in (row, "# a stop"))]),
+        "quotes": "\n".join(['"x","y","z"', *('"' + row.replace(",", '","') + '"' for row in rows)]),
+        "texts": "\n".join(["nr,x,y,z,code", *(f'p{number},{row},"grass, wet"' for number, row in enumerate(rows))]),
+        "commas": "\n".join(["x;y;z", *(row.replace(",", ";").replace(".", ",") for row in rows)]),
+    }
+    monkeypatch.setattr("backhoe_planner.site.schema.point_lists._line_by_line", None)
+    for name, text in texts.items():
+        (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
+        np.testing.assert_array_equal(read_points(tmp_path / f"{name}.csv"), points)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,11 @@ from backhoe_planner.site.schema.number_tables import (
     COMMENTS,
     are_missing,
     cells_of,
+    columns_of,
     counts_rows,
+    delimiter_of,
+    is_number,
     number_in,
-    plain_table,
 )
 
 POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
@@ -27,46 +29,90 @@ POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
 _MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")
 # names of x, y and z in a header, without case and a unit of metres
+_HEIGHTS = (
+    "z", "h", "height", "elev", "elevation", "altitude", "alt", "up", "höhe", "hoehe", "altitud", "cota", "quota",
+)  # fmt: skip
 _NAMES = (
-    ("x", "east", "easting"),
-    ("y", "north", "northing"),
-    ("z", "h", "height", "elev", "elevation", "altitude"),
+    (("x",), ("y",), _HEIGHTS),
+    (
+        ("e", "east", "easting", "ost", "ostwert", "rechtswert", "est", "este"),
+        ("n", "north", "northing", "nord", "nordwert", "hochwert", "norte"),
+        _HEIGHTS,
+    ),
 )
 _METRES = re.compile(r"(?:_m|[\s_]*[\[(]\s*(?:m|met(?:re|er)s?)\s*[\])])$")  # "x [m]", "x (metres)", "x_m"
+_ANY_UNIT = re.compile(r"[\s_]*[\[(].*[\])]$|_[a-z]+$")
 _BEFORE_UNIT = re.compile(r" +(?=[\[(])")
 _OTHER_UNITS = re.compile(
     r"(?:^|[^a-z])(?:mm|cm|km|ft|feet|foot|inch(?:es)?|deg(?:rees)?|lat(?:itude)?|lon(?:gitude)?)(?:[^a-z]|$)"
 )
+_UNITS = re.compile(r"[\[(]?(?:m|met(?:re|er)s?|-|)[\])]?")  # a cell of a line of units
+_UNIT_IN_COMMENT = re.compile(r"\bunits?\b")
+_WORDS = re.compile(r"[^\W\d_]+")
+_TELLING = {"unit", "units", *_NAMES[0][0], *_NAMES[1][0]}  # other comments are no header and say no unit
+_LIKE_A_NUMBER = tuple("0123456789+-.")
+
+
+class _Head(NamedTuple):
+    """What precedes the points.
+
+    Attributes
+    ----------
+    columns: of x, y and z, if a header names them.
+    names: how many columns the header names; 0 without a header.
+    lines: how many lines precede the first point.
+    """
+
+    columns: tuple[int, ...] | None
+    names: int
+    lines: int
 
 
 def read_point_list(path: Path) -> Matrix:
     """(n, 3) points [m] from a text with x, y, z in the columns that its header names, otherwise in the first three.
 
+    Titles, comments, a line of units and the number of points may precede the points.
+
     Raises
     ------
-    InputError: missing, not text, a cell that is not a number, fewer than three in a line, a header that names only
-        some of x, y, z or that names more than three columns but none of them, or a first column of point numbers
-        without a header.
+    InputError: missing, not text, a cell that is not a number, fewer than three in a line, a header that does not
+        name x, y and z once each, another unit than metres, lines with different numbers of cells, or, without a
+        header, point numbers or decimal commas.
     """
-    text = read_text(path, what="point cloud", formats=POINT_FORMATS)
-    columns, lines, first = _begin(text.splitlines(), path)
-    table = plain_table("\n".join(lines) if first else text)
-    if table is None:
-        table = _line_by_line(lines, first, columns, path)
-    if table.shape[1] > _MOST_COLUMNS:
+    all_lines = read_text(path, what="point cloud", formats=POINT_FORMATS).splitlines()
+    head = _read_head(all_lines, path)
+    lines = [line for line in all_lines[head.lines :] if line.strip() and not line.startswith(COMMENTS)]
+    if not lines:
+        return np.zeros((0, 3))
+    mark, width = delimiter_of(lines[0]), len(cells_of(lines[0]))
+    if width > _MOST_COLUMNS:
         raise InputError(
-            "has too many numbers in a row for a list of points", file=path, found=table.shape[1],
+            "has too many numbers in a row for a list of points", file=path, found=width,
             allowed=f"x, y, z and up to {_MOST_COLUMNS - 3} more", hint="heights on a grid are a heightmap",
         )  # fmt: skip
-    if table.shape[1] <= max(columns or (2,)):
-        raise InputError(_TOO_FEW[columns is None], file=path, key=f"line {first + 1}", found=lines[0].strip())
-    if columns is None and table.shape[1] > 3 and counts_rows(table[:, 0]):
+    if (
+        head.columns is None
+        and mark == ","
+        and width >= 6
+        and width % 2 == 0
+        and not any("." in line for line in lines)
+    ):
+        raise InputError(
+            "may have decimal commas between commas", file=path, found=lines[0].strip(),
+            hint="decimal points, or semicolons between the numbers; or name the columns in the first line",
+        )  # fmt: skip
+    asked = head.columns or (0, 1, 2)
+    points = columns_of(lines, asked)
+    if points is None:
+        points = _line_by_line(all_lines, head, path)
+    elif mark == "," and 0 < head.names != width:
+        raise _other_width(path, lines[0], head.names)
+    if head.columns is None and width > 3 and counts_rows(points[:, 0]):
         raise InputError(
             "has numbers of points in its first column", file=path, key="column 1",
-            found=", ".join(f"{number:g}" for number in table[:3, 0]) + ", ...",
+            found=", ".join(f"{number:g}" for number in points[:3, 0]) + ", ...",
             hint="name the columns in the first line: nr,x,y,z",
         )  # fmt: skip
-    points = np.ascontiguousarray(table[:, list(columns or (0, 1, 2))])
     missing = are_missing(points[:, 2])
     if missing.any():
         point = int(np.argmax(missing))
@@ -74,7 +120,7 @@ def read_point_list(path: Path) -> Matrix:
             "a height is missing", file=path, key=f"point {point + 1}, z", found=f"{points[point, 2]:g}",
             hint="leave out the points without a height",
         )  # fmt: skip
-    return points
+    return np.ascontiguousarray(points)
 
 
 def read_obj_vertices(path: Path) -> Matrix:
@@ -103,58 +149,100 @@ def read_obj_vertices(path: Path) -> Matrix:
     return np.array(points, dtype=float).reshape(-1, 3)
 
 
-def _begin(lines: Sequence[str], path: Path) -> tuple[tuple[int, ...] | None, Sequence[str], int]:
-    """The columns of x, y, z that a header names, or None; the lines that follow; and how many lines precede them."""
-    columns, first = None, 0
-    while first < len(lines):
-        line = lines[first].strip()
-        words = line.lstrip("#/").strip()
-        if not line.startswith(COMMENTS) and line and not (first == 0 and (_is_header(line) or _is_count(lines))):
-            break
-        columns = columns or _named(
-            words, path, of=itertools.islice(lines, first + 1, None), is_header=line == words and not _is_count(lines)
-        )
-        first += 1
-    return columns, lines[first:], first
-
-
-def _named(words: str, path: Path, *, of: Iterable[str], is_header: bool) -> tuple[int, ...] | None:
-    """Which columns of the lines `of` are x, y and z by the words above them; None if the words do not name them.
-
-    Parameters
-    ----------
-    is_header: whether the words must be a header; otherwise they may be a comment.
-    """
-    cells = [cell.strip().strip('"').lower() for cell in cells_of(_BEFORE_UNIT.sub("", words))]
-    cells = [_METRES.sub("", cell) for cell in cells]
-    if is_header and any(_OTHER_UNITS.search(cell) for cell in cells):
-        raise InputError("is not in metres", file=path, key="header", found=words[:60], allowed="x, y, z in metres")
-    found = [[index for index, cell in enumerate(cells) if cell in names] for names in _NAMES]
-    unknown = is_header and len(cells) > len(_NAMES)
-    if not (any(found) or unknown):
-        return None
-    given = len(cells_of(next((line for line in of if line.strip() and not line.startswith(COMMENTS)), "")))
-    if [len(each) for each in found] == [1, 1, 1]:
-        columns = tuple(index for (index,) in found)
-        if len(cells) != given > max(columns) and sorted(columns) != [0, 1, 2]:
-            raise InputError(
-                "the header has another number of columns than the lines", file=path, key="header", found=words[:60],
-                allowed=f"{given} names", hint="names with blanks stand in quotes or between tabs",
-            )  # fmt: skip
-        return columns
-    if len(cells) == given:
+def _read_head(lines: Sequence[str], path: Path) -> _Head:
+    """What precedes the points: titles, comments, a header, a line of units, the number of points."""
+    point = next((at for at, line in enumerate(lines) if _is_point(line.strip())), len(lines))
+    row = lines[point] if point < len(lines) else ""
+    mark, given = delimiter_of(row), len(cells_of(row))
+    columns, names, is_named = None, 0, False  # named by a line that is no comment
+    untold = ""  # a line that may be a header, but does not name x, y and z
+    for at, whole in enumerate(lines[:point]):
+        line = whole.strip()
+        words, is_comment = line.lstrip("#/").strip(), line.startswith(COMMENTS)
+        if not words or (is_comment and _TELLING.isdisjoint(_WORDS.findall(words.lower()))):
+            continue
+        if not is_comment and line.isdecimal():
+            _check_count(lines, at, path)
+            continue
+        cells = _names_in(words)
+        found, told = _columns_in(cells), _columns_in([_ANY_UNIT.sub("", cell) for cell in cells])
+        if any(map(_OTHER_UNITS.search, cells)) and (
+            not is_comment or any(map(any, told)) or _UNIT_IN_COMMENT.search(words.lower())
+        ):
+            raise InputError("is not in metres", file=path, key="header", found=words[:60], allowed="x, y, z in metres")
+        if is_named and not is_comment:
+            if not all(map(_UNITS.fullmatch, cells_of(words.lower()))):
+                return _Head(columns, names, at)
+            continue
+        clear = next((tuple(one[0] for one in each) for each in found if all(len(one) == 1 for one in each)), None)
+        if clear is not None and (columns is None or not is_comment):
+            if len(cells) != given > max(clear) and sorted(clear) != [0, 1, 2]:
+                hint = "names with blanks stand in quotes or between tabs"
+                raise InputError(
+                    "the header has another number of columns than the lines", file=path, key="header",
+                    found=words[:60], allowed=f"{given} names", hint=hint,
+                )  # fmt: skip
+            columns, names, is_named = clear, len(cells), not is_comment
+        elif columns is None and any(map(any, found)) and len(cells) == given:
+            untold = words
+        elif not is_comment and delimiter_of(words) == mark and (len(cells) == given or (mark and len(cells) > 2)):
+            # not a title, which has blanks where the points have another delimiter, or another number of words
+            if any(map(is_number, cells)):
+                return _Head(columns, names, at)  # a wrong line of points
+            untold = words
+    if columns is None and untold:
         raise InputError(
-            "the header does not name x, y and z once each", file=path, key="header", found=words[:60],
-            allowed="x, y, z; easting, northing, elevation; with others beside them",
+            "the header does not name x, y and z once each", file=path, key="header", found=untold[:60],
+            allowed="x, y, z; easting, northing, elevation; with others beside them", hint="a title begins with #",
         )  # fmt: skip
-    return None
+    return _Head(columns, names, point)
 
 
-def _line_by_line(lines: Sequence[str], first: int, columns: tuple[int, ...] | None, path: Path) -> Matrix:
-    """(rows, columns) numbers; columns that are not needed are 0, whatever they contain."""
-    asked = columns or (0, 1, 2)
-    rows, wider = [], True
-    for number, line in enumerate(lines, start=first + 1):
+def _is_point(line: str) -> bool:
+    """Whether a line is one of points: no comment or number of points, and no title, which begins with a word."""
+    if not line or line.startswith(COMMENTS) or line.isdecimal():
+        return False
+    cells = cells_of(line)
+    return not cells[0] or cells[0].startswith(_LIKE_A_NUMBER) or sum(map(is_number, cells)) >= len(_NAMES[0])
+
+
+def _names_in(words: str) -> list[str]:
+    """The cells of a header, in lower case, without units of metres."""
+    cells = [cell.strip().strip('"').lower() for cell in cells_of(_BEFORE_UNIT.sub("", words))]
+    return [_METRES.sub("", cell) for cell in cells]
+
+
+def _columns_in(cells: Sequence[str]) -> list[list[list[int]]]:
+    """For each way to name them, the columns that are named x, those named y and those named z."""
+    return [[[at for at, cell in enumerate(cells) if cell in names] for names in way] for way in _NAMES]
+
+
+def _check_count(lines: Sequence[str], at: int, path: Path) -> None:
+    """Check a line with the number of points that follow, as in PTS files and those of CloudCompare."""
+    follow = sum(1 for line in lines[at + 1 :] if line.strip() and not line.startswith(COMMENTS))
+    if follow != int(lines[at]):
+        raise InputError(
+            _TOO_FEW[1], file=path, key=f"line {at + 1}", found=lines[at].strip(),
+            allowed=f"three numbers, or how many points follow, {follow}",
+        )  # fmt: skip
+
+
+def _other_width(path: Path, line: str, names: int) -> InputError:
+    return InputError(
+        "has another number of cells than the header or the first line", file=path, found=line.strip(),
+        allowed=f"{names} cells", hint="no decimal commas; texts with commas stand in quotes",
+    )  # fmt: skip
+
+
+def _line_by_line(lines: Sequence[str], head: _Head, path: Path) -> Matrix:
+    """(rows, 3) points of lines that `columns_of` does not read.
+
+    Raises
+    ------
+    InputError: names the first line that is wrong.
+    """
+    asked, rows, width = head.columns or (0, 1, 2), [], head.names
+    for number, line in enumerate(lines[head.lines :], start=head.lines + 1):
         if not line.strip() or line.startswith(COMMENTS):
             continue
         words = [] if ";" in line or '"' in line else line.split()
@@ -163,7 +251,7 @@ def _line_by_line(lines: Sequence[str], first: int, columns: tuple[int, ...] | N
             raise InputError("has commas and blanks", file=path, key=f"line {number}", found=line.strip(), hint=hint)
         cells = cells_of(line)
         if len(cells) <= max(asked):
-            raise InputError(_TOO_FEW[columns is None], file=path, key=f"line {number}", found=line.strip())
+            raise InputError(_TOO_FEW[head.columns is None], file=path, key=f"line {number}", found=line.strip())
         try:
             row = [number_in(cells[index]) for index in asked]
         except ValueError:
@@ -172,24 +260,8 @@ def _line_by_line(lines: Sequence[str], first: int, columns: tuple[int, ...] | N
                 "is not a number" if full else "has an empty cell among x, y, z",
                 file=path, key=f"line {number}", found=line.strip(), allowed=POINT_FORMATS,
             ) from None  # fmt: skip
+        width = width or len(cells)
+        if delimiter_of(line) == "," and len(cells) != width:
+            raise _other_width(path, f"line {number}: {line.strip()}", width)
         rows.append(row)
-        wider = wider and len(cells) > len(asked)
-    found = np.zeros((len(rows), max(asked) + 1 + wider))
-    found[:, list(asked)] = np.array(rows, dtype=float).reshape(-1, 3)
-    return found
-
-
-def _is_header(line: str) -> bool:
-    """Whether no word of a line is a number."""
-    for word in line.replace(";", " ").replace(",", " ").replace('"', " ").split():
-        try:
-            number_in(word)
-        except ValueError:
-            continue
-        return False
-    return True
-
-
-def _is_count(lines: Sequence[str]) -> bool:
-    """Whether the first line is the number of lines that follow, as in PTS files."""
-    return lines[0].strip().isdecimal() and int(lines[0]) == sum(bool(line.strip()) for line in lines[1:])
+    return np.array(rows, dtype=float).reshape(-1, 3)
