@@ -35,6 +35,25 @@ def check_whole(path: Path) -> None:
         raise InputError("the file is cut short", file=path, found="no line with endsolid", allowed="a whole file")
 
 
+def has_single_precision(path: Path) -> bool:
+    """Whether the coordinates in a file of points or triangles are floats of 32 bits.
+
+    Raises
+    ------
+    OSError: the file cannot be read.
+    """
+    kind = path.suffix.lower()
+    with path.open("rb") as file:
+        beginning = file.read(_HEADER)
+    if kind == ".ply":
+        head = beginning.partition(b"end_header")[0].split()
+        return any(
+            head[at : at + 3] in ([b"property", b"float", b"x"], [b"property", b"float32", b"x"])
+            for at in range(len(head))
+        )
+    return kind in (".glb", ".gltf") or (kind == ".stl" and not _is_text_stl(beginning))
+
+
 def _check_ply(path: Path, content: bytes) -> None:
     head, end, _ = content[:_HEADER].partition(b"end_header")
     if not end or b"format ascii" not in head:

@@ -96,7 +96,7 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
         if _FAR * radius < away < np.inf:
             found.append(
                 f"{obstacle.name} is {away:,.0f} m away, {away / radius:,.0f} times as far as the machine reaches; "
-                "sizes, positions and points of files are in metres"
+                f"sizes, positions and points of files are in metres{_map_origin(obstacle)}"
             )
         solid = None if obstacle.cluster is None else obstacle.cluster.solid
         if isinstance(solid, VoxelSolid) and (closed := solid.closed_edge()) > solid.finest:
@@ -106,6 +106,18 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
                 "is better given as a heightmap, which has no gaps"
             )
     return tuple(found)
+
+
+def _map_origin(obstacle: Obstacle) -> str:
+    """The key that puts the middle of a far file at its position, in words; "" for what has no such key."""
+    spec = obstacle.spec
+    if not isinstance(spec, (obstacle_shapes.Mesh, obstacle_shapes.PointCloud)):
+        return ""
+    low, high = obstacle.bounds
+    middle = spec.placement.actInv(np.array([*(low + high)[:2] / 2.0, low[2]]))
+    scale = np.asarray(spec.scale if isinstance(spec, obstacle_shapes.Mesh) else 1.0)
+    found = np.round(middle / scale + spec.map_origin).astype(int).tolist()
+    return f"; `map_origin: {found}` puts the middle of its file at its position"
 
 
 def as_obstacles(given: Iterable[Obstacle]) -> tuple[Obstacle, ...]:

@@ -14,7 +14,7 @@ import pytest
 
 from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.site import read_height_grid, read_heights
+from backhoe_planner.site import build_obstacle, obstacle_from_dict, read_height_grid, read_heights
 
 NAN = float("nan")
 SHORT, LONG, DOUBLE, TEXT, LONG8 = 3, 4, 12, 2, 16
@@ -279,3 +279,17 @@ def test_a_file_cut_anywhere_is_refused(deflated: bool, tmp_path: Path) -> None:
         file.write_bytes(whole[:length])
         with pytest.raises(InputError, match=r"a\.tif"):
             read_height_grid(file)
+
+
+def test_terrain_in_use_is_read_again_when_a_file_beside_it_changes(tmp_path: Path) -> None:
+    """A scale of 2 is written beside heights of up to 3 m while they are in use."""
+    heights = np.zeros((15, 15))
+    heights[7, 7] = 3.0
+    write_tiff(tmp_path / "hill.tif", image(heights))
+    record = {"name": "hill", "shape": "heightmap", "file": "hill.tif", "size": [14, 14]}
+    first = build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
+    assert first.cluster is not None
+    band = '<PAMDataset><PAMRasterBand band="1"><Scale>2</Scale></PAMRasterBand></PAMDataset>'
+    (tmp_path / "hill.tif.aux.xml").write_text(band, encoding="utf-8")
+    second = build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
+    assert (first.bounds[1, 2], second.bounds[1, 2]) == pytest.approx((3.0, 6.0), abs=1e-9)

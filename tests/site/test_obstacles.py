@@ -527,6 +527,75 @@ def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: P
         build(planar4, tmp_path, shape="pointcloud", file="scan.txt", resolution=0.1)
 
 
+MAP = np.array([500_000.0, 5_400_000.0, 300.0])  # as in UTM coordinates
+
+
+def test_a_survey_in_map_coordinates_is_moved_by_its_map_origin(planar4: Robot, tmp_path: Path) -> None:
+    """A box of 1 x 2 x 3 m around the point 4 m north of the origin, and two points at its ends."""
+    box = trimesh.creation.box((1.0, 2.0, 3.0))
+    box.apply_translation(MAP + np.array([0.0, 4.0, 0.0]))
+    box.export(tmp_path / "box.obj", digits=3)
+    (tmp_path / "ends.xyz").write_text("500000.05 5400003.05 300.05\n500000.05 5400004.95 300.05\n")
+    moved: dict[str, object] = {"map_origin": MAP.tolist(), "position": [10, 0, 1]}
+    found = build(planar4, tmp_path, shape="mesh", file="box.obj", **moved)
+    np.testing.assert_allclose(extent(found), [[9.5, 3.0, -0.5], [10.5, 5.0, 2.5]], atol=1e-6)
+    found = build(planar4, tmp_path, shape="pointcloud", file="ends.xyz", resolution=0.1, **moved)
+    np.testing.assert_allclose(extent(found), [[10.0, 3.0, 1.0], [10.1, 5.0, 1.1]], atol=1e-6)
+    half = build(planar4, tmp_path, shape="mesh", file="box.obj", scale=0.5, map_origin=MAP.tolist())
+    np.testing.assert_allclose(extent(half), [[-0.25, 1.5, -0.75], [0.25, 2.5, 0.75]], atol=1e-6)
+
+
+def test_a_survey_in_map_coordinates_is_refused_with_the_map_origin_to_write(planar4: Robot, tmp_path: Path) -> None:
+    """The middle of its box along x and y, and its lowest z, in the units of the file."""
+    (tmp_path / "scan.xyz").write_text("500000.2 5400001 300\n500002.2 5400005 304\n")
+    box = trimesh.creation.box((2.0, 4.0, 6.0))
+    box.apply_translation(MAP)
+    box.export(tmp_path / "box.obj")
+    for keys, written in (
+        ({"shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1}, "[500001, 5400003, 300]"),
+        ({"shape": "mesh", "file": "box.obj"}, "[500000, 5400000, 297]"),
+        ({"shape": "mesh", "file": "box.obj", "scale": 0.1}, "[500000, 5400000, 297]"),
+        ({"shape": "mesh", "file": "box.obj", "velocity": [1, 0, 0]}, "[500000, 5400000, 297]"),
+    ):
+        with pytest.raises(SceneError, match=r"a coordinate is too large.*`map_origin: ") as caught:
+            build(planar4, tmp_path, **keys)
+        assert f"`map_origin: {written}` in the scene" in str(caught.value)
+        found = build(planar4, tmp_path, **keys, map_origin=[float(x) for x in written.strip("[]").split(",")])
+        assert np.abs(extent(found)).max() < 10.0
+    with pytest.raises(InputError, match=r"subtract \[500001, 5400003, 300\] from all points"):
+        read_points(tmp_path / "scan.xyz")
+
+
+@pytest.mark.parametrize(("name", "keys"), [("box.ply", {}), ("box.stl", {}), ("box.ply", {"velocity": [1, 0, 0]})])
+def test_floats_of_32_bits_in_map_coordinates_are_refused(
+    name: str, keys: dict[str, object], planar4: Robot, tmp_path: Path
+) -> None:
+    """5,400,000 m is one of the multiples of 0.5 m that such a float has there."""
+    box = trimesh.creation.box((1.0, 2.0, 3.0))
+    box.apply_translation(MAP)
+    box.export(tmp_path / name)
+    with pytest.raises(SceneError, match=r"floats of 32 bits, rounded to 0\.5 m so far from 0"):
+        build(planar4, tmp_path, shape="mesh", file=name, map_origin=MAP.tolist(), **keys)
+
+
+def test_doubles_of_a_ply_in_map_coordinates_are_read(tmp_path: Path) -> None:
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
+    )
+    (tmp_path / "scan.ply").write_text(head + "500000.25 5400000.125 300.5\n")
+    found = read_points(tmp_path / "scan.ply", map_origin=MAP.tolist())
+    np.testing.assert_array_equal(found, [[0.25, 0.125, 0.5]])
+
+
+def test_the_warning_about_a_far_survey_has_the_map_origin_to_write(planar4: Robot, tmp_path: Path) -> None:
+    (tmp_path / "scan.xyz").write_text("4500.05 53000.05 12.05\n4502.05 53002.05 14.05\n")
+    keys = {"shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1}
+    (found,) = obstacle_warnings(planar4, [build(planar4, tmp_path, **keys, position=[1, 2, 3])])
+    assert found.endswith("; `map_origin: [4501, 53001, 12]` puts the middle of its file at its position")
+    near = build(planar4, tmp_path, **keys, map_origin=[4501, 53001, 12])
+    np.testing.assert_allclose(extent(near), [[-1.0, -1.0, 0.0], [1.1, 1.1, 2.1]], atol=1e-6)
+
+
 @pytest.mark.parametrize(("points", "told"), [(300, True), (20_000, False)])
 def test_the_warning_about_a_scan_with_gaps_names_a_resolution_that_closes_them(
     planar4: Robot, tmp_path: Path, points: int, told: bool

@@ -46,6 +46,7 @@ _COMPRESSIONS = {
     5: "LZW", 7: "JPEG", 32773: "PackBits", 34887: "LERC", 34925: "LZMA", 50000: "Zstandard", 50001: "WebP",
     50002: "JPEG XL",
 }  # fmt: skip
+NOTED_BESIDE = ".aux.xml"  # the end of the name of a file in which GDAL notes what it cannot note in tags
 _NOTED = ("scale", "offset", "unittype", "nodatavalue")  # of what GDAL notes of a band, what changes its heights
 _METRES = ("m", "metre", "meter", "metres", "meters")
 _AGAIN = "gdal_translate -ot Float32 -co COMPRESS=DEFLATE makes another file of it"
@@ -198,7 +199,7 @@ def _said_of_heights(tags: Tags, path: Path) -> dict[str, str]:
     """
     from xml.etree import ElementTree  # only when a GeoTIFF is read
 
-    beside = path.with_name(path.name + ".aux.xml")
+    beside = path.with_name(path.name + NOTED_BESIDE)
     said = {"nodatavalue": str(tags[_NO_DATA])} if _NO_DATA in tags else {}
     try:
         text = str(tags.get(_METADATA, "")).strip("\0 \n")

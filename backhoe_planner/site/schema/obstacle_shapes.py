@@ -34,6 +34,7 @@ from backhoe_planner.site.schema.names import Name
 from backhoe_planner.site.schema.quantities import (
     AnyLength,
     Length,
+    MapPoint,
     NonNegative,
     Positive,
     Quaternion,
@@ -43,7 +44,7 @@ from backhoe_planner.site.schema.quantities import (
     rotation_matrix,
     unit_quaternion,
 )
-from backhoe_planner.site.schema.survey_files import read_heights, read_points
+from backhoe_planner.site.schema.survey_files import check_near, read_heights, read_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -213,11 +214,16 @@ class Mesh(PlacedRecord):
     """STL, OBJ, PLY, ...; relative to the scene file."""
     scale: Positive | tuple[Positive, Positive, Positive] = 1.0
     """Scale from the file's units to metres."""
+    map_origin: MapPoint = (0.0, 0.0, 0.0)
+    """The point of the file's coordinates that is put at `position`, in the file's units; subtracted before scaling."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Hulls that cover every triangle of the mesh."""
-        cover = mesh_cover(folder / self.file, np.asarray(self.scale, dtype=float))
-        return [shapes.convex(points, self.placement) for points in cover.pieces]
+        scale = np.asarray(self.scale, dtype=float)
+        cover = mesh_cover(folder / self.file, scale)
+        self._check_near(np.vstack(cover.pieces) / scale, folder)
+        offset = scale * np.array(self.map_origin)
+        return [shapes.convex(points - offset, self.placement) for points in cover.pieces]
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
         """Hulls, or the triangles if the mesh is fine and hollowed and does not move."""
@@ -241,8 +247,14 @@ class Mesh(PlacedRecord):
     def _loaded(self, folder: Path) -> trimesh.Trimesh:
         """The mesh [m], in its own frame."""
         mesh = load_mesh(folder / self.file)
+        self._check_near(np.asarray(mesh.vertices), folder)
+        mesh.apply_translation(-np.array(self.map_origin))
         mesh.apply_scale(self.scale)
         return mesh
+
+    def _check_near(self, vertices: Matrix, folder: Path) -> None:
+        scale = np.asarray(self.scale, dtype=float)
+        check_near(vertices, folder / self.file, map_origin=self.map_origin, scale=scale, what="vertex")
 
 
 class HeightMap(PlacedRecord):
@@ -280,14 +292,16 @@ class PointCloud(PlacedRecord):
     """PLY, or CSV or XYZ with x, y, z in the columns that its header names, otherwise in the first three."""
     resolution: Length
     """Edge of a voxel [m]."""
+    map_origin: MapPoint = (0.0, 0.0, 0.0)
+    """The point of the file's coordinates that is put at `position`, such as the machine's place in map coordinates."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Boxes that fill the voxels that contain a point."""
-        return self._boxes(read_points(folder / self.file))
+        return self._boxes(read_points(folder / self.file, map_origin=self.map_origin))
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
         """A few boxes, or the voxels of a scan that does not move."""
-        points = read_points(folder / self.file)
+        points = read_points(folder / self.file, map_origin=self.map_origin)
         return self._boxes(points) if any(self.velocity) else scan_body(points, self.resolution, self.placement)
 
     def _boxes(self, points: Matrix) -> list[shapes.Piece]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.ply_faces import ply_of_triangles
 from backhoe_planner.files.text_file import read_text
-from backhoe_planner.files.whole_mesh import check_whole
+from backhoe_planner.files.whole_mesh import check_whole, has_single_precision
 from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.schema.number_tables import (
     COMMENTS,
@@ -28,6 +29,8 @@ _FEWEST = 2  # heights along x and along y, so that there is ground between them
 _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
+_FURTHEST = 1e7  # of a file's units: map coordinates go no further
+_COARSEST = 0.01  # m: what floats of 32 bits may be rounded to, about the noise of a scanner; chosen
 _OTHER_CLOUDS = (".las", ".laz", ".e57", ".pcd", ".rcp", ".rcs", ".fls")
 _MOST_COLUMNS = 32  # of a list of points at the nodes of a grid; chosen
 
@@ -136,12 +139,17 @@ def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> flo
         raise InputError("is not a number", file=path, key=key, found=cell.strip() or "nothing", hint=hint) from None
 
 
-def read_points(path: Path) -> Matrix:
+def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Matrix:
     """(n, 3) points [m] from a PLY, or from text; see `read_point_list`.
+
+    Parameters
+    ----------
+    map_origin: (3,) is subtracted from the points in the file [m]; None if there is no such key to set.
 
     Raises
     ------
-    InputError: missing, empty, cut short, or with a coordinate that is not finite or beyond `LARGEST`.
+    InputError: missing, empty, cut short, or with a coordinate that is not finite or, after that, beyond `LARGEST`;
+        or of 32 bits so far from 0 that it is rounded to more than 1 cm.
     """
     if not is_file(path):
         raise InputError("no such point cloud file", file=path)
@@ -171,12 +179,47 @@ def read_points(path: Path) -> Matrix:
         points = read_point_list(path)
     if len(points) == 0:
         raise InputError("holds no points", file=path)
-    _check_size(points, "a coordinate", path, ("point", "coordinate"))
-    return points
+    check_near(points, path, map_origin=map_origin)
+    return points if map_origin is None else points - np.array(map_origin)
 
 
-def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *, holes: bool = False) -> None:
-    """Raise an InputError that names the first of `values` (rows, columns) that is no number of metres on a site."""
+def check_near(
+    points: Matrix, path: Path, *, map_origin: Sequence[float] | None, scale: Vector | float = 1.0, what: str = "point"
+) -> None:
+    """Check that points (n, 3) of a file lie on the site once `map_origin` (3,) is subtracted; see `read_points`.
+
+    Parameters
+    ----------
+    scale: from the file's units to metres; that of each axis (3,), or of all.
+
+    Raises
+    ------
+    InputError: they do not, or a coordinate is not finite, or of 32 bits and rounded to more than 1 cm.
+    """
+    origin = np.zeros(3) if map_origin is None else np.array(map_origin)
+    far = None
+    if (np.abs(points) <= _FURTHEST).all():
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle = np.round([*(low + high)[:2] / 2.0, low[2]]).astype(int).tolist()
+        do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}` in the scene"
+        far = f"map coordinates are too large: {do} puts the middle of the survey at 0, 0, or take the machine's place"
+        rounding = float(np.max(np.spacing(np.float32(np.abs(points).max())) * scale))
+        if map_origin is not None and rounding > _COARSEST and has_single_precision(path):
+            raise InputError(
+                f"its coordinates are floats of 32 bits, rounded to {rounding:g} m so far from 0", file=path,
+                found=f"coordinates up to {np.abs(points).max():,.0f}", allowed=f"up to {_COARSEST:g} m",
+                hint="export it with another origin (CloudCompare: global shift), or with floats of 64 bits",
+            )  # fmt: skip
+    _check_size((points - origin) * scale, "a coordinate", path, (what, "coordinate"), far=far)
+
+
+def _check_size(
+    values: Matrix, what: str, path: Path, axes: tuple[str, str], *, holes: bool = False, far: str | None = None
+) -> None:
+    """Raise an InputError that names the first of `values` (rows, columns) that is no number of metres on a site.
+
+    `far` is what to do about values that are too large.
+    """
     wrong = ~(np.abs(values) <= LARGEST)
     if holes:
         wrong &= ~np.isnan(values)
@@ -191,8 +234,7 @@ def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *,
     elif np.isinf(value):
         problem = f"{what} is not finite"
     else:
-        problem = f"{what} is too large"
-        hint = "map coordinates are too large: subtract one offset from all points, so that the machine is near 0, 0, 0"
+        problem, hint = f"{what} is too large", far
     raise InputError(
         problem, file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=found,
         allowed=f"{-LARGEST:g} to {LARGEST:g} m", hint=hint,
