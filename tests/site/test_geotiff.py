@@ -130,6 +130,13 @@ def test_numbers_of_other_sizes_are_read(kind: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_heights(file), heights)
 
 
+def test_a_signalling_nan_is_a_missing_height(tmp_path: Path) -> None:
+    """Numbers that are turned into floats of 64 bits: such a NaN of 32 bits is one without the highest bit."""
+    tags, blocks = image(np.ones((2, 2)), kind="<f4")
+    file = write_tiff(tmp_path / "a.tif", (tags, [struct.pack("<I", 0x7F800001) + blocks[0][4:]]))
+    np.testing.assert_array_equal(read_height_grid(file).heights, [[1.0, 1.0], [NAN, 1.0]])
+
+
 def hidden(heights: Matrix, *places: tuple[int, int]) -> Matrix:
     found = heights.copy()
     found[tuple(zip(*places, strict=True))] = NAN

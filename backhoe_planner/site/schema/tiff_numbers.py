@@ -58,7 +58,8 @@ def decode(tiff: TiffFile, tags: Tags, path: Path) -> Matrix:
             shape = (high if is_tiled else min(high, rows - row), wide)
             block = _block(tiff, tags, tiff.content[offset : offset + size], shape, path)
             part = numbers[row : row + high, column : column + wide]
-            part[...] = block[: part.shape[0], : part.shape[1]]
+            with np.errstate(invalid="ignore"):  # a NaN of 32 bits may be a signalling one
+                part[...] = block[: part.shape[0], : part.shape[1]]
     return numbers
 
 
