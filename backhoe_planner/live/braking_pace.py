@@ -27,23 +27,34 @@ _CHANGES = 0.5  # part of the acceleration for changes of the pace; the rest is 
 _ROUNDING = 1e-6  # rad or m
 
 
+class StopRule(NamedTuple):
+    """What must hold where the machine stops straight ahead.
+
+    Attributes
+    ----------
+    keep: the conditions to be kept.
+    screen: for the static obstacles.
+    """
+
+    keep: Keep
+    screen: ClearanceScreen
+
+
 class PlanPart(NamedTuple):
     """What holds from a moment of a plan on.
 
     Attributes
     ----------
     begins: the moment [s].
-    keep: the conditions to be kept, or None.
-    screen: for the static obstacles; None without `keep`.
+    stop: what must hold where the machine stops; None without conditions, where it may slide along obstacles instead.
     """
 
     begins: float
-    keep: Keep | None
-    screen: ClearanceScreen | None
+    stop: StopRule | None
 
 
 class BrakingPace:
-    """The greatest pace at every moment of a plan; 1 in parts without conditions, where the machine may slide.
+    """The greatest pace at every moment of a plan; 1 in parts without a rule for stopping.
 
     Parameters
     ----------
@@ -64,15 +75,14 @@ class BrakingPace:
         part = np.searchsorted([one.begins for one in parts], self._time, side="right") - 1
         pace = np.ones(count)
         for index, one in enumerate(parts):
-            if one.keep is None:
+            if one.stop is None:
                 continue
             rows = np.flatnonzero((part == index) & (np.abs(line).max(axis=1) > _ROUNDING))
             pace[rows] = _PACES[-1]
-            assert one.screen is not None
             clear = np.zeros(count, dtype=bool)
-            clear[rows] = one.screen.keeps(q[rows])  # what is on the plan itself is left to the servo
+            clear[rows] = one.stop.screen.keeps(q[rows])  # what is on the plan itself is left to the servo
             for slower in _PACES[:-1]:
-                fits = _fit(slower**2 * line, rows, q, clear, limits, one)
+                fits = _fit(slower**2 * line, rows, q, clear, limits, one.stop)
                 pace[rows[fits]] = slower
                 rows = rows[~fits]
         self._pace = _changing_slowly(pace, self._time, v, limits)
@@ -82,8 +92,8 @@ class BrakingPace:
         return float(np.interp(time, self._time, self._pace))
 
 
-def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimits, part: PlanPart) -> Flags:
-    """(R,) whether the braking lines (K, n) of `rows` (R,), from q (K, n), keep the limits and what the plan keeps.
+def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimits, rule: StopRule) -> Flags:
+    """(R,) whether the braking lines (K, n) of `rows` (R,), from q (K, n), keep the limits and the rule.
 
     clear: (K,) whether the plan itself keeps its clearances there.
     """
@@ -92,13 +102,11 @@ def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimi
         here = np.flatnonzero(fits)
         places = q[rows[here]] + along * line[rows[here]]
         within = np.all((places >= limits.lower - _ROUNDING) & (places <= limits.upper + _ROUNDING), axis=1)
-        assert part.keep is not None
-        for condition in part.keep.conditions:
+        for condition in rule.keep.conditions:
             least = np.minimum(condition.margins(condition.values(q[rows[here]])), 0.0) - _ROUNDING
             within &= condition.margins(condition.values(places)) >= least
-        assert part.screen is not None
         asked = np.flatnonzero(within & clear[rows[here]])
-        within[asked] = part.screen.keeps(places[asked])
+        within[asked] = rule.screen.keeps(places[asked])
         fits[here] = within
     return fits
 

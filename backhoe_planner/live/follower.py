@@ -26,7 +26,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.live.braking_pace import BrakingPace, PlanPart
+from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.reference import Reference
@@ -437,9 +437,9 @@ def _parts(servo: Servo, plan: Plan | Trajectory, keep: Keep | None) -> list[Pla
 
 def _part(begins: float, keep: Keep | None, robot: Robot, obstacles: Sequence[Obstacle]) -> PlanPart:
     if keep is None:
-        return PlanPart(begins, None, None)
+        return PlanPart(begins, None)
     still = [one for one in obstacles if not one.moves and one.appears_at <= 0.0]
-    return PlanPart(begins, keep, ClearanceScreen(Proximity(robot, still)))
+    return PlanPart(begins, StopRule(keep, ClearanceScreen(Proximity(robot, still))))
 
 
 def _late(off: Vector, rates: Vector) -> float:

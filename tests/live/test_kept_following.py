@@ -11,7 +11,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.live import Rejoining, RejoiningQuery, find_rejoining
 from backhoe_planner.live.braking.joint_bounds import BRAKING
-from backhoe_planner.live.braking_pace import BrakingPace, PlanPart
+from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import Keep, keep_of
@@ -134,7 +134,7 @@ def test_the_plan_goes_on_only_as_fast_as_braking_straight_ahead_keeps_the_band(
     q[:, 3] += 0.0095 * np.sin(2.0 * np.pi * time / 0.8) * (4.0 * part * (1.0 - part)) ** 2
     reference = Reference(bp.Trajectory.from_steps(time, q), backhoe.limits)
     screen = ClearanceScreen(bp.Proximity(backhoe, []))
-    paces = BrakingPace(reference, backhoe.limits, [PlanPart(0.0, keep, screen)])
+    paces = BrakingPace(reference, backhoe.limits, [PlanPart(0.0, StopRule(keep, screen))])
     slowest = 1.0
     for moment in np.linspace(0.2, 3.8, 181).tolist():
         pace = paces.at(moment)
@@ -143,7 +143,7 @@ def test_the_plan_goes_on_only_as_fast_as_braking_straight_ahead_keeps_the_band(
         end = reference.at(moment) + 0.5 * v * float(np.max(np.abs(v) / (BRAKING * backhoe.limits.acceleration)))
         assert pace <= 0.1 or float(keep.margins(end).min()) > -5e-4
     assert slowest < 0.5
-    free = BrakingPace(reference, backhoe.limits, [PlanPart(0.0, None, None)])
+    free = BrakingPace(reference, backhoe.limits, [PlanPart(0.0, None)])
     assert {free.at(moment) for moment in (0.0, 1.3, 4.0)} == {1.0}
 
 
@@ -155,5 +155,7 @@ def reference_rates(reference: Reference, moment: float) -> np.ndarray:
 def test_a_motion_of_one_sample_has_a_pace(backhoe: bp.Robot) -> None:
     rest = bp.Trajectory.from_steps(np.zeros(1), np.array([A]))
     screen = ClearanceScreen(bp.Proximity(backhoe, []))
-    parts = [PlanPart(0.0, keep_of(backhoe, level_scene()), screen)]
+    keep = keep_of(backhoe, level_scene())
+    assert keep is not None
+    parts = [PlanPart(0.0, StopRule(keep, screen))]
     assert BrakingPace(Reference(rest, backhoe.limits), backhoe.limits, parts).at(0.0) == 1.0

@@ -278,7 +278,7 @@ def empty_bed(site: Worksite, trucks: Trucks) -> Bed:
         )
     except InputError as error:
         key = "dump.truck.capacity" if error.key == "capacity" else "dump.truck.bed.size"
-        raise SceneError(error.problem, file=site.job.file, key=key, found=error.found, allowed=error.allowed) from None
+        raise SceneError.of(error, file=site.job.file, key=key) from None
 
 
 def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Matrix]:

@@ -147,7 +147,7 @@ def _site(job: Job, folder: Path) -> Scene:
     try:
         scene = scene_from_dict({**idle, **job.site}, folder=folder, file=job.file)
     except SceneError as error:
-        raise SceneError(error.problem, file=job.file, key="site") from None
+        raise SceneError.of(error, file=job.file, key="site") from None
     return _standing(scene, job.file)
 
 

@@ -164,8 +164,7 @@ def _digger(job: Job, problem: Problem) -> Digger:
         bucket = Bucket.of(problem.robot, width=soil.width, capacity=job.bucket.capacity)
         return Digger(problem.robot, soil, bucket=bucket, limits=problem.limits, swell=job.soil.swell)
     except InputError as error:
-        raise SceneError(error.problem, file=job.file, key=error.key, found=error.found, allowed=error.allowed,
-                         hint=error.hint) from None  # fmt: skip
+        raise SceneError.of(error, file=job.file, key=error.key) from None
 
 
 def reach_area(plane: ArmPlane) -> Matrix:
