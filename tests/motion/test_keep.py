@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -143,11 +144,69 @@ def test_no_margin_between_two_configurations_is_below_the_bound(any_robot: bp.R
             assert least - bound < 6.0 * float(np.sum(np.abs(q_b - q_a))) ** 2 + 1e-9
 
 
+@pytest.mark.parametrize(("part", "holds"), [(0.0, True), (0.98, True), (1.02, False)])
+def test_a_rounded_corner_leaves_room_for_joints_that_are_off_it(backhoe: bp.Robot, part: float, holds: bool) -> None:
+    """A swing 5 cm above a height: the boom may be off by as much as lowers the tip by 5 cm at its greatest reach."""
+    q, swing = np.array([0.0, 0.4, -1.6, -0.9]), np.array([0.3, 0.0, 0.0, 0.0])
+    height = float(bp.Kinematics(backhoe).at(q).tip_position[2])
+    keep = keep_of(backhoe, above=height - 0.05)
+    sagitta = np.array([0.5, part * 0.05 / tip_travel_bound(backhoe)[1], 0.0, 0.0])
+    assert keep.corner_holds(q, q + swing, q + 2.0 * swing, sagitta=sagitta) is holds
+
+
+GIMBAL = """<robot name="gimbal"><link name="base"/><link name="ring"/><link name="yoke"/>
+<link name="tool"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+<joint name="pan" type="revolute"><parent link="base"/><child link="ring"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="roll" type="revolute"><parent link="ring"/><child link="yoke"/><axis xyz="1 0 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="spin" type="revolute"><parent link="yoke"/><child link="tool"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(("turn", "asked"), [(0.6, 1.3), (0.3, 1.45), (0.1, 0.8)])
+def test_the_bound_of_a_rotation_includes_that_its_axis_turns(tmp_path: Path, turn: float, asked: float) -> None:
+    """Pan, roll and spin by t, t and -t: the tool rolls by t about an axis that is panned by t.
+
+    At both ends, t = -turn / 2 and turn / 2, it is turned by some turn^2 / 4 about y as well, in the middle not at all.
+    So the middle is further than both ends from an orientation that is turned by `asked` about y.
+    """
+    file = tmp_path / "gimbal.urdf"
+    file.write_text(GIMBAL)
+    robot = bp.load_robot(file, tip="tool")
+    cone = condition_of(robot, rotation={"rpy": [0.0, asked, 0.0], "tolerance": 2.0})
+    end = 0.5 * turn * np.array([1.0, 1.0, -1.0])
+    ends, middle = cone.values(np.array([-end, end])), cone.values(np.zeros((1, 3)))
+    assert middle[0] == pytest.approx(asked, abs=1e-12)
+    assert middle[0] - np.max(ends) > 0.08 * turn**2
+    assert bound_between(cone, -end, end, tip_travel_bound(robot)) <= 2.0 - asked + 1e-12
+
+
 def test_a_swing_changes_no_height(backhoe: bp.Robot) -> None:
     height = condition_of(backhoe, above=-5.0)
     q = np.array([-1.5, 0.4, -1.6, -0.9])
     bound = bound_between(height, q, q + np.array([3.0, 0.0, 0.0, 0.0]), tip_travel_bound(backhoe))
     assert bound == pytest.approx(least_between(height, q, q), abs=1e-12)
+
+
+TILTED = """<robot name="tilted"><link name="base"/><link name="mast"/>
+<link name="arm"><collision><geometry><sphere radius="0.01"/></geometry></collision></link><link name="tip"/>
+<joint name="tilt" type="revolute"><parent link="base"/><child link="mast"/><axis xyz="0 1 0"/>
+  <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+<joint name="pan" type="revolute"><parent link="mast"/><child link="arm"/><axis xyz="0 0 1"/>
+  <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+<joint name="end" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="1 0 0"/></joint></robot>"""
+
+
+def test_a_hinge_that_is_vertical_only_until_another_tilts_it_changes_heights(tmp_path: Path) -> None:
+    """Tilted by a quarter turn, the tip is at -cos(pan): -0.878 m at both ends, -1 m between them."""
+    file = tmp_path / "tilted.urdf"
+    file.write_text(TILTED)
+    robot = bp.load_robot(file, tip="tip")
+    height = condition_of(robot, above=-0.9)
+    q_a, q_b = np.array([0.5 * np.pi, -0.5]), np.array([0.5 * np.pi, 0.5])
+    assert least_between(height, q_a, q_b) == pytest.approx(-0.1, abs=1e-9)
+    assert bound_between(height, q_a, q_b, tip_travel_bound(robot)) <= -0.1
 
 
 def test_a_whole_turn_of_the_wrist_between_equal_orientations_breaks_a_rotation(ur5: bp.Robot) -> None:

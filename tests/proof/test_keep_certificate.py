@@ -123,3 +123,20 @@ def test_the_tracking_error_is_deducted_from_the_margin(backhoe: bp.Robot) -> No
         assert found.verified is verified
         assert found.keep[0].margin == pytest.approx(-2.1 - low - 0.03, abs=1e-9)
     assert "less 1.7 deg for the tracking error" in found.problems[0]
+
+
+def test_the_tracking_error_is_deducted_from_a_height_and_a_rotation(ur5: bp.Robot) -> None:
+    """A tip error of 4 mm for the height; six hinges of 0.01 rad for the rotation, of which 0.2 rad are allowed."""
+    q = np.array([0.1, -1.2, 1.0, -0.7, 0.4, 0.3])
+    at = bp.Kinematics(ur5).at(q)
+    turn = pin.Quaternion(at.tip_rotation)
+    z = float(at.tip_position[2])
+    rotation = {"quaternion": [turn.w, turn.x, turn.y, turn.z], "tolerance": 0.2}
+    keep = {"above": z - 0.05, "below": z + 0.07, "rotation": rotation}
+    expected = {"above": 0.05, "below": 0.07, "rotation": 0.2}
+    for tracking, tip, turned in (({}, 0.0, 0.0), ({"tracking": {"joints": 0.01, "tip": 0.004}}, 0.004, 0.06)):
+        found = bp.certify(ur5, scene(ur5, q, keep, **tracking), through(q, q))
+        margins = {use.name: use.margin for use in found.keep}
+        assert margins == pytest.approx(
+            {name: most - (turned if name == "rotation" else tip) for name, most in expected.items()}, abs=1e-6
+        )
