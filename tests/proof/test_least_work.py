@@ -58,10 +58,13 @@ def test_no_configuration_on_the_goal_lifts_less_than_the_bound(backhoe: bp.Robo
     found = least_work(build_problem(backhoe, scene), start, end=end, boxes=600)
     assert found is not None
     energy = Dynamics(backhoe).potential_energy
-    for _ in range(10):
-        other = bp.solve_inverse_kinematics(backhoe, target, start=backhoe.random_q(rng))
-        if other.reached:
-            assert found <= max(energy(other.q) - energy(start), 0.0)
+    gains = [
+        energy(other.q) - energy(start)
+        for other in (bp.solve_inverse_kinematics(backhoe, target, start=backhoe.random_q(rng)) for _ in range(10))
+        if other.reached
+    ]
+    assert len(gains) >= 3
+    assert found <= max(min(gains), 0.0)
 
 
 @pytest.mark.parametrize("way", [0.002, 0.005, 0.007])
