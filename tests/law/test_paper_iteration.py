@@ -240,7 +240,20 @@ def test_the_planner_verifies_the_scene_of_the_paper(planar4: Robot, paper_scene
 
 
 def test_the_method_paper_runs_all_iterations_on_the_scene_of_the_paper(planar4: Robot, paper_scene: Path) -> None:
+    """As above with all terms: centre lines stay 0.499 m away, and links and point are 0.04 and 0.01 m thick."""
     found = plan(planar4, load_scene(paper_scene), method="paper")
-    assert found.method == "paper"
+    assert (found.method, found.verdict) == ("paper", "verified"), found.message
     assert found.findings.iterations == ITERATIONS
-    assert found.verdict in ("verified", "failed")
+    from_point = [proven.distance for proven in found.certificate.clearances if proven.obstacle == "point"]
+    assert min(from_point) >= 0.499 - 0.04 * np.sqrt(2.0) - 0.01
+
+
+def test_without_the_obstacle_term_the_method_paper_is_refuted_at_the_point(planar4: Robot, paper_scene: Path) -> None:
+    """As above without terms: the tip arrives, but a centre line passes the point within 0.06 m."""
+    content = load_scene(paper_scene).to_dict() | {"gains": {"s_e": 0.2}}
+    found = plan(planar4, scene_from_dict(content), method="paper")
+    assert found.verdict == "failed"
+    assert found.certificate.tracking.done
+    assert found.certificate.min_clearance is not None
+    assert found.certificate.min_clearance.obstacle == "point"
+    assert found.certificate.min_clearance.distance < 0.06

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import backhoe_planner as bp
+from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import EFFORTS, Work, World, plan_to_dict
 from backhoe_planner.planning.search.motion_check import MotionCheck
@@ -73,13 +74,30 @@ def test_a_motion_keeps_a_band_that_the_law_alone_leaves(backhoe: bp.Robot) -> N
     assert np.max(np.abs(pitches(kept) + 2.7)) <= 0.05 + 1e-6
 
 
-def test_a_motion_of_the_law_is_verified_only_if_it_keeps_the_band(backhoe: bp.Robot) -> None:
-    goal = {"position": [3.6, 2.0, 1.5]}
-    plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), goal, {"pitch": [-2.11, -2.09]}), method="reactive")
-    if plan.verified:
-        assert np.all(np.abs(pitches(plan) + 2.1) <= 0.01 + 1e-6)
-    else:
-        assert "pitch of the bucket" in plan.message
+def test_the_law_keeps_a_band_that_it_leaves_when_free(backhoe: bp.Robot) -> None:
+    start, goal = (0.0, 0.4, -1.6, -0.9), {"position": [3.6, 2.0, 1.5]}
+    free = bp.plan(backhoe, site(start, goal, {"below": 9.0}), method="reactive")
+    assert free.verified, free.message
+    assert np.max(pitches(free)) > -1.5
+    kept = bp.plan(backhoe, site(start, goal, {"pitch": [-2.6, -1.6]}), method="reactive")
+    assert kept.verified, kept.message
+    assert np.max(np.abs(pitches(kept) + 2.1)) <= 0.5 + 1e-6
+
+
+def test_a_band_in_which_no_posture_is_on_the_goal_is_reported_by_the_law(backhoe: bp.Robot) -> None:
+    """On a grid of 250,000 postures with such a pitch, no tip comes within 0.2 m of the goal."""
+    position, (_, *low), (_, *high) = [3.6, 2.0, 1.5], backhoe.limits.lower, backhoe.limits.upper
+    ranges = (np.linspace(a, b, 300) for a, b in zip(low[:2], high[:2], strict=True))
+    boom, stick, pitch = (part.ravel() for part in np.meshgrid(*ranges, [-2.11, -2.1, -2.09]))
+    q = np.column_stack((np.full(len(boom), np.arctan2(2.0, 3.6)), boom, stick, pitch - boom - stick))
+    q = q[(q[:, 3] >= low[2]) & (q[:, 3] <= high[2])]
+    away = np.linalg.norm(BatchKinematics(backhoe).at(q).tip_position - position, axis=1)
+    assert len(q) > 200_000
+    assert away.min() > 0.2
+    scene = site((0.0, 0.4, -1.6, -0.9), {"position": position}, {"pitch": [-2.11, -2.09]})
+    plan = bp.plan(backhoe, scene, method="reactive")
+    assert plan.reason == "goal_breaks_keep"
+    assert "pitch of the bucket" in plan.message
 
 
 @pytest.mark.parametrize("method", ["auto", "reactive"])
