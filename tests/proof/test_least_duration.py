@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,17 @@ def test_the_bound_lets_joints_share_a_motion(planar4: bp.Robot) -> None:
     problem = problem_of(planar4, np.zeros(4), at_pose(planar4, folded, turned=True))
     found = least_duration(problem, np.zeros(4), known=2.0, end=folded, boxes=ENOUGH)
     assert 0.9 * rest_to_rest(0.3, 1.0, 2.0) - SAMPLED < found.duration < rest_to_rest(0.3, 1.0, 2.0)
+
+
+@pytest.mark.parametrize("at_once", [1, 128])
+def test_boxes_that_are_not_halved_yet_are_kept(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    """The bound of the same motion, though a motion of 3 s is all that is known."""
+    monkeypatch.setattr(sys.modules[least_duration.__module__], "_AT_ONCE", at_once)
+    problem = problem_of(planar4, np.zeros(4), at_pose(planar4, np.full(4, 0.3), turned=True))
+    found = least_duration(problem, np.zeros(4), known=3.0, boxes=ENOUGH)
+    assert 0.0 < found.duration < rest_to_rest(0.3, 1.0, 2.0)
 
 
 def test_the_bound_includes_the_flow_of_the_pump(backhoe: bp.Robot) -> None:

@@ -105,23 +105,24 @@ def hurried(problem: Problem, start: Vector, way: Vector, steps: int) -> Traject
     return Trajectory.from_steps(SAMPLE_PERIOD * np.arange(steps + 1.0), np.array(q))
 
 
-@pytest.mark.parametrize(("steps", "every"), [(1, 4), (4, 4), (40, 1)])
+@pytest.mark.parametrize(("steps", "every"), [(1, 4), (4, 4), (60, 1)])
 def test_no_accepted_motion_of_cylinders_is_faster_than_the_least_time(
     backhoe: bp.Robot, steps: int, every: int
 ) -> None:
     """Alone and together, each joint upwards and downwards; the longest ones use all of the pump or of a valve."""
-    start = np.array([0.0, 0.1, -1.4, -0.6])
-    problem = problem_at(backhoe, start)
     uses = []
-    for way in CYLINDERS[::every]:
-        motion = hurried(problem, start, np.array([0.0, *way]), steps)
+    for moves in CYLINDERS[::every]:
+        way = np.array([0.0, *moves])
+        start = backhoe.middle - 0.3 * (backhoe.limits.upper - backhoe.limits.lower) * way
+        problem = problem_at(backhoe, start)
+        motion = hurried(problem, start, way, steps)
         use = certify_problem(problem, motion).hydraulics
         assert use is not None
         if use.kept:  # the others need more power than the engine has, which the least times leave out
             assert_no_faster(problem, motion)
             uses.append(use.ratio)
     assert len(uses) >= 5
-    assert steps < 40 or sum(ratio > 1.009 for ratio in uses) >= 5
+    assert steps < 60 or sum(ratio > 1.005 for ratio in uses) >= 10
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -12,7 +12,16 @@ import backhoe_planner as bp
 from backhoe_planner.machine import GRAVITY, Dynamics, load_robot
 from backhoe_planner.motion import build_problem, time_polyline, trajectory_costs
 from backhoe_planner.proof import least_work
+from backhoe_planner.proof.least_work import _PotentialEnergy
+from validation.habitats import load_machine
 
+TURNING_MAST = f"""<robot name="mast"><link name="base"/><link name="mast"/>
+  <link name="load"><collision><geometry><sphere radius="0.01"/></geometry></collision>
+    <inertial><mass value="{MASS}"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="tilt" type="revolute"><parent link="base"/><child link="mast"/><axis xyz="0 -1 0"/>
+    <limit lower="-1.5" upper="1.5" effort="1e5" velocity="1"/></joint>
+  <joint name="slide" type="prismatic"><parent link="mast"/><child link="load"/><axis xyz="1 0 0"/>
+    <limit lower="-0.5" upper="2" effort="1e5" velocity="1"/></joint></robot>"""
 LOW, HIGH = np.array([-0.5]), np.array([0.6])
 GAIN = MASS * GRAVITY * LENGTH * float(np.sin(0.6) + np.sin(0.5))  # J
 
@@ -41,6 +50,16 @@ def test_the_bound_includes_the_payload(tmp_path: Path) -> None:
     assert 0.975 * 2.0 * GAIN < found < 2.0 * GAIN
 
 
+def test_in_soil_there_is_no_bound(backhoe: bp.Robot) -> None:
+    """What is dug or shed changes the load, so that the gain in height does not bound the work."""
+    start, end = np.array([0.0, 0.2, -1.4, -0.9]), np.array([0.0, 0.6, -1.4, -0.9])
+    named = [{"joints": dict(zip(backhoe.joint_names, q.tolist(), strict=True))} for q in (start, end)]
+    content = {"version": 1, "start": named[0], "task": {"goal": named[1]}}
+    for scene, bounded in ((content, True), (content | {"soil": {}}, False)):
+        found = least_work(build_problem(backhoe, bp.scene_from_dict(scene)), start, end=end, boxes=100)
+        assert (found is not None) is bounded
+
+
 def test_the_bound_of_lowering_is_0(tmp_path: Path) -> None:
     assert least_work(to_height(tmp_path, 0.6, -0.5), HIGH, end=LOW, boxes=1_000) == 0.0
 
@@ -65,6 +84,41 @@ def test_no_configuration_on_the_goal_lifts_less_than_the_bound(backhoe: bp.Robo
     ]
     assert len(gains) >= 3
     assert found <= max(min(gains), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_posture_in_a_box_has_less_potential_energy_than_its_bound(
+    backhoe: bp.Robot, panda: bp.Robot, tmp_path: Path, seed: int
+) -> None:
+    """With and without a payload, of hinges and slides, in boxes from 1 cm or 10 mrad to 1 m or rad."""
+    (tmp_path / "slide.urdf").write_text(TURNING_MAST)
+    robot = (backhoe, panda, load_machine("telescope"), load_robot(tmp_path / "slide.urdf"))[seed]
+    rng, payload = np.random.default_rng(seed), 0.0 if seed == 1 else 150.0
+    start = dict.fromkeys(robot.joint_names, 0.1)
+    load = {"payload": payload, "payload_at": [0.3, -0.2, 0.4]}
+    content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start}}} | load
+    energy = _PotentialEnergy(build_problem(robot, bp.scene_from_dict(content)))
+    exact = Dynamics(robot, payload=payload, payload_at=(0.3, -0.2, 0.4)).potential_energy
+    for _ in range(40):
+        middle = robot.random_q(rng)
+        half = np.exp(rng.uniform(np.log(1e-2), 0.0)) * rng.uniform(0.3, 1.0, robot.n)
+        half *= rng.integers(0, 2, robot.n) | (np.arange(robot.n) == rng.integers(robot.n))
+        (least,) = energy.least((middle - half)[None], (middle + half)[None])
+        corners = half * rng.choice([-1.0, 1.0], (40, robot.n)) * np.where(rng.integers(0, 2, (40, 1)), 1.0, 0.5)
+        offset = energy.at(middle) - exact(middle)
+        assert least <= min(exact(middle + d) for d in corners) + offset + 1e-6
+
+
+def test_the_bound_of_the_potential_energy_of_a_mast_equals_a_hand_calculation(tmp_path: Path) -> None:
+    """A mass that slides by s on a mast tilted by x from level: m g s sin x, or m g s x to second order at 0."""
+    (tmp_path / "slide.urdf").write_text(TURNING_MAST)
+    robot, half = load_robot(tmp_path / "slide.urdf"), np.array([0.4, 0.3])
+    joints = {"joints": {"tilt": 0.0, "slide": 0.0}}
+    scene = bp.scene_from_dict({"version": 1, "start": joints, "task": {"goal": joints}})
+    energy = _PotentialEnergy(build_problem(robot, scene))
+    (least,) = energy.least(-half[None], half[None])
+    rest = 0.3 * 0.4**2 / 2.0 + 0.3 * 0.4**3 / 6.0
+    assert least - energy.at(np.zeros(2)) == pytest.approx(-MASS * GRAVITY * (0.3 * 0.4 + rest), rel=1e-9)
 
 
 @pytest.mark.parametrize("way", [0.002, 0.005, 0.007])
