@@ -19,7 +19,7 @@ import backhoe_planner
 ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 FLOORS = [
-    "errors", "arrays", "blas", "native", "files",
+    "errors", "digits", "arrays", "blas", "native", "files",
     "machine", "site", "motion", "proof", "law", "planning", "live", "job", "standing", "studies", "show", "cli",
     "__main__",
 ]  # fmt: skip

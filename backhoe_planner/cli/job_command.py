@@ -16,6 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import job as jobs
 from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_verdict, print_warnings
+from backhoe_planner.digits import margin_text
 from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
@@ -216,7 +217,7 @@ def print_figures(plan: bp.JobPlan) -> None:
         if tightest is not None:
             OUT.print(
                 f"clearance     {tightest.distance:.3f} m at least between {tightest.link} and {tightest.name} "
-                f"(margin {tightest.margin:+.3f} m)"
+                f"(margin {margin_text(tightest.margin)} m)"
             )
     left, below = 100.0 * figures.left, 100.0 * figures.below
     most = f"at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it"

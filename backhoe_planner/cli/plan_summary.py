@@ -10,6 +10,7 @@ from pathlib import Path
 import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
+from backhoe_planner.digits import margin_text
 
 _SAME_PLACE = 0.005  # m of path between the ends of a detour, below which it is a change of posture on the spot
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
@@ -39,7 +40,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
         least, when = ("at least", f"at {tightest.time:.2f} s") if moves else ("where it starts,", "without a motion")
         OUT.print(
             f"clearance     {tightest.distance:.3f} m {least} between {tightest.link} "
-            f"and {tightest.name} (margin {tightest.margin:+.3f} m, {when})"
+            f"and {tightest.name} (margin {margin_text(tightest.margin)} m, {when})"
         )
     _print_tracking_error(found)
     if moves:  # a machine already at its goal has a motion of 0 s
@@ -54,7 +55,9 @@ def _print_legs(found: bp.Plan) -> None:
     width = max((len(leg.name) for leg in found.legs), default=0)
     for leg in found.legs:
         tightest = leg.certificate.min_clearance
-        near = "" if tightest is None else f", margin {tightest.margin:+.3f} m ({tightest.link}, {tightest.name})"
+        near = ""
+        if tightest is not None:
+            near = f", margin {margin_text(tightest.margin)} m ({tightest.link}, {tightest.name})"
         work = planning.describe_quantity(leg.metrics.energy["work"], "J")
         wrong = "" if leg.certificate.verified else ", not verified"
         error = f", tip error {1e3 * leg.certificate.tracking.max_error:.2f} mm"
@@ -86,7 +89,8 @@ def _print_goal(found: bp.Plan) -> None:
 def _print_keep(found: bp.Plan) -> None:
     """Print the margin left of every condition to be kept; nothing if there is none."""
     for use in found.certificate.keep:
-        figures = f"{DEGREES * use.margin:+.2f} deg" if use.unit == "rad" else f"{use.margin:+.3f} m"
+        turns = use.unit == "rad"
+        figures = f"{margin_text(DEGREES * use.margin, '+.2f')} deg" if turns else f"{margin_text(use.margin)} m"
         OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s)")
 
 
@@ -141,18 +145,18 @@ def print_certificate(plan: bp.Plan) -> None:
         OUT.print(f"{'planned with':<13}{plan.settings}")
     table = table_of("obstacle", "link", "distance [m]", "margin [m]", "at [s]")
     for row in certificate.clearances:
-        table.add_row(row.name, row.link, f">= {row.distance:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}")
+        table.add_row(row.name, row.link, f">= {row.distance:.4f}", margin_text(row.margin, "+.4f"), f"{row.time:.2f}")
     if certificate.clearances:
         OUT.print(table)
     for kind in ("position", "velocity", "acceleration"):
         use = getattr(certificate, kind)
         limit = "the way from the middle of its range to an end" if kind == "position" else "its limit"
-        OUT.print(f"{kind:<13}{100.0 * use.ratio:5.1f} % of {limit} at most ({use.joint}, {use.time:.2f} s)")
+        OUT.print(f"{kind:<13}{use.percent:>5} % of {limit} at most ({use.joint}, {use.time:.2f} s)")
     for kind, load in (("torque", certificate.effort), ("hydraulics", certificate.hydraulics)):
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             kept = f"; up to {100.0 * (1.0 + motion.DRIVE_TOLERANCE):.0f} % is kept" if load.ratio > 1.0 else ""
-            OUT.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s{kept})")
+            OUT.print(f"{kind:<13}{load.percent:>5} % of its limit at most ({where}, {load.time:.2f} s{kept})")
     _print_legs(plan)
     print_recording(plan)
     if not live.is_recording(plan):
@@ -164,12 +168,11 @@ def print_certificate(plan: bp.Plan) -> None:
     speed = certificate.tip_speed
     if speed is not None:
         OUT.print(
-            f"{'tip speed':<13}{100.0 * speed.ratio:5.1f} % of the asked {speed.available:g} m/s at most "
-            f"({speed.time:.2f} s)"
+            f"{'tip speed':<13}{speed.percent:>5} % of the asked {speed.available:g} m/s at most ({speed.time:.2f} s)"
         )
     if certificate.duration is not None:
         use = certificate.duration
-        OUT.print(f"{'duration':<13}{100.0 * use.ratio:5.1f} % of max_duration ({use.available:g} s)")
+        OUT.print(f"{'duration':<13}{use.percent:>5} % of max_duration ({use.available:g} s)")
     _print_zone_table(site.worst_first(bp.zone_log(plan.robot, plan.scene, plan.trajectory)))
 
 

@@ -15,6 +15,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.digits import length_text
 from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.motion import OBJECTIVES, Problem, SmoothWay, Trajectory, drive_of, keep_of, time_way
 from backhoe_planner.planning import (
@@ -151,7 +152,7 @@ class _Search:
         if here is not None and here.margin < 0.0:
             check = MotionCheck(self._problem, self._proximity, [self._query.q], spare=0.0)
             if not check.ends_clear[0]:
-                why = f"{here.link} is {-here.margin:.3f} m closer to {here.name} than allowed where it stands"
+                why = f"{here.link} is {length_text(-here.margin)} closer to {here.name} than allowed where it stands"
                 return NoRejoining(why, searched=False)
         self._start = self._retreat(self._query.q)
         places = list(islice(self._places(), _PLACES if self._query.attempt else 1))

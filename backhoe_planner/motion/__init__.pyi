@@ -1,3 +1,4 @@
+from .conditions import KEPT_TO as KEPT_TO
 from .conditions import Condition as Condition
 from .conditions import HeightBound as HeightBound
 from .conditions import PitchBand as PitchBand
@@ -21,7 +22,6 @@ from .goals import ANGLE_TOLERANCE as ANGLE_TOLERANCE
 from .goals import GOAL_TOLERANCE as GOAL_TOLERANCE
 from .goals import JOINT_TOLERANCE as JOINT_TOLERANCE
 from .goals import Goal as Goal
-from .keep import KEPT_TO as KEPT_TO
 from .keep import Keep as Keep
 from .legs import LegPart as LegPart
 from .legs import leg_parts as leg_parts

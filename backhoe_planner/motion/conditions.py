@@ -31,6 +31,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import (
     BatchKinematics,
     Kinematics,
@@ -41,6 +42,7 @@ from backhoe_planner.machine import (
 )
 
 _NOT_ROUND = 1e-3  # rad: chosen; two motions from one pitch to another differ by whole turns
+KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
 _UPRIGHT = 1e-9  # tilt of an axis that counts as vertical, as in `Robot.has_pitch`
 
 
@@ -170,7 +172,11 @@ class PitchBand(Condition):
 
     def describe(self, value: float, when: str = "") -> str:
         """``the pitch of the bucket is 31.0 deg at 2.40 s, allowed 0 to 20 deg``"""
-        return f"the pitch of the bucket is {np.degrees(self.absolute(value)):.1f} deg{when}, allowed {self.allowed}"
+        pitch, low, high = self.absolute(value), self.low + self.room, self.high - self.room
+        degrees = np.degrees([pitch, low, high]).tolist()
+        shown, *ends = beside_bounds(*degrees, places=".1f", bounds_as=".4g", rounding=float(np.degrees(KEPT_TO)))
+        allowed = f"{ends[0]} to {ends[1]} deg" if low <= high else "no pitch"
+        return f"the pitch of the bucket is {shown} deg{when}, allowed {allowed}{_after(self)}"
 
 
 class HeightBound(Condition):
@@ -222,7 +228,10 @@ class HeightBound(Condition):
 
     def describe(self, value: float, when: str = "") -> str:
         """``the tip is 0.30 m high at 2.40 s, allowed at least 0.50 m``"""
-        return f"the tip is {value:.3f} m high{when}, allowed {self.allowed}"
+        limit = self.limit + self.sense * self.room
+        height, shown = beside_bounds(value, limit, places=".3f", bounds_as=".4g", rounding=KEPT_TO)
+        allowed = f"at {'least' if self.sense > 0.0 else 'most'} {shown} m"
+        return f"the tip is {height} m high{when}, allowed {allowed}{_after(self)}"
 
 
 class RotationCone(Condition):
@@ -280,15 +289,23 @@ class RotationCone(Condition):
 
     def describe(self, value: float, when: str = "") -> str:
         """``the tip is turned by 12.0 deg from the orientation to be kept at 2.40 s, allowed 5 deg``"""
+        most = max(self.tolerance - self.room, 0.0)
+        degrees = np.degrees([value, most]).tolist()
+        angle, shown = beside_bounds(*degrees, places=".1f", bounds_as=".4g", rounding=float(np.degrees(KEPT_TO)))
         return (
-            f"the tip is turned by {np.degrees(value):.1f} deg from the orientation to be kept{when}, "
-            f"allowed {self.allowed}"
+            f"the tip is turned by {angle} deg from the orientation to be kept{when}, allowed {shown} deg{_after(self)}"
         )
 
 
 def _less(condition: Condition) -> str:
     """How much the tracking error reduces the allowed range, as the end of a sentence."""
-    if condition.room <= 0.0:
-        return ""
-    much = f"{np.degrees(condition.room):.2g} deg" if condition.unit == "rad" else f"{condition.room:.3f} m"
-    return f" less {much} for the tracking error"
+    return f" less {_room(condition)} for the tracking error" if condition.room > 0.0 else ""
+
+
+def _after(condition: Condition) -> str:
+    """The same, after a range that is reduced already."""
+    return f" ({_room(condition)} less for the tracking error)" if condition.room > 0.0 else ""
+
+
+def _room(condition: Condition) -> str:
+    return f"{np.degrees(condition.room):.2g} deg" if condition.unit == "rad" else f"{condition.room:.3f} m"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Configuration, TipTarget
 
@@ -90,13 +91,25 @@ class Goal:
             joint = int(np.argmax(off))
             if off[joint] <= JOINT_TOLERANCE:
                 return ""
-            much = f"{off[joint]:.3f} m" if robot.prismatic[joint] else f"{np.degrees(off[joint]):.2f} deg"
+            slides = bool(robot.prismatic[joint])
+            much = _metres(off[joint], JOINT_TOLERANCE) if slides else _degrees(off[joint], JOINT_TOLERANCE, ".2f")
             return f"{robot.joint_names[joint]} ends {much} from the {self.name}"
         position, angle = self.distances(at)
-        allowed = ANGLE_TOLERANCE if self.rotation_tolerance is None else self.rotation_tolerance
+        allowed = GOAL_TOLERANCE if self.tolerance is None else self.tolerance
+        allowed_angle = ANGLE_TOLERANCE if self.rotation_tolerance is None else self.rotation_tolerance
         missing = []
-        if position > (GOAL_TOLERANCE if self.tolerance is None else self.tolerance):
-            missing.append(f"{position:.3f} m from the {self.name}")
-        if angle > allowed:
-            missing.append(f"{np.degrees(angle):.1f} deg from the asked angle")
+        if position > allowed:
+            missing.append(f"{_metres(position, allowed)} from the {self.name}")
+        if angle > allowed_angle:
+            missing.append(f"{_degrees(angle, allowed_angle, '.1f')} from the asked angle")
         return f"the tip ends {' and '.join(missing)}" if missing else ""
+
+
+def _metres(length: float, allowed: float) -> str:
+    """A length [m] in words that is more than is `allowed`."""
+    return f"{beside_bounds(length, allowed, places='.3f')[0]} m"
+
+
+def _degrees(angle: float, allowed: float, places: str) -> str:
+    """An angle [rad] in words that is more than is `allowed`."""
+    return f"{beside_bounds(float(np.degrees(angle)), float(np.degrees(allowed)), places=places)[0]} deg"

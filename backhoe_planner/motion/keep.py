@@ -11,9 +11,8 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
-from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
+from backhoe_planner.motion.conditions import KEPT_TO, Condition, PitchBand, RotationCone
 
-KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
 _NEWTON = 20  # steps of a projection; chosen: near the solution, each step doubles the correct digits
 _INTO = 1e-4  # rad or m inside the allowed range that a projection aims for; chosen, more than a step misses near it

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from backhoe_planner.digits import beside_bounds, length_text
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import (
     Detour,
@@ -145,7 +146,7 @@ def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
         problems.append(
             f"{tightest.link} comes to {tightest.distance:.3f} m of {tightest.name} "
-            f"at {tightest.time:.2f} s, {-tightest.margin:.3f} m closer than allowed"
+            f"at {tightest.time:.2f} s, {length_text(-tightest.margin)} closer than allowed"
         )
     problems += [use.describe() for use in (position, velocity, acceleration) if not use.kept]
     problems += _task_problems(problem, trajectory, tracking, kinematics)
@@ -165,7 +166,8 @@ def describe_step(problem: Problem, step: WaypointStep) -> str:
     assert problem.path is not None
     name, unit = problem.robot.joint_names[step.joint], problem.robot.joint_units[step.joint]
     places = f"from waypoint {problem.path.number(step.before)} to {problem.path.number(step.after)}"
-    return f"{name} moves by {step.size:.4g} {unit} {places}; max_joint_step allows {step.allowed:.4g} {unit}"
+    size, allowed = beside_bounds(step.size, step.allowed, places=".4g", bounds_as=".4g")
+    return f"{name} moves by {size} {unit} {places}; max_joint_step allows {allowed} {unit}"
 
 
 def _describe_turn(problem: Problem, turn: SpotTurn) -> str:
@@ -187,7 +189,8 @@ def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking,
         found.append("the motion does not begin at the start of the scene")
     if problem.wait is not None:
         if trajectory.duration < problem.wait * (1.0 - _WAITS_WITHIN):
-            found.append(f"the machine waits {trajectory.duration:.3g} s instead of {problem.wait:.3g} s")
+            waited, asked = beside_bounds(trajectory.duration, problem.wait, places=".3g", bounds_as=".3g")
+            found.append(f"the machine waits {waited} s instead of {asked} s")
         if np.max(np.abs(trajectory.q - q)) > _STARTS_AT_JOINTS:
             found.append("the machine moves while it is to wait")
     path = problem.scene.task.path

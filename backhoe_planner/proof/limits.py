@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
@@ -50,9 +51,20 @@ class LimitUse:
     at_rest: float = 0.0
 
     @property
+    def most(self) -> float:
+        """The greatest `ratio` with which the limit counts as kept."""
+        return 1.0 + _WITHIN.get(self.kind, DRIVE_TOLERANCE)
+
+    @property
     def kept(self) -> bool:
         """Whether the limit holds."""
-        return self.ratio <= 1.0 + _WITHIN.get(self.kind, DRIVE_TOLERANCE)
+        return self.ratio <= self.most
+
+    @property
+    def percent(self) -> str:
+        """The `ratio` in per cent, in words; one that is not kept shows that it is not."""
+        percent = 100.0 * self.ratio
+        return f"{percent:.1f}" if self.kept else beside_bounds(percent, 100.0 * self.most, places=".1f")[0]
 
     def describe(self) -> str:
         """The sentence about a limit that does not hold."""
@@ -63,22 +75,25 @@ class LimitUse:
             return f"{self.joint} exceeds its {self.kind} limit {when} ({much} it)"
         if self.kind == "torque":
             what = "cannot hold the load" if self.at_rest > 1.0 else "has too little torque for the motion"
-            figures = f"{abs(self.needed) / 1e3:.3g} kN m of {self.available / 1e3:.3g} kN m ({much} it)"
+            torques = (1e-3 * abs(self.needed), 1e-3 * self.available)
+            needed, available = beside_bounds(*torques, places=".3g", bounds_as=".3g")
+            figures = f"{needed} kN m of {available} kN m ({much} it)"
             return f"{self.joint} {what} {when}: it takes {figures}"
         if self.kind == "rod speed":
             return f"{self.joint} asks its cylinders for {much} their greatest speed {when}"
         if self.kind == "tip speed":
-            speeds = f"{self.needed:.3g} m/s {when}, {much} the asked {self.available:.3g} m/s"
-            return f"the tip moves at {speeds}"
+            needed, asked = beside_bounds(self.needed, self.available, places=".3g", bounds_as=".3g")
+            return f"the tip moves at {needed} m/s {when}, {much} the asked {asked} m/s"
         if self.kind == "duration":
-            return f"the motion takes {self.needed:.2f} s, max_duration allows {self.available:g} s"
+            needed, allowed = beside_bounds(self.needed, self.available)
+            return f"the motion takes {needed} s, max_duration allows {allowed} s"
         return f"the motion asks for {much} the {self.kind} {when}"
 
 
 def describe_ratio(ratio: float) -> str:
     """A `ratio` to a limit in words: ``149 % of``, ``12 times``, ``more than 1000 times``."""
     if ratio < 10.0:
-        return f"{100.0 * ratio:.{2 if ratio < 1.1 else 0}f} % of"
+        return f"{beside_bounds(100.0 * ratio, 100.0, places='.2f' if ratio < 1.1 else '.0f')[0]} % of"
     return f"{ratio:.0f} times" if ratio < 1000.0 else "more than 1000 times"
 
 

@@ -7,6 +7,8 @@ from typing import Literal
 
 from pydantic import ConfigDict, with_config
 
+from backhoe_planner.digits import length_text
+
 ObstructionKind = Literal["obstacle", "machine", "joint"]
 
 
@@ -59,14 +61,9 @@ class Obstruction:
         if self.kind == "joint":
             return f"{self.obstacle} is {'beyond' if self.margin < 0.0 else 'at'} its limit"
         if self.distance < 0.0:
-            return f"{self.link} is {_metres(-self.distance)} inside {self.name}"
+            return f"{self.link} is {length_text(-self.distance)} inside {self.name}"
         than = "closer than allowed" if self.margin < 0.0 else "more than the least allowed"
-        return f"{self.link} is {_metres(self.distance)} from {self.name}, {_metres(abs(self.margin))} {than}"
-
-
-def _metres(length: float) -> str:
-    """A length of 0 or more [m] in words; below a millimetre, in mm with two digits."""
-    return f"{length:.3f} m" if length == 0.0 or length >= 1e-3 else f"{1e3 * length:.2g} mm"
+        return f"{self.link} is {length_text(self.distance)} from {self.name}, {length_text(abs(self.margin))} {than}"
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,11 @@ def test_a_motion_longer_than_max_duration_is_not_verified(backhoe: bp.Robot, tm
         assert kept or certificate.problems == (
             f"the motion takes {taken:.2f} s, max_duration allows {0.999 * taken:g} s",
         )
+    longest = round(0.9999 * taken, 6)  # two decimals alone would say the same of both
+    (problem,) = bp.certify(backhoe, reach(longest), plan.trajectory).problems
+    figures = [float(word) for word in problem.split() if word[0].isdigit()]
+    assert figures[0] > figures[1]
+    assert figures == pytest.approx([taken, longest], abs=5e-3)
     # the law alone ignores max_duration
     slow = bp.plan(backhoe, reach(1.01 * taken), method="reactive")
     assert slow.trajectory.duration > 1.01 * taken

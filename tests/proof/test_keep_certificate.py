@@ -51,6 +51,15 @@ def test_a_sample_outside_the_band_is_reported_with_pitch_and_time_and_limits(ba
     assert found.safe  # no collision, and no limit of the machine is exceeded
 
 
+def test_a_pitch_that_misses_its_band_by_little_is_printed_as_outside_of_it(backhoe: bp.Robot) -> None:
+    """0.0004 rad are 0.02 degrees, which a tenth of a degree does not show."""
+    found = bp.certify(backhoe, scene(backhoe, Q, {"pitch": [-2.2, -2.1004]}), through(Q, Q))
+    (problem,) = found.problems
+    pitch, high = (float(problem.split(word)[1].split()[0]) for word in ("is", " to "))
+    assert pitch > high
+    assert pitch == pytest.approx(np.degrees(-2.1), abs=5e-3)
+
+
 def test_a_motion_on_the_edge_of_the_band_is_verified(backhoe: bp.Robot) -> None:
     motion = through(Q, shifted(Q, swing=0.5, boom=0.1, stick=-0.1), Q)
     assert bp.certify(backhoe, scene(backhoe, Q, {"pitch": [-2.1, -2.1]}), motion).verified
@@ -122,7 +131,7 @@ def test_the_tracking_error_is_deducted_from_the_margin(backhoe: bp.Robot) -> No
         found = bp.certify(backhoe, asked, through(Q, Q))
         assert found.verified is verified
         assert found.keep[0].margin == pytest.approx(-2.1 - low - 0.03, abs=1e-9)
-    assert "less 1.7 deg for the tracking error" in found.problems[0]
+    assert "(1.7 deg less for the tracking error)" in found.problems[0]
 
 
 def test_the_tracking_error_is_deducted_from_a_height_and_a_rotation(ur5: bp.Robot) -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector, as_number
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import LIP, bucket_width
@@ -76,9 +77,10 @@ class Bucket:
         shape = bucket_width(robot)
         width = shape if width is None else as_number(width, key="bucket.width", above=0.0)
         if width < shape - _SAME_WIDTH:
+            least = beside_bounds(width, shape, places=".6g", bounds_as=".3f")[1]
             raise InputError(
                 "is narrower than the bucket's shape, which goes into the ground too", key="soil.width", found=width,
-                allowed=f"{shape:.3f} m or more",
+                allowed=f"{least} m or more",
             )  # fmt: skip
         section = _section(robot)
         struck, centre = section.inside()

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from backhoe_planner.arrays import Matrix
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import SceneError
 from backhoe_planner.job.cycles.dumping import empty_bed, postures_over, radii_of_dumps
 from backhoe_planner.job.worksite.column_parts import parts_within
@@ -71,9 +72,10 @@ def check_truck(site: Worksite) -> None:
         return
     bucketful = site.bucket.capacity
     if truck.capacity < bucketful:
+        least = beside_bounds(truck.capacity, bucketful, places=".6g", bounds_as=".2f")[1]
         raise SceneError(
             "takes less than one bucketful", file=job.file, key="dump.truck.capacity", found=truck.capacity,
-            allowed=f"{bucketful:.2f} m^3 or more: what the bucket holds", hint="or a smaller bucket.capacity",
+            allowed=f"{least} m^3 or more: what the bucket holds", hint="or a smaller bucket.capacity",
         )  # fmt: skip
     empty_bed(site, truck)
     bed, start = truck.bed, site.problem.start_q
@@ -92,10 +94,11 @@ def check_truck(site: Worksite) -> None:
         walls = [one for one in site.problem.obstacles if one.name in {wall["name"] for wall in bed.walls()}]
         near = Proximity(site.robot, walls).tightest(start)
         if near is not None and near.margin < 0.0 and near.name in {one.name for one in walls}:
+            apart, least = beside_bounds(near.distance, near.distance - near.margin, bounds_as=".2f")
             raise SceneError(
                 "stands in the machine, or too near to it", file=job.file, key="dump.truck.bed.position",
-                found=f"{near.distance:.2f} m between {near.link} and the {near.name}",
-                allowed=f"{near.distance - near.margin:.2f} m or more while the machine stands at its start",
+                found=f"{apart} m between {near.link} and the {near.name}",
+                allowed=f"{least} m or more while the machine stands at its start",
             )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.ground.heaps import Refusal, level_for
 from backhoe_planner.job.ground.obstacle import terrain_obstacle
@@ -77,8 +78,9 @@ class Bed:
             return replace(found, capacity=most)
         capacity = as_number(capacity, key="capacity", above=0.0)
         if capacity > most:
+            allowed = beside_bounds(capacity, most, places=".6g", bounds_as=".2f")[1]
             raise InputError(
-                "is more than the bed holds", key="capacity", found=capacity, allowed=f"up to {most:.2f} m^3"
+                "is more than the bed holds", key="capacity", found=capacity, allowed=f"up to {allowed} m^3"
             )
         return replace(found, capacity=capacity)
 

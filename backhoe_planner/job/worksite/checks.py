@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import SceneError
 from backhoe_planner.job.worksite.lanes import Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -49,9 +50,10 @@ def check_start(site: Worksite) -> None:
         return
     meant = angles_in_degrees(site.problem, q)
     for j in np.flatnonzero((q < limits.lower) | (q > limits.upper)).tolist():
+        here, lower, upper = beside_bounds(q[j], limits.lower[j], limits.upper[j], places=".4g", bounds_as=".4g")
         raise SceneError(
             "is beyond the joint's limits", file=site.job.file, key=f"start.{site.robot.joint_names[j]}",
-            found=f"{q[j]:.4g}", allowed=f"{limits.lower[j]:.4g} to {limits.upper[j]:.4g}",
+            found=here, allowed=f"{lower} to {upper}",
             hint=f"angles are in radians: {q[j]:.4g} degrees are {meant[j]:.4g}" if np.isfinite(meant[j]) else None,
         )  # fmt: skip
 
@@ -59,10 +61,11 @@ def check_start(site: Worksite) -> None:
 def _check_width(site: Worksite) -> None:
     trench, width = site.job.dig.trench, site.bucket.width
     if trench is not None and width > trench.width + 2.0 * trench.tolerance:
+        bounds = (width, width - 2.0 * trench.tolerance)
+        _, whole, least = beside_bounds(trench.width, *bounds, places=".6g", bounds_as=".2f")
         raise SceneError(
             "the bucket is wider than the trench", file=site.job.file, key="dig.trench.width", found=trench.width,
-            allowed=f"{width:.2f} m, the bucket's width, or more (less by up to twice the tolerance, "
-            f"{width - 2.0 * trench.tolerance:.2f} m)",
+            allowed=f"{whole} m, the bucket's width, or more (less by up to twice the tolerance, {least} m)",
             hint="a narrower bucket, or a wider trench",
         )  # fmt: skip
 
@@ -71,9 +74,10 @@ def _check_cell(site: Worksite) -> None:
     trench, cell = site.job.dig.trench, site.ground.cell
     width = site.bucket.width if trench is None else min(site.bucket.width, trench.width)
     if cell > width / _COLUMNS:
+        most = beside_bounds(cell, width / _COLUMNS, places=".6g", bounds_as=".2f")[1]
         raise SceneError(
             "is too coarse for what is dug", file=site.job.file, key="ground.cell", found=cell,
-            allowed=f"up to {width / _COLUMNS:.2f} m: {_COLUMNS} columns side by side under the blade",
+            allowed=f"up to {most} m: {_COLUMNS} columns side by side under the blade",
         )  # fmt: skip
 
 
@@ -109,11 +113,11 @@ def _check_lanes(site: Worksite, lanes: Sequence[Lane]) -> None:
     limits = plane.limits
     within = [lane for lane in lanes if not plane.swings or limits.lower[0] <= lane.swing <= limits.upper[0]]
     if not within:
-        swings = ", ".join(f"{np.degrees(lane.swing):.0f}" for lane in lanes[:1])
+        degrees = np.degrees([lanes[0].swing, limits.lower[0], limits.upper[0]]).tolist()
+        swing, lower, upper = beside_bounds(*degrees, places=".0f", bounds_as=".0f")
         raise SceneError(
             "is out of reach: the machine does not swing so far", file=job.file, key=key,
-            found=f"a swing of {swings} degrees",
-            allowed=f"{np.degrees(limits.lower[0]):.0f} to {np.degrees(limits.upper[0]):.0f} degrees",
+            found=f"a swing of {swing} degrees", allowed=f"{lower} to {upper} degrees",
             hint="turn the machine",
         )  # fmt: skip
     if trench is not None:

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import BatchKinematics, Kinematics, TargetBatch, bend_weights, tip_travel_bound
 from backhoe_planner.motion.following.chords import chord_errors
 from backhoe_planner.motion.following.orientation import angle_bounds
@@ -177,10 +178,11 @@ def track_path(
         on &= angle <= angle_tolerance
     if not on.any():
         nearest = int(np.argmin(np.where(near, angle, np.inf) if near.any() else error))
-        short = f"the tip never comes onto the path; nearest {error[nearest]:.3f} m"
+        metres = beside_bounds(float(off[nearest]), tolerance, places=".3f")[0]
+        short = f"the tip never comes onto the path; nearest {metres} m"
         if near.any():
-            degrees = np.degrees(angle[nearest])
-            short = f"the tip is never on the path with the asked orientation; nearest {degrees:.1f} deg"
+            degrees = _degrees(float(angle[nearest]), angle_tolerance)
+            short = f"the tip is never on the path with the asked orientation; nearest {degrees} deg"
         off = float(error[nearest])
         return Tracking(False, short, off, off, float(angle[nearest]), path.arc(path.length))
     # the approach ends where the tip comes nearest to the path's beginning
@@ -379,9 +381,14 @@ def _missed_angles(
         distances, angles = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
         near = angles[distances <= tolerance]
         if not len(near) or np.min(near) > angle_tolerance:
-            off = np.degrees(float(np.min(near)) if len(near) else float(angles[0]))
-            found.append(f"waypoint {path.number(index)} is passed with the bucket {off:.1f} deg from its angle")
+            off = _degrees(float(np.min(near)) if len(near) else float(angles[0]), angle_tolerance)
+            found.append(f"waypoint {path.number(index)} is passed with the bucket {off} deg from its angle")
     return found
+
+
+def _degrees(angle: float, allowed: float) -> str:
+    """An angle in degrees, in words; if it is more than is `allowed`, it shows that [rad]."""
+    return beside_bounds(float(np.degrees(angle)), float(np.degrees(allowed)), places=".1f")[0]
 
 
 def _close_gaps(on: Flags, first: int, last: int, station: Vector, shortest: float) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
@@ -110,7 +111,8 @@ class ToGoal:
         least = bound_for_allowed_time(world.problem, stepper.q)
         if least <= longest:
             return None
-        message = f"no motion can take less than {least:.2f} s, max_duration allows {longest:g} s"
+        shown, allowed = beside_bounds(least, longest)
+        message = f"no motion can take less than {shown} s, max_duration allows {allowed} s"
         return Outcome(stepper.trajectory(), "outside_limits", message)
 
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:

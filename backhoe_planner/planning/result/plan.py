@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.digits import margin_text
 from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_kind, check_path
 from backhoe_planner.files.differences import differences
 from backhoe_planner.files.output_file import check_record, whole_file
@@ -110,7 +111,7 @@ class Plan:
     def __repr__(self) -> str:
         """One line: reason or verdict, duration, and what is nearest to the machine."""
         nearest = self.certificate.clearances[:1]
-        near = [f"margin {one.margin:+.3f} m between {one.link} and {one.name}" for one in nearest]
+        near = [f"margin {margin_text(one.margin)} m between {one.link} and {one.name}" for one in nearest]
         return f"<Plan {', '.join([self.reason or self.verdict, f'{self.trajectory.duration:.2f} s', *near])}>"
 
     @cached_property

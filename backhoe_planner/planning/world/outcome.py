@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import InverseKinematics, TipTarget, wrap_angle
 from backhoe_planner.motion import TipPath, Trajectory, angles_in_degrees
 from backhoe_planner.planning.paths.stretch import LawWay
@@ -98,13 +99,11 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     limits, names = world.problem.limits, world.problem.robot.joint_names
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
-        units = world.problem.robot.joint_units
         meant = angles_in_degrees(world.problem, q)
         words = "; ".join(
-            f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g} {units[j]}, "
-            f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} {units[j]}"
+            f"{names[j]} {'starts at' if starts else f'at the {what} is'} {_outside(world, j, q[j])}"
             + (f" ({q[j]:.4g} degrees are {meant[j]:.4g} rad)" if np.isfinite(meant[j]) else "")
-            for j in outside
+            for j in outside.tolist()
         )
         words += _within_sectors(world) if outside[0] == 0 else ""
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
@@ -117,6 +116,14 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     if keep is not None and not keep.holds(q):
         return Outcome(stays, "start_breaks_keep" if starts else "goal_breaks_keep", f"at the {what} {keep.broken(q)}")
     return None
+
+
+def _outside(world: World, joint: int, position: float) -> str:
+    """A position outside the limits of a joint, with the limits [rad or m]."""
+    limits, unit = world.problem.limits, world.problem.robot.joint_units[joint]
+    ends = (limits.lower[joint], limits.upper[joint])
+    here, lower, upper = beside_bounds(position, *ends, places=".4g", bounds_as=".4g")
+    return f"{here} {unit}, allowed {lower} to {upper} {unit}"
 
 
 def _only_swung(world: World, contact: Obstruction) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from backhoe_planner.digits import margin_text
 from backhoe_planner.job import JobPlan, job_figures
 
 
@@ -20,7 +21,7 @@ def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
     ]
     if rows:
         margin, name, link = min(rows)
-        facts.append(("Tightest margin", f"{_signed(margin, 3)} m", f"{link} to {name}; proven over all motions"))
+        facts.append(("Tightest margin", f"{_signed(margin)} m", f"{link} to {name}; proven over all motions"))
     waits = f"and {plan.waits:.0f} s for trucks" if plan.waits else ""
     cycles = len(plan.cycles)
     digging = plan.duration - plan.waits
@@ -78,5 +79,5 @@ def _centimetres(value: float) -> str:
     return f"{100.0 * value:.1f} cm"
 
 
-def _signed(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+def _signed(margin: float) -> str:
+    return margin_text(margin, ".3f").replace("-", "\N{MINUS SIGN}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from backhoe_planner.digits import margin_text
 from backhoe_planner.live import is_recording, unrecorded_changes
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import Plan, PlannedLeg, describe_excess, describe_quantity, describe_saving
@@ -105,11 +106,17 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
 
 def _left(use: KeepUse) -> str:
     """The remaining margin of a condition, with its unit."""
-    return f"{np.degrees(use.margin):.2f}°" if use.unit == "rad" else f"{_metres(use.margin)} m"
+    if use.unit == "rad":
+        return f"{_minus(margin_text(float(np.degrees(use.margin)), '.2f'))}°"
+    return f"{_metres(use.margin)} m"
 
 
 def _metres(value: float) -> str:
-    return f"{value:.3f}".replace("-", "\N{MINUS SIGN}")
+    return _minus(margin_text(value, ".3f"))
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _length(value: float) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.digits import margin_text
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
@@ -162,8 +163,9 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     if tightest is not None:
         lowest = min(lowest, tightest.margin)
         axes.plot(tightest.time, tightest.margin, "o", markersize=6, markerfacecolor="none", color="#1d2731", zorder=5)
+        least = margin_text(tightest.margin, ".3f")
         axes.text(
-            0.0, 1.02, f"least (o): {tightest.margin:.3f} m at {tightest.time:.2f} s ({plain_text(tightest.link)})",
+            0.0, 1.02, f"least (o): {least} m at {tightest.time:.2f} s ({plain_text(tightest.link)})",
             transform=axes.transAxes, fontsize=8.5, ha="left", va="bottom",
         )  # fmt: skip
     axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)

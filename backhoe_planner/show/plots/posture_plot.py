@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from backhoe_planner.digits import margin_text
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
@@ -64,7 +65,7 @@ def _draw_margins(axes: Axes, plan: Plan, frames: Timeline) -> None:
         margins.append(shown)
         inside = not np.isnan(margin) and margin < 0.0
         axes.barh(row, shown, _BAR, color="#b3261e" if inside else PLOT_CYCLE[0], alpha=0.3 if shown == far else 0.85)
-        text = f"more than {far:.2g} m" if shown == far else f"{margin:.3f} m"
+        text = f"more than {far:.2g} m" if shown == far else f"{margin_text(margin, '.3f')} m"
         axes.annotate(
             text, (max(shown, 0.0), row), xytext=(4, 0), textcoords="offset points", fontsize=8.5, va="center"
         )

@@ -1,0 +1,71 @@
+"""Figures in messages, with as many digits as show on which side of a bound they lie.
+
+A bound may be exceeded by less than a message usually shows: `the motion takes 3.00 s, max_duration allows 3 s`
+contradicts itself. The functions here add digits until the printed figures say what the numbers do.
+"""
+
+from __future__ import annotations
+
+import math
+
+_MORE = 9  # digits that are added at most; chosen: more is rounding of the numbers themselves
+_MORE_OF_MARGIN = 3  # the same for a margin; chosen: a missing micrometre is rounding
+
+
+def beside_bounds(
+    value: float, *bounds: float, places: str = ".2f", bounds_as: str = ".6g", rounding: float = 0.0
+) -> tuple[str, ...]:
+    """A value and the bounds beside it, in words, so that each pair shows which of the two is larger.
+
+    A value that equals a bound, and a bound that is infinite, need no more digits.
+
+    Parameters
+    ----------
+    value: finite [any unit].
+    bounds: in the same unit.
+    places, bounds_as: how value and bounds are usually printed, as format specifications with a number of digits.
+    rounding: a difference that counts as none [the same unit].
+
+    Returns
+    -------
+    The value, then the bounds, in their order.
+    """
+    for more in range(_MORE + 1):
+        texts = (_with(value, places, more), *(_with(bound, bounds_as, more) for bound in bounds))
+        shown = [float(text.replace(",", "")) for text in texts]
+        pairs = zip(shown[1:], bounds, strict=True)
+        if all(
+            abs(value - bound) <= rounding or _sign(shown[0] - other) == _sign(value - bound) for other, bound in pairs
+        ):
+            break
+    return texts
+
+
+def margin_text(margin: float, places: str = "+.3f") -> str:
+    """A margin in words; one below 0 is not printed as 0 unless it is rounding.
+
+    Parameters
+    ----------
+    margin: negative if something is not kept [any unit].
+    places: how it is usually printed, as a format specification with a number of digits.
+    """
+    for more in range(_MORE_OF_MARGIN + 1) if margin < 0.0 else ():
+        text = _with(margin, places, more)
+        if float(text) < 0.0:
+            return text
+    return _with(0.0 if margin <= 0.0 else margin, places, 0)
+
+
+def length_text(length: float) -> str:
+    """A length of 0 or more [m] in words; below a millimetre, in mm with two digits."""
+    return f"{length:.3f} m" if length == 0.0 or length >= 1e-3 else f"{1e3 * length:.2g} mm"
+
+
+def _with(number: float, places: str, more: int) -> str:
+    """A number by a format specification with `more` digits."""
+    head, _, tail = places.partition(".")
+    return f"{number:{head}.{int(tail[:-1]) + more}{tail[-1]}}"
+
+
+def _sign(difference: float) -> int:
+    return 0 if difference == 0.0 or math.isnan(difference) else (1 if difference > 0.0 else -1)
