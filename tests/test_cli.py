@@ -84,6 +84,31 @@ def test_plan_and_check_print_the_reached_goal_and_the_margin_of_keep(run: Run, 
     assert content["keep"][0]["margin"] == pytest.approx(1.0)
 
 
+def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, tmp_path: Path) -> None:
+    legs: list[Data] = [
+        {"name": "out", "goal": {"joints": {**JOINTS, "joint1": 0.4}}, "objective": "kinetic", "max_duration": 20.0,
+         "keep": {"above": -1.0}},
+        {"name": "stand", "wait": 0.5},
+        {"name": "back", "goal": {"joints": JOINTS}, "keep": {"above": -2.0}},
+    ]  # fmt: skip
+    scene = scene_file(tmp_path, {**REACH, "task": {"sequence": legs}})
+    status, planned, _ = run("plan", PLANAR4, scene, "-o", "out.json", *QUICK)
+    assert status == 0
+    checked = run("check", "out.json")[1]
+    for said in (planned, checked):
+        assert re.search(r"keep +above: \+1\.000 m left at least \(at [\d.]+ s, leg out\)", said)
+        assert re.search(r"keep +above: \+2\.000 m left at least \(at [\d.]+ s, leg back\)", said)
+        assert re.search(r"leg +out +[\d.]+ s, kinetic [\d.]+ J s, margin", said)
+        assert re.search(r"leg +stand +0\.50 s, margin", said)
+        assert re.search(r"leg +back +[\d.]+ s, margin", said)
+    assert re.search(r"duration +[\d.]+ % of max_duration \(20 s, leg out\)", checked)
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["metrics"]["cost"] is None  # J s and s do not add up
+    assert [leg["metrics"]["cost"]["objective"] for leg in content["legs"]][::2] == ["kinetic", "time"]
+    assert [row["leg"] for row in content["certificate"]["keep"]] == ["out", "back"]
+    assert "leg" not in content["legs"][0]["certificate"]["keep"][0]
+
+
 def test_plan_prints_zones_in_one_line_and_check_one_row_for_each(run: Run, tmp_path: Path) -> None:
     sector = {"kind": "swing_sector", "name": "road", "from": -0.2, "to": 1.5, "stop": 0.1, "warn": 0.3}
     scene = scene_file(tmp_path, {**REACH, "zones": [sector]})

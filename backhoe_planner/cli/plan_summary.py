@@ -51,21 +51,26 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
 
 
 def _print_legs(found: bp.Plan) -> None:
-    """Print a line for each leg of a sequence: duration, work, tightest margin; nothing if there are no legs."""
+    """Print a line for each leg of a sequence: duration, cost, tightest margin; nothing if there are no legs."""
     width = max((len(leg.name) for leg in found.legs), default=0)
     for leg in found.legs:
         tightest = leg.certificate.min_clearance
         near = ""
         if tightest is not None:
             near = f", margin {margin_text(tightest.margin)} m ({tightest.link}, {tightest.name})"
-        work = planning.describe_quantity(leg.metrics.energy["work"], "J")
+        cost = f", {leg.cost}" if leg.cost else ""
         wrong = "" if leg.certificate.verified else ", not verified"
         error = f", tip error {1e3 * leg.certificate.tracking.max_error:.2f} mm"
         load = leg.problem.robot.carried
         carried = "" if load is None else f", carries {load[0]}"
         OUT.print(
-            f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s, {work}{near}{error}{carried}{wrong}"
+            f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s{cost}{near}{error}{carried}{wrong}"
         )
+
+
+def _of_leg(name: str) -> str:
+    """The leg to which a row belongs, for the end of its words; empty without a sequence."""
+    return f", leg {name}" if name else ""
 
 
 def _print_tracking_error(found: bp.Plan) -> None:
@@ -91,7 +96,7 @@ def _print_keep(found: bp.Plan) -> None:
     for use in found.certificate.keep:
         turns = use.unit == "rad"
         figures = f"{margin_text(DEGREES * use.margin, '+.2f')} deg" if turns else f"{margin_text(use.margin)} m"
-        OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s)")
+        OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s{_of_leg(use.leg)})")
 
 
 def _print_motion(found: bp.Plan) -> None:
@@ -168,11 +173,12 @@ def print_certificate(plan: bp.Plan) -> None:
     speed = certificate.tip_speed
     if speed is not None:
         OUT.print(
-            f"{'tip speed':<13}{speed.percent:>5} % of the asked {speed.available:g} m/s at most ({speed.time:.2f} s)"
+            f"{'tip speed':<13}{speed.percent:>5} % of the asked {speed.available:g} m/s at most "
+            f"({speed.time:.2f} s{_of_leg(speed.leg)})"
         )
     if certificate.duration is not None:
         use = certificate.duration
-        OUT.print(f"{'duration':<13}{use.percent:>5} % of max_duration ({use.available:g} s)")
+        OUT.print(f"{'duration':<13}{use.percent:>5} % of max_duration ({use.available:g} s{_of_leg(use.leg)})")
     _print_zone_table(site.worst_first(bp.zone_log(plan.robot, plan.scene, plan.trajectory)))
 
 

@@ -28,6 +28,7 @@ class KeepUse:
     time: the time of the least margin [s].
     unit: ``rad`` or ``m``.
     words: the sentence that gives the value and what is allowed.
+    leg: name of the leg of a sequence to which it belongs; empty without a sequence.
     """
 
     name: str
@@ -36,6 +37,7 @@ class KeepUse:
     time: float
     unit: str
     words: str
+    leg: str = ""
 
     @property
     def kept(self) -> bool:

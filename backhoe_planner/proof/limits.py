@@ -39,6 +39,7 @@ class LimitUse:
     time: time of the greatest use [s].
     needed, available: use and limit, in `unit`; `available` is 0 if there is no limit.
     at_rest: for a torque, the part of `ratio` that is needed to hold still; 0 for other kinds.
+    leg: name of the leg of a sequence to which it belongs; empty without a sequence.
     """
 
     kind: str
@@ -49,6 +50,7 @@ class LimitUse:
     available: float
     unit: str
     at_rest: float = 0.0
+    leg: str = ""
 
     @property
     def most(self) -> float:

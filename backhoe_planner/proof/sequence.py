@@ -18,7 +18,7 @@ from backhoe_planner.proof.keeping import KeepUse
 from backhoe_planner.proof.limits import LimitUse
 from backhoe_planner.site import Obstruction, Scene
 
-_Use = TypeVar("_Use", LimitUse, KeepUse, Obstruction)
+_Use = TypeVar("_Use", LimitUse, KeepUse)
 
 
 def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
@@ -66,7 +66,7 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
         for found in leg.certificate.clearances:
             key = (found.kind, found.obstacle)
             if key not in clearances or found.margin < clearances[key].margin:
-                clearances[key] = _later(found, leg)
+                clearances[key] = replace(found, time=found.time + leg.begins)
     problems = [f"{_place(leg)}{problem}" for leg in legs for problem in leg.certificate.problems]
     problems += [f"the leg {name!r} is not begun" for name in missing]
     position, velocity, acceleration = (_most(legs, key) for key in ("position", "velocity", "acceleration"))
@@ -97,8 +97,8 @@ def _place(leg: LegCertificate) -> str:
 
 
 def _later(found: _Use, leg: LegCertificate) -> _Use:
-    """`found` with its time on the clock of the whole motion."""
-    return replace(found, time=found.time + leg.begins)
+    """`found` with the name of its leg, and its time on the clock of the whole motion."""
+    return replace(found, time=found.time + leg.begins, leg=leg.name)
 
 
 def _most(legs: tuple[LegCertificate, ...], key: str) -> LimitUse | None:

@@ -242,3 +242,25 @@ def test_the_shipped_studies_can_be_prepared() -> None:
         template, _ = build_template(bp.load_study(file))
         assert template.metrics
     assert bp.load_study(Path("scenes/studies") / files[0].name).rows > 1, "from any working directory"
+
+
+@pytest.mark.parametrize(
+    ("objectives", "parameters", "metric"),
+    [
+        (("work", "work"), {"clearance": [0.1]}, "cost.value"),
+        (("work", "time"), {"clearance": [0.1]}, "duration"),
+        (("work", None), {"clearance": [0.1]}, "duration"),  # to a goal, the default is the time
+        (("work", "work"), {"task.sequence.b.objective": ["time"]}, "duration"),
+    ],
+)
+def test_sequences_of_legs_with_different_objectives_are_compared_by_the_duration(
+    objectives: tuple[str | None, ...], parameters: dict[str, Any], metric: str
+) -> None:
+    goal = SCENE["task"]["goal"]
+    legs = [
+        {"name": name, "goal": goal} | ({"objective": objective} if objective else {})
+        for name, objective in zip("ab", objectives, strict=True)
+    ]
+    scene = SCENE | {"task": {"sequence": [*legs, {"name": "c", "wait": 1.0}]}}
+    template, _ = build_template(study(parameters, scene=scene))
+    assert template.best.metric == metric

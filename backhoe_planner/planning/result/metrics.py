@@ -54,7 +54,8 @@ class Metrics(Record):
     energy: dict[str, Figure]
     """The cost of the motion by every objective, each in its own unit."""
     cost: ObjectiveCost | None = None
-    """The cost by the objective that was minimised; None in older files."""
+    """The cost by the objective that was minimised; None for a sequence whose legs have different ones, of which each
+    leg has its own, and in older files."""
     detour: DetourTotal
     """All detours together."""
     detours: tuple[Detour, ...] = ()
@@ -101,7 +102,9 @@ def measure_motion(
         tip_length=float(np.sum(np.linalg.norm(np.diff(tips, axis=0), axis=1))),
         joint_length=float(np.sum(np.linalg.norm(np.diff(trajectory.q, axis=0), axis=1))),
         energy=energy,
-        cost=ObjectiveCost(objective=objective.name, value=energy[objective.name], unit=objective.unit),
+        cost=None
+        if len({leg.objective.name for leg in problem.legs if leg.wait is None}) > 1  # seconds and joules do not add up
+        else ObjectiveCost(objective=objective.name, value=energy[objective.name], unit=objective.unit),
         detour=DetourTotal(
             count=len(found),
             length=sum(detour.length for detour in found),

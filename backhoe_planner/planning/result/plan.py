@@ -20,6 +20,7 @@ from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.machine import BatchKinematics, MotionEnergy, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
+from backhoe_planner.planning.report.quantities import describe_quantity
 from backhoe_planner.planning.result.bound import Bound, measure_bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import Metrics, measure_motion
@@ -68,6 +69,17 @@ class PlannedLeg:
     certificate: Certificate
     metrics: Metrics
     findings: Findings = NOTHING
+
+    @property
+    def cost(self) -> str:
+        """What it costs by its own objective, in words: ``work 11.39 kJ``.
+
+        Empty if the objective is the time, which is its duration, for a wait, and for a leg of an older file.
+        """
+        cost = self.metrics.cost
+        if self.problem.wait is not None or self.problem.objective.is_time or cost is None:
+            return ""
+        return f"{cost.objective} {describe_quantity(cost.value, cost.unit)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -105,6 +105,11 @@ class DynamicsRecord(Record):
     """(T,) energy of the oil so far [J]."""
 
 
+def _without_empty(content: dict[str, Any], key: str) -> dict[str, Any]:
+    """A record without a value that is empty or 0."""
+    return content if content.get(key) else {name: value for name, value in content.items() if name != key}
+
+
 class ClearanceRecord(Record):
     """The smallest margin to one obstacle."""
 
@@ -122,10 +127,7 @@ class ClearanceRecord(Record):
 
     @model_serializer(mode="wrap")
     def _without_zero(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        content: dict[str, Any] = serialise(self)
-        if not self.tracking:
-            content.pop("tracking", None)
-        return content
+        return _without_empty(serialise(self), "tracking")
 
     @classmethod
     def of(cls, found: Obstruction) -> ClearanceRecord:
@@ -155,6 +157,12 @@ class UseRecord(Record):
     greatest: Figure | None = None
     asked: Figure | None = None
     """The last two in older files, of the tip's speed [m/s]."""
+    leg: str = ""
+    """The leg of a sequence to which it belongs. Not in the file without a sequence."""
+
+    @model_serializer(mode="wrap")
+    def _without_leg(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(serialise(self), "leg")
 
 
 class KeepRecord(Record):
@@ -168,6 +176,12 @@ class KeepRecord(Record):
     time: Figure
     """[s]"""
     unit: str
+    leg: str = ""
+    """The leg of a sequence to which it belongs. Not in the file without a sequence."""
+
+    @model_serializer(mode="wrap")
+    def _without_leg(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(serialise(self), "leg")
 
 
 class CertificateRecord(Record):
@@ -201,7 +215,7 @@ class CertificateRecord(Record):
             path={"length": tracking.path_length, "followed": tracking.followed},
             detours=tracking.detours,
             keep=tuple(
-                KeepRecord(name=use.name, margin=use.margin, value=use.value, time=use.time, unit=use.unit)
+                KeepRecord(name=use.name, margin=use.margin, value=use.value, time=use.time, unit=use.unit, leg=use.leg)
                 for use in certificate.keep
             ),
             goal=certificate.goal,

@@ -53,8 +53,8 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
 
 
 def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
-    """Duration, work and tightest margin of one leg of a sequence."""
-    words = [describe_quantity(leg.metrics.energy["work"], "J")] if "work" in leg.metrics.energy else []
+    """Duration, cost and tightest margin of one leg of a sequence."""
+    words = [leg.cost] if leg.cost else []
     tightest = leg.certificate.min_clearance
     if tightest is not None:
         words.append(f"{_metres(tightest.margin)} m left between {tightest.link} and {tightest.name}")

@@ -95,7 +95,7 @@ def build_template(study: Study) -> tuple[Template, Inputs]:
     content = template.to_dict()
     addresses = dict(_addresses(study, content, kind))
     _check_settings(study)
-    metrics, best = _metrics(study, kind)
+    metrics, best = _metrics(study, template)
     folder = absolute(template.folder)
     machine = "" if study.machine is None else _source(study.machine, study.folder)
     made = Template(
@@ -243,9 +243,10 @@ def _check_settings(study: Study) -> None:
             )  # fmt: skip
 
 
-def _metrics(study: Study, kind: Kind) -> tuple[tuple[Metric, ...], Best]:
+def _metrics(study: Study, template: Scene | Job) -> tuple[tuple[Metric, ...], Best]:
     """The metrics to keep, including the one by which rows are compared, and how it compares them."""
-    best, key = study.best or _default_best(study, kind), ("best",)
+    kind: Kind = "scene" if study.job is None else "job"
+    best, key = study.best or _default_best(study, template), ("best",)
     names = dict.fromkeys(DEFAULTS[kind] if study.metrics is None else study.metrics)
     found = {}
     for name in (*names, best.metric):
@@ -264,11 +265,18 @@ def _metrics(study: Study, kind: Kind) -> tuple[tuple[Metric, ...], Best]:
     return tuple(found.values()), best
 
 
-def _default_best(study: Study, kind: Kind) -> Best:
-    """The default comparison: by the objective, or by the duration if the objective differs from row to row."""
-    if kind == "job":
+def _default_best(study: Study, template: Scene | Job) -> Best:
+    """The default comparison: by the objective, or by the duration if it differs from row to row or from leg to leg."""
+    if isinstance(template, Job):
         return Best(greatest="production")
-    return Best(least="duration" if "objective" in study.parameters else "cost.value")
+    differs = any(name.rpartition(".")[2] == "objective" for name in study.parameters)
+    defaults = ("time", "work")  # to a goal, and along a path
+    legs = {
+        leg.objective or template.objective or defaults[leg.path is not None]
+        for leg in template.task.sequence or ()
+        if leg.wait is None
+    }
+    return Best(least="duration" if differs or len(legs) > 1 else "cost.value")
 
 
 def _inputs(study: Study, template: Scene | Job, made: Template) -> Inputs:
