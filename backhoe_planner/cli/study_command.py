@@ -119,7 +119,8 @@ def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: P
     best = found.template.best
     if summary.best is not None:
         which = "least" if best.least is not None else "greatest"
-        OUT.print(f"best          row {summary.best.number}: {best.metric} {summary.best_value:.4g}, the {which}")
+        figure = found.template.best_metric.describe(summary.best_value)
+        OUT.print(f"best          row {summary.best.number}: {best.metric} {figure}, the {which}")
         if summary.doubt:
             OUT.print(f"  {summary.doubt}")
         width = max(map(len, summary.best.values), default=0)
@@ -143,6 +144,7 @@ def _print_json(found: studies.StudyResult, summary: studies.Summary, page: Path
         if best is None
         else {
             "row": best.number, "metric": found.template.best.metric, "value": summary.best_value,
+            "unit": found.template.best_metric.unit,
             "parameters": dict(best.values),
         },
         "table": str(found.folder / studies.TABLE),

@@ -48,7 +48,7 @@ def study(
     Returns
     -------
     A `pandas.DataFrame` with a row for every plan: `row`, the parameters, `verdict`, `reason`, `message`, the
-    metrics, `versions`.
+    metrics, `versions`. Its ``attrs["units"]`` has the units of the metrics by column, as far as they have one.
 
     Raises
     ------
@@ -71,7 +71,9 @@ def _frame(result: StudyResult) -> Any:
     table = result.table
     if result.interrupted:
         raise KeyboardInterrupt
-    return table.to_pandas()
+    frame = table.to_pandas()
+    frame.attrs["units"] = {metric.name: metric.unit for metric in result.template.metrics if metric.unit}
+    return frame
 
 
 def _asked(study: Any, scene: Any, parameters: Any, **others: Any) -> Study:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +13,14 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.job import JobFigures
+from backhoe_planner.planning import Bound, CertificateRecord, Findings, Metrics
 from backhoe_planner.studies import Study, study_from_dict
 from backhoe_planner.studies.rows.drawing import draw_rows
+from backhoe_planner.studies.rows.key_paths import members
+from backhoe_planner.studies.rows.metrics import annotation_below, find_metric, keys_of
 from backhoe_planner.studies.rows.template import build_template
+from backhoe_planner.studies.rows.units import unit_of
 from backhoe_planner.studies.schema.values import read_values
 
 ROOT = Path(bp.__file__).resolve().parents[1]
@@ -264,3 +272,54 @@ def test_sequences_of_legs_with_different_objectives_are_compared_by_the_duratio
     scene = SCENE | {"task": {"sequence": [*legs, {"name": "c", "wait": 1.0}]}}
     template, _ = build_template(study(parameters, scene=scene))
     assert template.best.metric == metric
+
+
+def numbers_below(annotation: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """The paths to all numbers of a plan below an annotation, the first entry of each list."""
+    for kind in members(annotation):
+        if typing.get_origin(kind) is tuple:
+            yield from numbers_below(typing.get_args(kind)[0], (*path, "0"))
+        elif keys := keys_of(kind):
+            for key in keys:
+                yield from numbers_below(annotation_below(kind, key), (*path, key))
+        elif kind is float:
+            yield path
+
+
+WITHOUT_UNIT = {  # a ratio, or a figure whose unit differs from plan to plan
+    r"certificate\.limits\.\w+\.(?!time)\w+", r"certificate\.keep\.0\.(margin|value)", r"metrics\.joint_length",
+    r".*\.(obstruction|law_breaks)\.(distance|margin)", r"findings\.detours\.0\.(distance|margin)",
+    r"findings\.nearest\.q\.0", r"findings\.zones\.0\.depth", r"metrics\.(cost|objective)\.(value|law|whole)",
+    r"figures\.(pump|engine)",
+}  # fmt: skip
+
+
+def test_every_figure_has_its_unit() -> None:
+    roots = {"metrics": Metrics, "certificate": CertificateRecord, "bound": Bound, "findings": Findings}
+    found = {path for name, kind in {**roots, "figures": JobFigures}.items() for path in numbers_below(kind, (name,))}
+    assert len(found) > 100
+    for path in found:
+        free = any(re.fullmatch(pattern, ".".join(path)) for pattern in WITHOUT_UNIT)
+        assert free == (unit_of(path) == ""), path
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "objective", "unit"),
+    [
+        ("duration", "scene", None, "s"),
+        ("energy.work", "scene", None, "J"),
+        ("energy.effort", "scene", None, "N^2 m^2 s"),
+        ("cost.value", "scene", "work", "J"),
+        ("cost.value", "scene", "time", "s"),
+        ("cost.value", "scene", None, ""),
+        ("min_clearance.margin", "scene", None, "m"),
+        ("tip_error.max", "scene", None, "m"),
+        ("tip_error.max_angle", "scene", None, "rad"),
+        ("longer_percent", "scene", None, "%"),
+        ("goal", "scene", None, ""),
+        ("production", "job", None, "m^3/h"),
+        ("cycles", "job", None, ""),
+    ],
+)
+def test_units_are_those_of_the_plan_file(name: str, kind: Any, objective: str | None, unit: str) -> None:
+    assert find_metric(name, kind, objective=objective).unit == unit

@@ -176,6 +176,12 @@ def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path
     assert "<script" not in text
     assert f"row 2: {html.escape(whole.outcomes[2].message)}" in text
     assert f"Row {summary.best.number} has the least cost.value" in text
+    # the objective to a goal is the time
+    assert f"<b>{whole.outcomes[summary.best.number].metrics['cost.value']:#.4g} s</b>" in text
+    assert "median cost.value [s]" in text
+    field = whole.table.schema.field
+    assert field("duration").metadata == {b"unit": b"s"}
+    assert field("verdict").metadata is None
 
 
 @pytest.mark.parametrize(
@@ -420,7 +426,7 @@ def test_the_command_prints_a_summary_and_one_message_for_an_error(
     for line in (
         "rows          6",
         "  failed: start_in_collision       2   33.3 %",
-        "the least",
+        " s, the least",
         "table         ",
         "    row 2: ",
     ):
@@ -455,6 +461,7 @@ def test_the_library_returns_a_data_frame(
     robot = bp.load_robot(given.parent / "arm.urdf")
     made = bp.study(robot, scene, parameters={"clearance": [0.1, 0.2]}, folder=tmp_path / "r", metrics=["duration"])
     assert made["clearance"].tolist() == [0.1, 0.2]
+    assert made.attrs["units"] == {"duration": "s", "cost.value": "s"}
     job = bp.load_job("scenes/jobs/drain_with_a_fall.yaml")
     dug = bp.study(job, parameters={"bucket.fill": [0.8, 0.9]}, metrics=["bank"])
     assert dug["bucket.fill"].tolist() == [0.8, 0.9]

@@ -8,7 +8,7 @@ import os
 
 from backhoe_planner.show.page.page import html_page, read_parts, write_page_file
 from backhoe_planner.show.study.scatter import scatter
-from backhoe_planner.studies import Map, Share, StudyResult, Summary, map_of_two, summarise_study, trade_offs
+from backhoe_planner.studies import Map, Metric, Share, StudyResult, Summary, map_of_two, summarise_study, trade_offs
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _SHADES = ((0x2F, 0xA8, 0x66), (0xF6, 0xE7, 0xA6), (0xE0, 0x7A, 0x5F))  # good, middling, bad
@@ -73,9 +73,10 @@ def _best(result: StudyResult, summary: Summary) -> str:
         f'<tr><td>{_text(name)}</td><td class="number">{_figure(value)}</td></tr>'
         for name, value in best.values.items()
     )
+    measured = result.outcomes[best.number].metrics
     figures = "".join(
-        f'<tr><td>{_text(name)}</td><td class="number">{_figure(value)}</td></tr>'
-        for name, value in result.outcomes[best.number].metrics.items()
+        f'<tr><td>{_text(metric.name)}</td><td class="number">{_with_unit(measured.get(metric.name), metric)}</td></tr>'
+        for metric in result.template.metrics
     )
     regions = "".join(
         f"<tr><td>{_text(one.name)}</td><td>{_text(one.best)}</td><td class='soft'>{_text(one.every)}</td></tr>"
@@ -90,7 +91,7 @@ def _best(result: StudyResult, summary: Summary) -> str:
     doubt = f"; {_text(summary.doubt)}" if summary.doubt else ""
     return (
         f"<h2>The best row and the best region</h2>\n<p>Row {best.number} has the {which} {_text(asked.metric)}: "
-        f'<b>{_figure(summary.best_value)}</b>{doubt}</p>\n<div class="cards">'
+        f'<b>{_with_unit(summary.best_value, result.template.best_metric)}</b>{doubt}</p>\n<div class="cards">'
         f'<div class="card"><h3>Its parameters</h3><table>{values}</table></div>'
         f'<div class="card"><h3>Its figures</h3><table>{figures}</table></div>{region}</div>'
     )
@@ -99,7 +100,7 @@ def _best(result: StudyResult, summary: Summary) -> str:
 def _successes(result: StudyResult, summary: Summary) -> str:
     if not summary.shares:
         return ""
-    metric = _text(result.template.best.metric)
+    metric = _text(result.template.best_metric.heading)
     cards = []
     for name, shares in summary.shares.items():
         rows = "".join(_share_row(share) for share in shares)
@@ -136,8 +137,8 @@ def _map(result: StudyResult, summary: Summary) -> str:
     table = f'<table class="map"><tr><th class="corner">{_axes(found)}</th>{heads}</tr>{"".join(lines)}</table>'
     return (
         f"<h2>{_text(found.down)} and {_text(found.across)}</h2>\n"
-        f'<p class="soft">The two on which most depends. Large: median {_text(result.template.best.metric)} of the '
-        f'verified rows; small: the part that is verified.</p>\n<div class="card scroll">{table}</div>'
+        f'<p class="soft">The two on which most depends. Large: median {_text(result.template.best_metric.heading)} '
+        f'of the verified rows; small: the part that is verified.</p>\n<div class="card scroll">{table}</div>'
     )
 
 
@@ -167,10 +168,10 @@ def _trade_offs(result: StudyResult, summary: Summary) -> str:
     found = trade_offs(result.template.metrics, result.rows, result.outcomes, best)
     if not found:
         return ""
-    cards = []
+    cards, headings = [], {metric.name: metric.heading for metric in result.template.metrics}
     for x_name, y_name, points in found:
         number = None if summary.best is None else summary.best.number
-        picture = scatter(x_name, y_name, points, best=number, forward=best.sign > 0.0)
+        picture = scatter(headings[x_name], headings[y_name], points, best=number, forward=best.sign > 0.0)
         cards.append(f'<div class="card"><h3>{_text(y_name)} over {_text(x_name)}</h3>{picture}</div>')
     return (
         "<h2>What is traded for what</h2>\n"
@@ -193,6 +194,13 @@ def _figure(value: object) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
     return _text(f"{value:.4g}" if isinstance(value, float) else str(value))
+
+
+def _with_unit(value: object, metric: Metric) -> str:
+    """A figure of a plan with its unit."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
+        return _figure(value)
+    return _text(metric.describe(value))
 
 
 def _text(text: str) -> str:

@@ -19,7 +19,8 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
     """The table of the rows that are done, in their order: a `pyarrow.Table`.
 
     Columns are `row`, the parameters, `method`, `effort` and `seed` of the plan, `verdict`, `reason`, `message`, the
-    metrics and `versions`. Nothing in it depends on the time or the computer.
+    metrics and `versions`. Nothing in it depends on the time or the computer. The field of a metric has its unit in
+    its metadata, as ``unit``.
 
     Parameters
     ----------
@@ -30,6 +31,7 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
     import pyarrow as pa
 
     shown = [row for row in rows if all_rows or row.number in found]
+    units = {metric.name: metric.unit for metric in template.metrics if metric.unit}
     columns: dict[str, Any] = {"row": pa.array([row.number for row in shown], pa.int64())}
     names = list(rows[0].values) if rows else []
     for name in names:
@@ -48,7 +50,11 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
         columns[metric.name] = pa.array(values, types[metric.type])
     versions = json.dumps(installed_versions(), sort_keys=True)
     columns["versions"] = pa.array([versions] * len(shown), pa.string()).dictionary_encode()
-    return pa.table(columns)
+    table = pa.table(columns)
+    fields = [
+        field.with_metadata({"unit": units[field.name]}) if field.name in units else field for field in table.schema
+    ]
+    return table.cast(pa.schema(fields))
 
 
 def build_timings(found: Mapping[int, Outcome]) -> Any:

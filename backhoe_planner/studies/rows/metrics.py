@@ -11,8 +11,9 @@ from typing import Any, Literal
 from backhoe_planner.errors import nearest_name
 from backhoe_planner.job import JobFigures, JobPlan, job_figures
 from backhoe_planner.motion import OBJECTIVES
-from backhoe_planner.planning import Bound, CertificateRecord, Findings, Metrics, Plan
+from backhoe_planner.planning import Bound, CertificateRecord, Findings, Metrics, Plan, describe_quantity
 from backhoe_planner.studies.rows.key_paths import is_record, members
+from backhoe_planner.studies.rows.units import unit_of
 
 Type = Literal["float", "int", "string", "bool"]
 Kind = Literal["scene", "job"]
@@ -39,11 +40,24 @@ class Metric:
     name: as the study names it, and its column in the table.
     keys: the path to it, from `metrics`, `certificate`, `bound` or `findings` of a plan, or `figures` of a job's.
     type: of its values.
+    unit: of its values; empty if they have none, or if it differs from plan to plan.
     """
 
     name: str
     keys: tuple[str, ...]
     type: Type
+    unit: str = ""
+
+    @property
+    def heading(self) -> str:
+        """The name with the unit, for a column or an axis: ``duration [s]``."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def describe(self, value: float) -> str:
+        """A number in words, with its unit if it has one: ``11.39 kJ``."""
+        if self.type == "int" or not self.unit:
+            return f"{value:.4g}"
+        return describe_quantity(value, self.unit)
 
     def value(self, sources: Mapping[str, Any], *, verified: bool) -> float | int | str | bool | None:
         """Its value in a plan; None if there is none, or if it requires a verified motion and this one is not.
@@ -77,8 +91,12 @@ def sources_of(plan: Plan | JobPlan, metrics: Iterable[Metric]) -> dict[str, Any
     return found
 
 
-def find_metric(name: str, kind: Kind) -> Metric:
+def find_metric(name: str, kind: Kind, *, objective: str | None = None) -> Metric:
     """The figure that a key path names.
+
+    Parameters
+    ----------
+    objective: the name of the objective that all plans minimise; None if it differs.
 
     Raises
     ------
@@ -89,25 +107,25 @@ def find_metric(name: str, kind: Kind) -> Metric:
         raise ValueError(f"{name!r} depends on the computer; the times of planning are in timings.parquet")
     roots = {"figures": JobFigures} if kind == "job" else _OF_PLANS
     if keys[0] not in roots:
-        above = "figures" if kind == "job" else next((root for root in _SHORT if keys[0] in _keys(roots[root])), None)
+        above = "figures" if kind == "job" else next((root for root in _SHORT if keys[0] in keys_of(roots[root])), None)
         if above is None:
-            allowed = sorted({*roots, *(key for root in _SHORT for key in _keys(roots[root]))} - set(_TIMED))
+            allowed = sorted({*roots, *(key for root in _SHORT for key in keys_of(roots[root]))} - set(_TIMED))
             raise _unknown(name, keys[0], allowed)
         keys = [above, *keys]
     annotation: Any = roots[keys[0]]
     for key in keys[1:]:
         kinds = list(members(annotation))
-        found = [below for one in kinds if (below := _below(one, key)) is not None]
+        found = [below for one in kinds if (below := annotation_below(one, key)) is not None]
         if not found:
-            raise _unknown(name, key, sorted({one for kind_ in kinds for one in _keys(kind_)} - set(_TIMED)))
+            raise _unknown(name, key, sorted({one for kind_ in kinds for one in keys_of(kind_)} - set(_TIMED)))
         annotation = typing.Union[tuple(found)]  # noqa: UP007
     types = {_type_of(one) for one in members(annotation)}
     (type_,) = types if len(types) == 1 else (None,)
     if type_ is None:
-        below_it = sorted({one for kind_ in members(annotation) for one in _keys(kind_)} - set(_TIMED))
+        below_it = sorted({one for kind_ in members(annotation) for one in keys_of(kind_)} - set(_TIMED))
         within = ", ".join(f"{name}.{one}" for one in below_it) or "a key within it"
         raise ValueError(f"{name!r} is no single figure; allowed: {within}")
-    return Metric(name, tuple(keys), type_)
+    return Metric(name, tuple(keys), type_, unit_of(keys, objective) if type_ in ("float", "int") else "")
 
 
 def _unknown(name: str, key: str, allowed: list[str]) -> ValueError:
@@ -117,7 +135,7 @@ def _unknown(name: str, key: str, allowed: list[str]) -> ValueError:
     return ValueError(f"there is no metric {key!r}{within}{hint} Allowed: {', '.join(allowed) or 'nothing below it'}")
 
 
-def _keys(kind: Any) -> list[str]:
+def keys_of(kind: Any) -> list[str]:
     """The keys below a member of an annotation, as far as they are known."""
     if is_record(kind):
         return list(kind.model_fields)
@@ -129,12 +147,12 @@ def _keys(kind: Any) -> list[str]:
     return []
 
 
-def _below(kind: Any, key: str) -> Any:
+def annotation_below(kind: Any, key: str) -> Any:
     """The annotation of `key` below a member of an annotation; None if there is no such key."""
     if typing.get_origin(kind) is tuple:
         entries = [one for one in typing.get_args(kind) if one is not Ellipsis]
         return entries[0] if key.isdecimal() else None
-    if key not in _keys(kind):
+    if key not in keys_of(kind):
         return None
     if is_record(kind):
         return kind.model_fields[key].annotation

@@ -56,6 +56,11 @@ class Template:
     machine_folder: str
     package_path: tuple[str, ...]
 
+    @property
+    def best_metric(self) -> Metric:
+        """The figure by which rows are compared."""
+        return next(metric for metric in self.metrics if metric.name == self.best.metric)
+
     def filled(self, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """The content with the values of a row, and the settings of its plan: machine, method, effort, seed."""
         content, settings = copy.deepcopy(self.content), {"machine": self.machine, **_OWN}
@@ -246,12 +251,13 @@ def _check_settings(study: Study) -> None:
 def _metrics(study: Study, template: Scene | Job) -> tuple[tuple[Metric, ...], Best]:
     """The metrics to keep, including the one by which rows are compared, and how it compares them."""
     kind: Kind = "scene" if study.job is None else "job"
-    best, key = study.best or _default_best(study, template), ("best",)
+    objective = _objective(study, template)
+    best, key = study.best or _default_best(template, objective), ("best",)
     names = dict.fromkeys(DEFAULTS[kind] if study.metrics is None else study.metrics)
     found = {}
     for name in (*names, best.metric):
         try:
-            found[name] = find_metric(name, kind)
+            found[name] = find_metric(name, kind, objective=objective)
         except ValueError as error:
             where = ("metrics", list(names).index(name)) if name in names else key
             raise StudyError(str(error), file=study.file, key=study.place(*where)) from None
@@ -265,18 +271,23 @@ def _metrics(study: Study, template: Scene | Job) -> tuple[tuple[Metric, ...], B
     return tuple(found.values()), best
 
 
-def _default_best(study: Study, template: Scene | Job) -> Best:
-    """The default comparison: by the objective, or by the duration if it differs from row to row or from leg to leg."""
+def _objective(study: Study, template: Scene | Job) -> str | None:
+    """The name of the objective of all plans of a scene; None if it differs from row to row, or from leg to leg."""
+    if isinstance(template, Job) or any(name.rpartition(".")[2] == "objective" for name in study.parameters):
+        return None
+    defaults = ("time", "work")  # to a goal, and along a path
+    legs = [leg for leg in template.task.sequence or () if leg.wait is None]
+    found = {leg.objective or template.objective or defaults[leg.path is not None] for leg in legs}
+    if template.task.sequence is None:
+        found = {template.objective or defaults[template.task.path is not None]}
+    return next(iter(found)) if len(found) == 1 else None
+
+
+def _default_best(template: Scene | Job, objective: str | None) -> Best:
+    """The default comparison: by the objective of all plans, or by the duration if they have no common one."""
     if isinstance(template, Job):
         return Best(greatest="production")
-    differs = any(name.rpartition(".")[2] == "objective" for name in study.parameters)
-    defaults = ("time", "work")  # to a goal, and along a path
-    legs = {
-        leg.objective or template.objective or defaults[leg.path is not None]
-        for leg in template.task.sequence or ()
-        if leg.wait is None
-    }
-    return Best(least="duration" if differs or len(legs) > 1 else "cost.value")
+    return Best(least="duration" if objective is None else "cost.value")
 
 
 def _inputs(study: Study, template: Scene | Job, made: Template) -> Inputs:
