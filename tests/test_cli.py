@@ -383,20 +383,25 @@ def test_inspect_prints_the_extent_of_each_obstacle(run: Run, tmp_path: Path) ->
     scene = tmp_path / "scene.yaml"
     scene.write_text(
         PLAIN + "obstacles:\n"
-        "- {name: crate, shape: box, size: [2, 1, 1], position: [5, 0, 0.5], rpy: [0, 0, 1.5707963267948966]}\n"
+        "- {name: crate, shape: box, size: [2, 1, 1], position: [5, 0, 0.5], rpy: [0, 0, 1.5707963267948966],\n"
+        "   clearance: 0.2}\n"
         "- {name: heap, shape: pointcloud, file: scan.csv, resolution: 1}\n"
         "- {name: ground, shape: halfspace, point: [0, 0, -2], normal: [0, 0, 1]}\n"
         "- {name: slope, shape: halfspace, point: [0, 0, -9], normal: [1, 0, 1]}\n"
-        "zones:\n- {name: wires, kind: ceiling, height: 8, stop: 0.5}\n"
+        "zones:\n- {name: wires, kind: ceiling, height: 8, stop: 0.5, slow: 1.2, warn: 2, links: [boom, stick]}\n"
     )
     status, said, _ = run("inspect", "example:backhoe", scene)
     assert status == 0
-    rows = {line.split()[0]: " ".join(line.split()) for line in said.splitlines() if line.strip()}
+    rows = {line.split()[0]: " ".join(line.split()) for line in said.splitlines() if line[:1].strip()}
     assert rows["crate"] == "crate box 4.50..5.50 -1.00..1.00 0.00..1.00 1 piece"
     assert rows["heap"].startswith("heap pointcloud 5.00..7.00 0.00..2.00 0.00..2.00")
     assert rows["ground"] == "ground halfspace no end no end up to -2.00 1 piece"
     assert rows["slope"] == "slope halfspace no end no end no end 1 piece"
-    assert rows["wires"] == "wires zone, ceiling no end no end from 8.00 1 piece"
+    assert "wires zone, ceiling no end no end from 8.00 1 piece" in map(" ".join, map(str.split, said.splitlines()))
+    assert "site a clearance of 0.05 m, where no other is given" in " ".join(said.split())
+    assert "  crate has a clearance of 0.2 m\n" in said
+    assert "  wires warns at 2 m, slows down at 1.2 m, stops at 0.5 m; is only for boom, stick\n" in said
+    assert "  heap " not in said.partition("site  ")[2].partition("  crate")[2]  # it has nothing else to be said
 
 
 def test_inspect_prints_what_moves_or_appears_and_the_swing_sectors(run: Run, tmp_path: Path) -> None:
@@ -408,9 +413,18 @@ def test_inspect_prints_what_moves_or_appears_and_the_swing_sectors(run: Run, tm
     }
     status, said, _ = run("inspect", PLANAR4, scene_file(tmp_path, content))
     assert status == 0
-    assert "  walker appears at 2 s and moves at 0.50 m/s\n" in said
+    assert "  walker appears at 2 s and moves at 0.50 m/s, by (0.30, 0.40, 0.00) m every second\n" in said
     assert "  post " not in said
-    assert "  road (zone, swing_sector) keeps joint1 within -45.8 to 57.3 deg\n" in said  # -0.8 to 1 rad
+    assert (
+        "  road (zone, swing_sector) keeps joint1 within -45.8 to 57.3 deg; stops at 11.46 deg\n" in said
+    )  # -0.8 to 1 rad
+    content |= {"tracking": {"joints": 0.1}, "zones": [sector | {"slow": 0.3}]}
+    _, said, _ = run("inspect", PLANAR4, scene_file(tmp_path, content))
+    kept = "keeps joint1 within -40.1 to 51.6 deg (5.7 deg less for the tracking error)"
+    assert f"{kept}; warns at 17.19 deg, slows down at 17.19 deg, stops at 11.46 deg" in " ".join(said.split())
+    content |= {"limits": {"position": {"joint1": [-0.2, 0.2]}}}
+    _, said, _ = run("inspect", PLANAR4, scene_file(tmp_path, content))
+    assert f"{kept}; its range is narrower anyway; warns at" in " ".join(said.split())
 
 
 def test_inspect_prints_the_position_of_joints_that_do_not_move_the_tip(run: Run) -> None:

@@ -87,13 +87,13 @@ def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Rob
 
 
 def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
-    """Print where every obstacle and zone is, and how many parts it has."""
+    """Print where every obstacle and zone is, what it asks for, and how many parts it has."""
     obstacles, sectors = site.build_obstacles(scene, robot), site.swing_sectors(robot, scene).values()
     if not obstacles and not sectors:
         OUT.print("\nsite          no obstacles")
         return
     print_warnings(site.obstacle_warnings(robot, obstacles))
-    OUT.print("\nsite")
+    OUT.print(f"\nsite          a clearance of {scene.clearance:.4g} m, where no other is given")
     table = table_of("obstacle", "shape", "x [m]", "y [m]", "z [m]", "parts")
     for obstacle in obstacles:
         low, high = obstacle.bounds
@@ -103,18 +103,47 @@ def _print_site(scene: bp.Scene, robot: bp.Robot) -> None:
     if obstacles:
         OUT.print(table)
     for obstacle in obstacles:
-        if words := _changes(obstacle):
+        if words := _about(obstacle, scene):
             OUT.print(f"  {obstacle.name} {words}")
+    error = 0.0 if robot.tube is None else float(robot.tube.joints[0])
+    ends = site.range_sources(robot, scene, 0) if sectors else ()
     for zone in sectors:
-        low, high = DEGREES * (zone.start + zone.stop), DEGREES * (zone.end - zone.stop)
-        OUT.print(f"  {zone.name} (zone, {zone.kind}) keeps {robot.joint_names[0]} within {low:.1f} to {high:.1f} deg")
+        off = zone.stop + error
+        low, high = DEGREES * (zone.start + off), DEGREES * (zone.end - off)
+        words = f"keeps {robot.joint_names[0]} within {low:.1f} to {high:.1f} deg"
+        taken = f" ({DEGREES * error:.2g} deg less for the tracking error)" if error else ""
+        levels = _levels(zone, DEGREES, "deg")
+        idle = "" if zone.name in ends else "; its range is narrower anyway"
+        OUT.print(f"  {zone.name} (zone, {zone.kind}) {words}{taken}{idle}; {levels}")
 
 
-def _changes(obstacle: bp.Obstacle) -> str:
-    """When an obstacle appears and how fast it moves; empty if it stands still from the beginning."""
-    speed = math.hypot(*obstacle.velocity.tolist())
+def _about(obstacle: bp.Obstacle, scene: bp.Scene) -> str:
+    """What the table does not show of an obstacle: when it appears, where it moves, for which links, its distances.
+
+    Empty for one that stands still from the beginning, with the scene's clearance from all links.
+    """
+    velocity = obstacle.velocity.tolist()
     parts = [f"appears at {obstacle.appears_at:g} s"] * (obstacle.appears_at > 0.0)
-    return " and ".join([*parts, *[f"moves at {speed:.2f} m/s"] * (speed > 0.0)])
+    if obstacle.moves:
+        along = ", ".join(f"{part + 0.0:.2f}" for part in velocity)
+        parts.append(f"moves at {math.hypot(*velocity):.2f} m/s, by ({along}) m every second")
+    found = [" and ".join(parts)] if parts else []
+    if obstacle.zone is not None:
+        found.append(_levels(obstacle.zone, 1.0, "m"))
+    elif obstacle.clearance != scene.clearance:
+        found.append(f"has a clearance of {obstacle.clearance:.4g} m")
+    if obstacle.links is not None:
+        found.append(f"is only for {', '.join(obstacle.links)}")
+    if obstacle.zone is None and obstacle.spec.legs is not None:
+        found.append(f"is only there in leg {', '.join(obstacle.spec.legs)}")
+    return "; ".join(found)
+
+
+def _levels(zone: site.ZoneSpec, scale: float, unit: str) -> str:
+    """The distances at which a zone warns, slows down and stops, in words; the last alone if all are equal."""
+    distances = {"stops": zone.stop, "slows down": zone.slow_distance, "warns": zone.warn_distance}
+    shown = [does for does, distance in distances.items() if does == "stops" or distance > zone.stop]
+    return ", ".join(f"{does} at {scale * distances[does]:.4g} {unit}" for does in reversed(shown))
 
 
 def _span(low: float, high: float) -> str:

@@ -17,6 +17,7 @@ from .limits import joints_on_site as joints_on_site
 from .limits import limit_warnings as limit_warnings
 from .limits import load_machine as load_machine
 from .limits import machine_on_site as machine_on_site
+from .limits import range_sources as range_sources
 from .limits import scaled_limits as scaled_limits
 from .limits import swing_sectors as swing_sectors
 from .obstacles import Obstacle as Obstacle
@@ -53,6 +54,7 @@ from .schema.tasks import JointsGoal as JointsGoal
 from .schema.tasks import Pose as Pose
 from .schema.tasks import Waypoint as Waypoint
 from .schema.zone_kinds import Wall as Wall
+from .schema.zone_kinds import ZoneSpec as ZoneSpec
 from .soil import LIP as LIP
 from .soil import SoilReaction as SoilReaction
 from .soil import blade_force as blade_force

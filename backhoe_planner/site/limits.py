@@ -155,6 +155,35 @@ def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:
     return {}
 
 
+def range_sources(robot: Robot, scene: Scene, joint: int) -> tuple[str, str]:
+    """What of the scene sets the lower and the upper end of a joint's range, in words; empty where the URDF does.
+
+    It is the narrowest: ``limits.position``, or the swing sector of a name.
+
+    Parameters
+    ----------
+    joint: its index.
+
+    Raises
+    ------
+    SceneError: see `swing_sectors`.
+    """
+    name = robot.joint_names[joint]
+    limit, given = robot.urdf.joints[name].limit, scene.limits.position.get(name)
+    bounded = limit is not None and robot.urdf.joints[name].type != "continuous"
+    own = (limit.lower, limit.upper) if limit is not None and bounded else (-np.inf, np.inf)
+    ends, words = list(own if given is None else given), ["" if given is None else "limits.position"] * 2
+    if given is not None:
+        words = [word if given[side] != own[side] else "" for side, word in enumerate(words)]
+    error = float(_joint_errors(robot, scene)[joint])
+    for zone in swing_sectors(robot, scene).values() if joint == 0 else ():
+        for side, (sense, end) in enumerate(((1.0, zone.start), (-1.0, zone.end))):
+            end += sense * (zone.stop + error)
+            if sense * (end - ends[side]) > 0.0:
+                ends[side], words[side] = end, zone.name
+    return words[0], words[1]
+
+
 def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
     """Warnings of limits and masses that neither the URDF nor the scene gives, and of what is assumed instead."""
     velocity, effort, position = (

@@ -209,7 +209,17 @@ def test_what_narrows_the_reach_is_named(backhoe: bp.Robot) -> None:
     sector = {"kind": "swing_sector", "name": "road", "from": -1.0, "to": 1.0, "stop": 0.0}
     content = {"version": 1, "start": {"joints": posture}, "task": {"goal": {"position": [0.5, 4.0, 0.8]}}}
     message = bp.plan(backhoe, bp.scene_from_dict({**content, "zones": [sector]}), effort="quick").message
-    assert "with swing at the limit (within road)" in message
+    assert "with swing at the limit (swing within road)" in message
+    own = {"limits": {"position": {"swing": [-0.9, 0.9]}}}
+    message = bp.plan(backhoe, bp.scene_from_dict({**content, "zones": [sector], **own}), effort="quick").message
+    assert "with swing at the limit (swing within limits.position)" in message
+    beyond = {**content, "start": {"joints": posture | {"swing": -0.95}}, "zones": [sector], **own}
+    message = bp.plan(backhoe, bp.scene_from_dict(beyond), effort="quick").message
+    assert message == "swing starts at -0.95 rad, allowed -0.9 to 0.9 rad (within limits.position)"
+    del beyond["limits"]
+    off = {"tracking": {"joints": 0.06}}
+    message = bp.plan(backhoe, bp.scene_from_dict(beyond | off), effort="quick").message
+    assert message == "swing starts at -0.95 rad, allowed -0.94 to 0.94 rad (within road)"
     message = bp.plan(backhoe, bp.scene_from_dict({**content, "hold": {"swing": 0.0}}), effort="quick").message
     assert message.endswith("; held are swing at 0")
 

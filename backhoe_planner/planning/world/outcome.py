@@ -19,7 +19,7 @@ from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.clear_joint import find_clear_joint
 from backhoe_planner.planning.world.world import World
-from backhoe_planner.site import Obstruction, swing_sectors
+from backhoe_planner.site import Obstruction, range_sources
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
 _TURN, _GAP = 2.0 * np.pi, 0.25  # rad: one turn, and the gap between found pitches that counts as out of reach; chosen
@@ -102,10 +102,10 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
         meant = angles_in_degrees(world.problem, q)
         words = "; ".join(
             f"{names[j]} {'starts at' if starts else f'at the {what} is'} {_outside(world, j, q[j])}"
+            + (f" ({set_by})" if (set_by := _set_by(world, j, above=bool(q[j] > limits.upper[j]))) else "")
             + (f" ({q[j]:.4g} degrees are {meant[j]:.4g} rad)" if np.isfinite(meant[j]) else "")
             for j in outside.tolist()
         )
-        words += _within_sectors(world) if outside[0] == 0 else ""
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
@@ -186,7 +186,14 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     at_limit = tuple(name for name, gap in zip(names, gaps, strict=True) if gap < _SMALL)
     if at_limit:
         message += f", with {' and '.join(at_limit)} at the limit"
-        message += _within_sectors(world) if names[0] in at_limit else ""
+        middle = 0.5 * (limits.lower + limits.upper)
+        set_by = {
+            name: words
+            for j, name in enumerate(names)
+            if name in at_limit and (words := _set_by(world, j, above=bool(best.q[j] > middle[j])))
+        }
+        if set_by:
+            message += f" ({', '.join(f'{name} {words}' for name, words in set_by.items())})"
     held = world.problem.robot.hold
     if held:
         message += f"; held are {', '.join(f'{name} at {value:g}' for name, value in held.items())}"
@@ -198,10 +205,10 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     return Outcome(rest_at_start(world, best.q), "unreachable", message, Findings(nearest=pose, joints=at_limit))
 
 
-def _within_sectors(world: World) -> str:
-    """The swing sectors that limit the first joint, in words; empty if there are none."""
-    sectors = [zone.name for zone in swing_sectors(world.problem.robot, world.problem.scene).values()]
-    return f" (within {' and '.join(sectors)})" if sectors else ""
+def _set_by(world: World, joint: int, *, above: bool) -> str:
+    """What of the scene sets the lower or upper (`above`) end of a joint's range: ``within road``; empty if nothing."""
+    source = range_sources(world.problem.robot, world.problem.scene, joint)[above]
+    return f"within {source}" if source else ""
 
 
 def _position_alone(world: World, target: TipTarget) -> str:
