@@ -434,7 +434,8 @@ def load_robot(
     Parameters
     ----------
     source: a path, or ``example:NAME``.
-    tip: the link to be moved; by default ``bucket_tip``, otherwise the only leaf link.
+    tip: the link to be moved; by default ``bucket_tip``, otherwise the only leaf link. It must be given for a machine
+        with several, such as the fingers of a gripper; the error lists them.
     hold: joints by name, and their positions [rad or m]. Usually the scene names the joints to hold
         (`hold` in the scene file) and replaces these; this parameter is for a machine that cannot be
         loaded otherwise, because a joint copies one that would move.
