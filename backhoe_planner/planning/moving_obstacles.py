@@ -103,10 +103,11 @@ class _OverTime:
         for outcome in self._motions(stepper, known, still):
             if outcome.reason == "budget":
                 return outcome
+            first = first or outcome
             clear = not outcome.reason and _is_clear(known.proximity, outcome.trajectory, stepper.time)
             if clear and known.keeps(outcome.trajectory):
-                return outcome
-            first = first or outcome
+                # other motions avoid more space than the obstacles occupy, which may cover a goal
+                return outcome.adding(left_out=first.findings.left_out)
         assert first is not None
         if first.reason:
             return first
@@ -117,7 +118,8 @@ class _OverTime:
         held.replay(stepper.trajectory(), stepper.time)
         kept = "" if known.problem.keep is None else " and satisfies `keep` on the whole way"
         message = f"no motion was found that keeps clear of moving obstacles ({moving[0]}){kept}"
-        return Outcome(held.trajectory(), "blocked", message, Findings(obstruction=tightest))
+        findings = Findings(obstruction=tightest, left_out=first.findings.left_out)
+        return Outcome(held.trajectory(), "blocked", message, findings)
 
     def _motions(self, stepper: Stepper, known: World, still: World) -> Iterator[Outcome]:
         """Motions that may be clear of the moving obstacles, the simplest first."""

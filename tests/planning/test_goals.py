@@ -130,10 +130,14 @@ def test_the_reachable_goal_of_a_list_is_reached_and_its_number_is_saved(planar4
     assert plan.verified, plan.message
     assert plan.certificate.goal == 2
     assert np.linalg.norm(plan.tip_path()[-1] - near["position"]) < 1e-3
+    assert plan.message.startswith(
+        "1 of 2 goals cannot be reached: the goal 1 (9.00, 0.00, 0.00) is out of reach: the nearest pose is 5.000 m"
+    )
     plan.save(tmp_path / "plan.json")
     again = bp.load_plan(tmp_path / "plan.json")
     assert again.verified
     assert again.certificate.goal == 2
+    assert again.message == plan.message
     assert again.scene.to_dict()["task"] == plan.scene.to_dict()["task"]
 
 
@@ -144,6 +148,27 @@ def test_a_list_may_mix_poses_and_joints(planar4: bp.Robot) -> None:
     )
     assert plan.verified, plan.message
     assert plan.certificate.goal == 2
+    assert plan.message.startswith("1 of 2 goals cannot be reached: at the goal 1 ")
+    assert "inside ball" in plan.message
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_no_goal_is_named_if_all_can_be_reached(planar4: bp.Robot, method: str) -> None:
+    goals = [{"position": [2.0, 1.0, 0.0]}, {"joints": BENT}]
+    plan = bp.plan(planar4, site(goals), method=method, effort="quick")
+    assert plan.verified
+    assert "goals cannot be reached" not in plan.message
+    assert plan.findings.left_out == ()
+
+
+def test_a_leg_names_the_goals_of_its_list_that_cannot_be_reached(planar4: bp.Robot) -> None:
+    far, near = {"position": [9.0, 0.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}
+    legs = [{"name": "there", "goal": [near, far]}, {"name": "back", "goal": {"position": [2.5, -1.0, 0.0]}}]
+    content = site(near).to_dict() | {"task": {"sequence": legs}}
+    plan = bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.message.startswith("leg 'there': 1 of 2 goals cannot be reached: the goal 2 (9.00, 0.00, 0.00) is out")
+    assert "back" not in plan.message
 
 
 def test_if_no_goal_of_a_list_is_possible_each_is_named_with_its_reason(planar4: bp.Robot) -> None:

@@ -63,14 +63,15 @@ class ToGoal:
             allowed = searched.allowed_time
             if allowed is not None:
                 allowed = min(stepper.time + allowed, world.problem.max_duration)
-            findings = Findings(way=best.way, allowed_time=allowed)
+            findings = Findings(way=best.way, allowed_time=allowed, left_out=found.left_out)
             return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = f"none of the {searched.looked_at:,} motions that were sampled leads there"
         if not searched.looked_at:
             sampled = "no motions were sampled"
         if self.search_alone or ended:
             reason: Reason = "budget" if ended else "blocked"
-            return Outcome(stepper.trajectory(), reason, f"{ended}; {sampled}" if ended else sampled)
+            message = f"{ended}; {sampled}" if ended else sampled
+            return Outcome(stepper.trajectory(), reason, message, Findings(left_out=found.left_out))
         outcome = self._attempts(world, stepper, found)
         if not outcome.reason and not world.keeps(outcome.trajectory):
             outcome = replace(outcome, reason="blocked", message="the law arrives, but does not satisfy `keep`")
@@ -138,11 +139,11 @@ class ToGoal:
             for attempt in ways:
                 attempts.append(attempt)
                 if attempt.arrived and world.keeps(attempt.stepper.trajectory()):
-                    return _sped_up(world, stepper, attempt, len(attempts))
+                    return _sped_up(world, stepper, attempt, len(attempts)).adding(left_out=found.left_out)
                 arrived = arrived or (attempt if attempt.arrived else None)
         if arrived is not None:
-            return _sped_up(world, stepper, arrived, len(attempts))
-        return describe_attempts(attempts, world.work.brake)
+            return _sped_up(world, stepper, arrived, len(attempts)).adding(left_out=found.left_out)
+        return describe_attempts(attempts, world.work.brake).adding(left_out=found.left_out)
 
 
 def _sped_up(world: World, stepper: Stepper, attempt: Attempt, attempts: int) -> Outcome:

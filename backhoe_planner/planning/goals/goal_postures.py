@@ -27,10 +27,12 @@ class GoalPostures:
     ----------
     clear: (n,) each [rad or m].
     goals: the goal of each posture.
+    left_out: why other goals have no such posture, one sentence for each.
     """
 
     clear: tuple[Vector, ...]
     goals: tuple[Goal, ...]
+    left_out: tuple[str, ...] = ()
 
     def by_goal(self) -> list[tuple[Goal, tuple[Vector, ...]]]:
         """Every goal that has a posture, with its postures; the quickest goal to reach first."""
@@ -68,7 +70,9 @@ def find_goal_postures(
         )
     rate = world.problem.limits.velocity
     found.sort(key=lambda one: float(np.max(np.abs(one[0] - near) / rate)))
-    return GoalPostures(tuple(q for q, _ in found), tuple(goal for _, goal in found))
+    return GoalPostures(
+        tuple(q for q, _ in found), tuple(goal for _, goal in found), tuple(failure.message for failure in failures)
+    )
 
 
 def _postures_on(

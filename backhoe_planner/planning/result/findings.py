@@ -52,6 +52,8 @@ class Findings(Record):
     """Names of the joints outside their limits, or at them in the nearest pose."""
     nearest: NearestPose | None = None
     """The nearest pose, if the target is out of reach."""
+    left_out: tuple[str, ...] = ()
+    """Why goals of a list cannot be reached although another one can be, one sentence for each."""
     way: str = ""
     """How the goal was reached: ``straight``, ``sampled`` and so on."""
     allowed_time: Figure | None = None

@@ -14,7 +14,7 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem
 from backhoe_planner.planning.planner import plan_motion
 from backhoe_planner.planning.reactive.stepping import Watcher
-from backhoe_planner.planning.result.findings import NOTHING
+from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
@@ -116,6 +116,7 @@ def plan_problem(
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:
         note = "; ".join((note, *certificate.problems))
+    note = "; ".join(filter(None, (note, _describe_left_out(problem, outcome.findings))))
     if certificate.verified and not outcome.reason:
         note = "; ".join(filter(None, (note, _describe_unused_limits(problem, outcome.trajectory, certificate))))
     return Plan(
@@ -139,6 +140,12 @@ def plan_problem(
         effort=effort,
         boxes=EFFORTS[effort].boxes,
     )
+
+
+def _describe_left_out(problem: Problem, findings: Findings) -> str:
+    """Which goals of a list cannot be reached, and why, in words; empty if all can be, or none."""
+    left_out = findings.left_out
+    return f"{len(left_out)} of {len(problem.goals)} goals cannot be reached: {'; '.join(left_out)}" if left_out else ""
 
 
 def _describe_unused_limits(problem: Problem, motion: Trajectory, certificate: Certificate) -> str:
@@ -167,7 +174,11 @@ def _plan_sequence(
     )  # fmt: skip
     planning_time = clock.monotonic() - begun
     motion, certificate, failed = found.trajectory, found.certificate, found.failed
-    notes = [f"leg {leg.problem.name!r}: {leg.outcome.message}" for leg in found.done if leg.outcome.message]
+    said = [
+        (leg, "; ".join(filter(None, (leg.outcome.message, _describe_left_out(leg.problem, leg.outcome.findings)))))
+        for leg in found.done
+    ]
+    notes = [f"leg {leg.problem.name!r}: {words}" for leg, words in said if words]
     if notes and failed is not None and not failed.outcome.reason:
         notes += certificate.problems
     if not notes and failed is None and brake.is_used_up():
