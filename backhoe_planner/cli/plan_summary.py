@@ -121,9 +121,9 @@ def _print_motion(found: bp.Plan) -> None:
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         OUT.print(f"zones         {visits[0]}{more}")
-    count, longest = len(found.trajectory), found.findings.allowed_time
+    count = len(found.trajectory)
     samples = "the machine already stands there" if count == 1 else f"{count} samples"
-    allowed = "" if longest is None else f", at most {longest:.2f} s was allowed"
+    allowed = f", {found.allowed_time}" if found.allowed_time else ""
     OUT.print(f"duration      {metrics.duration:.2f} s ({samples}){_minimised(found, 'time')}{allowed}")
     _print_bound(found)
     work = f"{planning.describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})"

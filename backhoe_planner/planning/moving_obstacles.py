@@ -101,13 +101,14 @@ class _OverTime:
             return self._task.from_rest(still, stepper)
         first: Outcome | None = None
         for outcome in self._motions(stepper, known, still):
-            if outcome.reason == "budget":
+            if outcome.reason in ("budget", "outside_limits"):  # neither depends on what moves
                 return outcome
             first = first or outcome
             clear = not outcome.reason and _is_clear(known.proximity, outcome.trajectory, stepper.time)
             if clear and known.keeps(outcome.trajectory):
                 # other motions avoid more space than the obstacles occupy, which may cover a goal
-                return outcome.adding(left_out=first.findings.left_out)
+                found = outcome.adding(left_out=first.findings.left_out)
+                return replace(found, evades=outcome is not first)
         assert first is not None
         if first.reason:
             return first

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, retime, slow_tip
+from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, motion_cost, retime, slow_tip
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 _SLOWER = 3  # at most so many plans, each with slower joints; chosen, because each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen; slower joints are not tried for a load so far beyond its limit
 _APART = (5e-4, 3e-3)  # m added to the clearance, tried in turn; chosen: a curve swings out by some tenths of a mm
-_LONGER = 1.1  # times the fastest motion past moving obstacles, that one of little cost may take; chosen
+# times the fastest motion past moving obstacles, that motions of little cost may take, each planned anew; chosen
+_LONGER = (1.1, 1.4)
 _LONG_SEARCH = 4  # times the usual starting points, for a start given by the tip; chosen: all else depends on it
 
 
@@ -61,9 +62,8 @@ def plan_motion(
     """
     plan = functools.partial(_plan_motion, method=method, seed=seed, effort=effort, brake=brake or Brake(), watch=watch)
     outcome, certificate = plan(problem)
-    if outcome.reason == "blocked" and problem.is_dynamic and problem.goals and not problem.objective.is_time:
-        found = _past_movers(problem, plan)
-        outcome, certificate = found or (outcome, certificate)
+    if problem.is_dynamic and problem.goals and not problem.objective.is_time and method in ("auto", "optimal"):
+        outcome, certificate = _past_movers(problem, plan, outcome, certificate)
     if certificate.verified and outcome.reason:  # the machine already stands at the goal, within its tolerance
         outcome = replace(outcome, reason="", message="")
     return outcome, certificate
@@ -72,14 +72,18 @@ def plan_motion(
 def _plan_motion(
     problem: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
 ) -> tuple[Outcome, Certificate]:
-    """The same, without a second look at moving obstacles."""
+    """The same, without motions that take less time past moving obstacles than is allowed."""
     if problem.wait is not None:
         assert problem.start_q is not None
         rest = Trajectory.from_steps(np.array([0.0, problem.wait]), np.tile(problem.start_q, (2, 1)))
         return Outcome(rest), certify_motion(problem, rest)
     slowed = narrow_path(problem)
+    known: tuple[Outcome, Certificate] | None = None
     for _ in range(_SLOWER):
         outcome, certificate = _find_proven(problem, slowed, method, seed=seed, effort=effort, brake=brake, watch=watch)
+        if known is not None and outcome.reason == "outside_limits":  # only with slower joints
+            return known
+        known = outcome, certificate
         loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
         if not loads or not problem.is_dynamic or outcome.reason:
             break
@@ -95,24 +99,44 @@ def _plan_motion(
 
 
 def _past_movers(
-    problem: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]]
-) -> tuple[Outcome, Certificate] | None:
-    """A motion past moving obstacles that slow motions of little cost meet, and its proof; None if none is found.
+    problem: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]], outcome: Outcome, certificate: Certificate
+) -> tuple[Outcome, Certificate]:
+    """The motion that costs least past moving obstacles, and its proof: a known one, or one that takes less time.
 
-    A fast motion is planned first, then one of little cost that takes not much longer.
+    A motion that may take long meets obstacles before which a faster one passes, and then waits or goes round. So where
+    they meet the best motion, the fastest motion is planned too, and motions of little cost that may take not much
+    longer. Obstacles that appear are unknown beforehand: what is best once they are known does not decide.
 
     Parameters
     ----------
     plan: finds a motion and its certificate.
+    outcome, certificate: the motion that may take all the time that is allowed, and its proof.
     """
-    found, certificate = plan(replace(problem, objective=OBJECTIVES["time"]))
-    if found.reason or not certificate.verified:
-        return None
-    longest = min(_LONGER * found.trajectory.duration, problem.max_duration)
-    cheaper, certificate = plan(replace(problem, max_duration=longest))
-    if not cheaper.reason and certificate.verified:
-        found = cheaper
-    return found, certify_motion(problem, found.trajectory)
+    fails = bool(outcome.reason) or not certificate.verified
+    if outcome.reason not in ("", "blocked") or not (fails or (outcome.evades and not outcome.findings.reactions)):
+        return outcome, certificate
+    fastest, _ = plan(replace(problem, objective=OBJECTIVES["time"]))
+    found = [] if fails else [(outcome, certificate)]
+    tried = [fastest]
+    for longer in () if fastest.reason else _LONGER:
+        longest = longer * fastest.trajectory.duration
+        if longest >= min(problem.max_duration, outcome.findings.allowed_time or np.inf):
+            break
+        tried.append(plan(replace(problem, max_duration=longest))[0])
+    for one in tried:
+        if not one.reason and (fails or not one.findings.reactions):
+            proof = certify_motion(problem, one.trajectory)
+            if proof.verified:
+                found.append((one, proof))
+    if not found:
+        return outcome, certificate
+    best, proof = min(found, key=lambda one: motion_cost(problem, one[0].trajectory))
+    if best is outcome:
+        return best, proof
+    allowed = best.findings.allowed_time
+    limit = "the fastest" if best is fastest else f"one with at most {allowed:.2f} s" if allowed is not None else "one"
+    words = f"past moving obstacles {limit} costs least of the motions that were found"
+    return replace(best, message="; ".join(filter(None, (best.message, words)))), proof
 
 
 def _find_proven(

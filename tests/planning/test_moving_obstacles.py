@@ -141,16 +141,45 @@ def test_a_machine_that_gave_way_goes_on_once_the_worker_has_passed(backhoe: bp.
     assert found.metrics.duration < 15.0
 
 
-@pytest.mark.long
-def test_a_fast_motion_past_a_car_is_found_if_all_slow_ones_of_little_work_meet_it(backhoe: bp.Robot) -> None:
+def beside_a_car(y: float, **task: float) -> Data:
+    """A goal to the left, with a car that begins at `y` on the right and drives through the way to it."""
     car = {
-        "name": "car", "shape": "box", "size": [0.8, 0.8, 2.5], "position": [2.6, -1.5, 1.2], "velocity": [0, 1.0, 0],
+        "name": "car", "shape": "box", "size": [0.8, 0.8, 2.5], "position": [2.6, y, 1.2], "velocity": [0, 1.0, 0],
         "clearance": 0.3,
     }  # fmt: skip
     start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
-    content = {"version": 1, "start": start, "task": {"goal": {"position": [1.2, 2.4, 1.5]}}, "obstacles": [car]}
+    task_ = {"goal": {"position": [1.2, 2.4, 1.5]}, **task}
+    return {"version": 1, "start": start, "task": task_, "obstacles": [car]}
+
+
+@pytest.mark.long
+def test_a_fast_motion_past_a_car_is_found_if_all_slow_ones_of_little_work_meet_it(backhoe: bp.Robot) -> None:
+    content = beside_a_car(-1.5)
     plan = bp.plan(backhoe, bp.scene_from_dict({**content, "objective": "work"}), effort="quick")
     assert plan.verified, plan.message
     fastest = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
     assert plan.metrics.energy["work"] <= 1.01 * fastest.metrics.energy["work"]
     assert plan.certificate.duration is None
+
+
+def test_more_allowed_time_past_a_car_does_not_cost_more_work(backhoe: bp.Robot) -> None:
+    """A motion of 5 s passes before the car; one of 8 s meets it, and going round it costs half as much again."""
+    plans = [
+        bp.plan(backhoe, bp.scene_from_dict(beside_a_car(-2.5, max_duration=longest) | {"objective": "work"}),
+                effort="quick")
+        for longest in (5.0, 8.0)
+    ]  # fmt: skip
+    assert all(plan.verified for plan in plans)
+    assert refutations(plans[1]) == []
+    assert plans[1].metrics.energy["work"] <= 1.03 * plans[0].metrics.energy["work"]
+    assert "costs least of the motions that were found" in plans[1].message
+    assert plans[0].allowed_time == "at most 5.00 s was allowed, which limits it"
+
+
+def test_a_max_duration_that_no_motion_past_a_car_can_keep_is_refused_with_the_bound(backhoe: bp.Robot) -> None:
+    free = bp.plan(backhoe, bp.scene_from_dict(beside_a_car(-2.5)), effort="quick")
+    assert free.bound is not None
+    content = beside_a_car(-2.5, max_duration=0.9 * free.bound.duration) | {"objective": "work"}
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.reason == "outside_limits"
+    assert float(plan.message.partition("less than ")[2].split()[0]) == pytest.approx(free.bound.duration, rel=0.02)

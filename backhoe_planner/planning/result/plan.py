@@ -41,6 +41,7 @@ from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
 _COMPUTED = ("dynamics", "certificate", "metrics", "bound", "legs")  # keys of a file that follow from its motion
+_BINDS = 0.98  # part of the allowed time from which it limits a motion; chosen: timing after the search saves a little
 _NOT_COMPUTED = {"metrics": {"planning_time", "objective"}, "legs": {"findings"}}
 
 
@@ -193,6 +194,15 @@ class Plan:
         Empty for another objective than the time, for which slower is mostly cheaper, and if there is no such bound.
         """
         return self.bound.excess if self.bound is not None and self.minimised == "time" else ""
+
+    @property
+    def allowed_time(self) -> str:
+        """How long the motion was allowed to take, in words, and whether it takes all of that; empty for the time."""
+        longest = self.findings.allowed_time
+        if longest is None:
+            return ""
+        binds = self.trajectory.duration >= _BINDS * longest
+        return f"at most {longest:.2f} s was allowed" + ", which limits it" * binds
 
     @property
     def settings(self) -> str:

@@ -40,6 +40,7 @@ class Outcome:
     message: the same in words; with an empty reason, that time ran out while the motion was being improved.
     findings: the numbers behind reason and message, and how the motion was found.
     law: how the local law follows the path from a configuration in which the motion may begin; None if not computed.
+    evades: whether moving obstacles meet the motion that would be best without them, so that this one evades them.
     """
 
     trajectory: Trajectory
@@ -47,6 +48,7 @@ class Outcome:
     message: str = ""
     findings: Findings = NOTHING
     law: LawWay | None = None
+    evades: bool = False
 
     def adding(self, **findings: Any) -> Outcome:
         """The same outcome with more findings, by their names."""

@@ -66,8 +66,7 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
 def _about_duration(plan: Plan) -> str:
     """Whether the duration is the objective, which duration was allowed, and the excess over the least possible."""
     words = ["the objective"] if plan.minimised == "time" else []
-    if plan.findings.allowed_time is not None:
-        words.append(f"at most {plan.findings.allowed_time:.2f} s was allowed")
+    words += [plan.allowed_time] if plan.allowed_time else []
     if plan.bound is not None:
         longer = f": {plan.excess}" if plan.excess else ""
         words.append(f"no motion can take less than {plan.bound.duration:.2f} s{longer}")
