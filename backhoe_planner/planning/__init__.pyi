@@ -33,7 +33,9 @@ from .report.comparison import stations_of as stations_of
 from .report.quantities import describe_excess as describe_excess
 from .report.quantities import describe_quantity as describe_quantity
 from .result.bound import Bound as Bound
+from .result.export import TIP_COLUMNS as TIP_COLUMNS
 from .result.export import export_plan as export_plan
+from .result.export import tip_poses as tip_poses
 from .result.findings import Findings as Findings
 from .result.findings import NearestPose as NearestPose
 from .result.findings import Reaction as Reaction

@@ -374,10 +374,17 @@ def test_csv_holds_the_motion(solved: bp.Plan, tmp_path: Path) -> None:
     with file.open(newline="", encoding="utf-8") as stream:
         header, *rows = csv.reader(stream)
     names = [f"joint{j}" for j in range(1, 5)]
-    assert header == ["time", *(f"{n}.position" for n in names), *(f"{n}.velocity" for n in names)]
+    tip = [f"tip.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    assert header == ["time", *(f"{n}.position" for n in names), *(f"{n}.velocity" for n in names), *tip]
     values = np.array(rows, dtype=float)
     motion = solved.trajectory
-    np.testing.assert_array_equal(values, np.column_stack((motion.time, motion.q, motion.v)))
+    np.testing.assert_array_equal(values[:, :-7], np.column_stack((motion.time, motion.q, motion.v)))
+    np.testing.assert_allclose(values[:, -7:-4], solved.tip_path(), atol=1e-12)
+    # the planar arm turns its tip about z by the sum of its joints
+    half = 0.5 * motion.q.sum(axis=1)
+    turned = np.column_stack((np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)))
+    np.testing.assert_allclose(np.abs(np.sum(values[:, -4:] * turned, axis=1)), 1.0, atol=1e-12)
+    assert np.all(np.sum(values[1:, -4:] * values[:-1, -4:], axis=1) > 0.9)
 
 
 def test_npz_holds_the_motion(solved: bp.Plan, tmp_path: Path) -> None:
@@ -387,6 +394,8 @@ def test_npz_holds_the_motion(solved: bp.Plan, tmp_path: Path) -> None:
         for name in ("time", "q", "v"):
             np.testing.assert_array_equal(arrays[name], getattr(solved.trajectory, name))
         assert arrays["joints"].tolist() == list(solved.robot.joint_names)
+        np.testing.assert_allclose(arrays["tip_position"], solved.tip_path(), atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(arrays["tip_quaternion"], axis=1), 1.0, atol=1e-12)
 
 
 def test_yaml_holds_a_joint_trajectory(solved: bp.Plan, tmp_path: Path) -> None:

@@ -8,13 +8,17 @@ from collections.abc import Callable
 from typing import IO, Any
 
 import numpy as np
+import pinocchio as pin
 import yaml
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.output_file import check_ending, check_output, whole_file
-from backhoe_planner.machine import Hydraulics
+from backhoe_planner.machine import BatchKinematics, Hydraulics, Robot
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.result.plan import Plan
+
+TIP_COLUMNS = [f"tip.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+"""The columns of the tip's pose in a table: position [m] and quaternion."""
 
 
 def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
@@ -22,12 +26,14 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
     ``.csv``: a header, then time [s], position and velocity of every joint; with a
     hydraulic description of the machine also length [m], speed [m/s] and flow [m^3/s] of
-    every cylinder; for a sequence the name of the leg in the last column.
-    ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,); with a hydraulic
-    description also lengths, rod_speeds and flows (T, m), cylinders (m,);
+    every cylinder; the tip's pose, ``tip.x``, ``tip.y``, ``tip.z`` [m] and the quaternion ``tip.qw``, ``tip.qx``,
+    ``tip.qy``, ``tip.qz``, in the world frame; for a sequence the name of the leg in the last column.
+    ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,), tip_position (T, 3) [m] and tip_quaternion (T, 4),
+    w, x, y, z, in the world frame; with a hydraulic description also lengths, rod_speeds and flows (T, m),
+    cylinders (m,);
     for a sequence also legs (L,), their names, leg_begins (L,), the first sample of each, and
     leg_carries (L,), the name of what each carries, or an empty string.
-    ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message.
+    ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message, of the joints alone.
 
     Raises
     ------
@@ -39,6 +45,22 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
         write(plan, stream)
 
 
+def tip_poses(robot: Robot, q: Matrix) -> tuple[Matrix, Matrix]:
+    """(T, 3) positions [m] of the tip at the joints `q` (T, n), and (T, 4) its quaternions w, x, y, z; world frame.
+
+    Of the two quaternions of an orientation, it is the one nearer to that of the sample before.
+    """
+    at = BatchKinematics(robot).at(q)
+    found: list[list[float]] = []
+    for rotation in at.tip_rotation:
+        x, y, z, w = pin.Quaternion(np.asarray(rotation)).coeffs().tolist()
+        turned = [w, x, y, z]
+        before = found[-1] if found else [1.0, 0.0, 0.0, 0.0]
+        sign = -1.0 if sum(a * b for a, b in zip(turned, before, strict=True)) < 0.0 else 1.0
+        found.append([sign * part for part in turned])
+    return np.ascontiguousarray(at.tip_position), np.array(found).reshape(-1, 4)
+
+
 def _write_csv(plan: Plan, stream: IO[Any]) -> None:
     motion, names = plan.trajectory, plan.robot.joint_names
     header = ["time", *(f"{name}.position" for name in names), *(f"{name}.velocity" for name in names)]
@@ -48,6 +70,8 @@ def _write_csv(plan: Plan, stream: IO[Any]) -> None:
         for quantity, values in zip(("length", "speed", "flow"), _cylinders(hydraulics, motion).values(), strict=True):
             header += [f"{name}.{quantity}" for name in hydraulics.cylinder_names]
             columns.append(values)
+    header += TIP_COLUMNS
+    columns += tip_poses(plan.robot, motion.q)
     legs = _legs(plan)
     header += ["leg"] if legs else []
     writer = csv.writer(stream, lineterminator="\n")
@@ -64,6 +88,7 @@ def _legs(plan: Plan) -> list[str]:
 def _write_npz(plan: Plan, stream: IO[Any]) -> None:
     motion, hydraulics = plan.trajectory, plan.robot.hydraulics
     arrays = {"time": motion.time, "q": motion.q, "v": motion.v, "joints": np.array(plan.robot.joint_names)}
+    arrays |= zip(("tip_position", "tip_quaternion"), tip_poses(plan.robot, motion.q), strict=True)
     if hydraulics is not None:
         arrays |= _cylinders(hydraulics, motion) | {"cylinders": np.array(hydraulics.cylinder_names)}
     if plan.legs:
