@@ -235,6 +235,12 @@ def test_plan_check_and_export_work_one_after_the_other(run: Run, tmp_path: Path
     assert status == 0
     assert said.startswith("verified\nplanned with method auto, seed 3, effort quick\n")
     assert re.search(r"velocity +\d+\.\d % of its limit", said)
+    assert "not checked  method, seed, effort, findings and message are the file's own words" in said
+    edited = content | {"verdict": "failed", "reason": "blocked", "message": "a wall"}
+    (tmp_path / "edited.json").write_text(json.dumps(edited), encoding="utf-8")
+    status, said, told = run("check", "edited.json")
+    assert (status, said.partition("\n")[0]) == (0, "verified")
+    assert "verdict: the file says failed (blocked: a wall), but its motion is verified" in told
     for name in ("motion:key:.csv", "motion.npz", "motion.yaml"):  # `:key:` in a name is not replaced by an emoji
         status, said, _ = run("export", "out.json", name)
         assert (status, said) == (0, f"wrote {name}\n")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import backhoe_planner as bp
-from backhoe_planner import job, motion, planning, show, site
+from backhoe_planner import job, live, motion, planning, show, site
 from backhoe_planner.cli.job_command import check_job, draw_job_page, read_job_plan
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
@@ -133,9 +133,19 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     print_warnings(site.obstacle_warnings(loaded.robot, loaded.problem.obstacles))
     if loaded.verified:  # if the motion itself was changed, the failed certificate says enough
         print_warnings(planning.plan_differences(plan_file, loaded))
+    print_warnings(planning.plan_contradictions(plan_file, loaded))
     print_certificate(loaded)
+    _print_unchecked(loaded)
     OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if loaded.verified else FAILED
+
+
+def _print_unchecked(plan: bp.Plan) -> None:
+    """Print which words of a plan file its motion does not show; nothing for a motion driven by hand."""
+    if not live.is_recording(plan):
+        reason = ", reason" if plan.failure and not plan.verified else ""
+        words = f"method, seed, effort, findings{reason} and message are the file's own words, which no motion shows"
+        OUT.print(f"{'not checked':<13}{words}")
 
 
 def plot(

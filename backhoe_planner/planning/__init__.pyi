@@ -48,6 +48,7 @@ from .result.plan import METHODS as METHODS
 from .result.plan import Plan as Plan
 from .result.plan import PlannedLeg as PlannedLeg
 from .result.plan import load_plan as load_plan
+from .result.plan import plan_contradictions as plan_contradictions
 from .result.plan import plan_differences as plan_differences
 from .result.plan import plan_to_dict as plan_to_dict
 from .result.plan_file import CertificateRecord as CertificateRecord

@@ -62,6 +62,16 @@ def test_edited_motions_loads_and_settings_are_reported(tmp_path: Path) -> None:
         assert said in found.note, said
 
 
+def test_a_failure_that_the_motions_refute_is_reported(tmp_path: Path) -> None:
+    from backhoe_planner.job.result.job_plan_file import job_plan_record
+
+    assert not tiny_plan().refutes_failure
+    edited = dict(json.loads(job_plan_record(tiny_plan(), None).model_dump_json()))
+    found = read(edited | {"verdict": "failed", "reason": "full", "message": "no room"}, tmp_path)
+    assert found.refutes_failure
+    assert not read(content(), tmp_path).refutes_failure  # of its cycles one alone is there
+
+
 def test_a_claimed_survey_that_did_not_take_place_is_reported(tmp_path: Path) -> None:
     note = read(content() | {"surveyed": True}, tmp_path).note
     assert "the file says that the ground was surveyed, which is that of the job" in note

@@ -17,7 +17,7 @@ from reasons import comparison
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.planning import EFFORTS, export_plan, plan_differences
+from backhoe_planner.planning import EFFORTS, export_plan, plan_contradictions, plan_differences
 from backhoe_planner.planning.search.effort import EffortName
 from backhoe_planner.site import Obstruction
 
@@ -311,6 +311,24 @@ def test_the_verdict_of_a_file_is_proven_anew(solved: bp.Plan, tmp_path: Path) -
     assert not again.verified
     assert not again.certificate.safe
     assert "ball" in again.message
+
+
+def test_a_failure_that_the_motion_refutes_is_reported(solved: bp.Plan, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    solved.save(file)
+    assert plan_contradictions(file, bp.load_plan(file)) == []
+    content = json.loads(file.read_text())
+    file.write_text(json.dumps(content | {"verdict": "failed", "reason": "blocked", "message": "a wall"}))
+    loaded = bp.load_plan(file)
+    assert loaded.verified
+    said = "verdict: the file says failed (blocked: a wall), but its motion is verified"
+    assert plan_contradictions(file, loaded) == [said]
+    # a motion that ends early is not verified, and its start is clear; nothing shows whether a search was blocked
+    motion = {key: rows[:-5] for key, rows in content["trajectory"].items()}
+    motion["v"][-1] = [0.0] * len(motion["v"][-1])
+    for reason, found in (("start_in_collision", 1), ("blocked", 0)):
+        file.write_text(json.dumps(content | {"verdict": "failed", "reason": reason, "trajectory": motion}))
+        assert len(plan_contradictions(file, bp.load_plan(file))) == found
 
 
 def test_an_edited_motion_is_not_verified(solved: bp.Plan, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -142,6 +142,11 @@ class JobPlan:
         if self.verified:
             return ""
         return self.failure or ("blocked" if not all(cycle.verified for cycle in self.cycles) else "not_done")
+
+    @property
+    def refutes_failure(self) -> bool:
+        """Whether all cycles hold and the design is met wherever it may be dug, although `failure` says otherwise."""
+        return bool(self.failure) and replace(self, failure="").verified
 
     @property
     def end(self) -> Terrain:

@@ -36,7 +36,7 @@ from backhoe_planner.planning.result.plan_file import (
     read_plan_file,
 )
 from backhoe_planner.planning.search.effort import EFFORTS, EffortName
-from backhoe_planner.proof import Certificate, certify_problem
+from backhoe_planner.proof import Certificate, certify_motion, certify_problem
 from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
@@ -357,6 +357,38 @@ def plan_differences(path: str | os.PathLike[str], plan: Plan) -> list[str]:
     known = {key for key in _COMPUTED if getattr(said, key) is not None}  # an older file has less
     ours, theirs = (one.model_dump(mode="json", include=known) for one in (said, found))
     return differences(ours, theirs, left_out=_NOT_COMPUTED)
+
+
+def plan_contradictions(path: str | os.PathLike[str], plan: Plan) -> list[str]:
+    """What a plan file says of its plan although its motion shows the opposite, in words, with the keys.
+
+    A reason that the motion neither confirms nor refutes is not among them: why a search found no motion is not in it.
+
+    Parameters
+    ----------
+    path: the file.
+    plan: as read by `load_plan`.
+
+    Raises
+    ------
+    PlanFileError: not a plan file, or damaged.
+    """
+    said, certificate = read_plan_file(check_path(path, key="path")), check_kind(plan, Plan, key="plan").certificate
+    if said.verdict == "verified":
+        return []  # where that is wrong, the plan's message says so
+    words = f"{said.reason}: {said.message}" if said.message else said.reason
+    if certificate.verified:
+        return [f"verdict: the file says failed ({words}), but its motion is verified"]
+    problem = plan.legs[0].problem if plan.legs else plan.problem
+    start = certify_motion(problem, Trajectory.from_steps(np.zeros(1), plan.trajectory.q[:1]))
+    shown = {
+        "start_in_collision": ("nothing is too near at its start", not start.too_near),
+        "start_breaks_keep": ("its start keeps all conditions", all(use.kept for use in start.keep)),
+    }
+    return [
+        f"reason: the file says {words}, but {finding}" for reason, (finding, holds) in shown.items()
+        if reason == said.reason and holds
+    ]  # fmt: skip
 
 
 def _begins(record: PlanRecord, problem: Problem, file: Path) -> tuple[int, ...]:
