@@ -17,7 +17,7 @@ Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_
 Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
 # s of a motion, which waits and slow joints may make longer than any single number of a scene
-Moment = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
+Moment = Annotated[float, Field(strict=True, ge=0.0, le=1e12, allow_inf_nan=False)]
 _SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too close to that
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
 Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False)]
