@@ -29,6 +29,7 @@ from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
+from backhoe_planner.live.plan_fit import check_fits
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.rejoining import (
     LONGEST,
@@ -108,9 +109,9 @@ class PlanFollower:
 
     Parameters
     ----------
-    servo: its machine must have the plan's joints. If the machine is not at the beginning of the
-        plan, it goes there first.
-    plan: a plan, or its trajectory alone.
+    servo: of the plan's own machine and scene. If the machine is not at the beginning of the plan, it goes there
+        first.
+    plan: a plan, or a trajectory alone, of which only the number of joints is checked.
     executor: runs the searches for detours (0.1 to 8 s each). The default is one thread of
         the follower's own, which shares the interpreter with the loop: steps may come some
         milliseconds late while the machine holds still. A `ProcessPoolExecutor` avoids that.
@@ -121,9 +122,9 @@ class PlanFollower:
 
     Raises
     ------
-    InputError: the plan failed, and that is not allowed, or it has no motion; it is for other joints
-        than the machine's; in one of its legs the machine carries something that the servo's scene does not have; the
-        seed is negative.
+    InputError: the plan failed, and that is not allowed, or it has no motion; it is for another machine, or
+        another scene, than the servo's; in one of its legs the machine carries something that the servo's scene does
+        not have; the seed is negative.
 
     Along the plan of a sequence, obstacles that are present in some legs only are added and removed with
     these legs, and the load and the conditions to be kept are those of the leg.
@@ -145,11 +146,8 @@ class PlanFollower:
         if executor is not None:
             check_kind(executor, Executor, key="executor")
         seed, allow_failed = as_count(seed, key="seed"), check_flag(allow_failed, key="allow_failed")
-        if isinstance(plan, Plan) and plan.robot.joint_names != robot.joint_names:
-            found, own = ", ".join(plan.robot.joint_names), ", ".join(robot.joint_names)
-            raise InputError(
-                "is a plan for other joints than the machine's", key="plan.robot", found=found, allowed=own
-            )
+        if isinstance(plan, Plan):
+            check_fits(plan, servo)
         if isinstance(plan, Plan) and not plan.verified:
             _refuse_failed(plan, allowed=allow_failed)
         trajectory = plan.trajectory if isinstance(plan, Plan) else check_kind(plan, Trajectory, key="plan")
