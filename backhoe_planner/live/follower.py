@@ -11,6 +11,9 @@ as it must, and comes back to it. If it makes no progress for a while, it holds 
 from there to the earliest clear place on the rest of the plan is searched in the background
 (`rejoining`). The machine follows that path by the same law under the same servo; the rest of the
 plan stays as it was. Whatever is planned, the servo alone decides what is safe.
+
+Where the rest of the plan is proven clear of what is there, and the machine is on it, the plan is a track (`track`):
+the machine keeps to it exactly, also where it cannot brake straight ahead.
 """
 
 from __future__ import annotations
@@ -41,6 +44,8 @@ from backhoe_planner.live.rejoining import (
 )
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
+from backhoe_planner.live.servo.track import Track
+from backhoe_planner.live.track_proof import TrackProof, rest_is_clear
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Keep, Trajectory, keep_of
 from backhoe_planner.planning import Plan
@@ -163,6 +168,9 @@ class PlanFollower:
         self._kept = KeptFollowing(keep, servo.limits)
         self._paces = BrakingPace(self._plan, servo.limits, _parts(servo, plan, keep))
         self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
+        self._track = Track(self._plan, servo.limits, servo.dt)
+        self._proof = TrackProof(servo, plan, self._plan, self._track)
+        self._proving = False  # whether the search under way is for a proof of the track
         self._enter_leg()
         self._steps = 0
         self._slowest = float(servo.limits.velocity.min())
@@ -232,7 +240,11 @@ class PlanFollower:
 
     def _enter_leg(self) -> None:
         """Set the site and the conditions to those of the leg at the plan's clock; without legs do nothing."""
-        if self._legs is not None and self._legs.enter(self._plan.clock):
+        if self._legs is None:
+            return
+        before = self.servo.revision
+        if self._legs.enter(self._plan.clock):
+            self._proof.follow_leg(before)
             self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
 
     def _look_around(self) -> None:
@@ -246,6 +258,11 @@ class PlanFollower:
             if servo.time > self._seen_at + _PATIENCE_CROSSING:
                 self._progress.waited = 0.0
             self._seen, self._seen_at = servo.revision, servo.time
+        busy = self._holding or self._blocked or self._round or self._searches.under_way
+        query = None if busy else self._proof.query()
+        if query is not None:
+            self._proving = True
+            self._searches.begin(servo.revision, servo.time, rest_is_clear, query)
 
     def _must_hold(self) -> bool:
         """Whether to hold still: while a detour is searched, and, if none was found, until something changes."""
@@ -260,8 +277,26 @@ class PlanFollower:
 
     def _follow(self, reference: Reference) -> ServoState:
         servo = self.servo
+        deviation = float(np.abs(reference.q - servo.q).max())
+        on_track = reference is self._plan and self._track.revision == servo.revision
+        if on_track and self._track.is_joined_by(servo.q, servo.v):
+            state = servo.step_along(self._track)
+        else:
+            state = self._step_towards(reference)
+        if self._progress.made(reference, deviation, servo.dt):
+            self._got_on()
+        elif self._progress.waited > _PATIENCE and not (
+            reference is self._plan and reference.ended and deviation < _ARRIVED
+        ):
+            self._lose_patience(state)
+        if self._round is not None:
+            self._watch_round(deviation)
+        return state
+
+    def _step_towards(self, reference: Reference) -> ServoState:
+        """One step towards where the reference is, and along with it, as far as the servo allows."""
+        servo, clock = self.servo, reference.clock
         off, rates = reference.q - servo.q, reference.rates(servo.dt)
-        deviation = float(np.abs(off).max())
         pace = min(max((_TOLERANCE - _late(off, rates)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
         # no faster towards the plan than the machine can brake in time
         size = np.abs(off)
@@ -272,15 +307,8 @@ class PlanFollower:
         else:
             pace = min(pace, kept, self._paces.at(reference.clock) if reference is self._plan else 1.0)
         state = servo.step(joint_velocity=pace * rates + pull)
-        reference.advance(pace * servo.dt)
-        if self._progress.made(reference, deviation, servo.dt):
-            self._got_on()
-        elif self._progress.waited > _PATIENCE and not (
-            reference is self._plan and reference.ended and deviation < _ARRIVED
-        ):
-            self._lose_patience(state)
-        if self._round is not None:
-            self._watch_round(deviation)
+        if reference.clock == clock:  # unless the servo went on along the plan
+            reference.advance(pace * servo.dt)
         return state
 
     def _got_on(self) -> None:
@@ -328,6 +356,7 @@ class PlanFollower:
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
             found.checked, found.check_at = servo.revision, servo.time + _RECHECK
             rest = np.vstack((servo.q[None], found.reference.rest()))
+            self._proving = False
             self._searches.begin(servo.revision, servo.time, is_still_clear, servo.robot, servo.snapshot(), rest)
 
     def _ahead(self) -> Trajectory:
@@ -352,6 +381,7 @@ class PlanFollower:
             seed=self._seed,
             attempt=self._failed,
         )
+        self._proving = False
         self._searches.begin(servo.revision, servo.time, find_rejoining, query)
 
     def _take_answer(self) -> None:
@@ -359,6 +389,10 @@ class PlanFollower:
         if answer is None:
             return
         servo = self.servo
+        proving, self._proving = self._proving, False
+        if proving:
+            self._proof.take(clear=answer is True, revision=self._searches.revision)
+            return
         if answer is False and self._round is not None:  # the detour is no longer clear
             self._round = None
             self._holding = True

@@ -2,7 +2,7 @@
 
 Between the samples of a trajectory the joints move linearly, so their rates jump at every
 sample. A machine cannot follow such jumps. The reference has the rate of each segment in the
-middle of that segment, is at rest at both ends, and its rates change linearly in between. No
+middle of that segment, is at rest at both ends and where the motion rests, and its rates change linearly in between. No
 acceleration is greater than the certified ones (`Trajectory.accelerations`), so a machine can
 follow it exactly. At a corner it leaves the straight lines by a T^2 / 8 (`chord_sagitta`); the
 position error that remains at the end is spread evenly over the motion. If the samples are too
@@ -11,6 +11,7 @@ far apart for that, the straight lines are followed.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Trajectory, chord_sagitta
 
 _LARGEST_CUT = 4.0  # times the sagitta: a corner, half a corner at both ends, and as much again for uneven samples
+_ROUNDING = 1e-9  # part of the acceleration
 
 
 class _Pieces(NamedTuple):
@@ -54,17 +56,20 @@ class Reference:
     ----------
     clock: the time along the motion that has been reached [s]; may be set.
     end: of the motion [s].
+    keeps_limits: whether no acceleration is greater than the machine's.
     """
 
     def __init__(self, motion: Trajectory, limits: JointLimits) -> None:
         self.clock, self.end = 0.0, float(motion.time[-1])
         self._motion = motion
-        self._pieces = _straight(motion)
+        self._pieces = straight = _straight(motion)
+        most = (1.0 + _ROUNDING) * limits.acceleration
         if len(motion) > 2:
             smooth = _smooth(motion)
             cut = np.abs([smooth.at(moment) for moment in motion.time.tolist()] - motion.q).max(axis=0)
             if (cut <= _LARGEST_CUT * chord_sagitta(limits)).all():
                 self._pieces = smooth
+        self.keeps_limits = self._pieces is not straight and bool((np.abs(self._pieces.a) <= most).all())
 
     @property
     def ended(self) -> bool:
@@ -105,10 +110,30 @@ def _straight(motion: Trajectory) -> _Pieces:
 
 
 def _smooth(motion: Trajectory) -> _Pieces:
-    """The motion with rates that are linear in time between the middles of the segments."""
-    rates, rest = motion.segment_velocities(), np.zeros((1, motion.q.shape[1]))
-    time = np.concatenate(([0.0], 0.5 * (motion.time[1:] + motion.time[:-1]), motion.time[-1:]))
-    v, spans = np.vstack((rest, rates, rest)), np.diff(time)[:, None]
-    q = motion.q[0] + np.vstack((rest, np.cumsum(0.5 * spans * (v[1:] + v[:-1]), axis=0)))
-    missing = (motion.q[-1] - q[-1]) / motion.duration
-    return _Pieces(time, q + time[:, None] * missing, v + missing, np.vstack((np.diff(v, axis=0) / spans, rest)))
+    """The motion with rates that are linear in time between the middles of the segments, at rest where it rests."""
+    rates = motion.segment_velocities()
+    rests = np.asarray(~rates.any(axis=1))
+    changes = np.flatnonzero(np.diff(rests)) + 1
+    parts = [
+        _still(motion, first) if rests[first] else _moving(motion.time[first : last + 1], motion.q[first : last + 1])
+        for first, last in pairwise([0, *changes.tolist(), len(rests)])
+    ]
+    end = _still(motion, len(rests))
+    return _Pieces(*(np.concatenate(column) for column in zip(*parts, end, strict=True)))
+
+
+def _still(motion: Trajectory, row: int) -> _Pieces:
+    """At rest from a sample of the motion on."""
+    q = motion.q[row : row + 1]
+    return _Pieces(motion.time[row : row + 1], q, np.zeros_like(q), np.zeros_like(q))
+
+
+def _moving(time: Vector, q: Matrix) -> _Pieces:
+    """Through samples at `time` (K,) and `q` (K, n), from rest to rest, without the last knot."""
+    rates, rest = np.diff(q, axis=0) / np.diff(time)[:, None], np.zeros((1, q.shape[1]))
+    knots = np.concatenate((time[:1], 0.5 * (time[1:] + time[:-1]), time[-1:]))
+    v, spans = np.vstack((rest, rates, rest)), np.diff(knots)[:, None]
+    at = q[0] + np.vstack((rest, np.cumsum(0.5 * spans * (v[1:] + v[:-1]), axis=0)))
+    missing = (q[-1] - at[-1]) / (time[-1] - time[0])
+    at += (knots - time[0])[:, None] * missing
+    return _Pieces(knots[:-1], at[:-1], v[:-1] + missing, np.diff(v, axis=0) / spans)

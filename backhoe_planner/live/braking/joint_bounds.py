@@ -74,6 +74,12 @@ class JointBounds:
         """Whether the joints share a capacity, such as the flow of a pump."""
         return self._load is not None
 
+    def are_kept_at(self, q: Vector) -> bool:
+        """Whether no joint of q (n,) is beyond its limits."""
+        return all(
+            low - TOLERANCE <= x <= up + TOLERANCE for x, (low, up, _) in zip(q.tolist(), self._ranges, strict=True)
+        )
+
     def brake(self, v: Vector) -> Vector:
         """(n,) the next velocity while braking in proportion from v (n,)."""
         time = float((np.abs(v) / self.acceleration).max())

@@ -463,6 +463,10 @@ class PairBounds:
         self._accepted = awake, clearance.bound
         keep_proven(awake, clearance.bound, self._separation.clearance, self.stands, self.required)
 
+    def accept_nothing(self) -> None:
+        """Note that a step is about to be taken of whose braking path nothing new is known."""
+        self._accepted = _NOTHING
+
     def advance(self, moved: Vector, end_moved: Vector | None) -> None:
         """Note that the joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,) [rad or m].
 

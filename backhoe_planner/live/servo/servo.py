@@ -4,7 +4,7 @@ Every step keeps one invariant: if the machine brakes from now on, all joints in
 it touches nothing and passes no limit (`braking_path`). A new velocity is taken only if the
 braking path that follows from it is proven clear. If there is none, the machine brakes along
 the path that was proven one step earlier. So no wish, and no failure of the optimisation,
-can drive the machine into a static obstacle.
+can drive the machine into a static obstacle. On a proven track (`step_along`) it may brake along that instead.
 
 The nearest safe velocity is found by a small QP (`safe_velocity`). Its rows are the gaps
 of the links' corners along the braking path (`path_check`), and one row for each moving
@@ -46,6 +46,7 @@ from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilte
 from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
 from backhoe_planner.live.servo.surroundings import Surroundings
 from backhoe_planner.live.servo.tip_task import JointWish, TipTask
+from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
 from backhoe_planner.site import (
     Obstacle,
@@ -93,6 +94,7 @@ class Servo:
     robot, scene, dt: as above; the robot has the scene's tip and swing sectors, and what it carries now.
     circulate: as above; may be set.
     limits: joint limits in this scene.
+    revision_of_scene: `revision` with the obstacles that the scene has at first, and no others.
     last_error: the last error inside a step, which then braked; None if there was none.
 
     `step` raises nothing. The servo owns its working memory: do not share one between threads.
@@ -125,6 +127,7 @@ class Servo:
         q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
+        self._track: Track | None = None  # along which the machine stops, if it does not straight ahead
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
@@ -151,6 +154,7 @@ class Servo:
         self._update_moving()
         self._measure(np.arange(len(self._separation), dtype=np.intp))
         self._add(build_obstacles(scene, robot))
+        self.revision_of_scene = self.revision
 
     # --- the joints and the obstacles --------------------------------------------------
 
@@ -314,6 +318,11 @@ class Servo:
         """
         return self._site.shift_of(name)
 
+    @property
+    def on_track(self) -> bool:
+        """Whether the machine, if it has to stop, does so along the track of `step_along`."""
+        return self._track is not None
+
     def _add(self, obstacles: Iterable[Obstacle]) -> None:
         pairs = self._site.put(obstacles, now=self.time)
         if len(pairs) == 0:
@@ -341,6 +350,8 @@ class Servo:
         path = self._check.path(self._state.q, self._state.v, step=False)
         path.place(self._at)
         self._bounds.measure(pairs, path, self._at)
+        if self._track is not None:
+            self._require_clearance(pairs)
         if self._bounds.stands[pairs].any():
             self._recovery.changed()
 
@@ -360,22 +371,43 @@ class Servo:
         Without any of them the last wish holds, until the watchdog ends it. A command that is not
         finite, has the wrong shape or is contradictory counts as none. Nothing is raised.
         """
-        self._steps += 1
         command = self._commands.understand(tip_velocity, joint_velocity, pitch_rate)
+        return self._step(command, None, 1.0)
+
+    def step_along(self, track: Track, *, pace: float = 1.0) -> ServoState:
+        """Move on by dt along a track that the machine has joined (`Track.is_joined_by`), at a pace of at most `pace`.
+
+        The step is taken if braking straight ahead is proven clear, or else if the track is proven clear of the
+        obstacles that are there now: then the machine can stop along the track. Otherwise, and in every later step
+        for which no other motion is proven, it slows down along the track. Nothing is raised.
+        """
+        q, v, _ = self._state
+        command = self._commands.understand(None, track.faster(q, v, pace), None)
+        return self._step(command, track, pace)
+
+    def _step(self, command: Command, track: Track | None, pace: float) -> ServoState:
+        self._steps += 1
         before = self._state
         try:
-            return self._move(command)
-        except Exception as error:  # noqa: BLE001  whatever the error, braking was proven before
+            return self._move(command, track, pace)
+        except Exception as error:  # noqa: BLE001  whatever the error, a way to stand still was proven before
             self.last_error = error.with_traceback(None)
             return self._brake(command, failed=True, moved=self._state is not before)
 
-    def _move(self, command: Command) -> ServoState:
+    def _move(self, command: Command, track: Track | None, most: float) -> ServoState:
         """Find what is near, the joint wish and the nearest safe velocity, and take the step."""
         self._drift()
-        if self._separation.clusters and not self._boxes.renew(self._state, self._steps):
+        if track is not None and (
+            track.revision != self.revision or self._site.anything_moves or self._joints.shares_load
+        ):
+            track = None
+        covered = not self._separation.clusters or self._boxes.renew(self._state, self._steps)
+        if not covered and track is None:
             return self._brake(command, failed=False)
         near = self._bounds.near(self._state.q, self._at)
         self._check.begin_step(len(near.pairs))
+        if track is not None:
+            return self._move_along(command, track, most, near, covered=covered)
         q, v, _ = self._state
         wish = self._tip.wish(q, self._commands, near, circulate=self.circulate)
         pace = min(self._bounds.pace(near), self._pace_of_sectors())
@@ -389,10 +421,50 @@ class Servo:
             range=self._joints.velocity_range(q, v, wished),
         )
         chosen = self._filter.choose(self._state, request, near)
+        if self._track is not None:
+            if chosen.end is None or not self._joints.are_kept_at(chosen.end):
+                return self._brake(command, failed=False)
+            self._track = None
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=chosen.end is None)
         self._advance(chosen.v, chosen.end)
         return self._report(command, near, wish, request, chosen, pace)
+
+    def _move_along(self, command: Command, track: Track, most: float, near: Near, *, covered: bool) -> ServoState:
+        """Take a step along a track that is proven clear; `covered`: whether boxes hold all that could come near."""
+        q, v, _ = self._state
+        if len(self._bounds.inside):
+            self._require_clearance(self._bounds.inside)
+        pace = min(self._bounds.pace(near), self._pace_of_sectors())
+        wished = track.faster(q, v, min(most, pace))
+        limits = self._joints.velocity_range(q, v, wished)
+        path, awake = self._check.path(q, wished), self._check.awake(self._state, limits.look)
+        found = self._check.clearance(awake, path)
+        straight = covered and found.clear and self._joints.are_kept_at(path.end)
+        self._bounds.accept(awake.pairs, found)
+        self._bounds.renew(near, self._at, self._steps)
+        self._boxes.note(near, held_back=False)
+        self._go_on(track, wished, path.end, straight=straight)
+        wish = self._tip.wish(q, self._commands, near, circulate=False)
+        request = VelocityWish(wished, wished, None, wished, for_tip=False, range=limits._replace(cuts_wish=False))
+        chosen = SafeVelocity(wished, held_back=False, evading=False, end=path.end)
+        return self._report(command, near, wish, request, chosen, pace)
+
+    def _go_on(self, track: Track, v: Vector, end: Vector, *, straight: bool) -> None:
+        """Take the step at v (n,) along a track; `end` (n,) of its straight braking path; whether that is proven."""
+        self._check.forget()
+        self._track = None if straight else track
+        self._advance(v, end)
+        track.advance()
+        if self._track is not None and not v.any():
+            # at rest the machine needs no track: what is too near here may only be left from now on
+            self._track = None
+            self._measure(self._check.awake(self._state, 0.0).pairs)
+
+    def _require_clearance(self, pairs: Indices) -> None:
+        """Require the clearance of `pairs` (K,): on a track the straight braking path does not say what can be kept."""
+        self._bounds.require(pairs, self._separation.clearance[pairs])
+        self._bounds.find_inside()
 
     def _drift(self) -> None:
         """Let obstacles appear and move on, and compute the machine's placement."""
@@ -489,7 +561,12 @@ class Servo:
 
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
-        if not moved:
+        if not moved and self._track is not None:
+            q, v, _ = self._state
+            slower = self._track.slower(q, v)
+            self._bounds.accept_nothing()
+            self._go_on(self._track, slower, self._check.path(q, slower).end, straight=False)
+        elif not moved:
             self._advance(self._joints.brake(self._state.v), None)
         J, commands = self._tip.jacobian[:3], self._commands
         wish = _ZERO if commands.tip is None else commands.tip

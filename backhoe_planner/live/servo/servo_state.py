@@ -55,7 +55,8 @@ class ServoState(NamedTuple):
     refused: (3,) part of the wish that the tip does not follow [m/s], world; never longer than the wish for the tip.
         It does not include what the tip does not follow yet only because the joints are still accelerating.
     feedback_force: (3,) on the hand [N], world.
-    proven: whether the braking path after this step was proven clear of everything that stands still.
+    proven: whether braking straight ahead after this step, or along a track, was proven clear of everything that stands
+        still in this step, not in an earlier one.
     pace: part of the wished speed that the zones allow, 1 if none is near.
     """
 

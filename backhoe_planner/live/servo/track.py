@@ -1,0 +1,119 @@
+"""A track: a motion that is proven clear, on which the machine is, and along which it can stop.
+
+A servo that brakes all joints in proportion needs a clear straight line ahead. On a track the machine needs no such
+line: slowed down, it still goes where the track was proven clear. At a constant pace s of at most 1 every acceleration
+is s^2 times the track's own, so the machine can always go on at the pace that it has, to the end of the track if need
+be, and everywhere it can lower the pace as far as the accelerations allow.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import JointLimits
+
+_ON_TRACK = 1e-6  # rad or m off the track within which the machine is on it; chosen, far below every tolerance
+_ROUNDING = 1e-6  # part of the acceleration: a change of velocity that is larger by no more is allowed
+_PARTS = (1.0, 0.98, 0.9, 0.7, 0.4, 0.1)  # of the change of pace that is expected to be allowed, which are tried
+_STILL = 1e-9  # rad/s or m/s: a slower machine stands still; rounding of a position, over a step
+
+
+class ClockedMotion(Protocol):
+    """A motion with a clock, such as a `Reference`, which says more of the methods."""
+
+    clock: float
+
+    @property
+    def q(self) -> Vector:
+        """(n,) joint positions at the clock's time [rad or m]."""
+
+    def at(self, time: float) -> Vector:
+        """(n,) joint positions at `time` [s] [rad or m]."""
+
+    def rates(self, dt: float) -> Vector:
+        """(n,) mean rates over the next `dt` [rad/s or m/s]."""
+
+    def advance(self, by: float) -> None:
+        """Advance the clock `by` [s]."""
+
+
+class Track:
+    """A motion from rest to rest that keeps all limits, with a clock.
+
+    Parameters
+    ----------
+    reference: the motion; its clock is moved on by each step on the track.
+    limits: of the joints.
+    dt: length of a step [s].
+
+    Attributes
+    ----------
+    revision: the `Servo.revision` for whose obstacles the rest of the motion is proven clear; None if it is for none.
+    """
+
+    def __init__(self, reference: ClockedMotion, limits: JointLimits, dt: float) -> None:
+        self.reference = reference
+        self.revision: int | None = None
+        self._limits, self._dt = limits, dt
+        self._change = (1.0 + _ROUNDING) * limits.acceleration * dt
+        self._pace = 0.0
+
+    def is_joined_by(self, q: Vector, v: Vector) -> bool:
+        """Whether a machine at q (n,) is on the track at its clock, and its v (n,) is that of some pace up to 1."""
+        if float(np.abs(self.reference.q - q).max()) > _ON_TRACK:
+            return False
+        if self._allows(self._pace, q, v):  # the pace of the step before, if it was on the track
+            return True
+        rates = self.reference.rates(self._dt)
+        squared = float(rates @ rates)
+        self._pace = min(max(float(rates @ v) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+        return self._allows(self._pace, q, v)
+
+    def faster(self, q: Vector, v: Vector, most: float) -> Vector:
+        """(n,) the velocity of the next step at the greatest pace up to `most` that the accelerations allow.
+
+        If even the present pace is more than `most`, the least pace that they allow. The next `advance` is for it.
+        """
+        if self._allows(most, q, v):
+            self._pace = most
+        elif most < self._pace:
+            return self.slower(q, v, least=most)
+        else:
+            self._pace = self._between(self._pace, most, q, v)
+        return self._velocity(self._pace, q)
+
+    def slower(self, q: Vector, v: Vector, least: float = 0.0) -> Vector:
+        """(n,) the velocity of the next step at the least pace, from `least` on, that the accelerations allow."""
+        self._pace = least if self._allows(least, q, v) else self._between(self._pace, least, q, v)
+        return np.clip(self._velocity(self._pace, q), v - self._change, v + self._change)
+
+    def advance(self) -> None:
+        """Move the clock on by the step whose velocity was found last."""
+        self.reference.advance(self._pace * self._dt)
+
+    def _between(self, kept: float, wanted: float, q: Vector, v: Vector) -> float:
+        """The pace nearest to `wanted` that the accelerations allow, from the pace `kept`, which they do."""
+        rates, beyond = self.reference.rates(self._dt), self._velocity(kept, q) - v
+        towards = rates if wanted > kept else -rates
+        room = np.where(towards > 0.0, self._change - beyond, self._change + beyond)
+        moving = np.abs(rates) > _STILL
+        most = float(np.min(room[moving] / np.abs(rates[moving]), initial=abs(wanted - kept)))
+        for part in _PARTS:  # velocities are nearly linear in the pace
+            pace = kept + math.copysign(part * max(most, 0.0), wanted - kept)
+            if self._allows(pace, q, v):
+                return pace
+        return kept
+
+    def _allows(self, pace: float, q: Vector, v: Vector) -> bool:
+        return bool((np.abs(self._velocity(pace, q) - v) <= self._change).all())
+
+    def _velocity(self, pace: float, q: Vector) -> Vector:
+        """(n,) from q (n,) to the place on the track that is a step further at a pace [rad/s or m/s]."""
+        limits = self._limits
+        ahead = self.reference.at(self.reference.clock + pace * self._dt)
+        found = np.asarray((np.clip(ahead, limits.lower, limits.upper) - q) / self._dt)
+        return found if float(np.abs(found).max()) > _STILL else np.zeros_like(found)
