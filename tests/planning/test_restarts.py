@@ -38,26 +38,33 @@ class Searches:
 
     def __init__(
         self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
-        rounds: int = 0,
+        rounds: int = 0, repeats: bool = False,
     ) -> None:  # fmt: skip
+        self._repeats = repeats
         self._goal, self._left, self.leads_round, self.is_for_time = goal, iter(found), leads_round, is_for_time
         self.rounds = rounds
         self.seeds: list[int] = []
         self.efforts: list[Any] = []
         self.longest: list[float] = []
         self.before: list[Any] = []
+        self.earlier: list[int] = []
         self.allowed_time = 5.0
         self.looked_at = 0
         self.best: FoundMotion | None = None
 
     def __call__(
-        self, world: World, *_: Any, longest: float = math.inf, before: Any = None, **__: Any
+        self, world: World, *_: Any, longest: float = math.inf, before: Any = None, earlier: Any = (), **__: Any
     ) -> Searches:  # fmt: skip
+        self.earlier.append(len(earlier))
         self.seeds.append(world.seed)
         self.longest.append(longest)
         self.before.append(before)
         self.efforts.append(world.work.effort)
         return self
+
+    @property
+    def repeats(self) -> bool:
+        return self._repeats and len(self.seeds) > 1
 
     @property
     def takes_long(self) -> bool:
@@ -72,13 +79,13 @@ class Searches:
 
 def way_of(
     robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
-    effort: Effort | None = None, leads_round: bool = False, rounds: int = 0,
+    effort: Effort | None = None, leads_round: bool = False, rounds: int = 0, repeats: bool = False,
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], begins_with="", restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
     searches = Searches(
         world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time",
-        rounds=rounds,
+        rounds=rounds, repeats=repeats,
     )  # fmt: skip
     patch.setattr(goal_searches, "MotionSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
@@ -191,6 +198,36 @@ def test_long_searches_for_least_work_are_repeated_until_two_costs_agree(
     way, searches = way_of(planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=rounds)
     assert (way, len(searches.seeds)) == (best, len(costs))
     assert searches.before == [None] * len(costs)
+    assert searches.earlier == list(range(len(costs)))
+
+
+def test_a_search_that_would_only_repeat_another_one_counts_as_one_of_the_same_cost(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends with its fast motion, which costs 30."""
+    found = iter([(10.0, DURATION), (30.0, DURATION)])
+    way, searches = way_of(planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=90, repeats=True)
+    assert (way, len(searches.seeds)) == ("search 1", 2)
+
+
+def test_a_search_from_the_starts_of_an_earlier_one_ends_before_any_descent_for_its_cost(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The goal is one posture, so that the straight line to it, and its paces, are the same again."""
+    world = World(build_problem(planar4, scene(planar4, "work")), seed=5, work=Work(EFFORTS["normal"]))
+    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
+    assert isinstance(found, GoalPostures)
+    first = MotionSearch(world, START, found, time=0.0)
+    assert first.run() == ""
+    assert not first.repeats
+    assert not first.leads_round
+    assert first.allowed_time is not None
+    again = MotionSearch(
+        world.anew(1, EFFORTS["normal"]), START, found, time=0.0, longest=first.allowed_time, earlier=[first]
+    )
+    assert again.run() == ""
+    assert again.repeats
+    assert again.rounds == 0
 
 
 def test_a_quick_plan_never_searches_again(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:

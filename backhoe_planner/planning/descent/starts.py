@@ -18,6 +18,7 @@ _PLACES = 25  # of a curve, that are checked for collisions; chosen, about every
 _PART = 0.5  # part of the curve in which an early or a late joint makes its whole move; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
 _SAME = 0.05  # the same between a start and one that was tried before; chosen
+_EQUAL = 0.005  # the same between two starts whose descents end alike; chosen
 _DEAR = 3.0  # times the least price, above which no descent is tried; measured: above it hardly any becomes the best
 _BESIDE = 6  # starts with joints early or late, in addition to the cheapest of each line; chosen
 _TOGETHER = 100  # starts that are priced at once, to bound the memory
@@ -83,15 +84,15 @@ class StartPrices:
             if one.price > _DEAR * least:
                 break
             apart = [self._apart(one.start.curve.control, other.start.curve.control) for other in chosen]
-            again = [self._apart(one.start.curve.control, other.control) for other in known]
-            if (
-                min(apart, default=np.inf) > _APART * self._longest
-                and min(again, default=np.inf) > _SAME * self._longest
-            ):
+            if min(apart, default=np.inf) > _APART * self._longest and not self._is_near(one, known):
                 chosen.append(one)
             if len(chosen) >= count:
                 break
         return chosen
+
+    def repeats(self, one: PricedStart, known: Sequence[JointCurve]) -> bool:
+        """Whether a descent from a start ends like that from one of the `known` curves, with equally many pieces."""
+        return self._is_near(one, known, _EQUAL)
 
     def paced(self, lines: Sequence[PricedStart]) -> list[PricedStart]:
         """The straight `lines` with some joints early or late, so that they cost less; the cheapest first.
@@ -151,6 +152,10 @@ class StartPrices:
     def _dearer(self, start: Start) -> float:
         """The factor on the cost of a start for its blocked part: 1 to 2."""
         return 2.0 - float(np.mean(self._screen.keeps(start.curve(self._u))))
+
+    def _is_near(self, one: PricedStart, known: Sequence[JointCurve], within: float = _SAME) -> bool:
+        apart = (self._apart(one.start.curve.control, other.control) for other in known)
+        return min(apart, default=np.inf) <= within * self._longest
 
     def _apart(self, one: Matrix, other: Matrix) -> float:
         return float(np.max(np.abs(one - other) / self._descent.rate))

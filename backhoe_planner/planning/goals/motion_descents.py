@@ -40,6 +40,7 @@ _SOFTENED = 2  # times more rounds for a cost that jumps, which is softened ever
 _FEW_ROUNDS = 4  # of a descent that is continued
 FINE_ROUNDS = 6  # of the best curve at the end
 _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each refinement must gain for the next to follow; chosen
+_MUCH_GAIN_ROUGH = (0.035, *_MUCH_GAIN[1:])  # the same if `Effort.rough`; chosen: what the next gains is below 1 % then
 _FINER = 8  # times more fine rounds for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same for a descent that is continued
@@ -106,6 +107,7 @@ class MotionDescents:
         self.blocked = self.early = np.inf
         self.best: FoundMotion | None = None
         self._unrefined: FoundMotion | None = None  # the best before it was refined; None until then
+        self._unrefined_after: int | None = None  # rounds until then
         self.ended: list[FoundMotion] = []
         if before is not None:
             self._known, self._begun, self.longest = before._known, list(before._begun), before.longest
@@ -124,9 +126,15 @@ class MotionDescents:
         return self._world.work.descent_rounds - self._reserved
 
     @property
-    def rounds(self) -> int:
-        """How many rounds were made."""
-        return self._descent.rounds
+    def rounds_before_refining(self) -> int:
+        """How many rounds were made until the best was refined."""
+        return self._descent.rounds if self._unrefined_after is None else self._unrefined_after
+
+    @property
+    def unrefined_cost(self) -> float:
+        """The cost of the best before it was refined; infinite if there is none."""
+        found = self._unrefined or self.best
+        return np.inf if found is None else found.cost
 
     @property
     def has_gained(self) -> bool:
@@ -220,10 +228,11 @@ class MotionDescents:
 
     def refine(self) -> None:
         """Refine the best motion on a curve of more pieces; for another cost on several in turn, unless hurried."""
-        self._reserved, self._unrefined = 0, self.best
+        self._reserved, self._unrefined, self._unrefined_after = 0, self.best, self._descent.rounds
         is_time, limits = self._problem.objective.is_time, self._problem.limits
         if not is_time and self._hurried:
             return
+        much = _MUCH_GAIN_ROUGH if self._world.work.effort.rough else _MUCH_GAIN
         finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
         for turn, pieces in enumerate((_FINE_PIECES,) if is_time else finer or _FINER_PIECES[:1]):
             best = self.best
@@ -240,9 +249,9 @@ class MotionDescents:
             )  # fmt: skip
             if found is not None and found.missed <= KEPT_PART * _SPARE:
                 self.offer(replace(best, motion=found.motion, cost=found.cost, curve=None if is_time else found.curve))
-            if self.best is None or turn == len(_MUCH_GAIN):
+            if self.best is None or turn == len(much):
                 return
-            if self.best.cost > (1.0 - _MUCH_GAIN[turn]) * best.cost:
+            if self.best.cost > (1.0 - much[turn]) * best.cost:
                 return
 
     def offer(self, found: FoundMotion) -> bool:

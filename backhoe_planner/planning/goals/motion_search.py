@@ -58,6 +58,8 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # also tried with some joints early or late, and how many of all these get a few rounds; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _LONGEST = 20.0  # times the fastest motion: chosen, more time costs samples and gains nothing
+# times the least cost that an earlier search had before refining, up to which a motion is refined; chosen
+_REFINED = 1.3
 _GAIN = 0.005  # part of the cost that counts as a gain
 # times the least time to any posture, from which another search may find a much shorter motion; chosen: on random
 # sites of backhoe, Panda and telescope one motion in fifty takes longer
@@ -80,11 +82,17 @@ class MotionSearch:
     longest: the longest time that a motion may take, if the time is not the cost [s]; if infinite, the search finds it.
     before: an earlier search from the same start among the same obstacles, which has ended and is continued here with
         other random choices, if the time is not the cost: the same longest time holds, and only better motions count.
+    earlier: other searches from the same start among the same obstacles, which have ended, if the time is not the cost:
+        what they have tried is not tried again.
+
+    Attributes
+    ----------
+    repeats: whether the search would begin only where an earlier one began, and was ended therefore.
     """
 
     def __init__(
         self, world: World, start: Vector, found: GoalPostures, *, time: float, enough: float = 0.0,
-        longest: float = np.inf, before: MotionSearch | None = None,
+        longest: float = np.inf, before: MotionSearch | None = None, earlier: Sequence[MotionSearch] = (),
     ) -> None:  # fmt: skip
         self._world, self._start, self._time, self._enough = world, start, time, enough
         self._problem, self._hurried = world.problem, world.work.effort.is_hurried
@@ -98,6 +106,10 @@ class MotionSearch:
         self._descents: MotionDescents = MotionDescents(
             world, start, self._ends, time=time, longest=longest, before=known
         )
+        # what a search found on its way round obstacles depends on its random choices, not on where it began
+        self._tried = [curve for one in earlier if not one.leads_round for curve in one._descents.begun]
+        self._refined_below = _REFINED * min((one._descents.unrefined_cost for one in earlier), default=np.inf)
+        self.repeats = False
         self._bound = 0.0  # lower bound of the duration [s]; computed if the best is not near the least time
         self._looked_within = np.inf  # s: the last search for further postures was for those within this time
 
@@ -126,13 +138,15 @@ class MotionSearch:
         try:
             if not self._problem.objective.is_time:
                 self._go_fast()
+            if self.repeats:
+                return ""
             if self.allowed_time is None:
                 self._go_straight(self._lines.least_blocked() if self._hurried else self._ends.order)
                 if not self._hurried and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
             if self.leads_round or self.best is None:
                 self._go_round()
-            if not self._is_enough() and self._descents.has_gained and not self._costs_nothing:
+            if not self._is_enough() and self._is_worth_refining:
                 self._descents.refine()
         except OutOfTime as ended:
             return str(ended)
@@ -140,8 +154,8 @@ class MotionSearch:
 
     @property
     def rounds(self) -> int:
-        """How many rounds its descents have made, without those for a fast motion."""
-        return self._descents.rounds
+        """How many rounds its descents have made, without those for a fast motion and those that refine the best."""
+        return self._descents.rounds_before_refining
 
     @property
     def allowed_time(self) -> float | None:
@@ -170,6 +184,12 @@ class MotionSearch:
         """Whether the best costs so little that nothing can be gained."""
         return self.best is not None and not self._problem.objective.is_time and self.best.cost <= NO_COST
 
+    @property
+    def _is_worth_refining(self) -> bool:
+        """Whether the best was found by this search, costs something, and not much more than that of an earlier one."""
+        has_gained = self._descents.has_gained and not self._costs_nothing
+        return has_gained and self._descents.unrefined_cost <= self._refined_below
+
     def _bound_above(self, known: Trajectory) -> float:
         """A lower bound on the duration of any motion [s], from fewer boxes than the plan's; `known` is one motion."""
         boxes = self._world.work.effort.boxes // _FEWER_BOXES
@@ -195,12 +215,13 @@ class MotionSearch:
         lines = prices.cheapest(straight, _LINES_FOR_ONE * ways)
         both = sorted([*lines, *prices.paced(lines)], key=lambda one: one.price)
         known, begun = prices.in_order([self._descents.fitted(one) for one in ended]), self._descents.begun
-        self._descents.descend_cheapest(
-            [
-                *prices.cheapest(known, ways, known=begun),
-                *prices.cheapest(both, _LINES_TRIED_FOR_ONE * ways, known=begun),
-            ]
-        )
+        chosen = [
+            *prices.cheapest(known, ways, known=begun),
+            *prices.cheapest(both, _LINES_TRIED_FOR_ONE * ways, known=begun),
+        ]
+        self.repeats = bool(self._tried) and all(prices.repeats(one, self._tried) for one in chosen)
+        if not self.repeats:
+            self._descents.descend_cheapest(chosen)
 
     def _find_fast(self) -> list[FoundMotion]:
         """The results of searches for a fast motion and of their descents; sets how long a motion may take.

@@ -20,9 +20,9 @@ from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 
-# rounds of the descents of a search for another cost than the time, above which another search may find a much cheaper
-# motion; chosen: two sites in five have more, and the median planning time is the same
-_HARD = 50
+# rounds of the descents of a search for another cost than the time, without refining, above which another search may
+# find a much cheaper motion; chosen: two sites in three have more
+_HARD = 28
 _FEWER = 3  # times fewer further searches for a cost that jumps, as each takes several times as long; chosen
 # parts of the cost: the excess over what is lifted, below which another search is not worth its time, and the
 # difference below which the results of two searches count as equal; chosen
@@ -83,6 +83,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
+    earlier: list[MotionSearch] = []  # the last of those that continue each other
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
         if not goes_on and not search.is_for_time and not _may_find_less(costs, world, start, found):
@@ -91,13 +92,15 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
         postures = find_goal_postures(again, goals, near=start, time=time)
         if isinstance(postures, Outcome):
             continue
-        search = MotionSearch(again, start, postures, time=time, longest=longest, before=search if goes_on else None)
+        before = search if goes_on else None
+        earlier = earlier if goes_on or search.is_for_time else [*earlier, search]
+        search = MotionSearch(again, start, postures, time=time, longest=longest, before=before, earlier=earlier)
         ended, other = search.run(), search.best
         cost = math.inf if other is None or other.motion.duration > longest else other.cost
         if other is not None and cost < best.cost:
             best = other
             world.show(best.motion, attempt=number, best=best.cost)
-        costs = [best.cost] if goes_on else [*costs, cost]
+        costs = [best.cost] if goes_on else [*costs, min(costs) if search.repeats else cost]
         if ended or (is_long and other is not None and not search.takes_long):
             break
     return Searched(best, allowed, looked_at, ended)
