@@ -280,7 +280,7 @@ class PlanFollower:
         deviation = float(np.abs(reference.q - servo.q).max())
         on_track = reference is self._plan and self._track.revision == servo.revision
         if on_track and self._track.is_joined_by(servo.q, servo.v):
-            state = servo.step_along(self._track)
+            state = servo.step_along_unchecked(self._track)
         else:
             state = self._step_towards(reference)
         if self._progress.made(reference, deviation, servo.dt):

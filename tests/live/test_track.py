@@ -230,7 +230,7 @@ def test_a_servo_follows_a_track_at_any_pace(past_wall: bp.Plan, seed: int) -> N
         if step % 15 == 0:
             pace = float(rng.choice([0.0, rng.uniform(), 1.0])) if step < 300 else 1.0
         assert track.is_joined_by(servo.q, servo.v)
-        state = servo.step_along(track, pace=pace)
+        state = servo.step_along_unchecked(track, pace=pace)
         v.append(state.v)
         postures.append(state.q)
         np.testing.assert_allclose(state.q, reference.q, atol=1e-9)

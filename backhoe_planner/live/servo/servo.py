@@ -4,7 +4,7 @@ Every step keeps one invariant: if the machine brakes from now on, all joints in
 it touches nothing and passes no limit (`braking_path`). A new velocity is taken only if the
 braking path that follows from it is proven clear. If there is none, the machine brakes along
 the path that was proven one step earlier. So no wish, and no failure of the optimisation,
-can drive the machine into a static obstacle. On a proven track (`step_along`) it may brake along that instead.
+can drive the machine into a static obstacle. On a proven `Track` it may brake along that instead.
 
 The nearest safe velocity is found by a small QP (`safe_velocity`). Its rows are the gaps
 of the links' corners along the braking path (`path_check`), and one row for each moving
@@ -320,7 +320,7 @@ class Servo:
 
     @property
     def on_track(self) -> bool:
-        """Whether the machine, if it has to stop, does so along the track of `step_along`."""
+        """Whether the machine, if it has to stop, does so along the track of `step_along_unchecked`."""
         return self._track is not None
 
     def _add(self, obstacles: Iterable[Obstacle]) -> None:
@@ -374,7 +374,7 @@ class Servo:
         command = self._commands.understand(tip_velocity, joint_velocity, pitch_rate)
         return self._step(command, None, 1.0)
 
-    def step_along(self, track: Track, *, pace: float = 1.0) -> ServoState:
+    def step_along_unchecked(self, track: Track, *, pace: float = 1.0) -> ServoState:
         """Move on by dt along a track that the machine has joined (`Track.is_joined_by`), at a pace of at most `pace`.
 
         The step is taken if braking straight ahead is proven clear, or else if the track is proven clear of the
