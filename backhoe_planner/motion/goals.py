@@ -33,7 +33,9 @@ class Goal:
     rotation_tolerance: how far the tip may be turned from the required orientation [rad]; None
         if the scene does not say. Then 0.01 rad is enough for a motion, and a search is exact.
     tolerance: how far the tip may be from the required position [m]; None if the scene does not say. Then 1 mm
-        is enough. A search is exact.
+        is enough.
+    aim: (3,) the position at which a search aims exactly [m], world; None for the required one. It differs if that
+        is out of reach, and a position within the tolerance is not.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class Goal:
     name: str = "goal"
     rotation_tolerance: float | None = None
     tolerance: float | None = None
+    aim: Vector | None = None
 
     def __post_init__(self) -> None:
         check_kind(self.target, TipTarget, key="target")
@@ -55,13 +58,23 @@ class Goal:
             as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
         if self.tolerance is not None:
             as_number(self.tolerance, key="tolerance", above=0.0)
+        if self.aim is not None:
+            object.__setattr__(self, "aim", as_vector(self.aim, 3, key="aim"))
+
+    @property
+    def allowed_off(self) -> float:
+        """How far the tip may be from the required position [m]."""
+        return GOAL_TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def search_target(self) -> TipTarget:
-        """The target for inverse kinematics: the pose, with most of its rotation tolerance free to use."""
-        if self.q is not None or self.rotation_tolerance is None:
+        """The target for inverse kinematics: the pose, at `aim`, with most of its rotation tolerance free to use."""
+        if self.q is not None:
             return self.target
-        return replace(self.target, rotation_tolerance=_SEARCHED * self.rotation_tolerance)
+        target = self.target if self.aim is None else replace(self.target, position=self.aim)
+        if self.rotation_tolerance is None:
+            return target
+        return replace(target, rotation_tolerance=_SEARCHED * self.rotation_tolerance)
 
     def error(self, at: Configuration) -> Vector:
         """(m,) the difference between the goal and a configuration; all 0 on the goal.
@@ -95,11 +108,10 @@ class Goal:
             much = _metres(off[joint], JOINT_TOLERANCE) if slides else _degrees(off[joint], JOINT_TOLERANCE, ".2f")
             return f"{robot.joint_names[joint]} ends {much} from the {self.name}"
         position, angle = self.distances(at)
-        allowed = GOAL_TOLERANCE if self.tolerance is None else self.tolerance
         allowed_angle = ANGLE_TOLERANCE if self.rotation_tolerance is None else self.rotation_tolerance
         missing = []
-        if position > allowed:
-            missing.append(f"{_metres(position, allowed)} from the {self.name}")
+        if position > self.allowed_off:
+            missing.append(f"{_metres(position, self.allowed_off)} from the {self.name}")
         if angle > allowed_angle:
             missing.append(f"{_degrees(angle, allowed_angle, '.1f')} from the asked angle")
         return f"the tip ends {' and '.join(missing)}" if missing else ""

@@ -17,6 +17,7 @@ from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import TipPath
 from backhoe_planner.planning.paths.stretch import NEARER
+from backhoe_planner.planning.search.within_reach import move_within_reach
 from backhoe_planner.planning.world.outcome import Outcome, blocked_path, out_of_reach, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
@@ -26,7 +27,7 @@ _CARRIED = 2  # configurations of the waypoint before, and of the one after, fro
 _GUESSES = 24  # starting points for each of them: as many as `Postures.at` uses
 _MORE_GUESSES = 192  # for a waypoint at which all configurations found collide; chosen: eight times as many
 _MOVED = 0.9  # part of the tolerance by which a waypoint is moved at most; chosen: the rest is for chords and curve
-_INSIDE = 0.02  # part of the tolerance by which it is moved further than needed; chosen: a stretched arm turns fast
+_INSIDE = 0.02  # part of the tolerance by which it is moved further from an obstacle than needed; chosen
 _MOVES = 8  # moves after which it is given up; chosen: one or two are usual
 
 
@@ -128,7 +129,8 @@ class _Waypoints:
         best = solve_inverse_kinematics(world.problem.robot, target)
         within, q_within = target, best.q
         if not best.reached:
-            found = None if index in self._stays_put else self._within_reach(target, best.q)
+            robot, stays = world.problem.robot, index in self._stays_put
+            found = None if stays else move_within_reach(robot, target, best.q, most=self._most)
             if found is None:
                 return out_of_reach(world, best, target, what)
             within, q_within = found
@@ -142,27 +144,6 @@ class _Waypoints:
                 within = aside
         if within is not target:
             self._positions[index] = within.position
-        return None
-
-    def _within_reach(self, target: TipTarget, q: Vector) -> tuple[TipTarget, Vector] | None:
-        """`target` moved to where the tip can be, and (n,) joints there; None if that is too far.
-
-        Parameters
-        ----------
-        q: (n,) joints with the tip as near to the target as possible [rad or m].
-        """
-        robot = self._world.problem.robot
-        for _ in range(_MOVES):
-            away = self._world.kinematics.at(q).tip_position - target.position
-            far = float(np.linalg.norm(away))
-            if not 0.0 < far <= self._most:
-                return None
-            further = min(1.0 + _INSIDE * self._most / far, self._most / far)
-            moved = replace(target, position=target.position + further * away)
-            found = solve_inverse_kinematics(robot, moved, start=q)
-            if found.reached:
-                return moved, found.q
-            q = found.q
         return None
 
     def _aside(self, target: TipTarget, within: TipTarget, ends: Matrix) -> TipTarget | None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TipTarget, tip_travel_bound, wrap_angle
-from backhoe_planner.motion import ANGLE_TOLERANCE, GOAL_TOLERANCE, JOINT_TOLERANCE, Goal, Problem
+from backhoe_planner.motion import ANGLE_TOLERANCE, JOINT_TOLERANCE, Goal, Problem
 
 _LEVER = 0.5  # m: a direction that is off by 1 rad counts as a tip that is off by this; chosen
 _LOOSE = 0.2  # rad: chosen; with a larger tolerance the orientation is not tested, and the position more closely
@@ -175,7 +175,7 @@ def _region_of(robot: Robot, goal: Goal) -> GoalRegion:
     if goal.q is not None:
         return _JointGoal(goal.q)
     allowed = ANGLE_TOLERANCE if goal.rotation_tolerance is None else goal.rotation_tolerance
-    off = GOAL_TOLERANCE if goal.tolerance is None else goal.tolerance
+    off = goal.allowed_off
     if goal.target.rotation is None:
         return _TipGoal(robot, goal.target, allowed, off)
     if allowed > _LOOSE or robot.n < 2:

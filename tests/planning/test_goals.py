@@ -63,6 +63,58 @@ def test_a_start_within_the_tolerance_of_a_goal_out_of_reach_counts_as_there(pla
     np.testing.assert_array_equal(plan.trajectory.q, np.zeros((1, 4)))
 
 
+# the arm has four links of 1 m in a level plane, at a height of 0 m
+@pytest.mark.parametrize(
+    ("goal", "least"),
+    [
+        ({"position": [2.0, 1.0, 0.0005]}, 0.0005),  # within the millimetre that counts without a tolerance
+        ({"position": [2.0, 1.0, 0.01], "tolerance": 0.02}, 0.01),
+        ({"position": [4.1, 0.0, 0.0], "tolerance": 0.2}, 0.1),
+        # the last link points sideways: the other three reach 3 m, and would have to reach to (4, -1)
+        ({"position": [4.0, 0.0, 0.0], "rpy": [0.0, 0.0, math.pi / 2], "tolerance": 1.3}, math.hypot(4.0, 1.0) - 3.0),
+    ],
+)
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_a_goal_out_of_reach_is_reached_within_its_tolerance(
+    planar4: bp.Robot, goal: Data, least: float, method: str
+) -> None:
+    """The tip ends at the nearest position, or up to a fiftieth of the tolerance further into the reach."""
+    plan = bp.plan(planar4, site(goal, start={"joints": BENT}), method=method, effort="quick")
+    assert plan.verified, plan.message
+    at = bp.Kinematics(planar4).at(plan.trajectory.q[-1])
+    assert least - 1e-6 <= math.dist(at.tip_position, goal["position"]) <= least + 0.02 * goal.get("tolerance", 1e-3)
+    if "rpy" in goal:
+        np.testing.assert_allclose(at.tip_rotation[:, 0], [0.0, 1.0, 0.0], atol=1e-4)
+    assert plan.certificate.tracking.max_error == pytest.approx(math.dist(at.tip_position, goal["position"]), abs=1e-9)
+    assert plan.bound is not None
+    assert plan.bound.duration <= plan.trajectory.duration
+
+
+@pytest.mark.parametrize(
+    "goal", [{"position": [2.0, 1.0, 0.002]}, {"position": [4.1, 0.0, 0.0], "tolerance": 0.09}], ids=["above", "far"]
+)
+def test_a_goal_out_of_reach_by_more_than_its_tolerance_is_unreachable(planar4: bp.Robot, goal: Data) -> None:
+    plan = bp.plan(planar4, site(goal, start={"joints": BENT}), effort="quick")
+    assert plan.reason == "unreachable"
+
+
+def test_one_of_several_goals_may_be_out_of_reach_within_its_tolerance(planar4: bp.Robot) -> None:
+    goals = [{"position": [0.0, 4.3, 0.0], "tolerance": 0.1}, {"position": [4.1, 0.3, 0.0], "tolerance": 0.2}]
+    plan = bp.plan(planar4, site(goals, start={"joints": BENT}), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.certificate.goal == 2
+
+
+def test_a_leg_ends_within_the_tolerance_of_a_goal_out_of_reach(planar4: bp.Robot) -> None:
+    legs = [
+        {"name": "out", "goal": {"position": [4.1, 0.0, 0.0], "tolerance": 0.2}},
+        {"name": "back", "goal": {"position": [1.5, 1.5, 0.0]}},
+    ]
+    content = {"version": 1, "start": {"joints": BENT}, "task": {"sequence": legs}, "clearance": 0.02}
+    plan = bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+
+
 # --- the joints --------------------------------------------------------------------
 
 

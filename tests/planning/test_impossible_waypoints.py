@@ -105,6 +105,15 @@ def test_a_corner_out_of_reach_by_less_than_the_tolerance_is_passed_within_it(be
     assert beyond - 1e-9 <= np.min(corner) <= 0.005
 
 
+def test_a_path_beside_the_plane_of_an_arm_is_followed_in_it() -> None:
+    """The planar arm moves at a height of 0, the path is 3 mm above it."""
+    points = [[3.0, 0.3, 0.003], [3.0, -0.3, 0.003]]
+    task = {"path": {"waypoints": [{"position": point} for point in points], "tolerance": 0.005}}
+    plan = bp.plan(bp.load_robot("example:planar4"), bp.scene_from_dict({"version": 1, "task": task}), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.certificate.tracking.max_error == pytest.approx(0.003, abs=1e-3)
+
+
 def test_a_corner_out_of_reach_by_more_than_the_tolerance_is_named() -> None:
     plan = bp.plan(bp.load_robot("example:planar4"), bent_path([4.006, 0.0, 0.0]), effort="quick")
     assert plan.reason == "unreachable"

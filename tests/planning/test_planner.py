@@ -221,7 +221,7 @@ def test_what_narrows_the_reach_is_named(backhoe: bp.Robot) -> None:
     message = bp.plan(backhoe, bp.scene_from_dict(beyond | off), effort="quick").message
     assert message == "swing starts at -0.95 rad, allowed -0.94 to 0.94 rad (within road)"
     message = bp.plan(backhoe, bp.scene_from_dict({**content, "hold": {"swing": 0.0}}), effort="quick").message
-    assert message.endswith("; held are swing at 0")
+    assert message.endswith("; swing is held at 0")
 
 
 def test_a_path_that_begins_out_of_reach_is_reported_with_its_beginning(planar4: bp.Robot) -> None:

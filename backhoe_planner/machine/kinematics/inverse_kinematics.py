@@ -30,7 +30,6 @@ _DAMPING = 0.1  # times the squared error (Sugihara's weight)
 _MOST_DAMPED_ERROR = 1e-2  # squared error beyond which the damping does not grow; chosen, an error of 0.1 m
 _LEAST_DAMPING = 1e-12  # keeps the equations solvable if no joint can move a row
 _SETTLED = 6  # if no attempt arrives, this many of the best are refined to the nearest pose; chosen
-_ANGLE_WEIGHT = 1.0  # m per rad, for choosing among attempts: as in the squared error, a radian counts as a metre
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,7 @@ def solve_inverse_kinematics(
     rng: np.random.Generator | None = None,
     attempts: int = 60,
     tolerance: float = 1e-8,
+    angle_weight: float = 1.0,
 ) -> InverseKinematics:
     """A configuration within the limits that puts the tip on `target`, or the nearest that is found.
 
@@ -72,6 +72,8 @@ def solve_inverse_kinematics(
     rng: draws the other starting points; by default a generator with seed 0.
     attempts: the greatest number of starting points.
     tolerance: on the position error [m] and the angle error [rad].
+    angle_weight: if the target is out of reach: the position error that counts as much as an angle error of one
+        radian [m]. With a large one, the nearest configuration has almost the required angles.
 
     Raises
     ------
@@ -81,6 +83,7 @@ def solve_inverse_kinematics(
     check_kind(target, TipTarget, key="target")
     rng = np.random.default_rng(0) if rng is None else check_kind(rng, np.random.Generator, key="rng")
     attempts, tolerance = as_count(attempts, key="attempts", least=1), as_number(tolerance, key="tolerance", above=0.0)
+    angle_weight = as_number(angle_weight, key="angle_weight", above=0.0)
     guesses = (robot.middle if start is None else robot.check_q(start, what="start"))[None, :]
     ends: list[Vector] = []
     while len(ends) < attempts:
@@ -98,15 +101,15 @@ def solve_inverse_kinematics(
 
     def miss(q: Vector) -> float:
         position, angle = target.distances(kinematics.at(q))
-        return position + _ANGLE_WEIGHT * angle
+        return position + angle_weight * angle
 
-    settled = [_nearest(target, q, kinematics) for q in sorted(ends, key=miss)[:_SETTLED]]
-    q = min(settled, key=lambda q: float(np.sum(np.square(target.error(kinematics.at(q))))))
+    settled = [_nearest(target, q, kinematics, angle_weight) for q in sorted(ends, key=miss)[:_SETTLED]]
+    q = min(settled, key=lambda q: _squared(target, kinematics, q, angle_weight)[0])
     position, angle = target.distances(kinematics.at(q))
     return InverseKinematics(position <= tolerance and angle <= tolerance, q, position, angle, attempts)
 
 
-def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector:
+def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics, angle_weight: float) -> Vector:
     """(n,) the configuration near `start` with the least squared error.
 
     Newton-Raphson would be slow here: if the error stays large, J^T J is far from the second
@@ -115,14 +118,8 @@ def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector
     from scipy.optimize import minimize
 
     limits = kinematics.robot.limits
-
-    def cost(q: Vector) -> tuple[float, Vector]:
-        at = kinematics.at(q)
-        error = target.error(at)
-        return 0.5 * float(error @ error), -target.jacobian(at).T @ error
-
     found = minimize(
-        cost,
+        lambda q: _squared(target, kinematics, q, angle_weight),
         start,
         jac=True,
         method="SLSQP",
@@ -130,6 +127,14 @@ def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector
         options={"ftol": 1e-15, "maxiter": 200},
     )
     return np.asarray(np.clip(found.x, limits.lower, limits.upper))
+
+
+def _squared(target: TipTarget, kinematics: Kinematics, q: Vector, angle_weight: float) -> tuple[float, Vector]:
+    """Half the squared error at `q` (n,), with a radian counted as `angle_weight` metres, and (n,) its gradient."""
+    at = kinematics.at(q)
+    error = target.error(at)
+    weighted = error * np.where(np.arange(len(error)) < 3, 1.0, angle_weight**2)
+    return 0.5 * float(error @ weighted), -target.jacobian(at).T @ weighted
 
 
 def solve_batch(

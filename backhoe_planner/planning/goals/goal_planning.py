@@ -11,7 +11,7 @@ from backhoe_planner.digits import beside_bounds
 from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
-from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, aimed, find_goal_postures
 from backhoe_planner.planning.goals.searches import search_motion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
@@ -51,6 +51,8 @@ class ToGoal:
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
+        if self._is_there(world, stepper):  # within the tolerance of a goal out of reach
+            return Outcome(stepper.trajectory())
         too_short = self._too_short(world, stepper)
         if too_short is not None:
             return too_short
@@ -98,9 +100,18 @@ class ToGoal:
         return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
 
     def _is_there(self, world: World, stepper: Stepper) -> bool:
-        """Whether the machine is already on a goal, in a posture in which it may stand."""
+        """Whether the machine is already on a goal, in a posture in which it may stand.
+
+        Within the tolerance is enough for a goal that is known to be out of reach: nowhere is the tip exactly on it.
+        """
         here = world.kinematics.at(stepper.q)
-        if all(np.max(np.abs(goal.error(here)), initial=0.0) > _STANDS_ON for goal in self.goals):
+
+        def is_on(goal: Goal) -> bool:
+            if goal.aim is not None:
+                return not goal.shortfall(here)
+            return float(np.max(np.abs(goal.error(here)), initial=0.0)) <= _STANDS_ON
+
+        if not any(is_on(goal) for goal in aimed(world, self.goals)):
             return False
         return bad_posture(world, stepper.q, "start", time=stepper.time) is None
 
@@ -119,7 +130,7 @@ class ToGoal:
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
         """The law straight to the first of `goals` at which it arrives, otherwise the attempt that came nearest."""
         attempts = []
-        for goal in goals:
+        for goal in aimed(world, goals):
             attempts.append(next(approach_goal(stepper, goal, (), work=world.work)))
             if attempts[-1].arrived and world.keeps(attempts[-1].stepper.trajectory()):
                 return attempts[-1]

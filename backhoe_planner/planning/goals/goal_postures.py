@@ -1,20 +1,28 @@
-"""Postures in which a motion to a goal may end."""
+"""Postures in which a motion to a goal may end.
+
+A goal whose position is out of reach, but not the whole of its tolerance, is replaced by the same goal with an `aim`:
+a position within the tolerance that the tip can reach. The certificate judges by the goal as it was given.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import TipTarget
+from backhoe_planner.machine import InverseKinematics, TipTarget, solve_inverse_kinematics
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.result.plan_file import Reason
+from backhoe_planner.planning.search.postures import PostureResult
+from backhoe_planner.planning.search.within_reach import move_within_reach
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.world.world import World
 
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is reported to be in collision; chosen
+_MOVED = 0.9  # part of a goal's tolerance by which its aim is moved at most; chosen: no rounding exceeds the rest
+_ANGLES_FIRST = 30.0  # m per rad in the search for the nearest pose: chosen, its angles are then off by mrad at most
 # if several goals fail, the mildest reason is reported; the mildest first
 _MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
 
@@ -26,7 +34,7 @@ class GoalPostures:
     Attributes
     ----------
     clear: (n,) each [rad or m].
-    goals: the goal of each posture.
+    goals: the goal of each posture; with an aim, if its position is out of reach.
     left_out: why other goals have no such posture, one sentence for each.
     """
 
@@ -58,11 +66,11 @@ def find_goal_postures(
     found: list[tuple[Vector, Goal]] = []
     failures: list[Outcome] = []
     for goal in goals:
-        clear = _postures_on(world, goal, near, time, more, travel)
-        if isinstance(clear, Outcome):
-            failures.append(clear)
+        on = _postures_on(world, goal, near, time, more, travel)
+        if isinstance(on, Outcome):
+            failures.append(on)
         else:
-            found += [(q, goal) for q in clear]
+            found += [(q, on.goal) for q in on.clear]
     if not found:
         mildest = min(failures, key=lambda failure: _MILDEST.index(failure.reason))
         return Outcome(
@@ -75,29 +83,45 @@ def find_goal_postures(
     )
 
 
+def aimed(world: World, goals: Sequence[Goal]) -> list[Goal]:
+    """The `goals`, with an aim each that was found to be out of reach."""
+    return [world.aims.get((goal, True)) or world.aims.get((goal, False)) or goal for goal in goals]
+
+
+@dataclass(frozen=True, eq=False)
+class _OnGoal:
+    """Clear postures (n,) on one goal [rad or m], which has an aim if its position is out of reach."""
+
+    goal: Goal
+    clear: tuple[Vector, ...]
+
+
 def _postures_on(
     world: World, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None
-) -> tuple[Vector, ...] | Outcome:
+) -> _OnGoal | Outcome:
     if goal.q is not None:
-        return bad_posture(world, goal.q, goal.name, time=time) or (goal.q,)
+        return bad_posture(world, goal.q, goal.name, time=time) or _OnGoal(goal, (goal.q,))
     keep, target = world.problem.keep, goal.search_target
     if keep is None:
         return _on_target(world, target, goal, near, time, more, travel)
     narrowed = keep.narrowed(target)
-    within = None if narrowed is None else _on_target(world, narrowed, goal, near, time, more, travel)
-    kept = tuple(q for q in within if keep.holds(q)) if isinstance(within, tuple) else ()
+    within = None
+    if narrowed is not None:
+        within = _on_target(world, narrowed, goal, near, time, more, travel, is_narrowed=True)
+    kept = tuple(q for q in within.clear if keep.holds(q)) if isinstance(within, _OnGoal) else ()
     if kept:
-        return kept
+        assert isinstance(within, _OnGoal)
+        return _OnGoal(within.goal, kept)
     # find out whether the goal itself fails, or `keep` at the goal
     free = _on_target(world, target, goal, near, time, more, travel)
     if isinstance(free, Outcome):
         return free
-    kept = tuple(q for q in free if keep.holds(q))
+    kept = tuple(q for q in free.clear if keep.holds(q))
     if kept:
-        return kept
+        return _OnGoal(free.goal, kept)
     if isinstance(within, Outcome) and within.reason == "goal_in_collision":
         return within
-    nearest = max(free, key=lambda q: float(np.min(keep.margins(q))))
+    nearest = max(free.clear, key=lambda q: float(np.min(keep.margins(q))))
     message = f"at the {goal.name} {keep.broken(nearest)}"
     if narrowed is not None:  # the goal's own angles leave room for the kept condition
         message = f"no posture was found on the {goal.name} that keeps it: at best {keep.broken(nearest)}"
@@ -105,11 +129,42 @@ def _postures_on(
 
 
 def _on_target(
-    world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None
-) -> tuple[Vector, ...] | Outcome:
+    world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None, *,
+    is_narrowed: bool = False,
+) -> _OnGoal | Outcome:  # fmt: skip
     count = more * world.work.effort.starting_points
     hurried = world.work.effort.is_hurried
-    found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried, travel=travel)
-    if found.best.reached and not found.clear and travel is None:
-        found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
-    return no_posture(world, found, target, "goal_in_collision", goal.name) or found.clear
+
+    def at(target: TipTarget) -> PostureResult:
+        found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried, travel=travel)
+        if found.best.reached and not found.clear and travel is None:
+            found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
+        return found
+
+    own = world.aims.get((goal, is_narrowed))
+    if own is None:
+        found = at(target)
+        own = goal if found.best.reached else _aim(world, target, goal, found.best)
+        if own is None or own is goal:
+            return no_posture(world, found, target, "goal_in_collision", goal.name) or _OnGoal(goal, found.clear)
+        world.aims[goal, is_narrowed] = own
+    assert own.aim is not None
+    target = replace(target, position=own.aim)
+    found = at(target)
+    return no_posture(world, found, target, "goal_in_collision", goal.name) or _OnGoal(own, found.clear)
+
+
+def _aim(world: World, target: TipTarget, goal: Goal, best: InverseKinematics) -> Goal | None:
+    """The goal with an aim that the tip can reach; None if there is none within the tolerance.
+
+    Parameters
+    ----------
+    target: of the goal, out of reach.
+    best: the nearest pose.
+    """
+    robot, most = world.problem.robot, _MOVED * goal.allowed_off
+    if best.position_error > most:  # with the required angles, it would be further away
+        return None
+    q = solve_inverse_kinematics(robot, target, start=best.q, angle_weight=_ANGLES_FIRST).q
+    moved = move_within_reach(robot, target, q, most=most, angle_weight=_ANGLES_FIRST)
+    return None if moved is None else replace(goal, aim=moved[0].position)

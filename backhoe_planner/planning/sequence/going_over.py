@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from backhoe_planner.machine import BatchKinematics
-from backhoe_planner.motion import GOAL_TOLERANCE, Problem, Trajectory, overlap, slow_where_needed
+from backhoe_planner.machine import BatchKinematics, Kinematics
+from backhoe_planner.motion import Problem, Trajectory, overlap, slow_where_needed
 from backhoe_planner.planning.sequence.leg import DoneLeg, join
 from backhoe_planner.proof import certify_motion
 
@@ -51,8 +51,10 @@ def _without_stop(
     if not (before.may_go_over and leg.may_go_over):
         return None
     longest = _PART * min(whole.duration - free_from, motion.duration)
-    allowed = _SPARE * min(_tolerance(first), _tolerance(second, at_end=False))
     kinematics = BatchKinematics(first.robot)
+    at_end = Kinematics(first.robot).at(whole.q[-1])
+    off_goal = min((goal.distances(at_end)[0] for goal in first.goals), default=0.0)
+    allowed = _SPARE * min(_tolerance(first) - off_goal, _tolerance(second, at_end=False))
     corner = kinematics.at(whole.q[-1:]).tip_position[0]
 
     def nearest(joined: Trajectory, shared: slice) -> tuple[float, int]:
@@ -89,8 +91,7 @@ def _tolerance(problem: Problem, *, at_end: bool = True) -> float:
         return path.tolerance
     if not at_end:
         return np.inf
-    given = [goal.tolerance for goal in problem.goals]
-    return min(GOAL_TOLERANCE if one is None else one for one in given)
+    return min(goal.allowed_off for goal in problem.goals)
 
 
 def _is_proven(motion: Trajectory, shared: slice, first: Problem, second: Problem) -> bool:

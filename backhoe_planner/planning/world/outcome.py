@@ -198,7 +198,8 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
             message += f" ({', '.join(f'{name} {words}' for name, words in set_by.items())})"
     held = world.problem.robot.hold
     if held:
-        message += f"; held are {', '.join(f'{name} at {value:g}' for name, value in held.items())}"
+        places = [f"{name} {'at' if index else 'is held at'} {held[name]:g}" for index, name in enumerate(held)]
+        message += f"; {' and '.join(places)}"
     if target.pitch is not None or target.rotation is not None:
         message += _position_alone(world, target)
     pose = NearestPose(

@@ -10,7 +10,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory
+from backhoe_planner.motion import OBJECTIVES, Goal, Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Watcher
@@ -37,6 +37,8 @@ class World:
     postures: finds configurations for the tip among these obstacles.
     apart: how much more than its clearance a pair keeps along a path, wherever it can [m]; by the names of a link and
         of what it came too near to, as in `Obstruction`.
+    aims: goals out of reach with where a search aims instead, by goal and whether its angles are narrowed by `keep`;
+        worlds made from this one share it.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class World:
         self.kinematics = Kinematics(problem.robot)
         self._watch = watch
         self.apart = dict(apart or {})
+        self.aims: dict[tuple[Goal, bool], Goal] = {}
         self._put(problem.obstacles)
 
     def among(self, obstacles: Sequence[Obstacle]) -> World:
