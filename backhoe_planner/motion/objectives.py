@@ -147,6 +147,7 @@ class Objective(ABC, Generic[Parts]):
     needs_hydraulics: whether it is defined only for a machine with a hydraulic description.
     is_time: whether it is the duration itself.
     is_positive_power: whether its rate is the sum of the positive powers of the joints.
+    is_squared_torque: whether its rate is the sum of the squared torques of the joints.
     lifts: whether lifting counts, so that its value is at least the gain of potential energy.
     is_quadratic: whether it grows with the squared rates, and so penalises every motion.
     jumps: whether its rate jumps when a rod begins to move, so that no small step shows how to lower it.
@@ -159,6 +160,7 @@ class Objective(ABC, Generic[Parts]):
     needs_hydraulics: ClassVar[bool] = False
     is_time: ClassVar[bool] = False
     is_positive_power: ClassVar[bool] = False
+    is_squared_torque: ClassVar[bool] = False
     lifts: ClassVar[bool] = False
     is_quadratic: ClassVar[bool] = False
     jumps: ClassVar[bool] = False
@@ -251,7 +253,7 @@ class _OfTorques(Objective[_Torques]):
 class Effort(_OfTorques):
     """|tau|^2 dt: the integral of tau . tau, to which the heat in electric motors is proportional."""
 
-    name, unit = "effort", "N^2 m^2 s"
+    name, unit, is_squared_torque = "effort", "N^2 m^2 s", True
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load * usual.load / usual.rate

@@ -98,6 +98,8 @@ class OwnTime:
         moments = self._moments(curve, duration)
         change = _Change(curve, duration, moving, moments)
         share = duration * curve.shares(len(moments[0]))
+        if self.problem.objective.is_squared_torque:
+            return self._slope_of_squares(change, share, moments, duration)
         if not self.problem.objective.is_positive_power:
             rate, slopes = moment_slopes(lambda *at: self.parts(*at)[0], *moments)
             slope = share @ change.of(slopes[:, 0])
@@ -116,6 +118,19 @@ class OwnTime:
         # (torque v)'' = torque' v' + v' torque' + v torque''; the last term is left out
         crossed = of_v.T @ ((kinks.share * kinks.rising())[:, None] * of_torque)
         return Slope(slope, _convex(crossed + crossed.T), kinks)
+
+    def _slope_of_squares(
+        self, change: _Change, share: Vector, moments: tuple[Matrix, Matrix, Matrix], duration: float
+    ) -> Slope:
+        """The slope if the rate is the sum of the squared torques; `share` (K,) of the places in the cost [s]."""
+        torque, slopes = self._torque_slopes(*moments)
+        n = torque.shape[1]
+        of_torque = change.of(slopes.reshape(-1, 3 * n), each=n)
+        value, weight = torque.ravel(), 2.0 * np.repeat(share, n)
+        slope = (weight * value) @ of_torque
+        slope[-1] += share @ np.sum(torque * torque, axis=1) / duration
+        # (torque^2)'' = 2 torque' torque' + 2 torque torque''; the last term is left out
+        return Slope(slope, of_torque.T @ (weight[:, None] * of_torque), Kinks.none(len(slope)))
 
     def _moments(self, curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
         """(K, n) q, v, a at the places of the sum."""
@@ -136,6 +151,8 @@ class OwnTime:
         """(K, U) the cost per second of moments at q, v, a (K, n); and whether only positive parts count."""
         if self.problem.objective.is_positive_power:
             return self._torques(q, v, a) * v, True
+        if self.problem.objective.is_squared_torque:
+            return np.sum(np.square(self._torques(q, v, a)), axis=1)[:, None], False
         if self.soft_flow > 0.0:
             assert self.drive.hydraulics is not None
             return soft_power(self.drive.hydraulics, q, v, self._torques(q, v, a), flow=self.soft_flow)[:, None], False
