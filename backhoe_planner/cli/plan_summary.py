@@ -224,7 +224,7 @@ def _print_bound(found: bp.Plan) -> None:
         OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s{longer}")
         least = None if cost is None else bound.least_energy(cost.objective)
         if cost is not None and least is None and cost.objective != "time":
-            OUT.print(f"              of {cost.objective} nothing better than 0 is known as a bound")
+            OUT.print(f"              no lower bound above 0 is known for {cost.objective}")
         if cost is not None and least is not None:
             more = f"{cost.objective}; this one takes {planning.describe_excess(cost.value, least)}"
             OUT.print(
