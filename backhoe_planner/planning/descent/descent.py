@@ -250,7 +250,7 @@ class Descent:
     ) -> Timed | None:  # fmt: skip
         """One descent, see `run`; for another cost than the time, the result's cost is without rounded kinks."""
         free = goal if goal.q is None else None
-        looks, self._longest, self._width = self._looks(curve, spare, density), longest, _LEAST_WIDTH
+        looks, self._longest, self._width = self._looks(curve, spare, density, free), longest, _LEAST_WIDTH
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
@@ -520,13 +520,13 @@ class Descent:
         least, margins = looks.find_margins(curve)
         return Timed(curve, duration, motion, cost, max(-least, 0.0), margins)
 
-    def _looks(self, curve: JointCurve, spare: float, density: int) -> Looks:
+    def _looks(self, curve: JointCurve, spare: float, density: int, goal: Goal | None) -> Looks:
         if spare not in self._screens:
             self._screens[spare] = ClearanceScreen(self._proximity, time=self._time, spare=KEPT_PART * spare)
         return Looks(
             self._proximity, self._screens[spare], self._problem.keep,
             steps=density * PLACES_PER_PIECE * curve.pieces, spare=spare, time=self._time,
-            hurried=self._hurried,
+            hurried=self._hurried, fixed=curve.control[[0] if goal is not None else [0, -1]],
         )  # fmt: skip
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:

@@ -22,6 +22,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import NearKinks, rounded
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
+from backhoe_planner.planning.descent.tight_ends import TightEnds
 from backhoe_planner.site import Proximity
 
 PLACES_PER_PIECE = 3  # at which limits are linearised; chosen: accelerations are linear on a piece
@@ -57,7 +58,7 @@ class Margin:
 
 def find_margins(
     proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float | Vector, time: float,
-    places: Indices | None = None, seen: SeenDistances | None = None,
+    places: Indices | None = None, seen: SeenDistances | None = None, ends: TightEnds | None = None,
 ) -> tuple[float, list[Margin]]:  # fmt: skip
     """The least margin over places q (K, n), infinite if nothing is near, and all margins below `reach` [m].
 
@@ -70,6 +71,7 @@ def find_margins(
     time: at which the positions of the obstacles are taken [s].
     places: (K,) their indices; by default they are counted.
     seen: known lower bounds of the distances there, for the same `time`; the new ones are added.
+    ends: near which pairs keep less than `spare`.
     """
     places = np.arange(len(q)) if places is None else places
     seen = seen or SeenDistances()
@@ -82,8 +84,9 @@ def find_margins(
     for row, place in enumerate(places.tolist()):
         here = []
         if near[row]:
-            margin, gradient = next(of_pairs)
-            here.append(Margin(place, margin - spare, gradient))
+            margin, gradient, pairs = next(of_pairs)
+            kept = ends.spares(q[row], pairs) if ends else spare
+            here.append(Margin(place, margin - kept, gradient))
         if keep is not None and place > 0:  # the start cannot be changed
             here.append(Margin(place, keep.margins(q[row]) - _SPARE_OF_KEPT * spare, keep.gradients(q[row])))
         for one in here:
@@ -96,8 +99,8 @@ def find_margins(
 
 def _nearby(
     proximity: Proximity, q: Matrix, margins: Vector, bounds: Matrix, time: float, places: Indices, seen: SeenDistances
-) -> Iterator[tuple[Vector, Matrix]]:  # fmt: skip
-    """(M,), (M, n) margins and gradients of the pairs within `margins` (K,) [m] at each of q (K, n).
+) -> Iterator[tuple[Vector, Matrix, Indices]]:  # fmt: skip
+    """(M,), (M, n), (M,) margins, gradients and indices of the pairs within `margins` (K,) [m] at each of q (K, n).
 
     The distances are known to be at least `bounds` (K, P) [m]; the new ones are kept in `seen`.
     """
@@ -115,11 +118,11 @@ def _nearby(
             rows = slice(first, int(ends[row]))
             first = rows.stop
             seen.keep(place, q[row], bounds[row])
-            yield distances[rows] - proximity.clearance[pairs[rows]], gradients[rows]
+            yield distances[rows] - proximity.clearance[pairs[rows]], gradients[rows], pairs[rows]
         else:
             nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=bounds[row])
             seen.keep(place, q[row], proximity.found_unchecked)
-            yield nearby.margin, nearby.gradient
+            yield nearby.margin, nearby.gradient, nearby.pair
 
 
 class LinearModel:

@@ -7,14 +7,16 @@ screen is queried, which only answers yes or no.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices
+from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import Margin, find_margins
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
+from backhoe_planner.planning.descent.tight_ends import TightEnds
 from backhoe_planner.site import ClearanceScreen, Proximity
 
 KEPT_PART = 0.5  # part of the spare that is kept between equal steps, and with which a curve counts as clear; chosen
@@ -37,6 +39,7 @@ class Looks:
     spare: to be kept beyond every clearance at the places [m].
     time: at which the positions of the obstacles are taken [s].
     hurried: whether to linearise only smaller margins.
+    fixed: (n,) each, the ends of the curve that stay where they are.
 
     Attributes
     ----------
@@ -47,6 +50,7 @@ class Looks:
     def __init__(
         self, proximity: Proximity, screen: ClearanceScreen, keep: Keep | None, *,
         steps: int, spare: float, time: float, hurried: bool = False,
+        fixed: Sequence[Vector] = (),
     ) -> None:  # fmt: skip
         self._proximity, self._screen, self._keep = proximity, screen, keep
         self._spare, self._time = spare, time
@@ -57,6 +61,7 @@ class Looks:
         self._near = _NEAR_HURRIED if hurried else _NEAR
         self._reach = np.full(self.places, self._near)
         self._seen = SeenDistances()
+        self._ends = TightEnds(proximity, fixed, spare=spare, time=time)
 
     @property
     def known(self) -> tuple[int, int]:
@@ -83,6 +88,7 @@ class Looks:
         return find_margins(
             self._proximity, self._keep, curve.at(self._u[places]),
             spare=self._spare, reach=self._reach[places], time=self._time, places=places, seen=self._seen,
+            ends=self._ends,
         )  # fmt: skip
 
     def _notice(self, curve: JointCurve, margins: list[Margin]) -> Indices:
