@@ -15,6 +15,8 @@ import backhoe_planner as bp
 from backhoe_planner.live import unrecorded_changes
 from backhoe_planner.machine import Robot
 from backhoe_planner.show import TeleopStation, write_page
+from backhoe_planner.show.teleop import station as teleop_station
+from backhoe_planner.show.viewer import live_server
 
 # without a graphics card every pixel costs: a quarter of them shows the same page
 COARSE = {"reduced_motion": "reduce", "device_scale_factor": 0.5}
@@ -367,6 +369,82 @@ def test_only_a_click_on_the_button_takes_the_controls(backhoe: Robot, browser: 
         assert session.snapshot().driver is None
         assert not session.snapshot().state.v.any()
         assert unexpected(complaints) == []
+
+
+def lose(station: TeleopStation) -> None:
+    """Cut the connections of all pages, without a word, as a network does."""
+    server = station._server  # opens the wall: nothing in the program cuts a connection
+    for socket in server.pages:
+        assert socket.ws_connection is not None
+        assert socket.ws_connection.stream is not None
+        server._loop.call_soon_threadsafe(socket.ws_connection.stream.close)
+
+
+def test_a_page_that_loses_its_connection_lets_go_and_comes_back_to_the_present(
+    backhoe: Robot, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}},
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "obstacles": [
+                {"name": "pole", "shape": "cylinder", "radius": 0.2, "length": 4, "position": [-2, -3, 1]},
+                {"name": "rock", "shape": "sphere", "radius": 0.3, "position": [-2, 3, 0]},
+            ],
+        }
+    )
+    with TeleopStation(backhoe, scene, port=0, output=tmp_path / "driven.json") as station:
+        session = station.session
+        page, _ = open_page(browser, station.url)
+        page.locator("#take").click()
+        page.wait_for_function("backhoe.teleop.driving")
+        page.keyboard.down("KeyW")
+        page.wait_for_function("backhoe.teleop.state.speed > 0.1")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(live_server, "_MOST_PAGES", 0)  # it cannot come back yet
+            lose(station)
+            page.wait_for_function("document.getElementById('notice').textContent === 'Connection lost, trying again…'")
+            assert page.locator("#notice").is_visible()
+            assert not page.evaluate("backhoe.teleop.driving")
+            for control in ("#take", "#record", "#mode", "#drive-speed", "#circulate", "[data-drop=ball]"):
+                assert page.locator(control).is_disabled(), control
+            assert page.locator("#status-word").inner_text() == "Not connected"
+            assert page.locator(".margin .remove").count() == 0
+            for _ in range(round(10 * PATIENCE)):
+                if session.snapshot().driver is None and not session.snapshot().state.v.any():
+                    break
+                clock.sleep(0.1)
+            assert session.snapshot().driver is None
+            assert not session.snapshot().state.v.any()
+
+            other = session.join()  # what happens in the meantime
+            assert session.hear(other, '{"type": "take"}')["ok"]
+            assert session.hear(other, '{"type": "remove", "name": "rock"}')["ok"]
+            session.leave(other)
+
+        page.wait_for_function("document.getElementById('notice').hidden")
+        page.wait_for_function("backhoe.teleop.state.taken.includes('rock') && backhoe.teleop.page > 2")
+        nodes = "Object.keys(backhoe.viewer.scene_tree.children.site.children)"
+        assert page.evaluate(nodes) == ["pole"]
+        assert page.locator("#margins .name").all_inner_texts() == ["pole", "the machine itself"]
+        assert not page.evaluate("backhoe.teleop.driving")  # a key that is still held drives nothing
+        page.keyboard.up("KeyW")
+        page.locator("#take").click()
+        page.wait_for_function("backhoe.teleop.driving")
+        page.keyboard.down("KeyW")
+        page.wait_for_function("backhoe.teleop.state.speed > 0.1")
+
+        # a page that hangs while it drives has let go when it is back
+        monkeypatch.setattr(teleop_station, "_SILENT", 1.0)
+        page.evaluate("() => { const until = performance.now() + 2500; while (performance.now() < until); }")
+        page.wait_for_function("backhoe.teleop.state.driver === null && backhoe.teleop.state.speed === 0")
+        assert "silent for too long" in page.locator("#toast").inner_text()
+        assert page.locator("#take").inner_text() == "Take the controls"
+    page.wait_for_function("document.getElementById('notice').textContent.includes('that shows this has ended.')")
+    assert page.locator("#take").is_disabled()
+    page.close()
 
 
 PAD = "window.axes = [0, 0, -1]; navigator.getGamepads = () => [null, {connected: true, axes: window.axes}];"

@@ -187,6 +187,12 @@ class Session:
                 self._let_drive(None)
             self._asking = [other for other in self._asking if other != page]
 
+    def release(self, page: int) -> None:
+        """Take the controls from a page, and the machine stops; nothing changes if that page does not drive."""
+        with self._lock:
+            if self._driver == page:
+                self._let_drive(None)
+
     def hear(self, page: int, text: str | bytes) -> dict[str, Any]:
         """Do what a page requests, and return the answer as plain data. Nothing is raised, whatever the request."""
         message: Message | None = None

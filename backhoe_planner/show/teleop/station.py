@@ -21,6 +21,7 @@ from backhoe_planner.show.teleop.session import AT_REST, Session
 from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.site import Scene
 
+_SILENT = 5.0  # s after which a page that drives has let go: it answers each frame; chosen, longer than a browser hangs
 _LATEST = 0.1  # s behind the clock after which the loop stops catching up; chosen, a longer burst would be visible
 
 
@@ -33,11 +34,8 @@ class _Socket(LiveSocket):
         self.page = self.server.session.join()
         self.answer({"type": "you", "page": self.page})
 
-    def on_message(self, message: str | bytes) -> None:
-        if message == "drawn":
-            super().on_message(message)
-        elif self.accepts():
-            self.answer(self.server.session.hear(self.page, message))
+    def handle(self, message: str | bytes) -> None:
+        self.answer(self.server.session.hear(self.page, message))
 
     def on_close(self) -> None:
         self.server.session.leave(self.page)
@@ -46,6 +44,9 @@ class _Socket(LiveSocket):
 
 class TeleopServer(LiveServer):
     """The server of a driving page; see `LiveServer`.
+
+    A page that drives and sends nothing for some seconds, not even that it has shown the present state, has let go: its
+    connection is lost, or its browser hangs. The machine itself stops long before, by the watchdog of the session.
 
     Parameters
     ----------
@@ -71,6 +72,13 @@ class TeleopServer(LiveServer):
         css, body, script = read_parts("backhoe_planner.show.teleop", "teleop.css", "teleop.html", "teleop.js")
         page = live_page(css=css, body=body, script=script)
         return [("/", LivePage, {"page": page, "server": self}), ("/socket", _Socket, {"server": self})]
+
+    def deliver(self) -> None:
+        """Also take the controls from a page that has gone silent."""
+        super().deliver()
+        for page in self.pages:
+            if isinstance(page, _Socket) and page.silent_for > _SILENT:
+                self.session.release(page.page)
 
 
 class TeleopStation:

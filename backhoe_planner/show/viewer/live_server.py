@@ -2,13 +2,15 @@
 
 The server runs in a thread of this process: nothing is left behind when the process ends, and passing a message to
 it takes microseconds. Messages do not pile up for a slow browser: of several messages about the same thing, only
-the newest is kept.
+the newest is kept, and a page gets further ones only once it has processed most of the earlier ones. So a slow page
+shows the present, at fewer frames a second.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import secrets
 import threading
 import time
 from typing import Any
@@ -30,6 +32,10 @@ _LARGEST_BODY = 4096  # bytes of a posted form; chosen, it contains only a passw
 _MOST_PAGES = 64  # chosen: each page takes memory for its waiting messages
 _MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; chosen, a driving page needs some 60
 _MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread; chosen, thousands of answers
+_PING_EVERY = 60.0  # s; a page that answers none for as long is closed; chosen, a slow browser may be busy for 15 s
+_MOST_UNSHOWN = 3  # deliveries that a page may have yet to process; chosen, 30 a second reach it over a slow network
+_DELIVERED = json.dumps({"type": "delivered"})  # ends each delivery, and the page answers "shown"
+_ENDED = 1001  # the code of WebSocket for a server that goes away; the page then says so
 _FAREWELL = 0.5  # s for a rejected page to read the reason; chosen
 
 
@@ -66,18 +72,34 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         self.server = server
         self.waiting = Messages()
         self._shut_out = False
-        self._unread = 0
+        self._unread = self._unshown = 0
+        self._heard_at = time.monotonic()
         self._may_send, self._counted_at = _MESSAGES_AT_ONCE, time.monotonic()
 
     def open(self, *_args: str, **_kwargs: str) -> None:
         """Register a page that has connected."""
         self.set_nodelay(True)
+        self.answer({"type": "program", "id": self.server.identity})
         self.server.add(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Note that a page has drawn the picture. Other messages are ignored."""
-        if self.accepts() and message == "drawn":
+        """Note what the page reports of itself, and handle everything else as a request."""
+        if not self.accepts():
+            return
+        if message == "drawn":
             self.server.somebody_watches.set()
+        elif message == "shown":
+            self._unshown = max(self._unshown - 1, 0)
+        else:
+            self.handle(message)
+
+    def handle(self, message: str | bytes) -> None:
+        """Do what a page requests. A page that only shows has no requests, and what it sends is ignored."""
+
+    @property
+    def silent_for(self) -> float:
+        """Time since anything came from the page [s]."""
+        return time.monotonic() - self._heard_at
 
     def on_close(self) -> None:
         """Remove a page that has disconnected."""
@@ -88,8 +110,11 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         connection = self.ws_connection
         if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
             return
+        if self._unshown >= _MOST_UNSHOWN:
+            return
         messages, self.waiting = self.waiting, Messages()
-        for message in messages.values():
+        self._unshown += 1
+        for message in (*messages.values(), _DELIVERED):
             if not self.send(message):
                 return
 
@@ -97,7 +122,7 @@ class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
         """Count an incoming message, and say whether to process it. A page that sends too many is disconnected."""
         if self._shut_out:
             return False
-        now = time.monotonic()
+        now = self._heard_at = time.monotonic()
         more = _MESSAGES_PER_SECOND * (now - self._counted_at)
         self._may_send, self._counted_at = min(self._may_send + more, _MESSAGES_AT_ONCE) - 1.0, now
         if self._may_send < 0.0:
@@ -161,6 +186,7 @@ class LiveServer:
     url: address of the page.
     url_from_elsewhere: its address for other computers; None if none can connect.
     openness: who can connect, and what they can do, in words.
+    identity: a random word, by which a page that connects again recognises the program.
     somebody_watches: set while at least one page is open that has drawn the picture.
     left_at: when the last page was closed, by `time.monotonic` [s]; None while one is open, or before the first.
 
@@ -192,6 +218,7 @@ class LiveServer:
                 "--allow-anyone (in Python: password=..., allow_anyone=True)",
             )  # fmt: skip
         self.display = Display(self._post)
+        self.identity = secrets.token_hex(8)
         self.somebody_watches = threading.Event()
         self.left_at: float | None = None
         self._pages: set[LiveSocket] = set()
@@ -250,6 +277,11 @@ class LiveServer:
         return [("/", LivePage, {"page": live_page(), "server": self}), ("/socket", LiveSocket, {"server": self})]
 
     @property
+    def pages(self) -> tuple[LiveSocket, ...]:
+        """The open pages; for the server's thread."""
+        return tuple(self._pages)
+
+    @property
     def full(self) -> bool:
         """Whether no further page may connect."""
         return len(self._pages) >= _MOST_PAGES
@@ -278,27 +310,28 @@ class LiveServer:
             default_handler_args={"server": self},
             log_function=lambda handler: None,
             websocket_max_message_size=_LARGEST_MESSAGE,
-            websocket_ping_interval=5,
+            websocket_ping_interval=_PING_EVERY,
             compress_response=True,
         )
         server = self._connections = CappedServer(application, max_body_size=_LARGEST_BODY)
         server.add_socket(self._listening)
         while not self._stop.is_set():
-            self._deliver()
+            self.deliver()
             try:
                 await asyncio.wait_for(self._stop.wait(), _FLUSH_EVERY)
             except asyncio.TimeoutError:
                 continue
-        self._deliver()
+        self.deliver()
         server.stop()
-        for page in list(self._pages):
-            page.close()
+        for page in self.pages:
+            page.close(_ENDED, "the program has ended")
         await server.close_all_connections()
 
-    def _deliver(self) -> None:
+    def deliver(self) -> None:
+        """Send every page what is new; called some 50 times a second in the server's thread."""
         with self._lock:
             fresh, self._fresh = self._fresh, []
-        for page in list(self._pages):
+        for page in self.pages:
             for key, message in fresh:
                 page.waiting.put(key, message)
             page.send_waiting()

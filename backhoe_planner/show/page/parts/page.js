@@ -7,7 +7,7 @@ function show(recording) {
   const viewer = new MeshCat.Viewer(pane);
   const THREE = MeshCat.THREE;
   let problem = null, plan = null, view = null;
-  let time = 0, playing = false, holding = 0, last = null, movedByHand = false, live = false;
+  let time = 0, playing = false, holding = 0, last = null, movedByHand = false, live = false, resume = null;
   const shown = { clearance: false, "critical points": true, "task/trace": true, ground: true, names: true, shadows: true };
 
   // meshcat fills the window; here it has a part of it
@@ -18,6 +18,7 @@ function show(recording) {
   pane.addEventListener("wheel", () => { movedByHand = true; }, { passive: true });
 
   function fit() {
+    if (resume !== null && resume.eye !== null) return;
     if (view === null || pane.clientHeight === 0) return;
     const aspect = pane.clientWidth / pane.clientHeight, table = view.distances;
     let k = 1;
@@ -402,19 +403,75 @@ function show(recording) {
 
   function draw(bytes) { viewer.handle_command_bytearray(bytes); }
 
+  // ---- the connection ----------------------------------------------------------------
+
+  const ENDED = 1001, SHUT_OUT = 1008;  // codes with which the program closes the connection
+  const SOON = [0.3, 0.6, 1, 2], LATER = 5, PATIENCE = 15;  // s to the next attempts, and until the page no longer says "lost"
+  const STAGE = ["Lights", "Background", "Cameras", "Grid", "Axes"];  // meshcat's own, which cannot be made anew
+  let program = null, lostAt = null, attempts = 0;
+
+  function welcome(identity) {
+    if (program !== null && program !== identity) { location.reload(); return; }  // another one, perhaps of another version
+    if (program !== null) forgetPicture();
+    program = identity;
+    lostAt = null;
+    attempts = 0;
+    get("notice").hidden = true;
+    hear({ type: "connection", open: true });
+  }
+
+  function forgetPicture() {  // what was taken away in the meantime is not told: all is shown anew
+    const { camera, controls } = viewer;
+    resume = { time: plan === null ? null : time, playing, eye: movedByHand ? camera.position.clone() : null, target: controls.target.clone() };
+    plan = null;
+    pause();
+    for (const name of Object.keys(viewer.scene_tree.children)) if (!STAGE.includes(name)) viewer.delete_path([name]);
+  }
+
+  function resumePicture() {  // where the person was
+    if (resume.eye !== null) {
+      viewer.controls.target.copy(resume.target);
+      viewer.camera.position.copy(resume.eye);
+      movedByHand = true;
+    }
+    if (plan !== null && resume.time !== null) {
+      seek(resume.time);
+      if (!resume.playing) pause();
+    }
+    resume = null;
+    viewer.set_dirty();
+  }
+
+  function tryAgain() {
+    lostAt = lostAt ?? performance.now();
+    notice(performance.now() - lostAt < 1000 * PATIENCE ? "Connection lost, trying again\u2026"
+      : "The program that shows this has ended, or cannot be reached. The picture stays; if it comes back, so does the page.");
+    setTimeout(connect, 1000 * (SOON[attempts++] ?? LATER));
+  }
+
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
     socket.binaryType = "arraybuffer";
-    window.backhoe.send = (content) => { if (socket.readyState === 1) socket.send(JSON.stringify(content)); };
+    const say = (text) => { if (socket.readyState === 1) socket.send(text); };
+    window.backhoe.send = (content) => say(JSON.stringify(content));
     let reported = false;
     socket.onmessage = (message) => {
       if (typeof message.data !== "string") { draw(new Uint8Array(message.data)); return; }
-      hear(JSON.parse(message.data));
+      const content = JSON.parse(message.data);
+      if (content.type === "program") { welcome(content.id); return; }
+      if (content.type !== "delivered") { hear(content); return; }
+      if (resume !== null) resumePicture();
+      say("shown");
       if (reported) return;
       reported = true;  // the first numbers come after the drawing that they belong to
-      requestAnimationFrame(() => requestAnimationFrame(() => { if (socket.readyState === 1) socket.send("drawn"); }));
+      requestAnimationFrame(() => requestAnimationFrame(() => say("drawn")));
     };
-    socket.onclose = () => notice("The program that shows this has ended. The picture stays; it can be turned and played.");
+    socket.onclose = (event) => {
+      hear({ type: "connection", open: false });
+      if (event.code === ENDED) notice("The program that shows this has ended. The picture stays; it can be turned and played.");
+      else if (event.code === SHUT_OUT) notice(`The program has disconnected this page: ${event.reason}. Reload it to connect again.`);
+      else tryAgain();
+    };
   }
 
   window.backhoe = { viewer, heard, element, number, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },

@@ -3,7 +3,7 @@
 (() => {
   const get = (id) => document.getElementById(id);
   const { viewer, element, number } = backhoe, THREE = MeshCat.THREE, pane = get("meshcat-pane"), stage = get("stage");
-  let page = null, state = null, toastUntil = 0;
+  let page = null, state = null, connected = true, toastUntil = 0;
 
   // ---- where things stand on the page --------------------------------------------
   get("app").append(get("drive"));
@@ -14,7 +14,7 @@
   for (const id of ["drive", "hand-section", "site-section"]) get(id).hidden = false;
 
   const send = (content) => backhoe.send && backhoe.send(content);
-  const driving = () => state !== null && state.driver !== null && state.driver === page;
+  const driving = () => connected && state !== null && state.driver !== null && state.driver === page;
 
   function toast(text) {
     get("toast").textContent = text;
@@ -87,15 +87,21 @@
 
   function rest() { held.clear(); drive(); }
 
+  let asked = false;  // whether this page is letting go
   function letGo() {
     rest();
-    if (driving()) send({ type: "release" });
+    if (!driving()) return;
+    asked = true;
+    send({ type: "release" });
   }
 
   let drove = false;
   function changeHands() {
     if (driving() === drove) return;
     drove = driving();
+    if (!drove && !connected) toast("You let go of the controls: the connection was lost");
+    else if (!drove && !asked && state.driver === null && !state.failure) toast("You let go of the controls: this page was silent for too long");
+    asked = false;
     stage.classList.toggle("driving", drove);
     moving = false;
     drag = null;
@@ -109,7 +115,7 @@
     if (event.code === "Escape") { arm(null); letGo(); return; }
     if (event.ctrlKey || event.metaKey || event.altKey || !USED.has(event.code) || event.target.matches("select, input[type=text]")) return;
     if (!driving()) {
-      if (!event.repeat && event.target === document.body && state !== null) toast("Take the controls first");
+      if (!event.repeat && event.target === document.body && state !== null && connected) toast("Take the controls first");
       return;
     }
     event.preventDefault();
@@ -314,6 +320,20 @@
     for (const button of document.querySelectorAll("#drops button")) button.disabled = !mine;
   }
 
+  const CONTROLS = "#drive button, #drive select, #drive input, #drops button";
+  function showConnection(open) {
+    connected = open;
+    for (const control of document.querySelectorAll(CONTROLS)) control.disabled = !open;
+    if (open || state === null) return;  // the state that follows says which of them may be used
+    arm(null);
+    changeHands();
+    dressRows();
+    listTaken();
+    get("status").className = "rest";
+    get("status-word").textContent = "Not connected";
+    get("status-more").textContent = "";
+  }
+
   function showRecorded(content) {
     const out = content.left_out || [];
     get("recorded").textContent = content.writing ? "Writing the recording…" : content.error ? content.error
@@ -331,6 +351,7 @@
 
   addEventListener("backhoe", ({ detail: content }) => {
     if (content.type === "you") page = content.page;
+    else if (content.type === "connection") showConnection(content.open);
     else if (content.type === "teleop") showState(content);
     else if (content.type === "recorded") showRecorded(content);
     else if (content.type === "trouble") showTrouble(content.text);
