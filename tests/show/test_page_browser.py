@@ -208,7 +208,10 @@ def test_the_page_plays_and_its_switches_work(backhoe: Robot, tab: Tab, tmp_path
     late = "backhoe.viewer.scene_tree.find(['site', 'late']).object"
     tab.ask("backhoe.seek(0.5)")
     assert tab.ask(f"{late}.scale.x") < 1e-3  # not there yet
+    row = tab.page.locator(".margin", has_text="late").locator(".value")
+    assert row.inner_text() == "from 1.0 s on"
     tab.ask("backhoe.seek(3)")
+    assert row.inner_text().endswith(" m")
     assert tab.ask(f"[{late}.scale.x, {late}.position.x]") == pytest.approx([1.0, 1.0], abs=0.02)
 
     assert not tab.page.locator(".dg.main").is_visible()

@@ -422,6 +422,38 @@ def test_a_better_caption_is_shown_only_once_it_has_lasted() -> None:
     assert wording.next(state(1.9, Status.EVADING, -0.01), has_wish=False).kind == "held"
 
 
+def test_obstacles_that_move_wait_until_somebody_takes_the_controls(backhoe: Robot, tmp_path: Path) -> None:
+    cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -9, 0.5], "velocity": [0.5, 0, 0]}
+    late = {"name": "late", "shape": "sphere", "radius": 1, "position": [-3, 9, 0.5], "appears_at": 0.2}
+    for moving in (cart, late):
+        scene = bp.scene_from_dict({**SITE, "obstacles": [moving]})
+        with TeleopStation(backhoe, scene, port=0, output=tmp_path / "driven.json") as station:
+            session = station.session
+            assert any("wait until somebody takes the controls" in warning for warning in station.warnings)
+            begun = session.snapshot()
+            clock.sleep(0.3)
+            page = session.join()  # to watch is not to drive
+            clock.sleep(0.1)
+            there = session.snapshot()
+            assert there.waits
+            assert there.state.time == begun.state.time
+            assert Wording().next(there.state, has_wish=False, waits=True).word == "Nothing moves yet"
+            done(session, page, type="take")
+            deadline = clock.monotonic() + PATIENCE
+            while session.snapshot().state.time < begun.state.time + 0.3 and clock.monotonic() < deadline:
+                clock.sleep(0.01)
+            now = session.snapshot()
+            shift = now.shifts[str(moving["name"])]
+            assert shift is not None  # it has appeared
+            if moving is cart:
+                assert 0.1 < shift[0] <= 0.5 * now.state.time + 1e-9
+            session.leave(page)
+            assert not session.snapshot().waits  # what has begun goes on
+    with TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "driven.json") as station:
+        assert not station.session.waits
+        assert not any("wait" in warning for warning in station.warnings)
+
+
 # --- recording -----------------------------------------------------------------------------
 
 

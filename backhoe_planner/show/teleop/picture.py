@@ -24,7 +24,7 @@ _LONGEST_ARROW = 1.2  # m, for the largest force; chosen, about the length of a 
 _LEAST_SHOWN = 0.3  # N: a hundredth of the largest force
 _POSTURES = 16  # random postures; the camera keeps the machine in view up to half-way to each of them; chosen
 _PLAIN = (  # fields of a snapshot that the page gets unchanged
-    "zones", "movable", "taken", "names", "driver", "asking", "recording", "recorded", "circulate", "failure",
+    "zones", "movable", "taken", "names", "driver", "asking", "recording", "recorded", "circulate", "failure", "waits",
 )  # fmt: skip
 
 
@@ -105,7 +105,7 @@ class Picture:
         shifts = {name: shift for name, shift in snapshot.shifts.items() if shift is not None}
         return {name: getattr(snapshot, name) for name in _PLAIN} | {
             "time": state.time,
-            "caption": self._wording.next(state, has_wish=snapshot.has_wish)._asdict(),
+            "caption": self._wording.next(state, has_wish=snapshot.has_wish, waits=snapshot.waits)._asdict(),
             "pace": state.pace,
             "tip": state.tip_position,
             "speed": np.linalg.norm(state.tip_velocity),
@@ -114,6 +114,7 @@ class Picture:
             "has_pitch": self._problem.robot.has_pitch,
             "anchors": {name: anchors[name] + shift for name, shift in shifts.items() if name in anchors},
             "shifts": shifts,
+            "absent": [name for name, shift in snapshot.shifts.items() if shift is None],
             "nodes": {name: self._graph.node_of(name) for name in sorted(snapshot.movable - self._undrawn)},
         }
 

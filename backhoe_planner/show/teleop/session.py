@@ -95,6 +95,7 @@ class Snapshot:
     recording, recorded: phase of the recording, and its length so far [s].
     circulate: whether a tip that is pushed straight into an obstacle goes round it.
     failure: why the machine was stopped for good; otherwise empty.
+    waits: whether nothing moves yet, see `Session.waits`.
     """
 
     state: ServoState
@@ -113,6 +114,7 @@ class Snapshot:
     recorded: float
     circulate: bool
     failure: str
+    waits: bool
 
 
 class Session:
@@ -151,10 +153,12 @@ class Session:
         self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback, load=self._load)
         self.robot, self.scene, self.dt = self._servo.robot, scene, dt
         self._site = LiveSite(self._servo)
+        self._changes_by_itself = any(one.moves or one.appears_at > 0.0 for one in self._site.obstacles)
         self._zones = ZoneLog(self.robot, scene)
         self._pages: list[int] = []
         self._asking: list[int] = []
         self._driver: int | None = None
+        self._driven = False  # whether anybody has taken the controls yet
         self._next_page = 1
         self._wish: Wish | None = None
         self._held: Wish | None = None
@@ -261,6 +265,7 @@ class Session:
     def _let_drive(self, page: int | None) -> None:
         """Give the controls to a page, or to none. The machine stops, so that the new driver starts from rest."""
         self._driver, self._wish = page, Stop(type="stop")
+        self._driven = self._driven or page is not None
         self._asking = [other for other in self._asking if other != page]
 
     def _record(self, message: messages.Record) -> str:
@@ -277,6 +282,14 @@ class Session:
         self._waited = 0.0
 
     # --- the loop --------------------------------------------------------------------
+
+    @property
+    def waits(self) -> bool:
+        """Whether obstacles of the scene move or appear later, and nobody has taken the controls yet.
+
+        Until then a program that steps in real time should not step, so that nothing happens before anyone sees it.
+        """
+        return not self._driven and self._changes_by_itself
 
     def step(self) -> ServoState:
         """Advance by dt. If that fails, the machine brakes to rest and stays there, and `failure` says why."""
@@ -398,6 +411,7 @@ class Session:
                 recorded=self._recorded,
                 circulate=self._servo.circulate,
                 failure=self._failure,
+                waits=self.waits,
             )
 
 

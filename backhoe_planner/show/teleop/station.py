@@ -95,7 +95,7 @@ class TeleopStation:
     Attributes
     ----------
     session: the machine and its driver.
-    warnings: what could not be drawn as the URDF specifies, in words.
+    warnings: what could not be drawn as the URDF specifies, and that obstacles that move wait for a driver, in words.
 
     Raises
     ------
@@ -127,6 +127,8 @@ class TeleopStation:
             self._server.close()
             raise
         self.warnings = self._picture.warnings
+        if self.session.waits:
+            self.warnings += ("obstacles that move or appear later wait until somebody takes the controls",)
         self._reported: set[str] = set()
         self._ending = threading.Event()
         self._say = say or _say_nothing
@@ -184,9 +186,11 @@ class TeleopStation:
 
     def _run(self) -> None:
         session, dt = self.session, self.session.dt
+        state = session.snapshot().state
         due = frame_due = clock.monotonic()
         while not self._ending.is_set():
-            state = session.step()
+            if not session.waits:
+                state = session.step()
             due += dt
             now = clock.monotonic()
             at_an_end = bool(session.failure) and float(np.abs(state.v).max()) < AT_REST

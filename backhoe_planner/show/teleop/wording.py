@@ -47,8 +47,16 @@ class Wording:
         self._shown = Caption("rest", "At rest", "")
         self._since = 0.0
 
-    def next(self, state: ServoState, *, has_wish: bool) -> Caption:
-        """The caption of a state; `has_wish` says whether a motion is wished for."""
+    def next(self, state: ServoState, *, has_wish: bool, waits: bool = False) -> Caption:
+        """The caption of a state.
+
+        Parameters
+        ----------
+        has_wish: whether a motion is wished for.
+        waits: whether obstacles wait until somebody takes the controls.
+        """
+        if waits:
+            return Caption("rest", "Nothing moves yet", "take the controls")
         found = _caption(state, has_wish=has_wish)
         better = _WORSE.index(found.kind) < _WORSE.index(self._shown.kind)
         if better and found.kind != "rest" and state.time - self._since < _LASTS:

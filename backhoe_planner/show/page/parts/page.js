@@ -243,9 +243,11 @@ function show(recording) {
       }
     });
     problem.obstacles.forEach((obstacle, k) => {
-      if (obstacle.away) {
+      const later = obstacle.absent || time < obstacle.appears_at;
+      if (obstacle.away || later) {
         obstacle.value.className = "value far";
-        obstacle.value.textContent = "not in this leg";
+        obstacle.value.textContent = obstacle.away ? "not in this leg" : obstacle.absent ? "not there yet" : `from ${obstacle.appears_at.toFixed(1)} s on`;
+        obstacle.value.title = "";
         obstacle.fill.style.transform = "scaleX(0)";
         return;
       }

@@ -300,6 +300,7 @@
       for (const obstacle of backhoe.problem.obstacles) {
         const anchor = content.anchors[obstacle.name];
         if (anchor) obstacle.anchor = anchor;
+        obstacle.absent = content.absent.includes(obstacle.name);
         if (obstacle.label) obstacle.label.hidden = obstacle.name in content.anchors === false;
       }
       dressRows();
