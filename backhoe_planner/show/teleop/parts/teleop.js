@@ -358,7 +358,8 @@
     else if (content.type === "trouble") showTrouble(content.text);
     else if (content.type === "answer") {
       backhoe.teleop.answers = (backhoe.teleop.answers + 1) % 1e9;
-      if (!content.ok) toast(content.error);
+      const wish = ["tip", "sticks", "stop"].includes(content.to);  // sent before the page knew that it no longer drives
+      if (!content.ok && (driving() || !wish)) toast(content.error);
     }
   });
 
