@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,12 @@ import pytest
 
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, build_problem, limit_usage
 from backhoe_planner.planning import Plan, measure_motion
 from backhoe_planner.proof import certify
 from backhoe_planner.show import plot_envelope, plot_plan
+from backhoe_planner.show.plots import plots
+from backhoe_planner.show.plots.plots import moments_to_draw
 from backhoe_planner.site import scene_from_dict
 
 START = [0.0, 0.4, -1.6, -0.9]
@@ -108,6 +111,38 @@ def test_kept_ranges_have_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) 
     text = svg(replace(plan, problem=build_problem(backhoe, scene_from_dict(content))), tmp_path)
     for words in ("left to keep [deg]", "left to keep [m]", "-131.8 to -63.03 deg", "at least -2 m", "at most 4 m"):
         assert words in text
+
+
+def test_the_limit_used_has_no_gaps_between_the_samples_of_a_smooth_motion(panda: Robot) -> None:
+    """One joint speeds up from rest at its limit of acceleration all the time."""
+    joints = dict.fromkeys(panda.joint_names, 0.0) | {"panda_joint4": -1.5, "panda_joint6": 1.5}
+    task = {"goal": {"joints": joints}}
+    problem = build_problem(panda, scene_from_dict({"version": 1, "start": {"joints": joints}, "task": task}))
+    joint = 4
+    acceleration = problem.limits.acceleration[joint]
+    count = int(0.9 * problem.limits.velocity[joint] / acceleration / SAMPLE_PERIOD)
+    time = np.arange(count + 1, dtype=np.float64) * SAMPLE_PERIOD
+    q = np.tile([joints[name] for name in panda.joint_names], (count + 1, 1))
+    q[:, joint] = 0.5 * acceleration * time**2 - 1.0
+    smooth = Trajectory.from_steps(time, q)
+    usage = limit_usage(problem, smooth)
+    assert len(usage.moments.time) > len(time)  # it is fast enough for moments between samples
+    assert usage.greatest[1:-1].min() < 0.95
+    drawn = moments_to_draw(smooth, usage.moments)
+    np.testing.assert_allclose(usage.moments.time[drawn], time)
+    assert usage.greatest[drawn][1:-1].min() > 0.99
+
+    far = Trajectory.from_steps(time[::8], q[::8])  # these samples are corners, and nothing is used between them
+    assert moments_to_draw(far, far.moments()).all()
+
+
+def test_limits_that_the_legend_does_not_name_are_counted(
+    backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plots, "_BINDS", 0.0)  # whatever is used most binds
+    assert "more, shorter)" not in svg(a_plan(backhoe), tmp_path)
+    monkeypatch.setattr(plots, "_MOST_NAMED", 1)
+    assert re.search(r"\([1-9] more, shorter\)", svg(a_plan(backhoe), tmp_path))
 
 
 @pytest.mark.parametrize("name", ["plan.jpg", "plan", "plan.json"])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.digits import margin_text
-from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, limit_usage, trajectory_energy
+from backhoe_planner.motion import SAMPLE_PERIOD, Moments, Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
@@ -218,9 +218,10 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     on_the_way = usage.moments.time < plan.certificate.tracking.approach_time  # no tip speed is required there
     asked = np.array([kind == "tip speed" for kind, _ in usage.limits])
     usage = replace(usage, ratio=np.where(np.outer(on_the_way, asked), 0.0, usage.ratio))
-    binding, time = usage.binding, usage.moments.time
-    used = 100.0 * np.minimum(usage.greatest, 1.5)
-    binds = usage.greatest >= _BINDS
+    drawn = moments_to_draw(plan.trajectory, usage.moments)
+    binding, time, greatest = usage.binding[drawn], usage.moments.time[drawn], usage.greatest[drawn]
+    used = 100.0 * np.minimum(greatest, 1.5)
+    binds = greatest >= _BINDS
     named: dict[str, float] = {}
     begins = np.flatnonzero(np.diff(np.where(binds, binding, -1), prepend=-2))
     for first, last in zip(begins, np.append(begins[1:], len(time) - 1), strict=True):
@@ -229,9 +230,12 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
         named[name] = named.get(name, 0.0) + float(time[last] - time[first])
         colour, hatch = _limit_look(name, plan.robot.joint_names)
         axes.fill_between(time[part], used[part], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0)
-    for name in sorted(filter(None, named), key=lambda name: -named[name])[:_MOST_NAMED]:
+    by_duration = sorted(filter(None, named), key=lambda name: -named[name])
+    for name in by_duration[:_MOST_NAMED]:
         colour, hatch = _limit_look(name, plan.robot.joint_names)
         axes.fill_between([], [], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0, label=name)
+    if len(by_duration) > _MOST_NAMED:
+        axes.plot([], [], linestyle="", label=f"({len(by_duration) - _MOST_NAMED} more, shorter)")
     axes.axhline(100.0, color=_WRONG, linewidth=1.0, linestyle=_DASHES)
     axes.set_ylim(0.0, max(112.0, 1.05 * float(np.max(used))))
     axes.set_yticks([0.0, 50.0, 100.0])
@@ -239,6 +243,16 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     if any(named):
         _legend(axes)
     _say(axes, "the limit that is used most, but for positions; coloured where it binds")
+
+
+def moments_to_draw(trajectory: Trajectory, moments: Moments) -> NDArray[np.bool_]:
+    """(M,) which of a trajectory's `moments` are drawn: the samples, and what lies between samples that are far apart.
+
+    Between the samples of a smooth motion, moments have no acceleration of their own; the samples beside them say it.
+    """
+    sample = np.diff(moments.segment, prepend=-1) > 0
+    far = np.append(np.diff(trajectory.time) > SAMPLE_PERIOD * (1.0 + 1e-6), False)
+    return np.asarray(sample | far[moments.segment])
 
 
 def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
