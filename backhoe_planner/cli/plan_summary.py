@@ -33,15 +33,11 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     print_verdict("" if found.verified else f"failed: {found.reason}")
     if found.message:
         OUT.print(f"  {found.message}")
-    metrics, tightest = found.metrics, found.certificate.min_clearance
+    metrics = found.metrics
     # if there is no motion and the start is not given by joints, the plan only has the posture that came nearest
     moves = len(found.trajectory) > 1 or found.verified
-    if tightest is not None and (moves or found.problem.start_q is not None):
-        least, when = ("at least", f"at {tightest.time:.2f} s") if moves else ("where it starts,", "without a motion")
-        OUT.print(
-            f"clearance     {tightest.distance:.3f} m {least} between {tightest.link} "
-            f"and {tightest.name} (margin {margin_text(tightest.margin)} m, {when})"
-        )
+    if moves or found.problem.start_q is not None:
+        _print_clearances(found.certificate, moves=moves)
     _print_tracking_error(found)
     if moves:  # a machine already at its goal has a motion of 0 s
         _print_motion(found)
@@ -50,11 +46,23 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     OUT.print(f"plan          {output}")
 
 
+def _print_clearances(certificate: bp.Certificate, *, moves: bool) -> None:
+    """Print the tightest spots to an obstacle and of the machine to itself; `moves` says whether there is a motion."""
+    label = "clearance"
+    for tightest in filter(None, (certificate.obstacle_clearance, certificate.self_clearance)):
+        least, when = ("at least", f"at {tightest.time:.2f} s") if moves else ("where it starts,", "without a motion")
+        OUT.print(
+            f"{label:<13} {tightest.distance:.3f} m {least} between {tightest.link} "
+            f"and {tightest.name} (margin {margin_text(tightest.margin)} m, {when})"
+        )
+        label = ""
+
+
 def _print_legs(found: bp.Plan) -> None:
     """Print a line for each leg of a sequence: duration, cost, tightest margin; nothing if there are no legs."""
     width = max((len(leg.name) for leg in found.legs), default=0)
     for leg in found.legs:
-        tightest = leg.certificate.min_clearance
+        tightest = leg.certificate.obstacle_clearance or leg.certificate.self_clearance
         near = ""
         if tightest is not None:
             near = f", margin {margin_text(tightest.margin)} m ({tightest.link}, {tightest.name})"
@@ -149,7 +157,7 @@ def print_certificate(plan: bp.Plan) -> None:
     if not live.is_recording(plan):
         OUT.print(f"{'planned with':<13}{plan.settings}")
     table = table_of("obstacle", "link", "distance [m]", "margin [m]", "at [s]")
-    for row in certificate.clearances:
+    for row in sorted(certificate.clearances, key=lambda near: near.kind == "machine"):  # its own links last
         table.add_row(row.name, row.link, f">= {row.distance:.4f}", margin_text(row.margin, "+.4f"), f"{row.time:.2f}")
     if certificate.clearances:
         OUT.print(table)
@@ -293,9 +301,5 @@ def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
 
 def _angle_error(found: bp.Plan) -> str:
     """How far the tip is turned from the required orientation, in words; empty if no angle is required."""
-    tracking = found.certificate.tracking
-    number = tracking.goal
-    asked = [found.problem.goals[number - 1].target] if number else [pose.target for pose in found.scene.waypoints()]
-    if not any(target.pitch is not None or target.rotation is not None for target in asked):
-        return ""
-    return f", {DEGREES * tracking.max_angle_error:.2f} deg"
+    error = planning.angle_error(found)
+    return "" if error is None else f", {DEGREES * error:.2f} deg"

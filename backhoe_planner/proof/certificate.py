@@ -72,6 +72,19 @@ class Certificate:
         return self.clearances[0] if self.clearances else None
 
     @property
+    def obstacle_clearance(self) -> Obstruction | None:
+        """The tightest spot to an obstacle, by margin; None if none comes near."""
+        return next((near for near in self.clearances if near.kind == "obstacle"), None)
+
+    @property
+    def self_clearance(self) -> Obstruction | None:
+        """The tightest spot of the machine to itself; None if it cannot touch itself.
+
+        Links side by side keep the same gap all the time, so this says little about a motion unless it is negative.
+        """
+        return next((near for near in self.clearances if near.kind == "machine"), None)
+
+    @property
     def verified(self) -> bool:
         """Whether every clearance and limit holds and the task is done."""
         return not self.problems

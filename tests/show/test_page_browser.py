@@ -18,7 +18,7 @@ from PIL import Image
 from waiting import PATIENCE
 
 from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.machine import Robot
+from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Trajectory, build_problem
 from backhoe_planner.planning import Bound, ObjectiveCost, Plan, measure_motion
 from backhoe_planner.proof import certify_problem
@@ -180,6 +180,50 @@ def test_the_page_shows_the_bound_the_kept_ranges_and_the_reached_goal(
     assert tab.page.locator("#kept .value").inner_text() == "5.7°"
     assert tab.page.locator("#kept .value").get_attribute("title") == "now −68.8°"
     assert tab.complaints == []
+
+
+def test_margins_to_obstacles_and_to_itself_are_apart_and_a_fixed_gap_leaves_the_time_bar_green(
+    backhoe: Robot, tab: Tab, tmp_path: Path
+) -> None:
+    """The tip reaches its place, and is turned by 0.1 rad from the required pitch."""
+    there = Kinematics(backhoe).at(np.array(END))
+    plan = the_plan(backhoe, name="a site")
+    content = plan.scene.to_dict()
+    content["task"] = {"goal": {"position": there.tip_position.tolist(), "pitch": float(there.pitch) + 0.1}}
+    problem = build_problem(backhoe, scene_from_dict(content))
+    certificate = replace(certify_problem(problem, plan.trajectory), problems=())
+    near, own = certificate.obstacle_clearance, certificate.self_clearance
+    assert near is not None
+    assert own is not None
+    assert (near.kind, own.kind) == ("obstacle", "machine")
+    assert certificate.min_clearance in (near, own)
+    write_page(replace(plan, problem=problem, certificate=certificate), tmp_path / "plan.html")
+    tab.open((tmp_path / "plan.html").as_uri())
+    facts = tab.page.locator("#facts").inner_text().replace("\N{MINUS SIGN}", "-")
+    assert f"Tightest margin\n{near.margin:.3f} m\n{near.link} to {near.obstacle} at" in facts
+    assert f"Margin to itself\n{own.margin:.3f} m\n{own.link} to {own.obstacle} at" in facts
+    assert "Tip error\n0.0 mm, 5.73°" in facts
+
+    def redness(margin_to_itself: str, *, margin: float = 9.0) -> list[bool]:
+        """Whether the time bar is more red than green, at its beginning and its end."""
+        tab.ask(
+            "() => { const { margins } = backhoe.plan, last = margins.length - 1; for (const row of margins)"
+            f" row.forEach((_, k) => {{ row[k] = row === margins[last] ? {margin_to_itself} : {margin}; }}); }}"
+        )
+        tab.page.set_viewport_size({"width": 560 + (tab.ask("innerWidth") == 560), "height": 400})  # draws it anew
+        tab.page.wait_for_timeout(300)
+        return [
+            tab.page.evaluate(
+                "(end) => { const bar = document.getElementById('heat'), x = end * (bar.width - 1);"
+                " const [r, g] = bar.getContext('2d').getImageData(x, 2, 1, 1).data; return r > g; }", end,
+            ) for end in (0, 1)
+        ]  # fmt: skip
+
+    assert redness("0.02") == [False, False]  # links side by side
+    assert redness("k > 60 ? 0.002 : 0.02") == [False, True]
+    assert redness("0.02", margin=0.02) == [True, True]  # an obstacle that stays near is near
+    assert redness("-0.01") == [True, True]
+    assert [text for text in tab.complaints if "Canvas2D" not in text] == []  # bars are not read again and again
 
 
 @pytest.mark.long

@@ -14,7 +14,7 @@ from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import CriticalPoint, Timeline, timeline
+from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline, timeline
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.plan_facts import plan_facts
 
@@ -92,7 +92,14 @@ def tell_problem(
     """
     robot, scene = problem.robot, problem.scene
     listed = {
-        name: {"name": name, "clearance": 0.0, "anchor": graph.anchors.get(name), "appears_at": 0.0, "velocity": None}
+        name: {
+            "name": name,
+            "clearance": 0.0,
+            "anchor": graph.anchors.get(name),
+            "appears_at": 0.0,
+            "velocity": None,
+            "itself": name == ITSELF,
+        }
         for name in obstacles
     }
     for obstacle in problem.obstacles:

@@ -7,7 +7,7 @@ import numpy as np
 from backhoe_planner.digits import margin_text
 from backhoe_planner.live import is_recording, unrecorded_changes
 from backhoe_planner.motion import OBJECTIVES
-from backhoe_planner.planning import Plan, PlannedLeg, describe_excess, describe_quantity, describe_saving
+from backhoe_planner.planning import Plan, PlannedLeg, angle_error, describe_excess, describe_quantity, describe_saving
 from backhoe_planner.proof import KeepUse
 
 
@@ -15,12 +15,15 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     """The facts about a plan that the page lists: name, value and remark of each."""
     certificate, metrics = plan.certificate, plan.metrics
     facts = []
-    tightest = certificate.min_clearance
-    if tightest is not None:
-        required = tightest.distance - tightest.margin
-        remark = f"{tightest.link} to {tightest.name} at {tightest.time:.1f} s; {_metres(tightest.distance)} m apart"
-        remark += f", {required:.2f} m required" if required > 1e-9 else ""
-        facts.append(("Tightest margin", f"{_metres(tightest.margin)} m", remark))
+    for name, tightest in (
+        ("Tightest margin", certificate.obstacle_clearance),
+        ("Margin to itself", certificate.self_clearance),
+    ):
+        if tightest is not None:
+            required = tightest.distance - tightest.margin
+            remark = f"{tightest.link} to {tightest.obstacle} at {tightest.time:.1f} s; "
+            remark += f"{_metres(tightest.distance)} m apart" + (f", {required:.2f} m required" * (required > 1e-9))
+            facts.append((name, f"{_metres(tightest.margin)} m", remark))
     least = "least over the whole motion, proven"
     facts += [(f"Kept: {use.name}", f"{_left(use)} left", f"{least}; {use.words}") for use in certificate.keep]
     if certificate.goal is not None and len(plan.problem.goals) > 1:
@@ -38,7 +41,9 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
         facts.append(("Motion ends", f"{_length(tracking.max_error)} off", "before the goal; the picture shows it"))
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
     if not is_recording(plan) and not (plan.failure and plan.problem.goals):
-        facts.append(("Tip error", _length(tracking.max_error), mean))
+        turned = angle_error(plan)
+        angle = "" if turned is None else f", {np.degrees(turned):.2f}\N{DEGREE SIGN}"
+        facts.append(("Tip error", f"{_length(tracking.max_error)}{angle}", mean))
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
@@ -55,7 +60,7 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
 def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
     """Duration, cost and tightest margin of one leg of a sequence."""
     words = [leg.cost] if leg.cost else []
-    tightest = leg.certificate.min_clearance
+    tightest = leg.certificate.obstacle_clearance or leg.certificate.self_clearance
     if tightest is not None:
         words.append(f"{_metres(tightest.margin)} m left between {tightest.link} and {tightest.name}")
     words += [] if leg.problem.robot.carried is None else [f"carries {leg.problem.robot.carried[0]}"]

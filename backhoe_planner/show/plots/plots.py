@@ -159,21 +159,24 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
         _curve(axes, frames.time, margin, _colour(index), name)
     axes.axhspan(0.0, influence, color="0.5", alpha=0.09, linewidth=0.0)
     axes.axhline(0.0, color=_WRONG, linewidth=1.1)
-    tightest = plan.certificate.min_clearance
-    if tightest is not None:
-        lowest = min(lowest, tightest.margin)
-        axes.plot(tightest.time, tightest.margin, "o", markersize=6, markerfacecolor="none", color="#1d2731", zorder=5)
-        least = margin_text(tightest.margin, ".3f")
-        axes.text(
-            0.0, 1.02, f"least (o): {least} m at {tightest.time:.2f} s ({plain_text(tightest.link)})",
-            transform=axes.transAxes, fontsize=8.5, ha="left", va="bottom",
-        )  # fmt: skip
+    told = []
+    for what, sign, marker, tightest in (
+        ("least", "o", "o", plan.certificate.obstacle_clearance),
+        ("to itself", "\N{WHITE SQUARE}", "s", plan.certificate.self_clearance),
+    ):
+        if tightest is not None:
+            lowest = min(lowest, tightest.margin)
+            axes.plot(
+                tightest.time, tightest.margin, marker, markersize=6, markerfacecolor="none", color="#1d2731", zorder=5,
+            )  # fmt: skip
+            told.append(f"{what} ({sign}): {margin_text(tightest.margin, '.3f')} m at {tightest.time:.2f} s")
+    axes.text(0.0, 1.02, ", ".join(told), transform=axes.transAxes, fontsize=8.5, ha="left", va="bottom")
     axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)
     axes.set_ylabel("margin [m]")
     if far:
         axes.plot([], [], linestyle="", label=f"({far} further off)")
     _legend(axes)
-    _say(axes, "distance beyond the required clearance; shaded: obstacles act")
+    _say(axes, "beyond the clearance; shaded: obstacles act")
 
 
 def _kept(axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, unit: str) -> None:

@@ -326,10 +326,16 @@ function show(recording) {
     const canvas = get("heat"), width = Math.max(canvas.clientWidth, 1);
     canvas.width = width;
     const context = canvas.getContext("2d"), count = plan.time.length;
+    // links side by side keep a fixed gap: of the machine to itself counts how far it comes below its greatest margin
+    const rows = plan.margins.map((row, k) => {
+      const greatest = Math.max(...row.map((margin) => margin ?? 0));
+      const scale = problem.obstacles[k].itself && greatest > 0 ? Math.max(0.5 * problem.influence / greatest, 1) : 1;
+      return row.map((margin) => margin === null ? problem.far : scale * margin);
+    });
     for (let x = 0; x < width; x++) {
       const frame = Math.round(x / Math.max(width - 1, 1) * (count - 1));
       let least = problem.far;
-      for (const row of plan.margins) if (row[frame] !== null && row[frame] < least) least = row[frame];
+      for (const row of rows) if (row[frame] < least) least = row[frame];
       context.fillStyle = colour(least);
       context.fillRect(x, 0, 1, canvas.height);
     }
