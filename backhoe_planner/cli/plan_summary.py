@@ -107,6 +107,12 @@ def _print_keep(found: bp.Plan) -> None:
         OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s{_of_leg(use.leg)})")
 
 
+def _print_reactions(found: bp.Plan) -> None:
+    """Print how the motion reacts to every obstacle that appears in its way; nothing if none does."""
+    for reaction in found.findings.reactions:
+        OUT.print(f"reaction      {reaction.words}")
+
+
 def _print_motion(found: bp.Plan) -> None:
     metrics, tracking = found.metrics, found.certificate.tracking
     _print_goal(found)
@@ -119,12 +125,7 @@ def _print_motion(found: bp.Plan) -> None:
         OUT.print(f"detour        {where}: {detour.length:.2f} m long, {detour.size}{_around(detour)}")
     if found.findings.waits > 0.0:
         OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")
-    for reaction in found.findings.reactions:
-        stopped = f", stopped at {reaction.stopped_at:.2f} s" if reaction.stopped_at is not None else ""
-        OUT.print(
-            f"reaction      {reaction.obstacle} appears at {reaction.appears_at:.2f} s: "
-            f"{reaction.way or 'no way to stop in time'}{stopped}"
-        )
+    _print_reactions(found)
     visits = site.worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
@@ -171,6 +172,7 @@ def print_certificate(plan: bp.Plan) -> None:
             kept = f"; up to {100.0 * (1.0 + motion.DRIVE_TOLERANCE):.0f} % is kept" if load.ratio > 1.0 else ""
             OUT.print(f"{kind:<13}{load.percent:>5} % of its limit at most ({where}, {load.time:.2f} s{kept})")
     _print_legs(plan)
+    _print_reactions(plan)
     print_recording(plan)
     if not live.is_recording(plan):
         _print_tracking_error(plan)

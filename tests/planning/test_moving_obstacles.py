@@ -104,6 +104,28 @@ def test_a_goal_that_becomes_blocked_is_reported_and_the_machine_stops_in_time(b
     assert np.all(found.trajectory.v[-1] == 0.0)
 
 
+@pytest.mark.parametrize(
+    ("at", "verified"),
+    [([1.5, 4.0, 0.8], False), pytest.param([3.5, 1.6, 0.3], True, marks=pytest.mark.long)],
+    ids=["on the goal", "on the way"],
+)
+def test_a_sequence_reports_the_reactions_of_its_legs_in_its_own_time(
+    backhoe: bp.Robot, at: list[float], verified: bool
+) -> None:
+    """A ball appears at 1.5 s, half a second after the second leg has begun."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": at, "appears_at": 1.5}
+    found = plan(backhoe, {"sequence": [{"name": "rest", "wait": 1.0}, {"name": "over"} | GOAL]}, ball)
+    assert found.verified == verified
+    [own] = found.legs[1].findings.reactions
+    assert own.appears_at == pytest.approx(0.5)
+    [reaction] = found.findings.reactions
+    assert (reaction.obstacle, reaction.way) == (own.obstacle, own.way)
+    assert reaction.appears_at == pytest.approx(1.5)
+    assert own.stopped_at is not None
+    assert reaction.stopped_at == pytest.approx(1.0 + own.stopped_at)
+    assert reaction.words.startswith("ball appears at 1.50 s: ")
+
+
 def test_braking_ends_where_the_motion_ends(backhoe: bp.Robot) -> None:
     """A sphere appears at the goal when the machine cannot stop short of it any more."""
     task = {"goal": {"position": [3.2, 1.5, 1.2]}}

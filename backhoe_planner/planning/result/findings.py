@@ -20,7 +20,7 @@ class NearestPose(Record):
 
 
 class Reaction(Record):
-    """The reaction to an obstacle that appears in the way."""
+    """The reaction to an obstacle that appears in the way; of a leg, in the time from its beginning."""
 
     obstacle: str
     """Its name."""
@@ -30,6 +30,17 @@ class Reaction(Record):
     """How the motion goes on: ``swerved``, ``stopped and planned anew``; empty if it does not go on."""
     stopped_at: float | None = None
     """When the machine is at rest [s]; None if it does not stop."""
+
+    def later(self, time: float) -> Reaction:
+        """The same in the time of a motion in which the leg begins at `time` [s]."""
+        stopped_at = None if self.stopped_at is None else self.stopped_at + time
+        return self.model_copy(update={"appears_at": self.appears_at + time, "stopped_at": stopped_at})
+
+    @property
+    def words(self) -> str:
+        """When the obstacle appears, and how the motion goes on, in words."""
+        stopped = "" if self.stopped_at is None else f", stopped at {self.stopped_at:.2f} s"
+        return f"{self.obstacle} appears at {self.appears_at:.2f} s: {self.way or 'no way to stop in time'}{stopped}"
 
 
 class RecordingNotes(Record):

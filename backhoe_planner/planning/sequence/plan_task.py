@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import reprlib
 import time as clock
+from collections.abc import Sequence
+from typing import Any
 
 from backhoe_planner.arrays import as_count, as_number
 from backhoe_planner.errors import InputError
@@ -16,7 +18,7 @@ from backhoe_planner.planning.planner import plan_motion
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import measure_motion
-from backhoe_planner.planning.result.plan import METHODS, Plan, planned_legs
+from backhoe_planner.planning.result.plan import METHODS, Plan, PlannedLeg, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import DEFAULT_BUDGETS, EFFORTS, Brake, EffortName
 from backhoe_planner.proof import Certificate
@@ -183,6 +185,8 @@ def _plan_sequence(
         notes += certificate.problems
     if not notes and failed is None and brake.is_used_up():
         notes.append(f"{brake.message}; the search for better motions was not finished")
+    legs = planned_legs(problem, motion, certificate, [leg.outcome.findings for leg in found.done])
+    findings = NOTHING if failed is None else failed.outcome.adding(allowed_time=None).findings  # it is the leg's
     return Plan(
         problem=problem,
         method=method,
@@ -190,9 +194,15 @@ def _plan_sequence(
         trajectory=motion,
         certificate=certificate,
         metrics=measure_motion(problem, motion, certificate, planning_time=planning_time),
-        findings=NOTHING if failed is None else failed.outcome.adding(allowed_time=None).findings,  # it is the leg's
+        findings=findings.model_copy(update=_reactions_of(legs)),
         failure="" if failed is None else failed.outcome.reason,
         note="; ".join(notes),
         effort=effort,
-        legs=planned_legs(problem, motion, certificate, [leg.outcome.findings for leg in found.done]),
+        legs=legs,
     )
+
+
+def _reactions_of(legs: Sequence[PlannedLeg]) -> dict[str, Any]:
+    """What all legs waited, and their reactions to obstacles that appear, in the time of the whole motion."""
+    reactions = [reaction.later(leg.begins) for leg in legs for reaction in leg.findings.reactions]
+    return {"reactions": tuple(reactions), "waits": sum(leg.findings.waits for leg in legs)}

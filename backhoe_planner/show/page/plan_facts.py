@@ -7,7 +7,15 @@ import numpy as np
 from backhoe_planner.digits import margin_text
 from backhoe_planner.live import is_recording, unrecorded_changes
 from backhoe_planner.motion import OBJECTIVES
-from backhoe_planner.planning import Plan, PlannedLeg, angle_error, describe_excess, describe_quantity, describe_saving
+from backhoe_planner.planning import (
+    Plan,
+    PlannedLeg,
+    Reaction,
+    angle_error,
+    describe_excess,
+    describe_quantity,
+    describe_saving,
+)
 from backhoe_planner.proof import KeepUse
 
 
@@ -48,6 +56,7 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
     facts += [_leg_fact(leg) for leg in plan.legs]
+    facts += [_reaction_fact(reaction) for reaction in plan.findings.reactions]
     facts.append(("Duration", f"{plan.trajectory.duration:.2f} s", _about_duration(plan)))
     facts += _costs(plan)
     if is_recording(plan):
@@ -66,6 +75,13 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
     words += [] if leg.problem.robot.carried is None else [f"carries {leg.problem.robot.carried[0]}"]
     words += [] if leg.certificate.verified else ["not verified"]
     return f"Leg: {leg.name}", f"{leg.metrics.duration:.2f} s", "; ".join(words)
+
+
+def _reaction_fact(reaction: Reaction) -> tuple[str, str, str]:
+    """How the motion goes on when an obstacle appears in its way."""
+    stopped = "" if reaction.stopped_at is None else f", stopped at {reaction.stopped_at:.2f} s"
+    way = reaction.way or "no way to stop in time"
+    return f"Reaction: {reaction.obstacle}", f"{reaction.appears_at:.2f} s", f"appears; {way}{stopped}"
 
 
 def _about_duration(plan: Plan) -> str:
