@@ -119,7 +119,9 @@ def print_stand(plan: bp.StandPlan, output: Path) -> None:
         OUT.print(f"soil          {plan.bank:.2f} m^3 bank")
         moved = f", without the machine's own travel of {plan.travel:.1f} m" if plan.travel else ""
         OUT.print(f"cost          {scale * plan.cost:.1f} {unit}{moved}")
-    if math.isfinite(plan.gain):
+    if plan.stays:
+        OUT.print("gain          none: the answer is the given place")
+    elif math.isfinite(plan.gain):
         little = ", which is hardly worth a move" if 0.0 < plan.gain < _LITTLE else ""
         OUT.print(f"gain          {100.0 * plan.gain:.1f} % less than from the given place{little}")
     for number, place in enumerate(plan.places, start=1):

@@ -77,7 +77,7 @@ def rank(
         told("planning in full", index, len(wanted))
         ranked[number] = _planned(jobs[number], ranked[number], finder, effort=effort, seed=seed)
     told("planning in full", len(wanted), len(wanted))
-    return _in_order(ranked)
+    return in_order(ranked)
 
 
 def _is_alike(one: Job, other: Job) -> bool:
@@ -90,8 +90,11 @@ def _is_alike(one: Job, other: Job) -> bool:
     return np.array_equal(np.atleast_2d(one.dump.heap.at), np.atleast_2d(other.dump.heap.at))
 
 
-def _in_order(ranked: list[RankedPlace]) -> list[RankedPlace]:
-    """The best first: those that are verified, dig as much as the given place and cost least, then the rest."""
+def in_order(ranked: Sequence[RankedPlace]) -> list[RankedPlace]:
+    """The best first: those that are verified, dig as much as the given place and cost least, then the rest.
+
+    One of them is the given place. What is planned and verified, but digs less than that, has this in its note.
+    """
     given = next(one for one in ranked if one.given)
     least = (1.0 - _SAME_BANK) * given.bank if given.plan is not None and given.plan.verified else 0.0
 
@@ -101,7 +104,13 @@ def _in_order(ranked: list[RankedPlace]) -> list[RankedPlace]:
         cost = one.planned if plan is not None else one.estimated
         return plan is None, not verified, one.bank < least, cost if math.isfinite(cost) else math.inf
 
-    return sorted(ranked, key=key)
+    def told(one: RankedPlace) -> RankedPlace:
+        if one.plan is None or not one.plan.verified or one.bank >= least:
+            return one
+        less = f"digs {100.0 * (1.0 - one.bank / given.bank):.1f} % less than the given place"
+        return replace(one, note="; ".join(filter(None, (less, one.note))))
+
+    return [told(one) for one in sorted(ranked, key=key)]
 
 
 def _estimated(job: Job, place: RankedPlace) -> RankedPlace:

@@ -28,7 +28,8 @@ class RankedPlace:
     estimated: its cost by the cheap models of the patterns; nan if unknown.
     bank: soil that is dug by the plan, or by the estimate if it is not planned [m^3].
     plan: the full plan; None if it is not planned.
-    note: why the machine or the job cannot be there, or what remains undug; empty if there is nothing to say.
+    note: why the machine or the job cannot be there, how much less it digs than the given place if that is too little
+        for an answer, or what remains undug; empty if there is nothing to say.
     """
 
     base: Base
@@ -139,6 +140,11 @@ class StandPlan:
     def given(self) -> RankedPlace | None:
         """The place of the job's file, as it was compared; None if it was not."""
         return next((one for one in self.ranking if one.given), None)
+
+    @property
+    def stays(self) -> bool:
+        """Whether the answer is the place of the job's file."""
+        return bool(self.places) and bool(self.ranking) and self.ranking[0].given
 
     @property
     def gain(self) -> float:

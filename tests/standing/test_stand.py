@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import yaml
 from small_jobs import TINY, small_job
 
 import backhoe_planner as bp
+from backhoe_planner.cli.stand_command import print_stand
 from backhoe_planner.job import Job, build_worksite, load_job_plan
 from backhoe_planner.machine import Base, Robot
 from backhoe_planner.standing import (
@@ -26,7 +28,9 @@ from backhoe_planner.standing import (
     spot_finder,
     stand_to_dict,
 )
+from backhoe_planner.standing.one_place import in_order
 from backhoe_planner.standing.reach_map import reach_map
+from backhoe_planner.standing.result import Place, RankedPlace
 
 TRENCH = {"width": 0.6, "depth": 0.3}
 AT = (30.0, -12.0)  # m, the shift of machine and site together
@@ -215,6 +219,32 @@ def test_the_answer_costs_no_more_than_the_given_place(answer: bp.StandPlan) -> 
     assert sum(one.plan is not None for one in answer.ranking) == 2
     with pytest.raises(dataclasses.FrozenInstanceError):
         answer.note = ""  # type: ignore[misc]
+
+
+def test_a_cheaper_place_that_digs_less_than_the_given_one_says_how_much_less() -> None:
+    """The rule allows 1 % less; 0.986 of 1 m^3 is 1.4 % less."""
+
+    def place(x: float, bank: float, cost: float, *, given: bool = False) -> RankedPlace:
+        plan = SimpleNamespace(verified=True, cost=cost)
+        return RankedPlace(Base((x, 0.0), 0.0), given, 70.0, 80.0, bank, plan, "0.1 m^3 stays")  # type: ignore[arg-type]
+
+    found = in_order([place(0.0, 1.0, 90.0, given=True), place(1.0, 0.986, 79.0), place(2.0, 0.995, 95.0)])
+    assert [one.base.position[0] for one in found] == [0.0, 2.0, 1.0]
+    assert found[2].note == "digs 1.4 % less than the given place; 0.1 m^3 stays"
+    assert found[0].note == found[1].note == "0.1 m^3 stays"
+
+
+def test_an_answer_that_is_the_given_place_gains_nothing(
+    answer: bp.StandPlan, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = answer.given
+    assert given is not None
+    assert given.plan is not None
+    stays = dataclasses.replace(answer, ranking=(given,), places=(Place(given.base, given.plan),))
+    assert stays.stays
+    assert stays.gain == 0.0
+    print_stand(stays, tmp_path / "stand.json")
+    assert "gain          none: the answer is the given place\n" in capsys.readouterr().out
 
 
 def test_the_given_place_is_planned_once(answer: bp.StandPlan) -> None:

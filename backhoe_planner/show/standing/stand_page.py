@@ -126,7 +126,9 @@ def _panel(plan: StandPlan, sketch: Sketch, title: str) -> str:
     failed = "" if plan.verified else ' class="failed"'
     cost = f"{sketch.scale * plan.cost:.1f} {html.escape(sketch.unit)}" if math.isfinite(plan.cost) else "-"
     facts = [("cost", cost), ("soil", f"{plan.bank:.2f} m³ bank"), ("places", str(len(plan.places)))]
-    if math.isfinite(plan.gain):
+    if plan.stays:
+        facts.append(("less than the given place", "none, this is it"))
+    elif math.isfinite(plan.gain):
         facts.append(("less than the given place", f"{100.0 * plan.gain:.1f} %"))
     if plan.travel:
         facts.append(("travel between places", f"{plan.travel:.1f} m, not timed"))
