@@ -101,7 +101,7 @@ def test_figures_that_differ_from_those_of_the_motions_are_reported(tmp_path: Pa
     [
         ("cycles[0].bank", None), ("cycles[0].held", None), ("cycles[0].spilt", -0.1),
         ("cycles[0].legs[2].payload", -500.0), ("cycles[0].load.mass[1]", -1e4), ("cycles[0].truck", 7),
-        ("effort", "x"), ("seed", -5), ("compared", []), ("compared[0].name", "far end first, up to 0.41 m deep"),
+        ("effort", "x"), ("seed", -5), ("compared", []), ("compared[0].name", "far end first, cuts of 0.41 m"),
         ("cycles[0].legs[2].name", "return"), ("ground.shape", [100000, 100000]),
     ],
 )  # fmt: skip

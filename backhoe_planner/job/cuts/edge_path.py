@@ -1,8 +1,8 @@
 """The path of the bucket's edge: down from the ground, along under it, and up again, in the arm's plane.
 
-The edge stays above a floor and at most a given depth below the ground. Within this it falls and rises by no more
-than two angles as it moves inward, and concave corners are rounded. The lowest line with these properties follows
-from running maxima, and from a ball that is rolled along above it (a closing by a disc).
+The edge stays above a floor and at most a given depth below the ground, smoothed over 0.3 m. Within this it falls and
+rises by no more than two angles as it moves inward, and concave corners are rounded. The lowest line with these
+properties follows from running maxima, and from a ball that is rolled along above it (a closing by a disc).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Underground:
         self.followed = np.minimum(mean, self.height)
 
     def line(self, depth: float, end: float, descent: Descent) -> Array:
-        """(K,) height of the edge over `r` [m], at most `depth` below the ground from `end` to the start."""
+        """(K,) height of the edge over `r` [m], at most `depth` below the smoothed ground from `end` to the start."""
         wanted = np.maximum(self.floor, self.followed - depth)
         outside = (self.r < end) | (self.r > self.start + 1e-9)
         wanted = np.where(outside, self.height, np.minimum(wanted, self.height))

@@ -80,7 +80,8 @@ def find_cut(
     swing: angle of the arm's plane [rad].
     start, end: the edge enters the ground at `start` and leaves it at `end` at the latest, radii [m]; `end` is
         the nearer one.
-    depth: the greatest depth below the present ground [m].
+    depth: the greatest depth below the present ground, smoothed over 0.3 m of radius [m]: the cut is deeper where it
+        passes a step of the ground itself.
     floor: (F,) increasing radii and (F,) heights [m], world, below which nothing is dug; none by default.
     volume: loose soil to be taken [m^3]; the bucket's capacity by default.
     entry: the greatest angle at which the edge goes down into the ground [rad]; by default 88 degrees if the

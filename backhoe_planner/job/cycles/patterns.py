@@ -28,7 +28,7 @@ WALLS = "walls"  # the step of a cut that takes what others have left along a wa
 PLAIN = 0.15  # m, layers of the plain pattern: as an operator's manual specifies for cuts after the first
 _LEFT = 0.6  # of the tolerance: soil above the floor that is not worth a cut; chosen
 _SHORTEST = 0.1  # m of radius: shorter cuts are not searched for; chosen
-_FACES = (0.2, 0.3, 0.4, 0.55)  # m, greatest depths of the cuts of a face that are compared; chosen
+_FACES = (0.2, 0.3, 0.4, 0.55)  # m, depths of the cuts of a face that are compared; chosen
 _LAYERS = (0.1, 0.2, 0.3)  # m, depths of the level layers that are compared with the plain one; chosen
 _RUN_INS = (0.3, 0.0)  # m beyond the remaining soil: beginning of a cut, at the end of a trench along its wall; chosen
 _INWARD = 0.3  # m of radius between the places from which a cut is tried; chosen
@@ -54,7 +54,8 @@ class Pattern:
     Attributes
     ----------
     kind: ``layers`` or ``face``.
-    depth: depth of a layer, or the greatest depth of a cut below the ground at that place [m].
+    depth: depth of a layer, or the greatest depth of a cut of a face below the ground, smoothed over 0.3 m [m]: below
+        the ground itself, a cut is deeper where it passes the step that an earlier one has left.
     """
 
     kind: Literal["layers", "face"]
@@ -65,7 +66,7 @@ class Pattern:
         """The pattern in words."""
         if self.kind == "layers":
             return f"level layers of {self.depth:.2f} m"
-        return f"far end first, up to {self.depth:.2f} m deep"
+        return f"far end first, cuts of {self.depth:.2f} m"
 
 
 @dataclass(frozen=True, eq=False)

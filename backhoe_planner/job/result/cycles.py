@@ -107,7 +107,7 @@ class Cycle:
         None for a heap.
     step: the part of the pattern that the cycle belongs to, in words: ``layer 2``.
     filled: part of the bucket's capacity that is filled.
-    depth: greatest depth of the edge below the ground along the cut [m].
+    depth: greatest depth of the edge along the cut, below the ground before it at the same place [m].
     """
 
     number: int

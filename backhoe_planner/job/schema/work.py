@@ -223,7 +223,10 @@ class Face(Record):
     """A prescribed pattern: the farthest part is dug down to the bottom first, then the next."""
 
     face: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
-    """Greatest depth of one cut below the ground at that place [m]."""
+    """Greatest depth of one cut below the ground, smoothed over 0.3 m [m].
+
+    It is more where a cut passes the step that an earlier one has left.
+    """
 
 
 _NAMED_PATTERNS = ("auto", "plain")
