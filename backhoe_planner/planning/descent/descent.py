@@ -526,7 +526,7 @@ class Descent:
         return Looks(
             self._proximity, self._screens[spare], self._problem.keep,
             steps=density * PLACES_PER_PIECE * curve.pieces, spare=spare, time=self._time,
-            hurried=self._hurried, fixed=curve.control[[0] if goal is not None else [0, -1]],
+            hurried=self._hurried, fixed=list(curve.control[[0] if goal is not None else [0, -1]]),
         )  # fmt: skip
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
