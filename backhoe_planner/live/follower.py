@@ -242,9 +242,8 @@ class PlanFollower:
         """Set the site and the conditions to those of the leg at the plan's clock; without legs do nothing."""
         if self._legs is None:
             return
-        before = self.servo.revision
         if self._legs.enter(self._plan.clock):
-            self._proof.follow_leg(before)
+            self._proof.follow_leg(self._legs.leg)
             self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
 
     def _look_around(self) -> None:
@@ -278,7 +277,7 @@ class PlanFollower:
     def _follow(self, reference: Reference) -> ServoState:
         servo = self.servo
         deviation = float(np.abs(reference.q - servo.q).max())
-        on_track = reference is self._plan and self._track.revision == servo.revision
+        on_track = reference is self._plan and servo.is_proven_along(self._track)
         if on_track and self._track.is_joined_by(servo.q, servo.v):
             state = servo.step_along_unchecked(self._track)
         else:

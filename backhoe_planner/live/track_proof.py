@@ -2,12 +2,14 @@
 
 A certificate is about the straight lines between the samples of a plan. The reference rounds the corners between these
 lines off. Where the certificate's margins are larger than that takes, nothing more is to be proven; otherwise the
-reference itself is, in pieces that are nearly straight. If obstacles are added or moved later, the rest of the
-reference is proven among these.
+reference itself is, in pieces that are nearly straight. Whatever of the obstacles that are there is not, by its
+shape and place, the plan's own in the present leg counts as new, and the rest of the reference is proven among these.
+Between two steps the machine moves straight on, which takes it off a curve: that counts as well.
 """
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -19,9 +21,9 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.machine import Robot, travel_bounds
+from backhoe_planner.machine import Piece, Robot, travel_bounds
 from backhoe_planner.motion import Problem, Trajectory, chord_sagitta
-from backhoe_planner.planning import Plan
+from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity
 
@@ -40,75 +42,135 @@ class RestQuery:
     reference: its clock is where the rest begins.
     legs: the machine and the samples (K,) [s] of each leg, or of the whole motion, on the reference's clock.
     obstacles: to keep clear of; they stand still.
+    dt: length of a step, in which the machine moves straight on [s].
     """
 
     reference: Reference
     legs: tuple[tuple[Robot, Vector], ...]
     obstacles: tuple[Obstacle, ...]
+    dt: float
 
 
 def rest_is_clear(query: RestQuery) -> bool:
     """Whether the rest of a reference is proven clear of obstacles; of the machine itself nothing is proven."""
     return all(
-        _pieces_are_clear(robot, Proximity(robot, query.obstacles, self_collision=False), query.reference, time)
+        _pieces_are_clear(
+            robot, Proximity(robot, query.obstacles, self_collision=False), query.reference, time, query.dt
+        )
         for robot, time in query.legs
         if time[-1] > query.reference.clock
     )
 
 
 class TrackProof:
-    """Says for which surroundings a plan's track is proven, by its `revision`.
+    """Says for which surroundings and load a plan's track is proven, in the track itself.
 
     Parameters
     ----------
-    servo: its surroundings are those of the proof.
+    servo: its surroundings and its load are those of the proof.
     plan: a plan, or a trajectory alone, of which nothing is proven.
     reference, track: of that plan.
     """
 
     def __init__(self, servo: Servo, plan: Plan | Trajectory, reference: Reference, track: Track) -> None:
         self._servo, self._track, self._reference = servo, track, reference
-        self._plan = plan if isinstance(plan, Plan) and _is_proven(plan, reference) else None
+        proven = isinstance(plan, Plan) and _is_proven(plan, reference, servo.dt)
+        self._plan = plan if isinstance(plan, Plan) and proven else None
+        self._leg: PlannedLeg | None = None
         self._asked, self._again_at = -1, 0.0
-        if self._plan is not None and servo.revision == servo.revision_of_scene:
-            track.revision = servo.revision
+        self._known: dict[str, _Known] = {}
+        self._shapes: dict[int, tuple[tuple[Piece, ...], bytes]] = {}  # by the identity of an obstacle's pieces
+        self._look_again()
 
-    def follow_leg(self, before: int) -> None:
-        """Note that a leg's own obstacles came or went; `before` is the servo's revision before that."""
-        if self._track.revision == before:  # each leg is proven with its own obstacles
-            self._track.revision = self._servo.revision
+    def follow_leg(self, leg: PlannedLeg) -> None:
+        """Note that a leg begins, with obstacles and a load of its own."""
+        self._leg = leg
+        self._look_again()
 
     def query(self) -> RestQuery | None:
         """What is to be proven now, because the surroundings have changed; None if nothing is."""
         servo, plan = self._servo, self._plan
         revision = servo.revision
-        if plan is None or revision in (self._track.revision, self._asked):
+        if plan is None or revision in (self._track.revision, self._asked) or servo.is_moving():
             return None
-        if servo.is_moving() or servo.time < self._again_at:
+        if servo.time < self._again_at or not self._carries_the_same():
             return None
         self._again_at = servo.time + _BREAK
-        new = tuple(self._new_obstacles(plan))
+        new = tuple(self._new_obstacles())
         if not new:
-            self._track.revision = revision
+            self._prove(revision)
             return None
         self._asked = revision
         legs = [(leg.problem.robot, leg.begins + leg.trajectory.time) for leg in plan.legs]
-        return RestQuery(copy(self._reference), tuple(legs) or ((plan.robot, plan.trajectory.time),), new)
+        legs = legs or [(plan.problem.robot, plan.trajectory.time)]
+        return RestQuery(copy(self._reference), tuple(legs), new, servo.dt)
 
     def take(self, *, clear: bool, revision: int) -> None:
         """Take the answer to a query that was asked at a `revision` of the surroundings."""
-        if clear and revision == self._servo.revision:
-            self._track.revision = revision
+        if clear and revision == self._servo.revision and self._carries_the_same():
+            self._prove(revision)
 
-    def _new_obstacles(self, plan: Plan) -> Iterator[Obstacle]:
-        """The obstacles that are there now and are not the plan's, or no longer where they were."""
-        planned = {one.name: one.spec for one in plan.problem.obstacles}
+    def _prove(self, revision: int) -> None:
+        self._track.revision, self._track.carried = revision, self._servo.robot.carried
+
+    def _look_again(self) -> None:
+        """Compare what is there with the plan's obstacles of the present leg."""
+        self._track.revision, self._asked = None, -1
+        if self._plan is None:
+            return
+        self._known = {one.name: _Known.of(one, _shape_of(one)) for one in self._problem.obstacles}
+        if self._carries_the_same() and not self._servo.is_moving() and not tuple(self._new_obstacles()):
+            self._prove(self._servo.revision)
+
+    @property
+    def _problem(self) -> Problem:
+        assert self._plan is not None
+        return self._plan.problem if self._leg is None else self._leg.problem
+
+    def _carries_the_same(self) -> bool:
+        """Whether the servo's load is that of the plan in the present leg."""
+        if self._plan is None:
+            return False
+        planned, own = self._problem.robot.carried, self._servo.robot.carried
+        if planned is None or own is None:
+            return planned is own
+        return planned[0] == own[0] and pickle.dumps(planned[1]) == pickle.dumps(own[1])
+
+    def _new_obstacles(self) -> Iterator[Obstacle]:
+        """The obstacles that are there now and are not, in shape and place, those of the plan in the present leg."""
+        shapes = self._shapes
+        self._shapes = {}  # of those that are gone, nothing is kept
         for one in self._servo.snapshot():
-            if one.spec != planned.get(one.name) or self._servo.shift_of(one.name).any():
+            pieces, shape = shapes.get(id(one.pieces)) or (one.pieces, _shape_of(one))
+            self._shapes[id(pieces)] = (pieces, shape)
+            if self._known.get(one.name) != _Known.of(one, shape):
                 yield one
 
 
-def _is_proven(plan: Plan, reference: Reference) -> bool:
+@dataclass(frozen=True)
+class _Known:
+    """All of an obstacle by which motions are clear of it or not.
+
+    A cluster is known by its identity: another one with the same cells counts as new.
+    """
+
+    shape: bytes
+    cluster: int
+    clearance: float
+    links: tuple[str, ...] | None
+    velocity: tuple[float, ...]
+
+    @classmethod
+    def of(cls, one: Obstacle, shape: bytes) -> _Known:
+        return cls(shape, id(one.cluster), one.clearance, one.links, tuple(map(float, one.velocity)))
+
+
+def _shape_of(one: Obstacle) -> bytes:
+    """The shapes and placements of an obstacle's pieces; takes some 20 us for each."""
+    return pickle.dumps([(piece.shape, *piece.pose, piece.hull, piece.radius) for piece in one.pieces])
+
+
+def _is_proven(plan: Plan, reference: Reference, dt: float) -> bool:
     """Whether a plan is verified, stands among obstacles that stay as they are, and its reference is proven clear.
 
     Obstacles that are present in some legs only may come and go with these.
@@ -117,16 +179,17 @@ def _is_proven(plan: Plan, reference: Reference) -> bool:
     if changes or not (plan.verified and reference.keeps_limits):
         return False
     if not plan.legs:
-        return _is_clear(plan.problem, plan.trajectory, plan.certificate.clearances, reference, begins=0.0)
+        return _is_clear(plan.problem, plan.trajectory, plan.certificate.clearances, reference, dt, begins=0.0)
     return all(
-        _is_clear(leg.problem, leg.trajectory, leg.certificate.clearances, reference, begins=leg.begins)
+        _is_clear(leg.problem, leg.trajectory, leg.certificate.clearances, reference, dt, begins=leg.begins)
         for leg in plan.legs
     )
 
 
 def _is_clear(
-    problem: Problem, motion: Trajectory, clearances: Sequence[Obstruction], reference: Reference, *, begins: float
-) -> bool:
+    problem: Problem, motion: Trajectory, clearances: Sequence[Obstruction], reference: Reference, dt: float,
+    *, begins: float,
+) -> bool:  # fmt: skip
     """Whether the reference keeps the clearances along a motion that begins at `begins` on its clock [s].
 
     clearances: those that are proven for the motion, the tightest first.
@@ -134,17 +197,26 @@ def _is_clear(
     time = np.sort(np.concatenate((motion.time, 0.5 * (motion.time[1:] + motion.time[:-1]))))
     off = np.abs([reference.at(begins + moment) for moment in time.tolist()] - motion.at(time))
     travel = travel_bounds(problem.robot)
-    if not clearances or float((off @ travel.T).max(initial=0.0)) <= clearances[0].margin:
+    taken = (off + _off_in_a_step(problem.robot, dt)) @ travel.T
+    if not clearances or float(taken.max(initial=0.0)) <= clearances[0].margin:
         return True
     proximity = Proximity(problem.robot, problem.obstacles)
-    return _pieces_are_clear(problem.robot, proximity, reference, begins + motion.time)
+    return _pieces_are_clear(problem.robot, proximity, reference, begins + motion.time, dt)
 
 
-def _pieces_are_clear(robot: Robot, proximity: Proximity, reference: Reference, time: Vector) -> bool:
-    """Whether the rest of a reference between the samples at `time` (K,) [s] on its clock is proven clear."""
+def _off_in_a_step(robot: Robot, dt: float) -> Vector:
+    """(n,) how far a straight step of `dt` [s] is from a curve that keeps the accelerations [rad or m]."""
+    return np.asarray(robot.limits.acceleration * dt**2 / 8.0)
+
+
+def _pieces_are_clear(robot: Robot, proximity: Proximity, reference: Reference, time: Vector, dt: float) -> bool:
+    """Whether the rest of a reference between the samples at `time` (K,) [s] on its clock is proven clear.
+
+    dt: length of the straight steps along it [s].
+    """
     fine = np.interp(np.arange(_PARTS * (len(time) - 1) + 1) / _PARTS, np.arange(len(time)), time)
     fine = np.concatenate(([max(reference.clock, time[0])], fine[fine > reference.clock]))
     places: Matrix = np.array([reference.at(moment) for moment in fine.tolist()])
-    off = travel_bounds(robot) @ chord_sagitta(robot.limits)
-    spare = float(off.max(initial=0.0)) / _PARTS**2 - _WITHIN
+    off = travel_bounds(robot) @ (chord_sagitta(robot.limits) / _PARTS**2 + _off_in_a_step(robot, dt))
+    spare = float(off.max(initial=0.0)) - _WITHIN
     return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=spare) for a, b in pairwise(places))

@@ -94,7 +94,6 @@ class Servo:
     robot, scene, dt: as above; the robot has the scene's tip and swing sectors, and what it carries now.
     circulate: as above; may be set.
     limits: joint limits in this scene.
-    revision_of_scene: `revision` with the obstacles that the scene has at first, and no others.
     last_error: the last error inside a step, which then braked; None if there was none.
 
     `step` raises nothing. The servo owns its working memory: do not share one between threads.
@@ -154,7 +153,6 @@ class Servo:
         self._update_moving()
         self._measure(np.arange(len(self._separation), dtype=np.intp))
         self._add(build_obstacles(scene, robot))
-        self.revision_of_scene = self.revision
 
     # --- the joints and the obstacles --------------------------------------------------
 
@@ -318,6 +316,11 @@ class Servo:
         """
         return self._site.shift_of(name)
 
+    def is_proven_along(self, track: Track) -> bool:
+        """Whether a track is proven for what is there now and what the machine carries."""
+        changed = track.revision != self.revision or track.carried is not self.robot.carried
+        return not (changed or self._site.anything_moves or self._joints.shares_load)
+
     @property
     def on_track(self) -> bool:
         """Whether the machine, if it has to stop, does so along the track of `step_along_unchecked`."""
@@ -397,9 +400,7 @@ class Servo:
     def _move(self, command: Command, track: Track | None, most: float) -> ServoState:
         """Find what is near, the joint wish and the nearest safe velocity, and take the step."""
         self._drift()
-        if track is not None and (
-            track.revision != self.revision or self._site.anything_moves or self._joints.shares_load
-        ):
+        if track is not None and not self.is_proven_along(track):
             track = None
         covered = not self._separation.clusters or self._boxes.renew(self._state, self._steps)
         if not covered and track is None:

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import JointLimits
+from backhoe_planner.machine import JointLimits, Piece
 
 _ON_TRACK = 1e-6  # rad or m off the track within which the machine is on it; chosen, far below every tolerance
 _ROUNDING = 1e-6  # part of the acceleration: a change of velocity that is larger by no more is allowed
@@ -53,11 +53,13 @@ class Track:
     Attributes
     ----------
     revision: the `Servo.revision` for whose obstacles the rest of the motion is proven clear; None if it is for none.
+    carried: the load, `Robot.carried`, for which it is.
     """
 
     def __init__(self, reference: ClockedMotion, limits: JointLimits, dt: float) -> None:
         self.reference = reference
         self.revision: int | None = None
+        self.carried: tuple[str, tuple[Piece, ...]] | None = None
         self._limits, self._dt = limits, dt
         self._change = (1.0 + _ROUNDING) * limits.acceleration * dt
         self._pace = 0.0
@@ -115,5 +117,5 @@ class Track:
         """(n,) from q (n,) to the place on the track that is a step further at a pace [rad/s or m/s]."""
         limits = self._limits
         ahead = self.reference.at(self.reference.clock + pace * self._dt)
-        found = np.asarray((np.clip(ahead, limits.lower, limits.upper) - q) / self._dt)
+        found = np.clip((np.clip(ahead, limits.lower, limits.upper) - q) / self._dt, -limits.velocity, limits.velocity)
         return found if float(np.abs(found).max()) > _STILL else np.zeros_like(found)
