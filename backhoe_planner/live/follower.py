@@ -97,7 +97,8 @@ class FollowerState:
     status: ``following``; ``waiting``: no progress, and soon a detour is searched;
         ``going_round``: on a detour that rejoins the plan; ``blocked``: no detour was found, and
         further searches follow; ``arrived``.
-    reason: what the machine waits for, goes around, or is blocked by, in words; otherwise empty.
+    reason: what the machine waits for, goes around, or is blocked by, in words, and whether a way round is searched
+        for; otherwise empty.
     """
 
     state: ServoState
@@ -421,7 +422,8 @@ class PlanFollower:
             return FollowerStatus.BLOCKED, self._blocked
         if self._holding or self._progress.waited > _NOTICED:
             kept = f"; {self._kept.lost}" if self._kept.lost else ""
-            return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}"
+            sought = "; a way round is searched for" if self._holding else ""
+            return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"
         if self._round is not None:
             return (
                 FollowerStatus.GOING_ROUND,

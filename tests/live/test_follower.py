@@ -163,6 +163,7 @@ def test_the_machine_waits_during_the_search_and_resumes_once_the_plan_is_free(b
     servo.add(ball)
     held = followed(follower, 1500)
     assert held[-1].status is FollowerStatus.WAITING
+    assert held[-1].reason.endswith("; a way round is searched for")
     assert "ball" in held[-1].reason
     assert held[-1].behind > 1.0
     assert not held[-1].state.v.any()
