@@ -28,6 +28,8 @@ from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
 SHARP = np.radians(5.0)  # chosen: at a sharper corner the joints' velocities would jump noticeably
+# chosen: at the limits of usual joints, bends below do not slow the tip down noticeably
+_SLIGHT = np.radians(1.0)
 _SHARPEST = np.radians(120.0)  # chosen: a sharper corner nearly reverses the direction, and the tip stops at it
 _PART = 0.4  # part of the tolerance for a rounded corner; chosen: the rest is for chords and curve
 _CHORD = 0.3  # part of the tolerance for the joints' chords; chosen: some is left for the smooth curve
@@ -49,7 +51,10 @@ _NEAR = 0.1  # rad or m; chosen: joints further from those on the path are anoth
 def round_corners(
     problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
 ) -> tuple[Stretch, Vector]:
-    """A stretch with its corners rounded where that is clear, and (C,) the arc lengths of the other corners [m].
+    """A stretch with its corners rounded where that is clear, and (C,) the arc lengths of the other sharp corners [m].
+
+    At slight bends that are not rounded the tip need not stop. They are left as they are if their rounding would be
+    shorter than the distance between samples.
 
     Parameters
     ----------
@@ -60,16 +65,18 @@ def round_corners(
     assert task is not None
     kinematics = BatchKinematics(problem.robot)
     left: list[float] = []
-    for corner in path.corners(SHARP).tolist():
+    sharp = set(path.corners(SHARP).tolist())
+    for corner in path.corners(_SLIGHT).tolist():
         if not stations[0] < corner < stations[-1]:
             continue
         cut = _cut(path, corner, _PART * task.tolerance, float(stations[0]), float(stations[-1]))
         rounded = None
-        if cut is not None:
+        if cut is not None and (corner in sharp or cut > _SPACING):
             at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
             rounded = _round(kinematics, path, corner, cut, at, stations, q)
         if rounded is None or not all(path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(rounded)):
-            left.append(corner)
+            if corner in sharp:
+                left.append(corner)
             continue
         before, after = stations < at[0] - 1e-9, stations > at[-1] + 1e-9
         stations = np.concatenate((stations[before], at, stations[after]))
