@@ -5,6 +5,7 @@ from .cuts.digger import Digger as Digger
 from .cuts.finding import find_cut as find_cut
 from .cuts.profile import Profile as Profile
 from .cycles.dumping import postures_over as postures_over
+from .estimates import CLOSE as CLOSE
 from .ground.heaps import Refusal as Refusal
 from .ground.heaps import deposited as deposited
 from .ground.heaps import heap_room as heap_room

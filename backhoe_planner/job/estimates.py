@@ -1,19 +1,22 @@
 """The estimated cost of a pattern: its cuts are found one by one on the changing ground, its motions only estimated.
 
-A cut takes the time of its own estimate. A motion through the air takes the least time that the joint rates
-and accelerations allow. The work is done against gravity and soil.
+A cut is run along its own path. A motion through the air takes the straight line of the joints, as if nothing were in
+the way. Joint rates, accelerations, valves, pump and engine limit both. The work is done against gravity, inertia and
+soil; what one joint gains while it is lowered does not help another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
-from backhoe_planner.job.cycles.dumping import travel_time
+from backhoe_planner.job.cycles.dumping import DumpSite, NoDump, ground_obstacle
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.result.job_plan import PatternEstimate
@@ -23,55 +26,79 @@ from backhoe_planner.machine import Dynamics
 
 _MOST_CYCLES = 2000
 _ENOUGH = 0.95  # of the most that any pattern digs; chosen: the cost of a pattern that digs less cannot be compared
+_PLACES = 25  # along a motion through the air; chosen
+_EASY = 2.0 / 3.0  # of the speed of the fastest motion, if the work counts: a plan then takes half as long again
+CLOSE = 0.02  # part of the cost within which estimates of one job do not tell patterns apart; chosen
 _LEAST = 1e-3  # m^3 dug by a cut: less is no progress
 
 
-def estimate_pattern(
-    site: Worksite, lanes: Sequence[Lane], pattern: Pattern, dump: Callable[[Vector], tuple[Vector, Vector] | None]
-) -> PatternEstimate:
-    """The cost of a pattern from the first cut to the last.
-
-    Parameters
-    ----------
-    dump: returns the postures, level and open, for dumping a bucketful after a posture (n,).
-    """
-    ground, limits = site.ground, site.problem.limits
+def estimate_pattern(site: Worksite, lanes: Sequence[Lane], pattern: Pattern, dump: DumpSite) -> PatternEstimate:
+    """The cost of a pattern from the first cut to the last, with the soil dumped where a plan would dump it."""
+    pace = 1.0 if site.job.objective == "time" else _EASY
+    state = dump.first(site.ground, ground_obstacle(site, site.ground))
     empty = Dynamics(site.robot)
     cycles, bank, duration, work = 0, 0.0, 0.0, 0.0
     at: Vector | None = site.problem.start_q
     finished = False
     while cycles < _MOST_CYCLES:
-        found = next_cut(site, lanes, pattern, ground)
+        found = next_cut(site, lanes, pattern, state.ground)
         if not isinstance(found, NextCut):
             finished = found is None
             break
         cut = found.cut
-        sweep = swept(ground, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False)
+        sweep = swept(state.ground, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False)
         if float(sweep.volume[-1]) < _LEAST:
             break
-        path = cut_path(site, cut, ground)
+        path = cut_path(site, cut, state.ground)
         if isinstance(path, str):
             path = CutPath(cut.q, 0, len(cut.q) - 1)
-        over = dump(path.q[-1])
-        if over is None:
+        held = min(float(sweep.volume[-1]), site.bucket.capacity)
+        options = dump.options(replace(state, ground=sweep.terrain), held, path.q[-1])
+        if isinstance(options, NoDump):
             break
-        level, opened = over
-        payload = site.digger.soil.density * float(sweep.volume[-1]) / site.job.soil.swell
+        over = options[0]
+        after = dump.dumped(replace(state, ground=sweep.terrain), over.place[:2], held, over.number)
+        if isinstance(after, str):
+            break
+        level, opened = over.arrivals[0], over.openings[0]
+        payload = site.digger.soil.density * held / site.job.soil.swell
         full = Dynamics(site.robot, payload=payload)
-        ways = [(path.q[0], path.q[path.first]), (path.q[path.last], path.q[-1]), (path.q[-1], level), (level, opened)]
+        runs = [
+            _cut_run(site, cut, path, (empty, full)),
+            _air_run(site, path.q[-1], level, full, pace=pace),
+            _air_run(site, level, opened, full),
+        ]
         if at is not None:
-            ways.append((at, path.q[0]))
-        duration += cut.time + sum(travel_time(b - a, limits) for a, b in ways)
-        work += cut.work
-        for index, (a, b) in enumerate(ways):
-            dynamics = full if index in (1, 2, 3) else empty
-            work += max(dynamics.potential_energy(b) - dynamics.potential_energy(a), 0.0)
-        at, ground = opened, sweep.terrain
+            runs.append(_air_run(site, at, path.q[0], empty, pace=pace))
+        duration += sum(time for time, _ in runs)
+        work += sum(used for _, used in runs)
+        at, state = opened, after
         bank += float(sweep.bank[-1])
         cycles += 1
     per = duration if site.job.objective == "time" else work
     cost = per / bank if bank > 0.0 else float("inf")
     return PatternEstimate(pattern.name, cycles, bank, duration, work, cost, finished)
+
+
+def _cut_run(site: Worksite, cut: Cut, path: CutPath, machines: tuple[Dynamics, Dynamics]) -> tuple[float, float]:
+    """Time [s] and work [J] of a cut with the ways down to it and up from it; `machines` are the empty and the full."""
+    empty, full = machines
+    torque = np.vstack(
+        (
+            empty.gravity_torques(path.q[: path.first]),
+            cut.torque[: path.last - path.first + 1],
+            full.gravity_torques(path.q[path.last + 1 :]),
+        )
+    )
+    return site.digger.estimated_run(path.q, torque, inertia=empty)
+
+
+def _air_run(
+    site: Worksite, start: Vector, end: Vector, machine: Dynamics, *, pace: float = 1.0
+) -> tuple[float, float]:  # fmt: skip
+    """Time [s] and work [J] of a motion on the straight line of the joints from `start` to `end` (n,)."""
+    q = start + np.linspace(0.0, 1.0, _PLACES)[:, None] * (end - start)
+    return site.digger.estimated_run(q, machine.gravity_torques(q), inertia=machine, part=1.0, pace=pace)
 
 
 def in_full(estimates: Sequence[PatternEstimate]) -> list[PatternEstimate]:
@@ -80,9 +107,18 @@ def in_full(estimates: Sequence[PatternEstimate]) -> list[PatternEstimate]:
     return [replace(one, finished=one.finished and one.bank > _ENOUGH * most) for one in estimates]
 
 
-def choose(estimates: Sequence[PatternEstimate]) -> int:
-    """The index of the best of `in_full`: the cheapest of those that are finished, otherwise of those that dig most."""
+def choose(estimates: Sequence[PatternEstimate], objective: Literal["time", "work"]) -> int:
+    """The index of the best of `in_full`: the cheapest of those that are finished, otherwise of those that dig most.
+
+    Costs that differ by less than `CLOSE` count as equal. Among these, the one that is best by the other objective is
+    chosen.
+    """
     most = max(one.bank for one in estimates)
-    done = [index for index, one in enumerate(estimates) if one.finished]
-    enough = done or [index for index, one in enumerate(estimates) if one.bank >= _ENOUGH * most]
-    return int(min(enough, key=lambda index: estimates[index].cost)) if np.isfinite(most) else 0
+    if most <= 0.0:
+        return 0
+    done = [one for one in estimates if one.finished]
+    enough = done or [one for one in estimates if one.bank >= _ENOUGH * most]
+    least = min(one.cost for one in enough)
+    close = [one for one in enough if one.cost <= (1.0 + CLOSE) * least]
+    best = min(close, key=lambda one: (one.work if objective == "time" else one.duration) / one.bank)
+    return estimates.index(best)

@@ -64,7 +64,7 @@ def estimate_job(job: Job, *, terrain: Terrain | None = None, few: bool = False)
     if few and len(patterns) > 1:
         patterns = _FEW
     dump = dump_of(site)
-    estimates = in_full([estimate_pattern(site, lanes, one, dump.near) for one in patterns])
-    best = choose(estimates)
+    estimates = in_full([estimate_pattern(site, lanes, one, dump) for one in patterns])
+    best = choose(estimates, job.objective)
     order = sorted(range(len(estimates)), key=lambda index: (index != best, estimates[index].cost))
     return JobEstimate(tuple(replace(estimates[index], chosen=index == best) for index in order), design, allowed)

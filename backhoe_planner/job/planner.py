@@ -132,8 +132,8 @@ class _Run:
         """The plan of the whole job."""
         site = self._site
         if resume is None:
-            estimates = in_full([estimate_pattern(site, self._lanes, one, self._dump.near) for one in self._patterns])
-            best = choose(estimates)
+            estimates = in_full([estimate_pattern(site, self._lanes, one, self._dump) for one in self._patterns])
+            best = choose(estimates, site.job.objective)
             chosen = [replace(one, chosen=index == best) for index, one in enumerate(estimates)]
             order = sorted(range(len(chosen)), key=lambda index: (not chosen[index].chosen, chosen[index].cost))
             self._compared = tuple(chosen[index] for index in order)

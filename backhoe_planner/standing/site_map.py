@@ -20,7 +20,7 @@ from backhoe_planner.standing.reach_map import DumpTable, ReachMap, dump_table
 LINE_STEP, GRID_STEP = 0.1, 0.4  # m between places on a trench's line, and on a grid; chosen
 _HEADINGS = 13  # at a place; chosen, 13 degrees apart for a swing of 180
 _SPARE = 0.03  # rad from the ends of the swing
-_HEAP = 0.5  # m, least height of a heap, as in the estimates of jobs
+_HEAP = 0.5  # m, least height of a heap
 _TRUCK = 0.3  # m between the machine and a truck; chosen
 _LEVEL = 0.15  # m by which the ground may be higher or lower than the machine stands; chosen, jacks level that
 SAME_SHARE = 0.02  # of the soil: places that dig so much less count as equal

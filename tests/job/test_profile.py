@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.job import Cut, Digger, Profile, find_cut
+from backhoe_planner.machine import Dynamics
 from backhoe_planner.site import Soil
 
 
@@ -74,6 +76,26 @@ def test_invalid_profiles_are_refused() -> None:
     ):  # fmt: skip
         with pytest.raises(bp.InputError, match="profile"):
             Profile(*bad)
+
+
+def test_a_short_swing_is_estimated_as_by_hand(digger: Digger) -> None:
+    """The swing accelerates over half of the way and brakes over the other: the work is the energy in the middle.
+
+    At half the speed it takes twice as long and a quarter of the work.
+    """
+    machine = Dynamics(digger.robot, payload=200.0)
+    start, way = np.array([0.1, 0.5, -1.0, -1.5]), 0.05
+    q = start + np.linspace(0.0, 1.0, 26)[:, None] * np.array([way, 0.0, 0.0, 0.0])
+    torque = machine.gravity_torques(q)
+    acceleration = float(digger.limits.acceleration[0])
+    fastest = np.array([math.sqrt(acceleration * way), 0.0, 0.0, 0.0])
+    duration, work = digger.estimated_run(q, torque, inertia=machine, part=1.0)
+    assert duration == pytest.approx(2.0 * math.sqrt(way / acceleration), rel=1e-2)
+    assert work == pytest.approx(machine.kinetic_energy(start, fastest), rel=0.05)
+    slow_duration, slow_work = digger.estimated_run(q, torque, inertia=machine, part=1.0, pace=0.5)
+    assert slow_duration == pytest.approx(2.0 * duration)
+    assert slow_work == pytest.approx(work / 4.0)
+    assert digger.estimated_run(q, torque)[1] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_estimated_duration_is_near_the_timed_one(digger: Digger) -> None:

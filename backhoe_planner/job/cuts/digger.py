@@ -9,7 +9,7 @@ from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.cut import Cut, CutGround, Holding
-from backhoe_planner.machine import JointLimits, Robot
+from backhoe_planner.machine import Dynamics, JointLimits, Robot
 from backhoe_planner.motion import Drive, Trajectory, time_along
 from backhoe_planner.site import Soil, SoilReaction
 
@@ -17,7 +17,7 @@ _MARGIN = 0.15  # part of a cylinder's capability that is reserved for accelerat
 _SWELL = 1.25  # volume of loose soil divided by that of the bank: usually 1.2 to 1.3
 # part of the accelerations, for the path's curvature and for the speed each: durations of 60 random cuts were then
 # estimated to 0.5 % on average, with a spread of 2 %; on rough ground a motion may take up to 50 % longer
-_OF_ACCELERATION = 0.75
+OF_ACCELERATION = 0.75
 _INTERVALS = 250  # of the timing: the duration is within 1 % of that with 1000
 
 
@@ -97,24 +97,47 @@ class Digger:
         r, z, _ = self.plane.place(q[None, :])
         return Holding(name, needed / available, needed, available, float(r[0]), float(z[0]))
 
-    def estimated_run(self, q: Matrix, torque: Matrix) -> tuple[float, float]:
+    def estimated_run(
+        self, q: Matrix, torque: Matrix, *, inertia: Dynamics | None = None, part: float = OF_ACCELERATION,
+        pace: float = 1.0,
+    ) -> tuple[float, float]:  # fmt: skip
         """Duration [s] and work [J] of a run from rest to rest through joints q (K, n) under `torque` (K, n) [N m].
 
         At each place the speed is limited by joints, valves, pump and engine, with the torques without inertia. Between
         places the accelerations of the joints limit the change of speed.
+
+        Parameters
+        ----------
+        inertia: the machine with what it carries, whose inertia the work includes; None to leave it out.
+        part: part of the joint accelerations that may be used, for the path's curvature and for the speed each.
+        pace: speed divided by the greatest possible.
         """
-        limits, hydraulics = self.limits, self.robot.hydraulics
         slope = np.gradient(q, axis=0)
+        bend = np.gradient(slope, axis=0)
+        x = pace**2 * self._speeds(q, (slope, bend), torque, part * self.limits.acceleration)
+        speed = np.sqrt(x)
+        times = 2.0 / (speed[1:] + speed[:-1])
+        step, mean = np.diff(q, axis=0), 0.5 * (torque[1:] + torque[:-1])
+        if inertia is not None:
+            middle, rest = 0.5 * (q[1:] + q[:-1]), np.zeros_like(step)
+            curved = 0.25 * (bend[1:] + bend[:-1]) * (x[1:] + x[:-1])[:, None]
+            v, a = step / times[:, None], 0.5 * step * np.diff(x)[:, None] + curved
+            mean = mean + inertia.torques_along(middle, v, a) - inertia.torques_along(middle, rest, rest)
+        return float(np.sum(times)), float(np.sum(np.maximum(mean * step, 0.0)))
+
+    def _speeds(self, q: Matrix, slopes: tuple[Matrix, Matrix], torque: Matrix, acceleration: Vector) -> Vector:
+        """(K,) squares of the greatest speeds [places^2/s^2] of a run; `slopes` of q by the place, first and second."""
+        limits, hydraulics = self.limits, self.robot.hydraulics
+        slope, bend = slopes
         span = np.max(np.abs(slope) / limits.velocity, axis=1)
         if hydraulics is not None:
             rods = hydraulics.velocity_limits(q)
             span = np.maximum(span, np.max(np.abs(slope) / np.where(slope > 0.0, rods.positive, rods.negative), axis=1))
             span = np.maximum(span, hydraulics.total_flow(q, slope) / hydraulics.pump_flow)
             span = np.maximum(span, hydraulics.power(q, slope, torque) / hydraulics.power_limit)
-        bend = np.gradient(slope, axis=0)
         with np.errstate(divide="ignore"):
-            turning = np.min(_OF_ACCELERATION * limits.acceleration / np.abs(bend), axis=1)
-            gain = np.min(_OF_ACCELERATION * limits.acceleration / np.abs(slope), axis=1)
+            turning = np.min(acceleration / np.abs(bend), axis=1)
+            gain = np.min(acceleration / np.abs(slope), axis=1)
         x = np.minimum(1.0 / np.maximum(span, 1e-9) ** 2, turning).tolist()
         x[0] = x[-1] = 0.0
         rise = (2.0 * np.minimum(gain[1:], gain[:-1])).tolist()
@@ -122,7 +145,4 @@ class Digger:
             x[i + 1] = min(x[i + 1], x[i] + more)
         for i in range(len(rise) - 1, -1, -1):
             x[i] = min(x[i], x[i + 1] + rise[i])
-        speed = np.sqrt(np.array(x))
-        mean = 0.5 * (torque[1:] + torque[:-1])
-        work = np.sum(np.maximum(mean * np.diff(q, axis=0), 0.0))
-        return float(np.sum(2.0 / (speed[1:] + speed[:-1]))), float(work)
+        return np.array(x)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -25,7 +24,6 @@ POURS_AT = -0.1  # m of radius from the bucket's pin to where the soil falls, ap
 _ABOVE = 0.15  # m from the teeth of the open bucket to the soil below, beyond the clearance; chosen
 _HIGHER = (0.0, 0.25, 0.5, 0.8, 1.2)  # m, tried in turn in addition to that
 _TILTS = (0.0, 0.25, 0.5)  # rad from level at which the bucket may arrive
-_HEAP = 0.5  # m, average height of a heap, for estimates
 _ALONG_BED = (0.0, -0.5, 0.5, -1.0, 1.0)  # of the room along a bed: places to dump a bucketful; chosen
 _EVEN = 0.15  # m by which a place may be higher than the lowest and still count as low; chosen
 _RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which dumping is tried, for messages
@@ -112,9 +110,6 @@ class DumpSite(Protocol):
     def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
         """The site before the first cycle."""
 
-    def near(self, start: Vector) -> tuple[Vector, Vector] | None:
-        """(n,), (n,) postures, level and open, over a dump that is soon reached from `start` (n,); for estimates."""
-
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
 
@@ -142,44 +137,52 @@ class HeapDump:
     def __init__(self, site: Worksite, heap: Heap) -> None:
         self._site, self._heap = site, heap
         self._clear_of: Flags = site.design.within(site.nodes, heap.edge_distance)
+        # the last ground, and what heaps on it came to, by place and volume: what is chosen is not poured again
+        self._poured: tuple[Terrain | None, dict[tuple[float, ...], Terrain | Refusal]] = (None, {})
 
     def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
         """See `DumpSite`."""
         return SiteState(ground, obstacle)
 
-    def near(self, start: Vector) -> tuple[Vector, Vector] | None:
-        """See `DumpSite`."""
-        level = self._site.ground
-        tops = [(np.array(place), _height(level, np.array(place)) + _HEAP) for place in self._heap.places]
-        return _soonest(self._site, tops, start)
-
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """See `DumpSite`."""
         found: list[Dumping] = []
-        full, unreachable = "", ""
+        full = ""
+        beyond: tuple[Vector, float] | None = None  # the first place that is out of reach
         for at in self._heap.places:
             place = np.array(at)
-            after = deposited(state.ground, place, volume, clear_of=self._clear_of)
+            after = self._deposited(state.ground, place, volume)
             if isinstance(after, Refusal):
                 full = full or after.reason
                 continue
             top = _height(after, place)
             arrivals, openings = postures_over(self._site, place, top)
             if not len(arrivals):
-                unreachable = unreachable or _out_of_reach(self._site, place, top)
+                beyond = beyond or (place, top)
                 continue
             found.append(Dumping(np.array([*at, top]), arrivals, openings, 0))
         limits = self._site.problem.limits
         if not found:
-            return NoDump("full", full) if full else NoDump("unreachable", unreachable)
+            if full or beyond is None:
+                return NoDump("full", full)
+            return NoDump("unreachable", _out_of_reach(self._site, *beyond))
         return sorted(found, key=lambda one: travel_time(one.arrivals[0] - start, limits))
 
     def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
         """See `DumpSite`."""
-        after = deposited(state.ground, place, volume, clear_of=self._clear_of)
+        after = self._deposited(state.ground, place, volume)
         if isinstance(after, Refusal):
             return after.reason
         return SiteState(after, ground_obstacle(self._site, after, before=state.obstacle))
+
+    def _deposited(self, ground: Terrain, place: Vector, volume: float) -> Terrain | Refusal:
+        """The ground after `volume` [m^3] was dumped at `place` (2,) [m]; or why that is impossible."""
+        if ground is not self._poured[0]:
+            self._poured = (ground, {})
+        known, key = self._poured[1], (*place.tolist(), volume)
+        if key not in known:
+            known[key] = deposited(ground, place, volume, clear_of=self._clear_of)
+        return known[key]
 
 
 class TruckDump:
@@ -204,10 +207,6 @@ class TruckDump:
     def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
         """See `DumpSite`."""
         return self._with(SiteState(ground, obstacle), Truck(1, self._empty))
-
-    def near(self, start: Vector) -> tuple[Vector, Vector] | None:
-        """See `DumpSite`."""
-        return _soonest(self._site, [(place[:2], float(place[2])) for place in self._places], start)
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """See `DumpSite`."""
@@ -372,15 +371,6 @@ def dump_of(site: Worksite) -> DumpSite:
         return HeapDump(site, heap)
     assert truck is not None
     return TruckDump(site, truck)
-
-
-def _soonest(site: Worksite, tops: Sequence[tuple[Vector, float]], start: Vector) -> tuple[Vector, Vector] | None:
-    """Postures, level and open, over that one of several places, given with their tops, that is soonest reached."""
-    found = []
-    for place, top in tops:
-        arrivals, openings = postures_over(site, place, top)
-        found += list(zip(arrivals[:1], openings[:1], strict=True))
-    return min(found, key=lambda ends: travel_time(ends[0] - start, site.problem.limits), default=None)
 
 
 def _height(ground: Terrain, place: Vector) -> float:
