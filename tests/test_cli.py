@@ -22,7 +22,7 @@ import yaml
 from waiting import PATIENCE
 
 import backhoe_planner as bp
-from backhoe_planner.cli import main
+from backhoe_planner.cli import main, terminal
 from backhoe_planner.native import native_version
 from backhoe_planner.planning import describe_quantity
 
@@ -42,6 +42,7 @@ REACH: Data = {"version": 1, "start": {"joints": JOINTS}, "task": {"goal": {"pos
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
     """Call the command line in this process: exit status, output, and messages."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(terminal, "_FIRST_LINE", 600.0)  # s: no lines of a log, however slow the computer is
 
     def call(*arguments: str | Path) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["backhoe-planner", *map(str, arguments)])

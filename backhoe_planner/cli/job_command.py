@@ -241,13 +241,13 @@ def print_job_warnings(loaded: bp.Job) -> None:
 
 
 def read_job_plan(file: Path, urdf: str | None) -> bp.JobPlan:
-    """The plan of a job; a terminal shows meanwhile what takes so long."""
+    """The plan of a job; the error stream shows meanwhile what takes so long."""
     with ERR.status("digging the ground anew, for what stands at every moment ..."):
         return bp.load_job_plan(file, urdf=urdf)
 
 
 def draw_job_page(plan: bp.JobPlan, html: Path) -> None:
-    """Write the page of a job, and print its warnings; a terminal shows meanwhile what takes so long."""
+    """Write the page of a job, and print its warnings; the error stream shows meanwhile what takes so long."""
     with ERR.status("drawing the page ..."):
         warnings = show.write_job_page(plan, html)
     print_warnings(warnings)

@@ -21,6 +21,8 @@ from backhoe_planner.files.output_file import check_apart, check_ending, check_o
 if TYPE_CHECKING:
     from rich.status import Status
 
+    from backhoe_planner.cli.terminal import PlainStatus
+
 
 def plan(
     urdf: Urdf,
@@ -69,7 +71,8 @@ def plan(
             found = compute(watch=lambda step: viewer.show_step(step.q, step.time))
         else:
             with ERR.status("planning ...", quiet=as_json) as status:
-                found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
+                shown = status if ERR.is_terminal else None  # the lines of a log do without the best so far
+                found = compute(watch=None if shown is None else lambda step: _show_best(shown, step, unit))
         found.save(output)
         print_warnings(site.obstacle_warnings(robot, found.problem.obstacles))
         if html is not None:  # before anything is printed: the reader of the output may stop early
@@ -87,7 +90,7 @@ def plan(
     return VERIFIED if found.verified else FAILED
 
 
-def _show_best(status: Status, step: planning.PlannerStep, unit: str) -> None:
+def _show_best(status: Status | PlainStatus, step: planning.PlannerStep, unit: str) -> None:
     """Show the cost of the best motion to a goal so far."""
     if step.best is not None and step.time == 0.0:
         status.update(f"planning ... the best so far: {step.best:,.4g} {unit}")

@@ -80,12 +80,16 @@ def stand(
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[bp.StandStep], None]]:
-    """Show a progress bar, on a terminal only."""
+    """Show a progress bar, or in a log a line now and then."""
+    if not quiet and not ERR.is_terminal:
+        with ERR.status("looking for places ...") as status:
+            assert status is not None
+            yield lambda step: status.update(f"{step.what}: {step.done} of {step.total} ...")
+        return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
-    hidden = quiet or not ERR.is_terminal
-    with Progress(*columns, TimeElapsedColumn(), console=ERR.console, transient=True, disable=hidden) as bar:
+    with Progress(*columns, TimeElapsedColumn(), console=ERR.console, transient=True, disable=quiet) as bar:
         task = bar.add_task("", total=1)
         yield lambda step: bar.update(task, description=step.what, completed=step.done, total=step.total)
 

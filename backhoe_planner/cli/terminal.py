@@ -6,6 +6,8 @@ import contextlib
 import math
 import os
 import sys
+import threading
+import time as clock
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from functools import cached_property
@@ -15,6 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, TextIO, cast
 import typer
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from rich.console import Console
     from rich.status import Status
     from rich.table import Table
@@ -28,6 +32,7 @@ PlanUrdf = Annotated[
 
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
 DEGREES = math.degrees(1.0)  # in a radian
+_FIRST_LINE, _NEXT_LINE = 3.0, 10.0  # s from the beginning, and from each line of a log to the next; chosen
 _FORCING = {"FORCE_COLOR", "TTY_COMPATIBLE"}  # environment variables that make rich treat any stream as a terminal
 
 
@@ -77,18 +82,56 @@ class Stream:
         else:
             self.print(words + rest)
 
-    def status(self, words: str, *, quiet: bool = False) -> AbstractContextManager[Status | None]:
-        """A moving line that shows what is going on, while the context lasts; None unless a person reads it.
+    def status(self, words: str, *, quiet: bool = False) -> AbstractContextManager[Status | PlainStatus | None]:
+        """Show what is going on, while the context lasts: by a moving line if a person reads it, or by lines of a log.
 
         Parameters
         ----------
-        quiet: whether to show none in any case.
+        quiet: whether to show nothing; the context is then None.
         """
-        return self.console.status(words) if self.is_terminal and not quiet else contextlib.nullcontext()
+        if quiet:
+            return contextlib.nullcontext()
+        return self.console.status(words) if self.is_terminal else PlainStatus(self, words)
 
     @property
     def _stream(self) -> TextIO:
         return cast(TextIO, getattr(sys, self._name))
+
+
+class PlainStatus:
+    """Lines of a log that show what is going on: one soon after the beginning, and then one now and then.
+
+    Parameters
+    ----------
+    stream: to which they are printed.
+    words: what is going on.
+    """
+
+    def __init__(self, stream: Stream, words: str) -> None:
+        self._stream, self._words = stream, words
+        self._begun, self._ended = 0.0, threading.Event()
+        self._lines = threading.Thread(target=self._print_lines, daemon=True)
+
+    def update(self, words: str) -> None:
+        """Say in the next line that something else is going on."""
+        self._words = words
+
+    def __enter__(self) -> Self:
+        self._begun = clock.monotonic()
+        self._lines.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._lines.join()
+
+    def _print_lines(self) -> None:
+        """Print until the end, or until the stream cannot be written any more."""
+        wait = _FIRST_LINE
+        with contextlib.suppress(OSError, ValueError):
+            while not self._ended.wait(wait):
+                self._stream.print(f"{self._words} ({clock.monotonic() - self._begun:.0f} s)")
+                wait = _NEXT_LINE
 
 
 OUT, ERR = Stream("stdout"), Stream("stderr")
