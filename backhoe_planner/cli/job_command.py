@@ -193,7 +193,7 @@ def print_job(plan: bp.JobPlan, output: Path, as_json: bool) -> None:
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
     print_figures(plan)
-    OUT.print(f"planned in    {plan.planning_time:.1f} s of the processor (effort {plan.effort}, seed {plan.seed})")
+    OUT.print(f"planned in    {plan.planning_time:.1f} s (effort {plan.effort}, seed {plan.seed})")
     OUT.print(f"plan          {output}")
 
 

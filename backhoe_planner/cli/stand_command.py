@@ -131,7 +131,7 @@ def print_stand(plan: bp.StandPlan, output: Path) -> None:
     for number, place in enumerate(plan.places, start=1):
         for one in place.plan.undug:
             OUT.print(f"undug         from place {number}: {one.words}")
-    OUT.print(f"planned in    {plan.planning_time:.0f} s of the processor")
+    OUT.print(f"planned in    {plan.planning_time:.0f} s")
     OUT.print(f"answer        {output}")
 
 

@@ -89,7 +89,7 @@ def plan_job(
         check_kind(resume, JobPlan, key="resume")
         _check_resumed(resume, job, terrain)
         terrain = resume.start
-    begun = clock.process_time()
+    begun = clock.monotonic()
     site = build_worksite(job, terrain=terrain)
     run = _Run(site, effort, seed, begun)
     return run.all(resume, watch)
@@ -236,7 +236,7 @@ class _Run:
             compared=self._compared,
             capacity=site.bucket.capacity, effort=self._effort, seed=self._seed,
             surveyed=not same_ground(site.own_ground, site.ground), failure=failure, note=note,
-            planning_time=clock.process_time() - self._begun,
+            planning_time=clock.monotonic() - self._begun,
         )  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def stand(
         if watch is not None:
             watch(StandStep(what, done, total))
 
-    begun = clock.process_time()
+    begun = clock.monotonic()
     finder = spot_finder(job, told)
     found = site_map(finder, lambda done, total: told("looking at places", done, total))
     most = max((spot.share for row in found.spots for spot in row if math.isfinite(spot.cost)), default=0.0)
@@ -102,7 +102,7 @@ def stand(
             )
             failure = "unreachable"
         answer = replace(empty, places=places, ranking=tuple(ranked), failure=failure, note=note)
-    return replace(answer, planning_time=clock.process_time() - begun)
+    return replace(answer, planning_time=clock.monotonic() - begun)
 
 
 def spot_finder(job: Job, told: Callable[[str, int, int], object]) -> SpotFinder:

@@ -82,7 +82,7 @@ class StandPlan:
     footprints: (k, 2) outlines of the parts of the machine that do not move [m], in the frame of its root link.
     failure: why the job cannot be dug; empty if it can.
     note: the same in a sentence.
-    planning_time: processor time [s].
+    planning_time: time by the clock that the search took [s].
     """
 
     job: Job

@@ -94,7 +94,7 @@ class JobPlan:
     surveyed: whether the ground before the first cycle was given, and is not the job's own.
     failure: why the job ended early; empty if it did not.
     note: the same in a sentence.
-    planning_time: processor time [s].
+    planning_time: time by the clock that planning took, since it was last begun or resumed [s].
     """
 
     job: Job
