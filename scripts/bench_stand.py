@@ -60,9 +60,7 @@ def main() -> None:
             )
             print(f"  time: {after:.1f} s/m^3, at the given place {before:.1f}")
         gain = "" if math.isnan(plan.gain) else f", {100.0 * plan.gain:.1f} % less than the given place"
-        print(
-            f"  answer: {scale * plan.cost:.1f} {unit}{gain}; {plan.planning_time:.0f} s of the processor", flush=True
-        )
+        print(f"  answer: {scale * plan.cost:.1f} {unit}{gain}; {plan.planning_time:.0f} s", flush=True)
 
 
 if __name__ == "__main__":
