@@ -70,12 +70,12 @@ def parts(hint: Any) -> Iterator[type]:
 
 
 def annotated(thing: Any) -> Iterator[Any]:
-    """A function, or a class with its public methods and properties."""
+    """A function, or a class with its public methods and properties; those that check nothing are the package's own."""
     yield thing
     if not inspect.isclass(thing):
         return
     for name, member in vars(thing).items():
-        if name.startswith("_") and name != "__init__":
+        if (name.startswith("_") and name != "__init__") or name.endswith("_unchecked"):
             continue
         inner = member.fget if isinstance(member, property) else getattr(member, "__func__", member)
         if inspect.isfunction(inner) and inner.__module__ == thing.__module__:

@@ -19,7 +19,6 @@ from .following.tracking import track_path as track_path
 from .following.waypoint_steps import WaypointStep as WaypointStep
 from .following.waypoint_steps import longest_step as longest_step
 from .goals import ANGLE_TOLERANCE as ANGLE_TOLERANCE
-from .goals import GOAL_TOLERANCE as GOAL_TOLERANCE
 from .goals import JOINT_TOLERANCE as JOINT_TOLERANCE
 from .goals import Goal as Goal
 from .keep import Keep as Keep

@@ -316,7 +316,7 @@ class Servo:
         """
         return self._site.shift_of(name)
 
-    def is_proven_along(self, track: Track) -> bool:
+    def is_proven_along_unchecked(self, track: Track) -> bool:
         """Whether a track is proven for what is there now and what the machine carries."""
         changed = track.revision != self.revision or track.carried is not self.robot.carried
         return not (changed or self._site.anything_moves or self._joints.shares_load)
@@ -400,7 +400,7 @@ class Servo:
     def _move(self, command: Command, track: Track | None, most: float) -> ServoState:
         """Find what is near, the joint wish and the nearest safe velocity, and take the step."""
         self._drift()
-        if track is not None and not self.is_proven_along(track):
+        if track is not None and not self.is_proven_along_unchecked(track):
             track = None
         covered = not self._separation.clusters or self._boxes.renew(self._state, self._steps)
         if not covered and track is None:
