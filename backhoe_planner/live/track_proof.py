@@ -21,7 +21,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.machine import Piece, Robot, travel_bounds
+from backhoe_planner.machine import Cluster, Piece, Robot, travel_bounds
 from backhoe_planner.motion import Problem, Trajectory, chord_sagitta
 from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.proof import TOUCH, segment_is_clear
@@ -79,7 +79,7 @@ class TrackProof:
         self._leg: PlannedLeg | None = None
         self._asked, self._again_at = -1, 0.0
         self._known: dict[str, _Known] = {}
-        self._shapes: dict[int, tuple[tuple[Piece, ...], bytes]] = {}  # by the identity of an obstacle's pieces
+        self._shapes: dict[tuple[int, ...], tuple[tuple[Piece, ...], bytes]] = {}  # by the identities of pieces
         self._look_again()
 
     def follow_leg(self, leg: PlannedLeg) -> None:
@@ -118,7 +118,7 @@ class TrackProof:
         self._track.revision, self._asked = None, -1
         if self._plan is None:
             return
-        self._known = {one.name: _Known.of(one, _shape_of(one)) for one in self._problem.obstacles}
+        self._known = {one.name: _Known.of(one, _shape_of(one.pieces, one.cluster)) for one in self._problem.obstacles}
         if self._carries_the_same() and not self._servo.is_moving() and not tuple(self._new_obstacles()):
             self._prove(self._servo.revision)
 
@@ -134,15 +134,16 @@ class TrackProof:
         planned, own = self._problem.robot.carried, self._servo.robot.carried
         if planned is None or own is None:
             return planned is own
-        return planned[0] == own[0] and pickle.dumps(planned[1]) == pickle.dumps(own[1])
+        return planned[0] == own[0] and _shape_of(planned[1]) == _shape_of(own[1])
 
     def _new_obstacles(self) -> Iterator[Obstacle]:
         """The obstacles that are there now and are not, in shape and place, those of the plan in the present leg."""
         shapes = self._shapes
         self._shapes = {}  # of those that are gone, nothing is kept
         for one in self._servo.snapshot():
-            pieces, shape = shapes.get(id(one.pieces)) or (one.pieces, _shape_of(one))
-            self._shapes[id(pieces)] = (pieces, shape)
+            key = tuple(map(id, one.pieces))
+            kept = (shapes.get(key) if key else None) or (one.pieces, _shape_of(one.pieces, one.cluster))
+            self._shapes[key], shape = kept, kept[1]  # with the pieces, so that no other ones get their identities
             if self._known.get(one.name) != _Known.of(one, shape):
                 yield one
 
@@ -151,23 +152,25 @@ class TrackProof:
 class _Known:
     """All of an obstacle by which motions are clear of it or not.
 
-    A cluster is known by its identity: another one with the same cells counts as new.
+    The solid of a cluster is known by its identity: another one with the same cells counts as new.
     """
 
     shape: bytes
-    cluster: int
+    solid: int
     clearance: float
     links: tuple[str, ...] | None
     velocity: tuple[float, ...]
 
     @classmethod
     def of(cls, one: Obstacle, shape: bytes) -> _Known:
-        return cls(shape, id(one.cluster), one.clearance, one.links, tuple(map(float, one.velocity)))
+        solid = 0 if one.cluster is None else id(one.cluster.solid)
+        return cls(shape, solid, one.clearance, one.links, tuple(map(float, one.velocity)))
 
 
-def _shape_of(one: Obstacle) -> bytes:
-    """The shapes and placements of an obstacle's pieces; takes some 20 us for each."""
-    return pickle.dumps([(piece.shape, *piece.pose, piece.hull, piece.radius) for piece in one.pieces])
+def _shape_of(pieces: Sequence[Piece], cluster: Cluster | None = None) -> bytes:
+    """The shapes and placements of pieces, and the placement of a cluster; takes some 20 us for each."""
+    placed = None if cluster is None else np.array(cluster.placement.homogeneous)
+    return pickle.dumps((placed, [(piece.shape, *piece.pose, piece.hull, piece.radius) for piece in pieces]))
 
 
 def _is_proven(plan: Plan, reference: Reference, dt: float) -> bool:

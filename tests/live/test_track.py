@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -373,3 +374,27 @@ def test_an_obstacle_of_another_leg_is_new(backhoe: Robot) -> None:
             q = follower.step().state.q
             assert np.min(proximity.distances(q) - proximity.clearance) > -KEPT
             assert not servo.on_track
+
+
+def test_a_scan_counts_as_the_plan_s_where_it_is_and_with_its_points(backhoe: Robot, tmp_path: Path) -> None:
+    """The scan is the wall's; it is moved up by 0.3 m, or the file is written anew with a wall of 1.6 m."""
+
+    def write(height: float) -> None:
+        ticks = [np.arange(low, high, 0.1) for low, high in ((2.0, 5.8), (0.5, 0.75), (0.05, height))]
+        np.savetxt(tmp_path / "scan.xyz", np.stack(np.meshgrid(*ticks), axis=-1).reshape(-1, 3), fmt="%.4f")
+
+    content = bp.load_scene(SCENES / "wall.yaml").model_dump(by_alias=True, mode="json", exclude_none=True)
+    scan = {"name": "wall", "shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1}
+    content["obstacles"] = [scan if one["name"] == "wall" else one for one in content["obstacles"]]
+    write(1.2)
+    plan = bp.plan(backhoe, bp.scene_from_dict(content, folder=tmp_path), effort="quick")
+    assert plan.verified, plan.message
+    same, moved = servo_of(plan), servo_of(plan)
+    moved.move("wall", [0.0, 0.0, 0.3])
+    write(1.6)
+    for servo, own in ((same, True), (moved, False), (servo_of(plan), False)):
+        with PlanFollower(servo, plan, executor=Never()) as follower:
+            postures = [follower.step().state.q for _ in range(300)]
+            assert servo.is_proven_along_unchecked(follower._track) is own
+        proximity = Proximity(servo.robot, servo.snapshot())
+        assert min(float(np.min(proximity.distances(q) - proximity.clearance)) for q in postures[::3]) > -KEPT
