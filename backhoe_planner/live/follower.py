@@ -241,9 +241,7 @@ class PlanFollower:
 
     def _enter_leg(self) -> None:
         """Set the site and the conditions to those of the leg at the plan's clock; without legs do nothing."""
-        if self._legs is None:
-            return
-        if self._legs.enter(self._plan.clock):
+        if self._legs is not None and self._legs.enter(self._plan.clock):
             self._proof.follow_leg(self._legs.leg)
             self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
 

@@ -10,7 +10,7 @@ Between two steps the machine moves straight on, which takes it off a curve: tha
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
@@ -96,7 +96,7 @@ class TrackProof:
         if servo.time < self._again_at or not self._carries_the_same():
             return None
         self._again_at = servo.time + _BREAK
-        new = tuple(self._new_obstacles())
+        new = self._new_obstacles()
         if not new:
             self._prove(revision)
             return None
@@ -106,8 +106,8 @@ class TrackProof:
         return RestQuery(copy(self._reference), tuple(legs), new, servo.dt)
 
     def take(self, *, clear: bool, revision: int) -> None:
-        """Take the answer to a query that was asked at a `revision` of the surroundings."""
-        if clear and revision == self._servo.revision and self._carries_the_same():
+        """Take the answer to a query that was asked at a `revision` of the surroundings, unless a leg began since."""
+        if clear and revision == self._servo.revision == self._asked and self._carries_the_same():
             self._prove(revision)
 
     def _prove(self, revision: int) -> None:
@@ -119,7 +119,7 @@ class TrackProof:
         if self._plan is None:
             return
         self._known = {one.name: _Known.of(one, _shape_of(one.pieces, one.cluster)) for one in self._problem.obstacles}
-        if self._carries_the_same() and not self._servo.is_moving() and not tuple(self._new_obstacles()):
+        if self._carries_the_same() and not self._servo.is_moving() and not self._new_obstacles():
             self._prove(self._servo.revision)
 
     @property
@@ -136,16 +136,17 @@ class TrackProof:
             return planned is own
         return planned[0] == own[0] and _shape_of(planned[1]) == _shape_of(own[1])
 
-    def _new_obstacles(self) -> Iterator[Obstacle]:
+    def _new_obstacles(self) -> tuple[Obstacle, ...]:
         """The obstacles that are there now and are not, in shape and place, those of the plan in the present leg."""
-        shapes = self._shapes
+        shapes, new = self._shapes, []
         self._shapes = {}  # of those that are gone, nothing is kept
         for one in self._servo.snapshot():
             key = tuple(map(id, one.pieces))
             kept = (shapes.get(key) if key else None) or (one.pieces, _shape_of(one.pieces, one.cluster))
             self._shapes[key], shape = kept, kept[1]  # with the pieces, so that no other ones get their identities
             if self._known.get(one.name) != _Known.of(one, shape):
-                yield one
+                new.append(one)
+        return tuple(new)
 
 
 @dataclass(frozen=True)

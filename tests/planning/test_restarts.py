@@ -93,6 +93,16 @@ def way_of(
     return outcome.findings.way or "", searches
 
 
+def ended_search(robot: bp.Robot) -> tuple[World, GoalPostures, MotionSearch]:
+    """A search for the least work to the goal that has ended, with its world and the postures on the goal."""
+    world = World(build_problem(robot, scene(robot, "work")), seed=5, work=Work(EFFORTS["normal"]))
+    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
+    assert isinstance(found, GoalPostures)
+    search = MotionSearch(world, START, found, time=0.0)
+    assert search.run() == ""
+    return world, found, search
+
+
 @pytest.mark.parametrize(
     ("others", "best"),
     [
@@ -214,11 +224,7 @@ def test_a_search_from_the_starts_of_an_earlier_one_ends_before_any_descent_for_
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The goal is one posture, so that the straight line to it, and its paces, are the same again."""
-    world = World(build_problem(planar4, scene(planar4, "work")), seed=5, work=Work(EFFORTS["normal"]))
-    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
-    assert isinstance(found, GoalPostures)
-    first = MotionSearch(world, START, found, time=0.0)
-    assert first.run() == ""
+    world, found, first = ended_search(planar4)
     assert not first.repeats
     assert not first.leads_round
     assert first.allowed_time is not None
@@ -242,11 +248,7 @@ def test_a_continued_search_keeps_the_best_and_refines_only_what_is_better(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A free motion of one joint: a continued search finds no better one, and refines no curve."""
-    world = World(build_problem(planar4, scene(planar4, "work")), seed=5, work=Work(EFFORTS["normal"]))
-    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
-    assert isinstance(found, GoalPostures)
-    first = MotionSearch(world, START, found, time=0.0)
-    assert first.run() == ""
+    world, found, first = ended_search(planar4)
     again = MotionSearch(world.anew(1, EFFORTS["normal"]), START, found, time=0.0, before=first)
     assert again.allowed_time == first.allowed_time
     coarse = again.best

@@ -83,7 +83,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
-    earlier: list[MotionSearch] = []  # the last of those that continue each other
+    earlier: list[MotionSearch] = []  # that have ended; of those that continue each other, the last
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
         if not goes_on and not search.is_for_time and not _may_find_less(costs, world, start, found):
