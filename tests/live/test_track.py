@@ -87,7 +87,7 @@ def followed(
 
 @pytest.mark.parametrize(
     "name",
-    ["wall", "truck", "level_bucket", *(pytest.param(one, marks=pytest.mark.long) for one in ("pole", "trench"))],
+    ["wall", "level_bucket", *(pytest.param(one, marks=pytest.mark.long) for one in ("pole", "trench", "truck"))],
 )
 def test_a_plan_of_least_time_is_followed_on_time(backhoe: Robot, name: str) -> None:
     """The straight braking lines from these plans end in obstacles, or outside of the band that is kept."""

@@ -184,6 +184,7 @@ def test_a_fast_motion_past_a_car_is_found_if_all_slow_ones_of_little_work_meet_
     assert plan.certificate.duration is None
 
 
+@pytest.mark.long
 def test_more_allowed_time_past_a_car_does_not_cost_more_work(backhoe: bp.Robot) -> None:
     """A motion of 5 s passes before the car; one of 8 s meets it, and going round it costs half as much again."""
     plans = [
