@@ -17,7 +17,7 @@ from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import TipPath
 from backhoe_planner.planning.paths.stretch import NEARER
-from backhoe_planner.planning.search.within_reach import move_within_reach
+from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.world.outcome import Outcome, blocked_path, out_of_reach, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
@@ -27,8 +27,6 @@ _CARRIED = 2  # configurations of the waypoint before, and of the one after, fro
 _GUESSES = 24  # starting points for each of them: as many as `Postures.at` uses
 _MORE_GUESSES = 192  # for a waypoint at which all configurations found collide; chosen: eight times as many
 _MOVED = 0.9  # part of the tolerance by which a waypoint is moved at most; chosen: the rest is for chords and curve
-_INSIDE = 0.02  # part of the tolerance by which it is moved further from an obstacle than needed; chosen
-_MOVES = 8  # moves after which it is given up; chosen: one or two are usual
 
 
 def path_within_reach(world: World, path: TipPath) -> tuple[World, TipPath] | Outcome:
@@ -138,41 +136,16 @@ class _Waypoints:
             q, reached = self._solve([within], self._guesses)
             ends = np.vstack((q_within[None, :], q[reached]))
             if not self._screen.keeps(ends).any():
-                aside = None if index in self._stays_put else self._aside(target, within, ends)
+                aside = None
+                if index not in self._stays_put:
+                    aside = move_aside(
+                        world.proximity, self._screen, within, ends, given=target.position, most=self._most
+                    )
                 if aside is None:
                     return self._collides(index, ends, what)
                 within = aside
         if within is not target:
             self._positions[index] = within.position
-        return None
-
-    def _aside(self, target: TipTarget, within: TipTarget, ends: Matrix) -> TipTarget | None:
-        """`within` moved further, away from what the machine is too near to, until clear; None if that is too far.
-
-        Parameters
-        ----------
-        target: the waypoint as given, from which it is moved no further than the tolerance allows.
-        ends: (K, n) joints with the tip there, all of which collide.
-        """
-        assert self._screen is not None
-        proximity = self._world.proximity
-        for _ in range(_MOVES):
-            nearby = [proximity.at(q, margin=0.0) for q in ends]
-            touching = [near for near in nearby if len(near)]
-            if not touching:
-                return None
-            tightest = max(touching, key=lambda near: float(np.min(near.margin)))
-            row = int(np.argmin(tightest.margin))
-            step = float(tightest.margin[row]) - _INSIDE * self._most
-            within = replace(within, position=within.position + step * tightest.normal[row])
-            if float(np.linalg.norm(within.position - target.position)) > self._most:
-                return None
-            q, reached = solve_batch(self._kinematics, TargetBatch.of([within] * len(ends)), ends)
-            ends = q[reached]
-            if not len(ends):
-                return None
-            if self._screen.keeps(ends).any():
-                return within
         return None
 
     def _collides(self, index: int, ends: Matrix, what: str) -> Outcome:

@@ -98,6 +98,34 @@ def test_a_goal_out_of_reach_by_more_than_its_tolerance_is_unreachable(planar4: 
     assert plan.reason == "unreachable"
 
 
+WALL_AHEAD: Data = {"name": "wall", "shape": "box", "size": [0.2, 2.0, 1.0], "position": [2.6, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_a_goal_too_near_a_wall_is_reached_within_its_tolerance(planar4: bp.Robot, method: str) -> None:
+    """The last link ends at the tip and points at a wall 8 cm ahead, of which the clearance is 10 cm.
+
+    So the tip stops 2 cm short, and 3 mm more that the planner keeps at ends.
+    """
+    goal: Data = {"position": [2.42, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0], "tolerance": 0.05}
+    scene = site(goal, start={"joints": BENT | {"joint1": 1.2}}, obstacles=(WALL_AHEAD | {"clearance": 0.1},))
+    plan = bp.plan(planar4, scene, method=method, effort="quick")
+    assert plan.verified, plan.message
+    off = np.asarray(bp.Kinematics(planar4).at(plan.trajectory.q[-1]).tip_position) - goal["position"]
+    assert -0.023 - 0.02 * 0.05 <= off[0] <= -0.0229
+    np.testing.assert_allclose(off[1:], 0.0, atol=1e-4)
+    assert plan.bound is not None
+    assert plan.bound.duration <= plan.trajectory.duration
+
+
+def test_a_goal_too_near_a_wall_by_more_than_its_tolerance_is_in_collision(planar4: bp.Robot) -> None:
+    goal = {"position": [2.42, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0], "tolerance": 0.02}
+    scene = site(goal, start={"joints": BENT | {"joint1": 1.2}}, obstacles=(WALL_AHEAD | {"clearance": 0.1},))
+    plan = bp.plan(planar4, scene, effort="quick")
+    assert (plan.reason, plan.message[:4]) == ("goal_in_collision", "at t")
+    assert "link4 is 0.080 m from wall, 0.020 m closer than allowed" in plan.message
+
+
 def test_one_of_several_goals_may_be_out_of_reach_within_its_tolerance(planar4: bp.Robot) -> None:
     goals = [{"position": [0.0, 4.3, 0.0], "tolerance": 0.1}, {"position": [4.1, 0.3, 0.0], "tolerance": 0.2}]
     plan = bp.plan(planar4, site(goals, start={"joints": BENT}), effort="quick")

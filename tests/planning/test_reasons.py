@@ -38,7 +38,7 @@ def test_a_goal_with_too_little_clearance_is_reported_with_its_distance(
     problem = build_problem(backhoe, scene_to({"position": [4.0, 0.0, 0.8]}))
     world = World(problem, seed=0, work=Work(EFFORTS["quick"]))
     contact = bp.Obstruction("obstacle", "rock", "stick", 0.1 + margin, margin)
-    found = PostureResult((), InverseKinematics(True, backhoe.middle, 0.0, 0.0, 1), contact)
+    found = PostureResult((), InverseKinematics(True, backhoe.middle, 0.0, 0.0, 1), contact, backhoe.middle[None])
     outcome = no_posture(world, found, problem.goals[0].target, "goal_in_collision", "goal")
     assert outcome is not None
     assert outcome.reason == "goal_in_collision"

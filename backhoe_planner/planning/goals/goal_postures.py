@@ -1,7 +1,8 @@
 """Postures in which a motion to a goal may end.
 
-A goal whose position is out of reach, but not the whole of its tolerance, is replaced by the same goal with an `aim`:
-a position within the tolerance that the tip can reach. The certificate judges by the goal as it was given.
+A goal whose position is out of reach or too near to an obstacle, but not the whole of its tolerance, is replaced by the
+same goal with an `aim`: a position within the tolerance that the tip can reach. The certificate judges by the goal as
+it was given.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import InverseKinematics, TipTarget, solve_inverse_kinematics
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.search.postures import PostureResult
-from backhoe_planner.planning.search.within_reach import move_within_reach
+from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
+from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.world.world import World
+from backhoe_planner.site import ClearanceScreen
 
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is reported to be in collision; chosen
 _MOVED = 0.9  # part of a goal's tolerance by which its aim is moved at most; chosen: no rounding exceeds the rest
@@ -34,7 +36,7 @@ class GoalPostures:
     Attributes
     ----------
     clear: (n,) each [rad or m].
-    goals: the goal of each posture; with an aim, if its position is out of reach.
+    goals: the goal of each posture; with an aim, if its position cannot be had.
     left_out: why other goals have no such posture, one sentence for each.
     """
 
@@ -84,13 +86,13 @@ def find_goal_postures(
 
 
 def aimed(world: World, goals: Sequence[Goal]) -> list[Goal]:
-    """The `goals`, with an aim each that was found to be out of reach."""
+    """The `goals`, with an aim each whose position cannot be had."""
     return [world.aims.get((goal, True)) or world.aims.get((goal, False)) or goal for goal in goals]
 
 
 @dataclass(frozen=True, eq=False)
 class _OnGoal:
-    """Clear postures (n,) on one goal [rad or m], which has an aim if its position is out of reach."""
+    """Clear postures (n,) on one goal [rad or m], which has an aim if its position cannot be had."""
 
     goal: Goal
     clear: tuple[Vector, ...]
@@ -142,20 +144,23 @@ def _on_target(
         return found
 
     own = world.aims.get((goal, is_narrowed))
-    if own is None:
-        found = at(target)
-        own = goal if found.best.reached else _aim(world, target, goal, found.best)
-        if own is None or own is goal:
-            return no_posture(world, found, target, "goal_in_collision", goal.name) or _OnGoal(goal, found.clear)
-        world.aims[goal, is_narrowed] = own
-    assert own.aim is not None
-    target = replace(target, position=own.aim)
-    found = at(target)
-    return no_posture(world, found, target, "goal_in_collision", goal.name) or _OnGoal(own, found.clear)
+    aim = target if own is None or own.aim is None else replace(target, position=own.aim)
+    found = at(aim)
+    moved = _within_reach(world, aim, goal, found.best) if own is None and not found.best.reached else None
+    if moved is not None:
+        aim, found = moved, at(moved)
+    # a moving obstacle may be gone when the tip arrives
+    if found.best.reached and not found.clear and travel is None and not world.problem.is_dynamic:
+        aside = _aside(world, aim, goal, found, time)
+        if aside is not None:
+            moved, aim, found = aside, aside, at(aside)
+    if moved is not None:
+        own = world.aims[goal, is_narrowed] = replace(goal, aim=moved.position)
+    return no_posture(world, found, aim, "goal_in_collision", goal.name) or _OnGoal(own or goal, found.clear)
 
 
-def _aim(world: World, target: TipTarget, goal: Goal, best: InverseKinematics) -> Goal | None:
-    """The goal with an aim that the tip can reach; None if there is none within the tolerance.
+def _within_reach(world: World, target: TipTarget, goal: Goal, best: InverseKinematics) -> TipTarget | None:
+    """`target` moved to where the tip can be; None if it would be moved further than the tolerance allows.
 
     Parameters
     ----------
@@ -167,4 +172,13 @@ def _aim(world: World, target: TipTarget, goal: Goal, best: InverseKinematics) -
         return None
     q = solve_inverse_kinematics(robot, target, start=best.q, angle_weight=_ANGLES_FIRST).q
     moved = move_within_reach(robot, target, q, most=most, angle_weight=_ANGLES_FIRST)
-    return None if moved is None else replace(goal, aim=moved[0].position)
+    return None if moved is None else moved[0]
+
+
+def _aside(world: World, aim: TipTarget, goal: Goal, found: PostureResult, time: float) -> TipTarget | None:
+    """`aim` moved away from what all postures found there are too near to; None if the tolerance does not allow it."""
+    screen = ClearanceScreen(world.proximity, time=time, spare=POSTURE_SPARE)
+    return move_aside(
+        world.proximity, screen, aim, found.blocked, given=goal.target.position, most=_MOVED * goal.allowed_off,
+        spare=POSTURE_SPARE, time=time,
+    )  # fmt: skip

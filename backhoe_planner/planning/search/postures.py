@@ -25,7 +25,7 @@ _ITERATIONS_HURRIED = 14  # the same in a hurry; chosen among 12 to 20: some end
 _SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PostureResult:
     """The configurations found for one target.
 
@@ -34,11 +34,13 @@ class PostureResult:
     clear: (n,) configurations that keep every clearance [rad or m], the nearest first.
     best: the inverse kinematics' result with the least error; it says whether the target can be reached.
     contact: the mildest collision, if all configurations on the target collide.
+    blocked: (K, n) those that collide, if all of them do [rad or m].
     """
 
     clear: tuple[Vector, ...]
     best: InverseKinematics
     contact: Obstruction | None
+    blocked: Matrix
 
 
 class Postures:
@@ -99,7 +101,7 @@ class Postures:
         mildest = max((found for found in contacts if found), key=lambda found: found.margin, default=None)
         rate = self._problem.limits.velocity
         clear.sort(key=lambda q: float(np.max(np.abs(q - near) / rate)))
-        return PostureResult(tuple(clear), best, mildest)
+        return PostureResult(tuple(clear), best, mildest, apart[:0] if clear else apart)
 
     def anywhere(self, target: TipTarget, *, count: int) -> Matrix:
         """(k, n) configurations that put the tip on `target`, from `count` starting points, clear or not [rad or m]."""
