@@ -229,12 +229,14 @@ class LinearModel:
         after: a step (steps,) of the control points after which these are the margins; None if they are the curve's.
         """
         weights = self._curve.weights(places)[:, self._moving]
+        box = self._box[: self._n]
         blocks, rest = [np.zeros((0, self._steps))], [np.zeros(0)]
         for found in margins:
-            G = (found.gradient[:, None, :] * weights[found.place][None, :, None]).reshape(-1, self._steps)
-            near = found.margin < _CURVED * (np.abs(G) @ self._box)
-            blocks.append(-G[near])
-            rest.append(found.margin[near] if after is None else found.margin[near] - G[near] @ after)
+            own = weights[found.place]
+            near = found.margin < _CURVED * np.abs(own).sum() * (np.abs(found.gradient) @ box)
+            G = (found.gradient[near, None, :] * own[None, :, None]).reshape(-1, self._steps)
+            blocks.append(-G)
+            rest.append(found.margin[near] if after is None else found.margin[near] - G @ after)
         self._add(_CLEARANCE, np.vstack(blocks), np.concatenate(rest), slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
