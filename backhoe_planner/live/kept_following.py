@@ -12,12 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.live.braking.joint_bounds import BRAKING
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 
 _HELD = 0.5  # s for which the machine is held; chosen: it needs some tenths of a second to stop
-_BRAKED = 2.0  # times the time in which sliding can be stopped, for which it counts; 0.5 would be exact; chosen
+_BRAKED = 2.0  # times the time in which sliding alone can be stopped, for which it counts; chosen
 _SLIDES = 0.1  # s for which sliding counts at least; chosen
 _AHEAD = 0.3  # s of the plan ahead of its clock of which the margins count; chosen, a deviation is made up for sooner
 _LEAST = 2e-4  # rad or m that may be lost beside the plan: far below what a plan leaves, above what following it takes
@@ -57,18 +58,24 @@ class KeptFollowing:
         if self._keep is None:
             return 1.0
         gradients, across = self._keep.gradients(q), _across(v, rates)
+        # all joints brake in proportion: sliding ends only when the joint that takes longest stands still
+        straight = 0.5 * float(np.max(np.abs(v) / (BRAKING * self._limits.acceleration)))
         stopping = max(_BRAKED * float(np.max(np.abs(across) / self._limits.acceleration)), _SLIDES)
         # being ahead on the plan or behind loses nothing, as long as the plan goes that far: only what is beside it
         ahead = min(max(_time_along(q - reference.q, rates), -_AHEAD), _AHEAD)
         abreast = reference.at(max(reference.clock + ahead, 0.0))
         beside, sliding = gradients @ (q - abreast), gradients @ across
-        if not ((beside < -_LEAST) | (beside + stopping * sliding < -_LEAST)).any():
+        leaving = (sliding < 0.0) & (beside + straight * sliding < -_LEAST)
+        if not ((beside < -_LEAST) | (beside + stopping * sliding < -_LEAST) | leaving).any():
             if time >= self._until:
                 self._lost = ""
             return None if time < self._until else 1.0
         places = np.linspace(reference.clock, reference.clock + _AHEAD, _PLACES)
         left = np.min([self._keep.margins(reference.at(place)) for place in places.tolist()], axis=0).clip(0.0)
-        if ((sliding < 0.0) & (left + beside + stopping * sliding < -_LEAST)).any():
+        here = self._keep.margins(q)
+        # where the machine would stand still, in a straight line; outside already, it must not lose more
+        outside = leaving & (self._keep.margins(q + straight * v) < np.where(here < 0.0, here, -_LEAST))
+        if (outside | (sliding < 0.0) & (left + beside + stopping * sliding < -_LEAST)).any():
             self._until = time + _HELD
             self._lost = self._keep.broken(q) or "the machine stopped, because sliding on would violate `keep`"
         if time < self._until:

@@ -12,6 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.live import Rejoining, RejoiningQuery, find_rejoining
 from backhoe_planner.live.braking.joint_bounds import BRAKING
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
+from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import Keep, keep_of
@@ -159,3 +160,24 @@ def test_a_motion_of_one_sample_has_a_pace(backhoe: bp.Robot) -> None:
     assert keep is not None
     parts = [PlanPart(0.0, StopRule(keep, screen))]
     assert BrakingPace(Reference(rest, backhoe.limits), backhoe.limits, parts).at(0.0) == 1.0
+
+
+@pytest.mark.parametrize(("beside", "stops"), [(0.006, True), (0.002, False)])
+def test_the_machine_stops_before_a_slow_joint_carries_it_out_of_the_band(
+    backhoe: bp.Robot, beside: float, stops: bool
+) -> None:
+    """All joints brake in proportion: while a swing of v comes to rest, the pitch, at 0.01 rad/s, moves on."""
+    keep = keep_of(backhoe, level_scene())
+    assert keep is not None
+    reference = Reference(straight(), backhoe.limits)
+    reference.clock = 2.0
+    rates = reference_rates(reference, 2.0)
+    q, v = reference.at(2.0), rates.copy()
+    q[3] += beside  # the bucket alone: the pitch is -2.7 plus this, and at most -2.69 is allowed
+    v[3] += 0.01
+    assert rates[0] == pytest.approx(0.469, abs=1e-3)  # 15/8 of 1 rad in 4 s; the joint that needs longest to stop
+    end = beside + 0.5 * 0.01 * rates[0] / (BRAKING * backhoe.limits.acceleration[0])
+    assert bool(end > 0.01) is stops
+    assert keep.holds(q)
+    pace = KeptFollowing(keep, backhoe.limits).pace(q, v, reference, rates, time=0.0)
+    assert (pace is None) is stops
