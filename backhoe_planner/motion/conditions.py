@@ -30,7 +30,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import (
     BatchKinematics,
@@ -248,7 +248,11 @@ class RotationCone(Condition):
 
     def values(self, q: Matrix) -> Vector:
         """(B,) angle from the orientation to be kept [rad]."""
-        turn = self.rotation @ np.swapaxes(self._batch.at(q).tip_rotation, 1, 2)
+        return self.angles(self._batch.at(q).tip_rotation)
+
+    def angles(self, rotations: Array) -> Vector:
+        """(B,) angle of orientations of the tip (B, 3, 3) from the one to be kept [rad]."""
+        turn = self.rotation @ np.swapaxes(rotations, 1, 2)
         sines = np.linalg.norm([turn[:, i, j] - turn[:, j, i] for i, j in ((1, 0), (2, 0), (2, 1))], axis=0)
         return np.asarray(np.arctan2(sines, np.trace(turn, axis1=1, axis2=2) - 1.0))
 

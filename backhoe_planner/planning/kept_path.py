@@ -11,13 +11,27 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.motion import HeightBound, Keep, PitchBand, Problem, RotationCone, TipPath
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import (
+    KEPT_TO,
+    Condition,
+    HeightBound,
+    Keep,
+    PitchBand,
+    Problem,
+    RotationCone,
+    TipPath,
+)
 from backhoe_planner.planning.world.outcome import Outcome, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint
 
 _SPARE = 1e-3  # rad kept inside the band at either end; chosen, ten times what rounded corners were seen to use
 _WHOLE_POSE = 6  # joints: an arm with so many or more can take any orientation at a position
+_PITCHED = 4  # joints: an arm with so many or fewer has only single configurations at a position with a pitch
+_TURNED = _WHOLE_POSE - 1  # joints: an arm with so many or fewer may be unable to take an orientation at a position
+_STARTS = 60  # starting points of the inverse kinematics of a waypoint; chosen
+_MOST_WAYPOINTS = 32  # at which configurations are looked for; chosen: each takes some 10 ms
 
 
 def narrow_path(problem: Problem) -> Problem:
@@ -33,20 +47,57 @@ def narrow_path(problem: Problem) -> Problem:
 def waypoint_breaks_keep(world: World, path: TipPath) -> Outcome | None:
     """The outcome for the first waypoint at which a kept condition cannot hold; None if there is none."""
     keep = world.problem.keep
-    for index, waypoint in enumerate(path.waypoints if keep is not None else ()):
-        assert keep is not None
+    if keep is None:
+        return None
+    tried = np.linspace(0, len(path.waypoints) - 1, min(len(path.waypoints), _MOST_WAYPOINTS)).astype(int).tolist()
+    for index, waypoint in enumerate(path.waypoints):
+        what = f"waypoint {path.number(index)} of the path"
         for condition in keep.conditions:
-            value = None
-            if isinstance(condition, HeightBound):
-                value = waypoint.position[2]
-            elif isinstance(condition, PitchBand) and keep.narrowed(waypoint.target) is None:
-                assert waypoint.pitch_range is not None
-                ends = condition.counted(np.array(waypoint.pitch_range))
-                value = float(ends[int(np.argmin(np.abs(ends)))])
-            if value is not None and float(condition.margins(np.array([value]))[0]) < 0.0:
-                message = f"at waypoint {path.number(index)} of the path {condition.describe(value)}"
-                return Outcome(rest_at_start(world, world.problem.robot.middle), "goal_breaks_keep", message)
+            value = _given_value(keep, condition, waypoint)
+            if value is not None and float(condition.margins(np.array([value]))[0]) < -KEPT_TO:
+                return _breaks_keep(world, f"at {what} {condition.describe(value)}")
+        nearest = _nearest_posture(world, keep, waypoint) if keep.has_cone and index in tried else None
+        if nearest is not None and not keep.holds(nearest):
+            return _breaks_keep(world, f"no posture was found at {what} that keeps it: at best {keep.broken(nearest)}")
     return None
+
+
+def _breaks_keep(world: World, message: str) -> Outcome:
+    return Outcome(rest_at_start(world, world.problem.robot.middle), "goal_breaks_keep", message)
+
+
+def _given_value(keep: Keep, condition: Condition, waypoint: Waypoint) -> float | None:
+    """The value of a condition that a waypoint gives; of its pitches, the one with the most margin; None if it is open.
+
+    A waypoint gives its height. It gives the angle from an orientation to be kept by a full orientation. It gives the
+    pitch only if none of its pitches is within the band.
+    """
+    if isinstance(condition, HeightBound):
+        return waypoint.position[2]
+    if isinstance(condition, RotationCone) and waypoint.rotation is not None:
+        return float(condition.angles(waypoint.rotation[None])[0])
+    if isinstance(condition, PitchBand) and keep.narrowed(waypoint.target) is None:
+        assert waypoint.pitch_range is not None
+        ends = condition.counted(np.array(waypoint.pitch_range))
+        return float(ends[int(np.argmin(np.abs(ends)))])
+    return None
+
+
+def _nearest_posture(world: World, keep: Keep, waypoint: Waypoint) -> Vector | None:
+    """(n,) the configuration found on a waypoint that comes nearest to what is kept; None if that says nothing.
+
+    It says nothing if no configuration was found, and for an arm whose joints leave so much open at the waypoint that
+    a few random configurations on it are not all that there are.
+    """
+    if waypoint.rotation is not None or world.problem.robot.n > (_PITCHED if waypoint.pitch is not None else _TURNED):
+        return None
+    nearest: Vector | None = None
+    for target in filter(None, (keep.narrowed(waypoint.target), waypoint.target)):
+        found = world.postures.anywhere(target, count=_STARTS)
+        nearest = max(found, key=lambda q: float(np.min(keep.margins(q))), default=None)
+        if nearest is not None and keep.holds(nearest):
+            break
+    return nearest
 
 
 def _narrow(keep: Keep, waypoint: Waypoint, joints: int) -> Waypoint:

@@ -298,3 +298,68 @@ def test_a_glass_is_carried_round_a_ball_within_two_degrees(panda: bp.Robot) -> 
     kinematics = bp.Kinematics(panda)
     turned = [kinematics.at(q).tip_rotation @ at.tip_rotation.T for q in plan.trajectory.q]
     assert np.max(Rotation.from_matrix(np.array(turned)).magnitude()) <= cone + 1e-6
+
+
+def test_a_waypoint_whose_orientation_is_outside_the_cone_is_named(panda: bp.Robot) -> None:
+    """The second waypoint is turned by 0.5 rad, 28.6 degrees."""
+    start = np.array([-0.8, -0.3, 0.0, -2.2, 0.0, 1.9, 0.8])
+    at = bp.Kinematics(panda).at(start)
+
+    def turned(angle: float) -> list[float]:
+        rotation = Rotation.from_euler("x", angle).as_matrix() @ at.tip_rotation
+        return [float(part) for part in np.roll(Rotation.from_matrix(rotation).as_quat(), 1)]
+
+    waypoints = [
+        {"position": (at.tip_position + np.array([0.0, y, 0.0])).tolist(), "quaternion": turned(angle)}
+        for y, angle in ((0.0, 0.0), (0.1, 0.5))
+    ]
+    content = {
+        "version": 1,
+        "start": {"joints": dict(zip(panda.joint_names, start.tolist(), strict=True))},
+        "task": {
+            "path": {"waypoints": waypoints},
+            "keep": {"rotation": {"quaternion": turned(0.0), "tolerance": 0.1}},
+        },
+    }
+    plan = bp.plan(panda, bp.scene_from_dict(content), effort="quick")
+    assert plan.reason == "goal_breaks_keep"
+    assert plan.message == (
+        "at waypoint 2 of the path the tip is turned by 28.6 deg from the orientation to be kept, allowed 5.73 deg"
+    )
+
+
+@pytest.mark.parametrize(
+    ("swung", "pitched", "angle"), [(0.6, None, 34.4), (0.0, 0.6, 34.4), (0.1, None, None), (0.0, 0.1, None)]
+)
+def test_a_waypoint_at_which_no_posture_is_within_the_cone_is_named(
+    backhoe: bp.Robot, swung: float, pitched: float | None, angle: float | None
+) -> None:
+    """The bucket turns about the upright axis with the swing, and about a level one with the pitch: 0.6 rad, 34.4 deg.
+
+    The cone is of 0.2 rad, within which both paths with 0.1 rad are.
+    """
+    q = np.array((0.0, 0.4, -1.6, -0.9))
+    at = bp.Kinematics(backhoe).at(q)
+    x, y, z, w = Rotation.from_matrix(at.tip_rotation).as_quat().tolist()
+    first: dict[str, Any] = {"position": at.tip_position.tolist()}
+    last: dict[str, Any] = {"position": Rotation.from_euler("z", swung).apply(at.tip_position).tolist()}
+    if pitched is not None:
+        first["pitch"], last["pitch"] = at.pitch, at.pitch + pitched
+        last["position"] = (at.tip_position + np.array([0.3, 0.0, 0.2])).tolist()
+    content = {
+        "version": 1,
+        "start": {"joints": dict(zip(NAMES, q.tolist(), strict=True))},
+        "task": {
+            "path": {"waypoints": [first, last]},
+            "keep": {"rotation": {"quaternion": [w, x, y, z], "tolerance": 0.2}},
+        },
+    }
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    if angle is None:
+        assert plan.verified, plan.message
+    else:
+        assert plan.reason == "goal_breaks_keep"
+        assert plan.message == (
+            "no posture was found at waypoint 2 of the path that keeps it: at best the tip is turned by "
+            f"{angle} deg from the orientation to be kept, allowed 11.46 deg"
+        )
