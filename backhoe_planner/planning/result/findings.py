@@ -64,7 +64,7 @@ class Findings(Record):
     nearest: NearestPose | None = None
     """The nearest pose, if the target is out of reach."""
     left_out: tuple[str, ...] = ()
-    """Why goals of a list cannot be reached although another one can be, one sentence for each."""
+    """Why some goals of a list are left out of the search, one sentence for each: out of reach, in a collision, ..."""
     way: str = ""
     """How the goal was reached: ``straight``, ``sampled`` and so on."""
     allowed_time: Figure | None = None

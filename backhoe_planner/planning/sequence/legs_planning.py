@@ -89,7 +89,7 @@ def plan_legs(
     moving = sum(leg.problem.wait is None for leg in legs)
     if ahead and moving > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
         chain = Chain(legs, done, planner, most=(_CHAINS + effort.ways_at_once) * moving)
-        # an end that was chosen may be one posture: which goals cannot be reached is known from the legs by themselves
+        # an end that was chosen may be one posture: which goals are left out is known from the legs by themselves
         known = [leg.outcome.findings.left_out for leg in done]
         done, tried = chain.run(), chain.tried
         done = [

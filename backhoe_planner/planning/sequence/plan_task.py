@@ -145,9 +145,10 @@ def plan_problem(
 
 
 def _describe_left_out(problem: Problem, findings: Findings) -> str:
-    """Which goals of a list cannot be reached, and why, in words; empty if all can be, or none."""
+    """Which goals of a list are left out of the search, and why, in words; empty if there are none."""
     left_out = findings.left_out
-    return f"{len(left_out)} of {len(problem.goals)} goals cannot be reached: {'; '.join(left_out)}" if left_out else ""
+    are = "is" if len(left_out) == 1 else "are"
+    return f"{len(left_out)} of {len(problem.goals)} goals {are} left out: {'; '.join(left_out)}" if left_out else ""
 
 
 def _describe_unused_limits(problem: Problem, motion: Trajectory, certificate: Certificate) -> str:
