@@ -440,6 +440,24 @@ def test_inspect_prints_the_position_of_joints_that_do_not_move_the_tip(run: Run
     assert "at 0, since they do not move the tip: panda_finger_joint1, panda_finger_joint2" in said
 
 
+def test_inspect_marks_assumed_limits_and_prints_no_negative_zero(run: Run, tmp_path: Path) -> None:
+    """The URDF of the Panda gives rates, 2.175 rad/s for the first joint, but no accelerations."""
+    _, said, _ = run("inspect", "example:panda", "--tip", "panda_hand")
+    assert "2.17 rad/s  4.35 rad/s2 (assumed)  87 N m" in said
+    assert "an assumed acceleration gives the full rate after 0.5 s" in said
+    assert "-0.0000" not in said
+    assert "-0.00 " not in said
+    content = {
+        "version": 1, "tip": "panda_hand", "limits": {"acceleration": {"panda_joint1": 2.0}},
+        "task": {"path": {"waypoints": [{"position": [0.4, 0.0, 0.5]}, {"position": [0.4, 0.1, 0.5]}]}},
+    }  # fmt: skip
+    _, said, _ = run("inspect", "example:panda", scene_file(tmp_path, content))
+    assert "2.17 rad/s  2 rad/s2               87 N m" in said  # the second joint's is assumed still
+    assert said.count("(assumed)") == 6
+    _, said, _ = run("inspect", "example:backhoe")
+    assert "assumed" not in said
+
+
 def test_inspect_and_plan_warn_of_limits_missing_in_the_urdf(run: Run, tmp_path: Path) -> None:
     urdf = tmp_path / "bare.urdf"
     urdf.write_text(Path(PLANAR4).read_text().replace('velocity="', 'velocity="0" was="'))

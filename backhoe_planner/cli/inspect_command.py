@@ -22,6 +22,7 @@ _SCHEMAS: dict[str, Callable[[], dict[str, Any]]] = {
     "job": lambda: bp.job_schema(),
     "study": lambda: bp.study_schema(),
 }
+_ASSUMED = " (assumed)"
 _WHOLE = 100.0  # N or N m from which efforts are shown without decimals: less would have fewer than three digits
 
 
@@ -49,7 +50,7 @@ def inspect(
     loaded = None if scene is None else bp.load_scene(scene)
     robot, limits = _machine(urdf, loaded, tip)
     print_warnings(site.input_warnings(robot, loaded, with_task=False))
-    _print_joints(robot, limits)
+    _print_joints(robot, limits, loaded)
     _print_held(robot)
     OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
     _print_meshes(robot)
@@ -125,7 +126,7 @@ def _about(obstacle: bp.Obstacle, scene: bp.Scene) -> str:
     velocity = obstacle.velocity.tolist()
     parts = [f"appears at {obstacle.appears_at:g} s"] * (obstacle.appears_at > 0.0)
     if obstacle.moves:
-        along = ", ".join(f"{part + 0.0:.2f}" for part in velocity)
+        along = ", ".join(_fixed(part, 2) for part in velocity)
         parts.append(f"moves at {math.hypot(*velocity):.2f} m/s, by ({along}) m every second")
     found = [" and ".join(parts)] if parts else []
     if obstacle.zone is not None:
@@ -179,25 +180,32 @@ def _print_held(robot: bp.Robot) -> None:
         OUT.print(f"  at 0, since they do not move the tip: {', '.join(at_zero)}")
 
 
-def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
+def _print_joints(robot: bp.Robot, limits: bp.JointLimits, scene: bp.Scene | None) -> None:
+    """Print what moves the tip, and the limits; those that neither URDF nor scene gives are marked."""
     OUT.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces")
     if not robot.base.is_origin:
         (x, y), turned = robot.base.position, DEGREES * robot.base.heading
         OUT.print(f"stands at x {x:.4g} m, y {y:.4g} m, turned by {turned:.1f} deg")
     OUT.print()
+    given = (set(), set()) if scene is None else (set(scene.limits.velocity), set(scene.limits.acceleration))
+    rates, accelerations = set(robot.without_velocity) - given[0], set(robot.without_acceleration) - given[1]
     table = table_of("joint", "lower", "upper", "rate", "acceleration", "effort")
     for j, name in enumerate(robot.joint_names):
         slides = bool(robot.prismatic[j])
         unit, scale = ("m", 1.0) if slides else ("deg", DEGREES)
+        speed = "m" if slides else "rad"
         table.add_row(
             name,
             _or_none(scale * limits.lower[j], ".1f", unit),
             _or_none(scale * limits.upper[j], ".1f", unit),
-            f"{limits.velocity[j]:.3g} {'m' if slides else 'rad'}/s",
-            f"{limits.acceleration[j]:.3g} {'m' if slides else 'rad'}/s2",
+            f"{limits.velocity[j]:.3g} {speed}/s{_ASSUMED * (name in rates)}",
+            f"{limits.acceleration[j]:.3g} {speed}/s2{_ASSUMED * (name in accelerations)}",
             _or_none(limits.effort[j], ",.0f" if limits.effort[j] >= _WHOLE else ".3g", "N" if slides else "N m"),
         )
     OUT.print(table)
+    if accelerations:
+        after = machine.FULL_RATE_AFTER
+        OUT.print(f"an assumed acceleration gives the full rate after {after:g} s; the URDF or a scene can give another")
 
 
 def _or_none(limit: float, digits: str, unit: str) -> str:
@@ -239,16 +247,21 @@ def _print_self_collision(robot: bp.Robot) -> None:
 def _print_dh_table(robot: bp.Robot) -> None:
     table = table_of("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]")
     for row in machine.dh_table(robot).rows:
-        theta, d = f"{DEGREES * row.theta:.2f}", f"{row.d + 0.0:.4f}"
+        theta, d = _fixed(DEGREES * row.theta, 2), _fixed(row.d, 4)
         table.add_row(
             row.joint,
             theta if row.prismatic else f"q + {theta}",
             f"q + {d}" if row.prismatic else d,
-            f"{row.a + 0.0:.4f}",
-            f"{DEGREES * row.alpha:.2f}",
+            _fixed(row.a, 4),
+            _fixed(DEGREES * row.alpha, 2),
         )
     OUT.print("\nDenavit-Hartenberg (classic)")
     OUT.print(table)
+
+
+def _fixed(value: float, places: int) -> str:
+    """A number with so many decimals; what rounds to 0 has no sign."""
+    return f"{round(value, places) + 0.0:.{places}f}"
 
 
 def _print_envelope(robot: bp.Robot) -> None:

@@ -58,6 +58,7 @@ from .kinematics.target import movable_rows as movable_rows
 from .kinematics.target import rotation_matrices as rotation_matrices
 from .kinematics.target import rotation_vectors as rotation_vectors
 from .robot import DEFAULT_VELOCITY as DEFAULT_VELOCITY
+from .robot import FULL_RATE_AFTER as FULL_RATE_AFTER
 from .robot import JointLimits as JointLimits
 from .robot import Robot as Robot
 from .robot import TrackingTube as TrackingTube

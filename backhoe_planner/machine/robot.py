@@ -36,7 +36,7 @@ from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 from backhoe_planner.machine.shape.shapes import Piece, moved
 
 DEFAULT_VELOCITY = 1.0  # rad/s or m/s, if the URDF gives none; chosen
-_FULL_RATE_AFTER = 0.5  # s from rest, if neither URDF nor scene gives an acceleration; chosen
+FULL_RATE_AFTER = 0.5  # s from rest, if neither URDF nor scene gives an acceleration; chosen
 _INERTIA_ROUNDING = 1e-3  # part of the largest principal moment; chosen: files give few digits
 _PARALLEL = 1e-6  # sine of the angle between axes that count as parallel: rounding of a URDF's numbers
 _SEEDS_OF_AXIS = 8  # random configurations that test the last axis: one that is not always level tilts in nearly all
@@ -176,6 +176,11 @@ class Robot:
     def without_velocity(self) -> tuple[str, ...]:
         """Moving joints whose velocity limit is missing or 0 in the URDF: `DEFAULT_VELOCITY` is assumed."""
         return tuple(name for name in self.joint_names if not getattr(self.urdf.joints[name].limit, "velocity", None))
+
+    @cached_property
+    def without_acceleration(self) -> tuple[str, ...]:
+        """Moving joints without an acceleration limit in the URDF: the full rate after `FULL_RATE_AFTER` is assumed."""
+        return tuple(name for name in self.joint_names if name not in self.urdf.acceleration)
 
     @cached_property
     def without_effort(self) -> tuple[str, ...]:
@@ -528,5 +533,5 @@ def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:
         ends = (-np.inf, np.inf) if joint.type == "continuous" else (limit.lower, limit.upper)
         rate = limit.velocity if limit is not None and limit.velocity else DEFAULT_VELOCITY
         effort = limit.effort if limit is not None and limit.effort else np.inf
-        rows.append((*ends, rate, urdf.acceleration.get(name, rate / _FULL_RATE_AFTER), effort))
+        rows.append((*ends, rate, urdf.acceleration.get(name, rate / FULL_RATE_AFTER), effort))
     return JointLimits(*np.array(rows, dtype=float).T.copy())
