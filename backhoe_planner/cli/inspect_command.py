@@ -205,7 +205,7 @@ def _print_joints(robot: bp.Robot, limits: bp.JointLimits, scene: bp.Scene | Non
     OUT.print(table)
     if accelerations:
         after = machine.FULL_RATE_AFTER
-        OUT.print(f"an assumed acceleration gives the full rate after {after:g} s; the URDF or a scene can give another")
+        OUT.print(f"an assumed acceleration gives the full rate after {after:g} s; URDF or scene can give another")
 
 
 def _or_none(limit: float, digits: str, unit: str) -> str:

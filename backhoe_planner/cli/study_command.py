@@ -123,10 +123,11 @@ def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: P
         OUT.print(f"best          row {summary.best.number}: {best.metric} {figure}, the {which}")
         if summary.doubt:
             OUT.print(f"  {summary.doubt}")
-        width = max(map(len, summary.best.values), default=0)
+        headings = {name: found.template.heading(name) for name in summary.best.values}
+        width = max(map(len, headings.values()), default=0)
         for name, value in summary.best.values.items():
             shown = f"{value:.6g}" if isinstance(value, float) else value
-            OUT.print(f"  {name:<{max(width, 26)}}  {shown}")
+            OUT.print(f"  {headings[name]:<{max(width, 26)}}  {shown}")
     OUT.print(f"table         {found.folder / studies.TABLE}")
     OUT.print(f"page          {page}")
 

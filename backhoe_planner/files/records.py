@@ -80,13 +80,21 @@ class Record(BaseModel):
         """
         schema = handler(core_schema)
         properties = handler.resolve_ref_schema(schema).get("properties", {})
-        for owner in cls.__mro__:
-            for name, text in _described_fields(owner).items() if issubclass(owner, Record) else ():
-                field = cls.model_fields.get(name)  # None for an attribute of the class that is not in the file
-                key = (field and field.alias) or name
-                if key in properties:
-                    properties[key].setdefault("description", text)
+        for name, text in described_fields(cls).items():
+            field = cls.model_fields.get(name)  # None for an attribute of the class that is not in the file
+            key = (field and field.alias) or name
+            if key in properties:
+                properties[key].setdefault("description", text)
         return schema
+
+
+def described_fields(record: type[BaseModel]) -> dict[str, str]:
+    """The docstrings below the fields of a record, its own and those it inherits, by the fields' names in the code."""
+    found: dict[str, str] = {}
+    for owner in record.__mro__:
+        if issubclass(owner, Record):
+            found = _described_fields(owner) | found
+    return found
 
 
 def _described_fields(record: type[BaseModel]) -> dict[str, str]:

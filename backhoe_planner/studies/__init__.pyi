@@ -8,6 +8,7 @@ from .results.summary import Summary as Summary
 from .results.summary import map_of_two as map_of_two
 from .results.summary import trade_offs as trade_offs
 from .rows.metrics import Metric as Metric
+from .rows.template import Template as Template
 from .schema.study_file import Study as Study
 from .schema.study_file import load_study as load_study
 from .schema.study_file import study_from_dict as study_from_dict

@@ -48,7 +48,7 @@ def study(
     Returns
     -------
     A `pandas.DataFrame` with a row for every plan: `row`, the parameters, `verdict`, `reason`, `message`, the
-    metrics, `versions`. Its ``attrs["units"]`` has the units of the metrics by column, as far as they have one.
+    metrics, `versions`. Its ``attrs["units"]`` has the units of the columns of parameters and metrics that have one.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def _frame(result: StudyResult) -> Any:
     if result.interrupted:
         raise KeyboardInterrupt
     frame = table.to_pandas()
-    frame.attrs["units"] = {metric.name: metric.unit for metric in result.template.metrics if metric.unit}
+    frame.attrs["units"] = result.template.column_units
     return frame
 
 

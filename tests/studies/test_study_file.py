@@ -243,6 +243,25 @@ def test_parameters_may_address_keys_of_a_job_and_of_its_site() -> None:
         build_template(study_from_dict(content | {"parameters": {"method": ["auto"]}}))
 
 
+def test_parameters_have_the_units_of_their_keys() -> None:
+    """The units are those of docs/scene-file.md and docs/jobs.md."""
+    units = {
+        "clearance": "m", "payload": "kg", "soil.density": "kg/m^3", "obstacles.point.position.0": "m",
+        "obstacles.point.velocity": "m/s", "obstacles.point.appears_at": "s", "task.max_duration": "s",
+        "task.goal.pitch": "rad", "task.goal.quaternion": "", "limits.velocity.joint1": "rad/s or m/s",
+        "limits.velocity_scale": "", "gains.s_o": "", "method": "", "seed": "", "base.heading": "rad",
+        "base.position.1": "m", "objective": "",
+    }  # fmt: skip
+    template, _ = build_template(study({path: [1] for path in units if path not in ("method", "objective")}))
+    assert template.units == {path: unit for path, unit in units.items() if unit}
+    assert template.heading("clearance") == "clearance [m]"
+    assert template.heading("seed") == "seed"
+    units = {"dig.trench.depth": "m", "bucket.capacity": "m^3", "bucket.fill": "", "base.heading": "rad"}
+    content = {"version": 1, "job": "scenes/jobs/trench_beside_gas_pipe.yaml"}
+    template, _ = build_template(study_from_dict(content | {"parameters": {path: [1] for path in units}}))
+    assert template.units == {path: unit for path, unit in units.items() if unit}
+
+
 def test_the_shipped_studies_can_be_prepared() -> None:
     files = sorted((ROOT / "scenes" / "studies").glob("*.yaml"))
     assert files

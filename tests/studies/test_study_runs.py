@@ -181,6 +181,7 @@ def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path
     assert "median cost.value [s]" in text
     field = whole.table.schema.field
     assert field("duration").metadata == {b"unit": b"s"}
+    assert field("clearance").metadata == {b"unit": b"m"}
     assert field("verdict").metadata is None
 
 
@@ -461,7 +462,7 @@ def test_the_library_returns_a_data_frame(
     robot = bp.load_robot(given.parent / "arm.urdf")
     made = bp.study(robot, scene, parameters={"clearance": [0.1, 0.2]}, folder=tmp_path / "r", metrics=["duration"])
     assert made["clearance"].tolist() == [0.1, 0.2]
-    assert made.attrs["units"] == {"duration": "s", "cost.value": "s"}
+    assert made.attrs["units"] == {"clearance": "m", "duration": "s", "cost.value": "s"}
     job = bp.load_job("scenes/jobs/drain_with_a_fall.yaml")
     dug = bp.study(job, parameters={"bucket.fill": [0.8, 0.9]}, metrics=["bank"])
     assert dug["bucket.fill"].tolist() == [0.8, 0.9]

@@ -8,7 +8,17 @@ import os
 
 from backhoe_planner.show.page.page import html_page, read_parts, write_page_file
 from backhoe_planner.show.study.scatter import scatter
-from backhoe_planner.studies import Map, Metric, Share, StudyResult, Summary, map_of_two, summarise_study, trade_offs
+from backhoe_planner.studies import (
+    Map,
+    Metric,
+    Share,
+    StudyResult,
+    Summary,
+    Template,
+    map_of_two,
+    summarise_study,
+    trade_offs,
+)
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _SHADES = ((0x2F, 0xA8, 0x66), (0xF6, 0xE7, 0xA6), (0xE0, 0x7A, 0x5F))  # good, middling, bad
@@ -66,11 +76,11 @@ def _message(summary: Summary, ending: str) -> str:
 
 def _best(result: StudyResult, summary: Summary) -> str:
     best, asked = summary.best, result.template.best
-    which = "least" if asked.least is not None else "greatest"
+    which, heading = "least" if asked.least is not None else "greatest", result.template.heading
     if best is None:
         return f"<h2>The best row</h2>\n<p>No row is verified and has the metric {_text(asked.metric)}.</p>"
     values = "".join(
-        f'<tr><td>{_text(name)}</td><td class="number">{_figure(value)}</td></tr>'
+        f'<tr><td>{_text(heading(name))}</td><td class="number">{_figure(value)}</td></tr>'
         for name, value in best.values.items()
     )
     measured = result.outcomes[best.number].metrics
@@ -79,7 +89,8 @@ def _best(result: StudyResult, summary: Summary) -> str:
         for metric in result.template.metrics
     )
     regions = "".join(
-        f"<tr><td>{_text(one.name)}</td><td>{_text(one.best)}</td><td class='soft'>{_text(one.every)}</td></tr>"
+        f"<tr><td>{_text(heading(one.name))}</td><td>{_text(one.best)}</td>"
+        f"<td class='soft'>{_text(one.every)}</td></tr>"
         for one in summary.regions
     )
     region = (
@@ -107,7 +118,8 @@ def _successes(result: StudyResult, summary: Summary) -> str:
         heads = (
             f'<tr><th></th><th>verified</th><th class="number">of rows</th><th class="number">median {metric}</th></tr>'
         )
-        cards.append(f'<div class="card"><h3>{_text(name)}</h3><table>{heads}{rows}</table></div>')
+        title = _text(result.template.heading(name))
+        cards.append(f'<div class="card"><h3>{title}</h3><table>{heads}{rows}</table></div>')
     return f'<h2>Success by parameter</h2>\n<div class="cards">{"".join(cards)}</div>'
 
 
@@ -134,7 +146,8 @@ def _map(result: StudyResult, summary: Summary) -> str:
         shown = "".join(_cell(cell, low, high, sign) for cell in cells)
         lines.append(f'<tr><th class="line">{_text(label)}</th>{shown}</tr>')
     heads = "".join(f"<th>{_text(label)}</th>" for label in found.columns)
-    table = f'<table class="map"><tr><th class="corner">{_axes(found)}</th>{heads}</tr>{"".join(lines)}</table>'
+    corner = f'<th class="corner">{_axes(found, result.template)}</th>'
+    table = f'<table class="map"><tr>{corner}{heads}</tr>{"".join(lines)}</table>'
     return (
         f"<h2>{_text(found.down)} and {_text(found.across)}</h2>\n"
         f'<p class="soft">The two on which most depends. Large: median {_text(result.template.best_metric.heading)} '
@@ -142,8 +155,8 @@ def _map(result: StudyResult, summary: Summary) -> str:
     )
 
 
-def _axes(found: Map) -> str:
-    return f"{_text(found.down)} ↓<br>{_text(found.across)} →"
+def _axes(found: Map, template: Template) -> str:
+    return f"{_text(template.heading(found.down))} ↓<br>{_text(template.heading(found.across))} →"
 
 
 def _cell(cell: Share | None, low: float, high: float, sign: float) -> str:

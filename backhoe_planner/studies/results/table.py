@@ -19,8 +19,8 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
     """The table of the rows that are done, in their order: a `pyarrow.Table`.
 
     Columns are `row`, the parameters, `method`, `effort` and `seed` of the plan, `verdict`, `reason`, `message`, the
-    metrics and `versions`. Nothing in it depends on the time or the computer. The field of a metric has its unit in
-    its metadata, as ``unit``.
+    metrics and `versions`. Nothing in it depends on the time or the computer. The fields of parameters and metrics have
+    their units in their metadata, as ``unit``.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
     import pyarrow as pa
 
     shown = [row for row in rows if all_rows or row.number in found]
-    units = {metric.name: metric.unit for metric in template.metrics if metric.unit}
+    units = template.column_units
     columns: dict[str, Any] = {"row": pa.array([row.number for row in shown], pa.int64())}
     names = list(rows[0].values) if rows else []
     for name in names:

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from backhoe_planner.errors import nearest_name
+from backhoe_planner.files.records import described_fields
 
 Address = tuple[str | int, ...]
 _SEQUENCES = (tuple, list, Sequence)
@@ -80,6 +81,28 @@ def find_address(path: str, content: MutableMapping[str, Any], root: Any) -> Add
     return tuple(address)
 
 
+def descriptions_at(address: Address, content: Any, root: Any) -> tuple[str, ...]:
+    """The schema's words about the field in which an address of `find_address` lies; "" for one without.
+
+    An entry of a list or of a mapping lies in the field of the list or mapping. There are several words if `content`
+    does not say of which record the field is; text has none.
+    """
+    found: tuple[str, ...] = ()
+    node, kinds = content, list(members(root))
+    for key in address:
+        records = _records(kinds, node) if isinstance(node, Mapping) else []
+        named = [(record, *pair) for record in records for pair in record.model_fields.items()]
+        fields = [(record, name, field) for record, name, field in named if (field.alias or name) == key]
+        if fields:
+            kinds = [kind for _, _, field in fields for kind in members(field.annotation)]
+            found = tuple(described_fields(record).get(name, "") for record, name, _ in fields if kinds != [str])
+        else:
+            entries = _entries(kinds, Mapping if isinstance(node, Mapping) else Sequence)
+            kinds = [kind for entry in entries for kind in members(entry)]
+        node = node.get(key) if isinstance(node, Mapping) else node[key] if isinstance(key, int) else None
+    return found
+
+
 def put(content: Any, address: Address, value: Any) -> None:
     """Write a value at an address."""
     *above, last = address
@@ -112,12 +135,16 @@ def is_record(kind: Any) -> bool:
 def _fields(kinds: Sequence[Any], node: Mapping[str, Any]) -> dict[str, list[FieldInfo]]:
     """The keys of the records among `kinds` that fit `node`, by their name in a file."""
     found: dict[str, list[FieldInfo]] = {}
-    records = [kind for kind in kinds if is_record(kind)]
-    fitting = [record for record in records if _fits(record, node)]
-    for record in fitting or records:
+    for record in _records(kinds, node):
         for name, field in record.model_fields.items():
             found.setdefault(field.alias or name, []).append(field)
     return found
+
+
+def _records(kinds: Sequence[Any], node: Mapping[str, Any]) -> list[Any]:
+    """The records among `kinds` that fit `node`; all of them if none does."""
+    records = [kind for kind in kinds if is_record(kind)]
+    return [record for record in records if _fits(record, node)] or records
 
 
 def _fits(record: type[BaseModel], node: Mapping[str, Any]) -> bool:

@@ -17,8 +17,9 @@ from backhoe_planner.job import SITE_KEYS, Job, job_from_dict, load_job
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import EFFORTS, METHODS
 from backhoe_planner.site import Scene, load_machine, load_scene, scene_from_dict
-from backhoe_planner.studies.rows.key_paths import Address, NoSuchKeyError, find_address, put, spell
+from backhoe_planner.studies.rows.key_paths import Address, NoSuchKeyError, descriptions_at, find_address, put, spell
 from backhoe_planner.studies.rows.metrics import DEFAULTS, Kind, Metric, find_metric
+from backhoe_planner.studies.rows.units import unit_in
 from backhoe_planner.studies.schema.study_file import Best, Study
 
 SETTINGS = ("machine", "method", "effort", "seed")  # of a plan, beside its scene
@@ -35,6 +36,7 @@ class Template:
     content: of the scene or the job, plain data.
     machine: with a scene, as `load_robot` takes it; empty if it is a parameter, or with a job.
     addresses: the place of each parameter in the content; empty for settings of the plan.
+    units: of the parameters that have one.
     metrics: the figures of each plan that are kept.
     best: the metric by which rows are compared.
     keep_plans: which plans are kept: ``none``, ``failed``, ``all``.
@@ -48,6 +50,7 @@ class Template:
     content: dict[str, Any]
     machine: str
     addresses: Mapping[str, Address]
+    units: Mapping[str, str]
     metrics: tuple[Metric, ...]
     best: Best
     keep_plans: str
@@ -60,6 +63,16 @@ class Template:
     def best_metric(self) -> Metric:
         """The figure by which rows are compared."""
         return next(metric for metric in self.metrics if metric.name == self.best.metric)
+
+    @property
+    def column_units(self) -> dict[str, str]:
+        """The units of the table's columns of parameters and metrics, as far as they have one."""
+        return dict(self.units) | {metric.name: metric.unit for metric in self.metrics if metric.unit}
+
+    def heading(self, name: str) -> str:
+        """The name of a parameter with its unit, if it has one: ``clearance [m]``."""
+        unit = self.units.get(name, "")
+        return f"{name} [{unit}]" if unit else name
 
     def filled(self, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """The content with the values of a row, and the settings of its plan: machine, method, effort, seed."""
@@ -103,8 +116,9 @@ def build_template(study: Study) -> tuple[Template, Inputs]:
     metrics, best = _metrics(study, template)
     folder = absolute(template.folder)
     machine = "" if study.machine is None else _source(study.machine, study.folder)
+    units = {name: unit for name, address in addresses.items() if (unit := _unit(address, content, kind))}
     made = Template(
-        kind=kind, content=content, machine=machine, addresses=addresses, metrics=metrics, best=best,
+        kind=kind, content=content, machine=machine, addresses=addresses, units=units, metrics=metrics, best=best,
         keep_plans=study.keep_plans, folder=folder,
         site_folder=absolute(template.site_scene.folder) if isinstance(template, Job) else folder,
         machine_folder=folder if kind == "job" else absolute(study.folder),
@@ -215,6 +229,13 @@ def _address(name: str, content: dict[str, Any], kind: Kind) -> Address:
             raise NoSuchKeyError(inner, SITE_KEYS, within=("site",))
         return ("site", *find_address(inner, content.setdefault("site", {}), Scene))
     return find_address(name, content, Job)
+
+
+def _unit(address: Address, content: dict[str, Any], kind: Kind) -> str:
+    """The unit of the value at an address; empty if it has none, or if that is not known."""
+    if kind == "job" and address[:1] == ("site",):
+        return unit_in(descriptions_at(address[1:], content["site"], Scene))
+    return unit_in(descriptions_at(address, content, Scene if kind == "scene" else Job))
 
 
 def _check_settings(study: Study) -> None:

@@ -1,7 +1,8 @@
-"""The units of the figures that a study keeps, by their key paths."""
+"""The units of the parameters of a study, and of the figures that it keeps, by their key paths."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from backhoe_planner.motion import OBJECTIVES
@@ -24,6 +25,8 @@ _UNITS = {
     "kWh/m^3": ("kwh_per_m3",),
     "l": ("litres",),
 }  # fmt: skip
+_IN_WORDS = re.compile(r"\[([^\]]+)\]")  # as the descriptions of the schema's keys have them: "Edge of a voxel [m]."
+_NO_UNITS = ("low, high", "w, x, y, z")  # other brackets in them
 _OF_KEY = {key: unit for unit, keys in _UNITS.items() for key in keys}
 _OF_CLEARANCE = ("value", "margin")  # [m]; the same keys have other units elsewhere
 _OF_OBJECTIVE = ("value", "law", "whole")  # below `cost` and `objective`
@@ -52,3 +55,10 @@ def unit_of(keys: Sequence[str], objective: str | None = None) -> str:
     if above == ["position"]:
         return "m"
     return _OF_KEY.get(last, "")
+
+
+def unit_in(descriptions: Sequence[str]) -> str:
+    """The unit of a parameter, from the schema's words about it; empty if they give none, or several."""
+    found = {unit for words in descriptions for unit in _IN_WORDS.findall(words)}
+    units = found.difference(_NO_UNITS)
+    return units.pop() if len(units) == 1 else ""
