@@ -29,6 +29,7 @@ _LONG = 200  # characters; chosen
 # part of the letters that two names must share, in order, for one to be suggested for the other; chosen: one wrong
 # letter in four is accepted, a common ending with another word is not
 _SIMILAR = 0.7
+_MOST_NAMES, _NEAREST = 20, 8  # names listed in full, and the most similar ones of a longer list; chosen
 _FEWEST_LETTERS = 3  # of a name that is cut short, such as pos; chosen
 
 
@@ -97,6 +98,8 @@ class InputError(PlannerError, ValueError):
     ) -> Self:
         """The error for a `name` that is none of `names`; the message lists them and suggests the most similar one.
 
+        Of a long list it has the most similar names, and how many others there are.
+
         Parameters
         ----------
         problem, file, key: as for the class.
@@ -108,7 +111,7 @@ class InputError(PlannerError, ValueError):
         near = nearest_name(name, (*known, *other_words)) if isinstance(name, str) else None
         hint = f"did you mean {other_words.get(near, near)!r}?" if near else None
         found = name if isinstance(name, str) else reprlib.repr(name)
-        return cls(problem, file=file, key=key, found=found, allowed=", ".join(known) or "none", hint=hint)
+        return cls(problem, file=file, key=key, found=found, allowed=_listed(known, str(found)), hint=hint)
 
 
 class RobotError(InputError):
@@ -129,6 +132,14 @@ class PlanFileError(InputError):
 
 class OutputError(InputError):
     """A result cannot be written to the requested place."""
+
+
+def _listed(names: list[str], like: str) -> str:
+    """The names in words; of many, the most similar ones and how many others there are."""
+    if len(names) <= _MOST_NAMES:
+        return ", ".join(names) or "none"
+    near = difflib.get_close_matches(like, names, n=_NEAREST, cutoff=0.0)
+    return f"{', '.join(near)} and {len(names) - len(near)} others"
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:

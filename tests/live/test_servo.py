@@ -54,6 +54,13 @@ def least_margin(robot: Robot, scene: bp.Scene, q: Vector) -> float:
     return float(np.min(proximity.distances(q) - proximity.clearance))
 
 
+def test_a_servo_is_shown_in_one_line(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, [POST, BALL]), dt=0.001)
+    assert repr(servo) == "<Servo of backhoe, obstacles: 2, dt 0.001 s, at 0.000 s>"
+    servo.step()
+    assert "at 0.001 s" in repr(servo)
+
+
 # --- the braking path ---------------------------------------------------------------------
 
 

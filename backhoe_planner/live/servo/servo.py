@@ -47,7 +47,7 @@ from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
 from backhoe_planner.live.servo.surroundings import Surroundings
 from backhoe_planner.live.servo.tip_task import JointWish, TipTask
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
+from backhoe_planner.machine import Robot, solve_inverse_kinematics
 from backhoe_planner.site import (
     Obstacle,
     Obstruction,
@@ -153,6 +153,9 @@ class Servo:
         self._update_moving()
         self._measure(np.arange(len(self._separation), dtype=np.intp))
         self._add(build_obstacles(scene, robot))
+
+    def __repr__(self) -> str:
+        return f"<Servo of {self.robot.name}, obstacles: {len(self.obstacles)}, dt {self.dt:g} s, at {self.time:.3f} s>"
 
     # --- the joints and the obstacles --------------------------------------------------
 
@@ -590,11 +593,8 @@ def _start(robot: Robot, scene: Scene) -> Vector:
     if scene.start is None:
         raise InputError("the scene does not say where the machine stands", key="start", allowed="start, or q=")
     if scene.start.tip is not None:
-        pose = scene.start.tip
-        found = solve_inverse_kinematics(
-            robot, TipTarget(position=np.array(pose.position), pitch=pose.pitch_range, rotation=pose.rotation)
-        )
+        found = solve_inverse_kinematics(robot, scene.start.tip.target)
         if not found.reached:
-            raise InputError("the machine cannot stand there", key="start.tip", found=pose.position)
+            raise InputError("the machine cannot stand there", key="start.tip", found=scene.start.tip.position)
         return found.q
     return joint_positions(robot, scene, scene.start.joints or {}, key="start.joints")
