@@ -288,6 +288,20 @@ def test_a_file_cut_anywhere_is_refused(deflated: bool, tmp_path: Path) -> None:
             read_height_grid(file)
 
 
+@pytest.mark.parametrize("tag", [256, 258, 262, 273, 277, 278, 279, 339, 34735])
+@pytest.mark.parametrize(("at", "value"), [(2, TEXT), (2, DOUBLE), (4, 0)], ids=["text", "fraction", "no value"])
+def test_a_tag_of_another_type_or_without_a_value_is_refused(tag: int, at: int, value: int, tmp_path: Path) -> None:
+    content = bytearray(write_tiff(tmp_path / "a.tif", image(HEIGHTS, tags=placed({1024: 1}))).read_bytes())
+    (begin,) = struct.unpack_from("<I", content, 4)
+    (count,) = struct.unpack_from("<H", content, begin)
+    entries = range(begin + 2, begin + 2 + 12 * count, 12)
+    (entry,) = [entry for entry in entries if struct.unpack_from("<H", content, entry) == (tag,)]
+    struct.pack_into("<H" if at == 2 else "<I", content, entry + at, value)
+    (tmp_path / "a.tif").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.tif: is not a TIFF that can be read"):
+        read_height_grid(tmp_path / "a.tif")
+
+
 def test_terrain_in_use_is_read_again_when_a_file_beside_it_changes(tmp_path: Path) -> None:
     """A scale of 2 is written beside heights of up to 3 m while they are in use."""
     heights = np.zeros((15, 15))

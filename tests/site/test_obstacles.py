@@ -416,6 +416,14 @@ HEADS: dict[str, str] = {
     "Spanish": "Norte,Este,Cota\n",
     "letters": "N,E,Z\n",
 }
+BESIDE = ["x,y,z,lat,lon\n", "X [m],Y [m],Z [m],scan angle (deg),range_mm\n", "lat,lon,x,y,z\n"]
+
+
+@pytest.mark.parametrize("head", BESIDE)
+def test_columns_beside_x_y_z_may_have_other_units(head: str, tmp_path: Path) -> None:
+    given = [48.1, 11.5, 4.0, 5.0, 6.5] if head.startswith("lat") else [4.0, 5.0, 6.5, 48.1, 11.5]
+    (tmp_path / "scan.csv").write_text(head + ",".join(map(str, given)) + "\n", encoding="utf-8")
+    np.testing.assert_array_equal(read_points(tmp_path / "scan.csv"), [[4.0, 5.0, 6.5]])
 
 
 @pytest.mark.parametrize("head", HEADS.values(), ids=HEADS.keys())
@@ -443,6 +451,9 @@ def test_columns_are_named_after_titles_and_units_and_in_other_languages(head: s
         ("O1 2 3\n4 5 6\n", r"line 1: is not a number; found O1 2 3"),
         ("nr,x,y,z\nP1,4,,6\nP2,4,5,6\n", r"line 2: has an empty cell among x, y, z"),
         ("1.0m 2.0m 3.0m\n", r"line 1: is not a number; found 1.0m"),
+        ("# x y z in feet\n4 5 6 7 8\n", r"header: is not in metres; found x y z in feet"),
+        ("x,y,z,ft\n4,5,6,7\n", r"header: is not in metres; found x,y,z,ft"),
+        ("x,y,z [ft],lat\n4,5,6,7\n", r"header: is not in metres; found x,y,z \[ft\],lat"),
         ("x,y,depth\n1,2,3\n", r"header: the header does not name x, y and z once each"),
     ],
 )

@@ -26,7 +26,7 @@ from backhoe_planner.site.schema.number_tables import (
 
 POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
 
-_MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
+MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")
 # names of x, y and z in a header, without case and a unit of metres
 _HEIGHTS = (
@@ -46,6 +46,7 @@ _BEFORE_UNIT = re.compile(r" +(?=[\[(])")
 _OTHER_UNITS = re.compile(
     r"(?:^|[^a-z])(?:mm|cm|km|ft|feet|foot|inch(?:es)?|deg(?:rees)?|lat(?:itude)?|lon(?:gitude)?)(?:[^a-z]|$)"
 )
+_BARE_UNIT = re.compile(r"[\[(]?(?:mm|cm|km|ft|feet|foot|inch(?:es)?)[\])]?")  # of the numbers before it
 _UNITS = re.compile(r"[\[(]?(?:m|met(?:re|er)s?|-|)[\])]?")  # a cell of a line of units
 _UNIT_IN_COMMENT = re.compile(r"\bunits?\b")
 _WORDS = re.compile(r"[^\W\d_]+")
@@ -85,10 +86,10 @@ def read_point_list(path: Path) -> Matrix:
     if not lines:
         return np.zeros((0, 3))
     mark, width = delimiter_of(lines[0]), len(cells_of(lines[0]))
-    if width > _MOST_COLUMNS:
+    if width > MOST_COLUMNS:
         raise InputError(
             "has too many numbers in a row for a list of points", file=path, found=width,
-            allowed=f"x, y, z and up to {_MOST_COLUMNS - 3} more", hint="heights on a grid are a heightmap",
+            allowed=f"x, y, z and up to {MOST_COLUMNS - 3} more", hint="heights on a grid are a heightmap",
         )  # fmt: skip
     if (
         head.columns is None
@@ -166,15 +167,17 @@ def _read_head(lines: Sequence[str], path: Path) -> _Head:
             continue
         cells = _names_in(words)
         found, told = _columns_in(cells), _columns_in([_ANY_UNIT.sub("", cell) for cell in cells])
+        clear = next((tuple(one[0] for one in each) for each in found if all(len(one) == 1 for one in each)), None)
+        # columns beside x, y, z may have other units: a range in mm, a latitude
+        beside = clear is not None and len(cells) == given and not any(map(_BARE_UNIT.fullmatch, cells))
         if any(map(_OTHER_UNITS.search, cells)) and (
-            not is_comment or any(map(any, told)) or _UNIT_IN_COMMENT.search(words.lower())
+            not beside and (not is_comment or any(map(any, told)) or _UNIT_IN_COMMENT.search(words.lower()))
         ):
             raise InputError("is not in metres", file=path, key="header", found=words[:60], allowed="x, y, z in metres")
         if is_named and not is_comment:
             if not all(map(_UNITS.fullmatch, cells_of(words.lower()))):
                 return _Head(columns, names, at)
             continue
-        clear = next((tuple(one[0] for one in each) for each in found if all(len(one) == 1 for one in each)), None)
         if clear is not None and (columns is None or not is_comment):
             if len(cells) != given > max(clear) and sorted(clear) != [0, 1, 2]:
                 hint = "names with blanks stand in quotes or between tabs"

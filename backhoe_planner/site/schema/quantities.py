@@ -22,8 +22,8 @@ _SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is t
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
 Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
-_FURTHEST = 1e7  # m: map coordinates go no further
-_MapCoordinate = Annotated[float, Field(strict=True, ge=-_FURTHEST, le=_FURTHEST, allow_inf_nan=False)]
+FURTHEST = 1e7  # m or a file's units: map coordinates go no further
+_MapCoordinate = Annotated[float, Field(strict=True, ge=-FURTHEST, le=FURTHEST, allow_inf_nan=False)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]

@@ -22,17 +22,15 @@ from backhoe_planner.site.schema.number_tables import (
     number_in,
     plain_table,
 )
-from backhoe_planner.site.schema.point_lists import POINT_FORMATS, read_obj_vertices, read_point_list
-from backhoe_planner.site.schema.quantities import LARGEST
+from backhoe_planner.site.schema.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
+from backhoe_planner.site.schema.quantities import FURTHEST, LARGEST
 
 _FEWEST = 2  # heights along x and along y, so that there is ground between them
 _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
-_FURTHEST = 1e7  # of a file's units: map coordinates go no further
 _COARSEST = 0.01  # m: what floats of 32 bits may be rounded to, about the noise of a scanner; chosen
 _OTHER_CLOUDS = (".las", ".laz", ".e57", ".pcd", ".rcp", ".rcs", ".fls")
-_MOST_COLUMNS = 32  # of a list of points at the nodes of a grid; chosen
 
 
 def read_heights(path: Path, *, size: tuple[float, float] | None = None) -> Matrix:
@@ -119,7 +117,7 @@ def _is_list_of_points(table: Matrix) -> bool:
     """
     if table.shape[1] > 3 and counts_rows(table[:, 0]):
         return _is_list_of_points(table[:, 1:])
-    if not 3 <= table.shape[1] <= _MOST_COLUMNS or len(table) < _FEWEST_POINTS or not np.isfinite(table).all():
+    if not 3 <= table.shape[1] <= MOST_COLUMNS or len(table) < _FEWEST_POINTS or not np.isfinite(table).all():
         return False
     x, y = (np.unique(column) for column in table[:, :2].T)
     pairs = np.unique(table[:, :2], axis=0)
@@ -198,7 +196,7 @@ def check_near(
     """
     origin = np.zeros(3) if map_origin is None else np.array(map_origin)
     far = None
-    if (np.abs(points) <= _FURTHEST).all():
+    if (np.abs(points) <= FURTHEST).all():
         low, high = points.min(axis=0), points.max(axis=0)
         middle = np.round([*(low + high)[:2] / 2.0, low[2]]).astype(int).tolist()
         do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}` in the scene"

@@ -18,6 +18,10 @@ _TYPES = {
     16: "Q", 17: "q", 18: "Q",
 }  # fmt: skip
 _TEXT = 2
+_WHOLE = (1, 3, 4, 13, 16, 18)  # types of whole numbers of 0 or more
+# tags that hold at least one of these: sizes, kinds and places of the numbers, and the keys of a GeoTIFF
+_OF_WHOLE = frozenset((*range(254, 260), 262, 266, 273, 274, *range(277, 280), 317, *range(322, 326), 339, 34735))
+_OF_FRACTIONS = 34736  # numbers for these keys
 _MOST_IMAGES = 1_000  # in one file; chosen, so that a circle of directories ends
 _MOST_VALUES = 10_000_000  # of one tag; chosen: there are as many as tiles
 
@@ -76,7 +80,8 @@ def _read_image(content: bytes, order: str, at: int, *, is_big: bool) -> tuple[T
         tag, kind, values = struct.unpack_from(order + entry, content, place)
         if kind not in _TYPES:
             continue  # of a later standard: it is to be skipped
-        if values > _MOST_VALUES:
+        is_wrong = (kind not in _WHOLE or not values) if tag in _OF_WHOLE else tag == _OF_FRACTIONS and kind == _TEXT
+        if is_wrong or values > _MOST_VALUES:
             raise OverflowError
         form = f"{order}{values}s" if kind == _TEXT else order + values * _TYPES[kind]
         where = place + head
