@@ -103,6 +103,9 @@ def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, 
         assert re.search(r"leg +stand +0\.50 s, margin", said)
         assert re.search(r"leg +back +[\d.]+ s, margin", said)
     assert re.search(r"duration +[\d.]+ % of max_duration \(20 s, leg out\)", checked)
+    assert re.search(r"\(margin \+\d\.\d{3} m, at [\d.]+ s, leg (out|stand|back)\)", planned)
+    assert re.search(r"margin \[m\] +at \[s\] +leg *\n", checked)
+    assert re.search(r"velocity +[\d.]+ % of its limit at most \(joint\d, [\d.]+ s, leg (out|back)\)", checked)
     content = json.loads((tmp_path / "out.json").read_text())
     assert content["metrics"]["cost"] is None  # J s and s do not add up
     assert [leg["metrics"]["cost"]["objective"] for leg in content["legs"]][::2] == ["kinetic", "time"]

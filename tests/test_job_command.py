@@ -123,3 +123,19 @@ def test_a_job_on_a_survey_resumes_only_with_the_same_survey(run: Run, resumed: 
         assert status == 2
         assert "began on another ground; found that of a survey" in told
     assert "ground before the first cycle as surveyed" in " ".join(run("check", "part.json")[1].split())
+
+
+def test_the_summary_has_the_tightest_spot_of_all_motions(run: Run, tmp_path: Path) -> None:
+    plan = tiny_plan()
+    plan.save(tmp_path / "tiny.json")
+    _, said, _ = run("check", "tiny.json")
+    margins = {
+        (cycle.number, leg.name): near.margin
+        for cycle in plan.cycles
+        for leg in cycle.legs
+        for near in leg.certificate.clearances
+        if near == min(leg.certificate.clearances, key=lambda one: one.margin)
+    }
+    number, leg_name = min(margins, key=margins.__getitem__)
+    (line,) = [line for line in said.splitlines() if line.startswith("clearance")]
+    assert line.endswith(f"(margin {margins[number, leg_name]:+.3f} m, in cycle {number}, {leg_name})")

@@ -479,6 +479,10 @@ def calls() -> dict[str, Call]:
         "JobPlan.save": call(lambda path: job_plan().save(path), path=("no/such/folder/a.json", PATH), lists=False),
         "JobPlan.mean_use": call(job_plan().mean_use, name=("pump", TEXT), lists=False),
         "Cycle.leg": call(lambda name: cycle().leg(name), name=("cut", TEXT), lists=False),
+        "Certificate.leg_of": call(
+            lambda spot: recording().certificate.leg_of(spot),
+            spot=(bp.Obstruction("obstacle", "rock", "boom", 0.1, 0.0), THING), lists=False,
+        ),
         "Plan.save": call(lambda path: recording().save(path), path=("no/such/folder/a.json", PATH), lists=False),
     }  # fmt: skip
 

@@ -213,16 +213,7 @@ def print_figures(plan: bp.JobPlan) -> None:
         OUT.print(f"production    {figures.production:.1f} m^3/h (bank)")
         OUT.print(f"work          {figures.work / 1e3:.0f} kJ ({figures.joules_per_cycle / 1e3:.1f} kJ a cycle)")
         _print_energy(plan, figures)
-        tightest = min(
-            (leg.certificate.min_clearance for cycle in plan.cycles for leg in cycle.legs
-             if leg.certificate.min_clearance is not None),
-            key=lambda one: one.margin, default=None,
-        )  # fmt: skip
-        if tightest is not None:
-            OUT.print(
-                f"clearance     {tightest.distance:.3f} m at least between {tightest.link} and {tightest.name} "
-                f"(margin {margin_text(tightest.margin)} m)"
-            )
+        _print_clearance(plan)
     left, below = 100.0 * figures.left, 100.0 * figures.below
     most = f"at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it"
     stays = sum(one.volume for one in plan.undug)
@@ -230,6 +221,22 @@ def print_figures(plan: bp.JobPlan) -> None:
     OUT.print(f"design        {figures.design:.3f} m^3{part}; {most}")
     for one in plan.undug:
         OUT.print(f"undug         {one.words}")
+
+
+def _print_clearance(plan: bp.JobPlan) -> None:
+    """Print the tightest spot of all motions, and in which it is; nothing if nothing can be touched."""
+    spots = [
+        (spot, cycle.number, leg.name)
+        for cycle in plan.cycles
+        for leg in cycle.legs
+        if (spot := leg.certificate.min_clearance) is not None
+    ]
+    if spots:
+        tightest, number, leg_name = min(spots, key=lambda one: one[0].margin)
+        OUT.print(
+            f"clearance     {tightest.distance:.3f} m at least between {tightest.link} and {tightest.name} "
+            f"(margin {margin_text(tightest.margin)} m, in cycle {number}, {leg_name})"
+        )
 
 
 def print_job_warnings(loaded: bp.Job) -> None:

@@ -50,7 +50,9 @@ def _print_clearances(certificate: bp.Certificate, *, moves: bool) -> None:
     """Print the tightest spots to an obstacle and of the machine to itself; `moves` says whether there is a motion."""
     label = "clearance"
     for tightest in filter(None, (certificate.obstacle_clearance, certificate.self_clearance)):
-        least, when = ("at least", f"at {tightest.time:.2f} s") if moves else ("where it starts,", "without a motion")
+        least, when = "where it starts,", "without a motion"
+        if moves:
+            least, when = "at least", f"at {tightest.time:.2f} s{_of_leg(certificate.leg_of(tightest))}"
         OUT.print(
             f"{label:<13} {tightest.distance:.3f} m {least} between {tightest.link} "
             f"and {tightest.name} (margin {margin_text(tightest.margin)} m, {when})"
@@ -157,20 +159,17 @@ def print_certificate(plan: bp.Plan) -> None:
                 OUT.print(f"  {problem}")
     if not live.is_recording(plan):
         OUT.print(f"{'planned with':<13}{plan.settings}")
-    table = table_of("obstacle", "link", "distance [m]", "margin [m]", "at [s]")
-    for row in sorted(certificate.clearances, key=lambda near: near.kind == "machine"):  # its own links last
-        table.add_row(row.name, row.link, f">= {row.distance:.4f}", margin_text(row.margin, "+.4f"), f"{row.time:.2f}")
-    if certificate.clearances:
-        OUT.print(table)
+    _print_clearance_table(certificate)
     for kind in ("position", "velocity", "acceleration"):
         use = getattr(certificate, kind)
         limit = "the way from the middle of its range to an end" if kind == "position" else "its limit"
-        OUT.print(f"{kind:<13}{use.percent:>5} % of {limit} at most ({use.joint}, {use.time:.2f} s)")
+        OUT.print(f"{kind:<13}{use.percent:>5} % of {limit} at most ({use.joint}, {use.time:.2f} s{_of_leg(use.leg)})")
     for kind, load in (("torque", certificate.effort), ("hydraulics", certificate.hydraulics)):
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             kept = f"; up to {100.0 * (1.0 + motion.DRIVE_TOLERANCE):.0f} % is kept" if load.ratio > 1.0 else ""
-            OUT.print(f"{kind:<13}{load.percent:>5} % of its limit at most ({where}, {load.time:.2f} s{kept})")
+            when = f"{load.time:.2f} s{_of_leg(load.leg)}"
+            OUT.print(f"{kind:<13}{load.percent:>5} % of its limit at most ({where}, {when}{kept})")
     _print_legs(plan)
     _print_reactions(plan)
     print_recording(plan)
@@ -190,6 +189,16 @@ def print_certificate(plan: bp.Plan) -> None:
         use = certificate.duration
         OUT.print(f"{'duration':<13}{use.percent:>5} % of max_duration ({use.available:g} s{_of_leg(use.leg)})")
     _print_zone_table(site.worst_first(bp.zone_log(plan.robot, plan.scene, plan.trajectory)))
+
+
+def _print_clearance_table(certificate: bp.Certificate) -> None:
+    """Print the tightest spot to each obstacle, those to the machine itself last; for a sequence with the leg."""
+    table = table_of("obstacle", "link", "distance [m]", "margin [m]", "at [s]", *["leg"] * bool(certificate.legs))
+    for row in sorted(certificate.clearances, key=lambda near: near.kind == "machine"):
+        cells = (row.name, row.link, f">= {row.distance:.4f}", margin_text(row.margin, "+.4f"), f"{row.time:.2f}")
+        table.add_row(*cells, *[certificate.leg_of(row)] * bool(certificate.legs))
+    if certificate.clearances:
+        OUT.print(table)
 
 
 def _print_left_out(tracking: bp.Tracking) -> None:

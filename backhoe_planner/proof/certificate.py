@@ -5,11 +5,12 @@ It rests only on the URDF, the scene and the samples, not on how the motion was 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backhoe_planner.digits import beside_bounds, length_text
+from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import (
     Detour,
@@ -70,6 +71,16 @@ class Certificate:
     def min_clearance(self) -> Obstruction | None:
         """The tightest spot, by margin; None if nothing can be touched."""
         return self.clearances[0] if self.clearances else None
+
+    def leg_of(self, spot: Obstruction) -> str:
+        """Name of the leg in which one of `clearances` is; empty without a sequence."""
+        check_kind(spot, Obstruction, key="spot")
+        legs = (
+            leg.name
+            for leg in self.legs
+            if any(replace(near, time=near.time + leg.begins) == spot for near in leg.certificate.clearances)
+        )
+        return next(legs, "")
 
     @property
     def obstacle_clearance(self) -> Obstruction | None:
@@ -135,6 +146,12 @@ class LegCertificate:
     last: int
     begins: float
     certificate: Certificate
+
+    @property
+    def clock(self) -> str:
+        """The name of the leg for a sentence with its times, and where these count from: ``leg 'swing' (...)``."""
+        counted = f" (its times count from {self.begins:.2f} s)" if self.begins > 0.0 else ""
+        return f"leg {self.name!r}{counted}"
 
 
 def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:

@@ -67,7 +67,7 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
             key = (found.kind, found.obstacle)
             if key not in clearances or found.margin < clearances[key].margin:
                 clearances[key] = replace(found, time=found.time + leg.begins)
-    problems = [f"{_place(leg)}{problem}" for leg in legs for problem in leg.certificate.problems]
+    problems = [f"{leg.clock}: {problem}" for leg in legs for problem in leg.certificate.problems]
     problems += [f"the leg {name!r} is not begun" for name in missing]
     position, velocity, acceleration = (_most(legs, key) for key in ("position", "velocity", "acceleration"))
     assert position is not None
@@ -84,16 +84,11 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
         tip_speed=_most(legs, "tip_speed"),
         problems=tuple(problems),
         keep=tuple(
-            replace(_later(use, leg), words=f"{_place(leg)}{use.words}") for leg in legs for use in leg.certificate.keep
+            replace(_later(use, leg), words=f"{leg.clock}: {use.words}") for leg in legs for use in leg.certificate.keep
         ),
         legs=legs,
         duration=_most(legs, "duration"),
     )
-
-
-def _place(leg: LegCertificate) -> str:
-    """The beginning of a sentence about a leg, whose times count from where it begins."""
-    return f"leg {leg.name!r} (its times count from {leg.begins:.2f} s): "
 
 
 def _later(found: _Use, leg: LegCertificate) -> _Use:
@@ -121,7 +116,7 @@ def _whole_tracking(legs: tuple[LegCertificate, ...], missing: tuple[str, ...]) 
     return Tracking(
         done=all(one.done for one in found) and not missing,
         shortfall="; ".join(
-            [f"{_place(leg)}{one.shortfall}" for leg, one in zip(legs, found, strict=True) if not one.done]
+            [f"{leg.clock}: {one.shortfall}" for leg, one in zip(legs, found, strict=True) if not one.done]
             + [f"the leg {name!r} is not begun" for name in missing]
         ),
         max_error=max(one.max_error for one in found),

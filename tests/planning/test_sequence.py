@@ -161,6 +161,24 @@ def test_a_failure_also_names_a_later_leg_whose_end_is_impossible(backhoe: Robot
     assert "home" not in found.message
 
 
+def test_a_failure_with_times_says_from_where_they_count(backhoe: Robot) -> None:
+    """A dome appears around the machine at 2 s, 1 s after the second leg has begun."""
+    dome = {"name": "dome", "shape": "sphere", "radius": 9.0, "position": [0.0, 0.0, 0.0], "appears_at": 2.0}
+    found = plan(backhoe, scene_of({"name": "rest", "wait": 1.0}, LEGS[0], obstacles=[dome]), effort="quick")
+    assert found.reason == "blocked"
+    name = LEGS[0]["name"]
+    assert found.message.startswith(f"leg {name!r} (its times count from 1.00 s): dome appears at 1.0")
+
+
+def test_every_clearance_of_a_sequence_is_in_one_of_its_legs(done: Plan) -> None:
+    for near in done.certificate.clearances:
+        (leg,) = [leg for leg in done.certificate.legs if leg.name == done.certificate.leg_of(near)]
+        own = [one for one in leg.certificate.clearances if (one.kind, one.obstacle) == (near.kind, near.obstacle)]
+        assert own[0].margin == near.margin
+        assert leg.begins <= near.time <= done.trajectory.time[leg.last]
+    assert done.legs[0].certificate.leg_of(done.legs[0].certificate.clearances[0]) == "", "no sequence"
+
+
 def test_a_carried_load_counts_as_a_link_of_the_machine(backhoe: Robot) -> None:
     pipe = {"name": "pipe", "shape": "capsule", "from": [0.0, 0.0, 0.0], "to": [0.0, 0.0, 1.0], "radius": 0.1}
     problem = build_problem(backhoe, scene_of(LEGS[0], LEGS[1] | {"carries": pipe}))
