@@ -39,8 +39,13 @@ class Reaction(Record):
     @property
     def words(self) -> str:
         """When the obstacle appears, and how the motion goes on, in words."""
+        return f"{self.obstacle} appears at {self.appears_at:.2f} s: {self.reply}"
+
+    @property
+    def reply(self) -> str:
+        """What the machine does, in words: ``stopped and planned anew, stopped at 2.40 s``."""
         stopped = "" if self.stopped_at is None else f", stopped at {self.stopped_at:.2f} s"
-        return f"{self.obstacle} appears at {self.appears_at:.2f} s: {self.way or 'no way to stop in time'}{stopped}"
+        return f"{self.way or 'no way to stop in time'}{stopped}"
 
 
 class RecordingNotes(Record):

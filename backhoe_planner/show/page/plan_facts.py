@@ -29,7 +29,8 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     ):
         if tightest is not None:
             required = tightest.distance - tightest.margin
-            remark = f"{tightest.link} to {tightest.obstacle} at {tightest.time:.1f} s; "
+            leg = certificate.leg_of(tightest)
+            remark = f"{tightest.link} to {tightest.obstacle} at {tightest.time:.1f} s{f', leg {leg}' * bool(leg)}; "
             remark += f"{_metres(tightest.distance)} m apart" + (f", {required:.2f} m required" * (required > 1e-9))
             facts.append((name, f"{_metres(tightest.margin)} m", remark))
     least = "least over the whole motion, proven"
@@ -79,9 +80,7 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
 
 def _reaction_fact(reaction: Reaction) -> tuple[str, str, str]:
     """How the motion goes on when an obstacle appears in its way."""
-    stopped = "" if reaction.stopped_at is None else f", stopped at {reaction.stopped_at:.2f} s"
-    way = reaction.way or "no way to stop in time"
-    return f"Reaction: {reaction.obstacle}", f"{reaction.appears_at:.2f} s", f"appears; {way}{stopped}"
+    return f"Reaction: {reaction.obstacle}", f"{reaction.appears_at:.2f} s", f"appears; {reaction.reply}"
 
 
 def _about_duration(plan: Plan) -> str:
