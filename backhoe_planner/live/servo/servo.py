@@ -21,7 +21,6 @@ Within the slow distance of one of the scene's zones the wish is scaled down; it
 
 from __future__ import annotations
 
-import math
 import reprlib
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -34,23 +33,23 @@ from backhoe_planner.live.braking.braking_path import FINEST_PARTS, JointState, 
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.step_work import StepWork
 from backhoe_planner.live.clearance.box_upkeep import BoxUpkeep
-from backhoe_planner.live.clearance.pair_bounds import CLOSE, Near, PairBounds
+from backhoe_planner.live.clearance.pair_bounds import Near, PairBounds
 from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.live.planes.own_pieces import NO_LOAD
 from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
-from backhoe_planner.live.servo.feedback import Feedback, Recently, Refusal, refused_part
+from backhoe_planner.live.servo.feedback import Feedback
 from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
-from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
+from backhoe_planner.live.servo.servo_state import Command, ServoState
+from backhoe_planner.live.servo.step_report import StepReport
 from backhoe_planner.live.servo.surroundings import Surroundings
-from backhoe_planner.live.servo.tip_task import JointWish, TipTask
+from backhoe_planner.live.servo.tip_task import TipTask
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Robot, solve_inverse_kinematics
 from backhoe_planner.site import (
     Obstacle,
-    Obstruction,
     Scene,
     build_obstacles,
     joint_positions,
@@ -61,9 +60,6 @@ from backhoe_planner.site import (
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish and are not named in the state; chosen
-_CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
-_PARTLY = 0.1  # refused part of the wish above which a machine near an obstacle counts as sliding along it; chosen
-_MOSTLY = 0.5  # refused part of the wish above which a machine at rest counts as held; chosen
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, a dt outside is a slip
 
 
@@ -130,18 +126,15 @@ class Servo:
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
-        self._refusal = Refusal(dt, self._joints.changes)
-        self._held_back, self._gives_way = Recently(dt), Recently(dt)
-        self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, FINEST_PARTS + 2)
         self._bare, self._loads = robot, Loads(robot, scene)
         self._separation = Separation(robot, q, self_collision=self_collision, laden=self._loads.laden)
-        self._influence = min(scene.influence, _INFLUENCE)
-        self._bounds = PairBounds(self._separation, influence=self._influence)
+        influence = min(scene.influence, _INFLUENCE)
+        self._bounds = PairBounds(self._separation, influence=influence)
         self._check = PathCheck(self._separation, self._bounds, self._joints, self._at)
-        self._boxes = BoxUpkeep(robot, self._check, influence=self._influence)
-        self._tip = TipTask(robot, self._check, influence=self._influence)
+        self._boxes = BoxUpkeep(robot, self._check, influence=influence)
+        self._tip = TipTask(robot, self._check, influence=influence)
         self._recovery = Recovery(robot, self._check)
         self._filter = VelocityFilter(self._check, self._recovery)
         self._sectors = [
@@ -150,6 +143,10 @@ class Servo:
             if zone.slow_distance > zone.stop
         ]
         self._site = Surroundings(robot, scene, self._separation)
+        self._report = StepReport(
+            self._check, self._tip, self._commands, self._site,
+            feedback=Feedback(dt) if feedback is None else feedback, influence=influence,
+        )  # fmt: skip
         self._update_moving()
         self._measure(np.arange(len(self._separation), dtype=np.intp))
         self._add(build_obstacles(scene, robot))
@@ -432,7 +429,7 @@ class Servo:
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=chosen.end is None)
         self._advance(chosen.v, chosen.end)
-        return self._report(command, near, wish, request, chosen, pace)
+        return self._report.after_step(self._state, self.time, command, near, wish, request, chosen, pace)
 
     def _move_along(self, command: Command, track: Track, most: float, near: Near, *, covered: bool) -> ServoState:
         """Take a step along a track that is proven clear; `covered`: whether boxes hold all that could come near."""
@@ -452,7 +449,7 @@ class Servo:
         wish = self._tip.wish(q, self._commands, near, circulate=False)
         request = VelocityWish(wished, wished, None, wished, for_tip=False, range=limits._replace(cuts_wish=False))
         chosen = SafeVelocity(wished, held_back=False, evading=False, end=path.end)
-        return self._report(command, near, wish, request, chosen, pace)
+        return self._report.after_step(self._state, self.time, command, near, wish, request, chosen, pace)
 
     def _go_on(self, track: Track, v: Vector, end: Vector, *, straight: bool) -> None:
         """Take the step at v (n,) along a track; `end` (n,) of its straight braking path; whether that is proven."""
@@ -493,76 +490,6 @@ class Servo:
         q = before.q + moved
         self._state = JointState(q, v, self._check.path(q, v, step=False).end if end is None else end)
 
-    # --- the state after it --------------------------------------------------------------
-
-    def _report(
-        self, command: Command, near: Near, wish: JointWish, request: VelocityWish, chosen: SafeVelocity, pace: float
-    ) -> ServoState:
-        v, J = self._state.v, self._tip.jacobian[:3]
-        pair, margin = self._bounds.tightest(near)
-        nearest, normal = self._nearest(pair, margin), _ZERO
-        if nearest is None:
-            margin = math.inf
-        elif margin < CLOSE:
-            normal = self._separation.world_normal(pair, self._at)
-        self._tip.blocking = normal if chosen.held_back else _ZERO
-        beyond = self._refusal.next(v, wish=request.v, target=request.target)
-        difference = J.dot(beyond - request.v) + wish.tip
-        nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / CLOSE, 0.0), 1.0)))
-        force, refused = self._feedback.next(wish.tip, difference, normal, nearness), refused_part(wish.tip, difference)
-        status = self._status(
-            command, margin, wish.tip, refused, held_back=chosen.held_back, evading=chosen.evading,
-            at_limit=request.range.cuts_wish, singular=wish.singular,
-        )  # fmt: skip
-        return self._state_after(command, status, nearest, refused, force, proven=chosen.end is not None, pace=pace)
-
-    def _state_after(
-        self, command: Command, status: Status, nearest: Obstruction | None, refused: Vector, force: Vector,
-        *, proven: bool, pace: float,
-    ) -> ServoState:  # fmt: skip
-        tip = self._tip
-        return ServoState(
-            time=self.time,
-            q=self.q,
-            v=self.v,
-            status=status,
-            command=command,
-            nearest=nearest,
-            tip_position=tip.position,
-            tip_velocity=tip.jacobian[:3].dot(self._state.v),
-            refused=refused,
-            feedback_force=force,
-            proven=proven,
-            pace=pace,
-        )
-
-    def _nearest(self, pair: int, margin: float) -> Obstruction | None:
-        """The tightest pair as an obstruction; None if it is beyond the influence distance."""
-        return self._site.obstruction(pair, margin, self.time) if margin < self._influence else None
-
-    def _status(
-        self, command: Command, margin: float, wish: Vector, refused: Vector,
-        *, held_back: bool, evading: bool = False, at_limit: bool = False, singular: bool = False,
-    ) -> Status:  # fmt: skip
-        """What the servo does after a step. `wish` (3,) is the tip's, and `refused` (3,) the part not followed."""
-        held_back, asks = self._held_back.next(holds=held_back), self._commands.asks
-        if evading:
-            return Status.EVADING
-        if max(map(abs, self._state.v.tolist())) <= _CREEPS:
-            # a machine that begins to move, or that has no wish to move, is slow as well
-            held = asks and (held_back or at_limit or refused.dot(refused) > _MOSTLY**2 * wish.dot(wish))
-            if held or command in (Command.TIMED_OUT, Command.INVALID):
-                return Status.STOPPED
-        # the chosen velocity may equal the wish of the joints when that already gave way to an obstacle nearby
-        gives_way = margin < CLOSE and refused.dot(refused) > _PARTLY**2 * wish.dot(wish)
-        if asks and (held_back or self._gives_way.next(holds=bool(gives_way))):
-            return Status.SLIDING
-        if margin < CLOSE:
-            return Status.NEAR_OBSTACLE
-        if at_limit:
-            return Status.NEAR_LIMIT
-        return Status.NEAR_SINGULARITY if singular else Status.OK
-
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
         if not moved and self._track is not None:
@@ -572,21 +499,7 @@ class Servo:
             self._go_on(self._track, slower, self._check.path(q, slower).end, straight=False)
         elif not moved:
             self._advance(self._joints.brake(self._state.v), None)
-        J, commands = self._tip.jacobian[:3], self._commands
-        wish = _ZERO if commands.tip is None else commands.tip
-        if commands.joints is not None:
-            wish = J.dot(commands.joints)
-        pair, margin = self._bounds.tightest_of_all()
-        nearest, force = self._nearest(pair, margin), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
-        refused = refused_part(wish, wish - J.dot(self._state.v))
-        status = self._status(command, margin, wish, refused, held_back=True)
-        return self._state_after(
-            command, Status.STOPPED if failed else status, nearest, refused, force, proven=False, pace=1.0
-        )
-
-
-_ZERO = np.zeros(3)
-_ZERO.setflags(write=False)
+        return self._report.after_braking(self._state, self.time, command, failed=failed)
 
 
 def _start(robot: Robot, scene: Scene) -> Vector:
