@@ -26,6 +26,7 @@ MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bound
 FINEST_PARTS = 2 * MOST_PARTS  # of a path that is examined in halves of its parts
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
 _BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
+_NO_POINTS = np.zeros((4, 3))
 _FINE = _BEND, float(MOST_PARTS)
 
 
@@ -107,6 +108,13 @@ class Placements:
     def place_line(self, q: Vector, delta: Vector, parts: int, *, every: int = 1) -> None:
         """Fill rows i = 1, 1 + `every`, ... up to `parts` with the placements at q + i / parts delta (n,)."""
         place_on_line(q, delta, parts, every, *self.chain, self.T, self.J)
+
+    def place_each(self, q: Matrix) -> None:
+        """Fill the first rows of T, and not of J, with the placements at q (S, n)."""
+        factors, slides = self.chain
+        at = np.ascontiguousarray(q.T)
+        _, origins, rotations, *_ = chain_placements(at, np.sin(at), 1.0 - np.cos(at), factors, slides, _NO_POINTS)
+        self.R[: len(q), 1:], self.t[: len(q), 1:] = rotations.transpose(3, 0, 2, 1), origins.transpose(2, 0, 1)
 
     def spread(self, count: int) -> None:
         """Move rows 1 to `count` to rows 2, 4, ... up to twice `count`."""

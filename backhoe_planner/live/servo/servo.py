@@ -21,6 +21,7 @@ Within the slow distance of one of the scene's zones the wish is scaled down; it
 
 from __future__ import annotations
 
+import math
 import reprlib
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -44,6 +45,7 @@ from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState
 from backhoe_planner.live.servo.step_report import StepReport
+from backhoe_planner.live.servo.stop_choice import Stop, StopChoice
 from backhoe_planner.live.servo.surroundings import Surroundings
 from backhoe_planner.live.servo.tip_task import TipTask
 from backhoe_planner.live.servo.track import Track
@@ -122,7 +124,8 @@ class Servo:
         q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
-        self._track: Track | None = None  # along which the machine stops, if it does not straight ahead
+        self._stop: Stop | None = None  # how the machine stops, if it does not straight ahead
+        self._compared_until = math.inf  # s: the stop was chosen from all until then, or until something turns up
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
@@ -136,6 +139,7 @@ class Servo:
         self._boxes = BoxUpkeep(robot, self._check, influence=influence)
         self._tip = TipTask(robot, self._check, influence=influence)
         self._recovery = Recovery(robot, self._check)
+        self._stops = StopChoice(robot, self._check)
         self._filter = VelocityFilter(self._check, self._recovery)
         self._sectors = [
             (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
@@ -279,6 +283,7 @@ class Servo:
         self._check.forget()
         self._boxes.forget(blocking=True)
         self._recovery.changed()
+        self._compared_until = -math.inf
 
     def prepare_to_carry(self, leg: str | None) -> None:
         """Measure a few of the pairs of the load of a leg that is about to begin; takes about 0.1 ms.
@@ -324,7 +329,7 @@ class Servo:
     @property
     def on_track(self) -> bool:
         """Whether the machine, if it has to stop, does so along the track of `step_along_unchecked`."""
-        return self._track is not None
+        return isinstance(self._stop, Track)
 
     def _add(self, obstacles: Iterable[Obstacle]) -> None:
         pairs = self._site.put(obstacles, now=self.time)
@@ -353,8 +358,9 @@ class Servo:
         path = self._check.path(self._state.q, self._state.v, step=False)
         path.place(self._at)
         self._bounds.measure(pairs, path, self._at)
-        if self._track is not None:
+        if self._stop is not None:
             self._require_clearance(pairs)
+            self._compared_until = -math.inf
         if self._bounds.stands[pairs].any():
             self._recovery.changed()
 
@@ -422,10 +428,10 @@ class Servo:
             range=self._joints.velocity_range(q, v, wished),
         )
         chosen = self._filter.choose(self._state, request, near)
-        if self._track is not None:
+        if self._stop is not None:
             if chosen.end is None or not self._joints.are_kept_at(chosen.end):
                 return self._brake(command, failed=False)
-            self._track = None
+            self._stop = None
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=chosen.end is None)
         self._advance(chosen.v, chosen.end)
@@ -445,21 +451,25 @@ class Servo:
         self._bounds.accept(awake.pairs, found)
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=False)
+        self._compared_until = math.inf  # the track is proven
         self._go_on(track, wished, path.end, straight=straight)
         wish = self._tip.wish(q, self._commands, near, circulate=False)
         request = VelocityWish(wished, wished, None, wished, for_tip=False, range=limits._replace(cuts_wish=False))
         chosen = SafeVelocity(wished, held_back=False, evading=False, end=path.end)
         return self._report.after_step(self._state, self.time, command, near, wish, request, chosen, pace)
 
-    def _go_on(self, track: Track, v: Vector, end: Vector, *, straight: bool) -> None:
-        """Take the step at v (n,) along a track; `end` (n,) of its straight braking path; whether that is proven."""
+    def _go_on(self, stop: Stop, v: Vector, end: Vector, *, straight: bool) -> None:
+        """Take a step of a stop, or along a track, at v (n,), with the `end` (n,) of its straight braking path.
+
+        straight: whether that path is proven, so that the stop is no longer needed.
+        """
         self._check.forget()
-        self._track = None if straight else track
+        self._stop = None if straight else stop
         self._advance(v, end)
-        track.advance()
-        if self._track is not None and not v.any():
-            # at rest the machine needs no track: what is too near here may only be left from now on
-            self._track = None
+        stop.advance()
+        if self._stop is not None and not v.any():
+            # at rest the machine needs no stop: what is too near here may only be left from now on
+            self._stop = None
             self._measure(self._check.awake(self._state, 0.0).pairs)
 
     def _require_clearance(self, pairs: Indices) -> None:
@@ -492,11 +502,15 @@ class Servo:
 
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
-        if not moved and self._track is not None:
+        if not moved and self._stop is not None:
+            if self.time > self._compared_until and not failed:
+                self._compared_until = math.inf
+                self._stop, best_for, _ = self._stops.choose(self._state, self._stop)
+                self._compared_until = self.time + best_for
             q, v, _ = self._state
-            slower = self._track.slower(q, v)
+            slower = self._stop.slower(q, v)
             self._bounds.accept_nothing()
-            self._go_on(self._track, slower, self._check.path(q, slower).end, straight=False)
+            self._go_on(self._stop, slower, self._check.path(q, slower).end, straight=False)
         elif not moved:
             self._advance(self._joints.brake(self._state.v), None)
         return self._report.after_braking(self._state, self.time, command, failed=failed)

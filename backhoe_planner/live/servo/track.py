@@ -9,16 +9,19 @@ be, and everywhere it can lower the pace as far as the accelerations allow.
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import Protocol
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits, Piece
 
 _ON_TRACK = 1e-6  # rad or m off the track within which the machine is on it; chosen, far below every tolerance
 _ROUNDING = 1e-6  # part of the acceleration: a change of velocity that is larger by no more is allowed
 _PARTS = (1.0, 0.98, 0.9, 0.7, 0.4, 0.1)  # of the change of pace that is expected to be allowed, which are tried
+_STEP_TO_REST = 0.005  # s of a step on the way to rest, at least; measured: shorter ones lead to the same place
+_FARTHEST_REST, _PLACES_AHEAD = 3.0, 60  # s after which the machine rests, and places until then; chosen
 _STILL = 1e-9  # rad/s or m/s: a slower machine stands still; rounding of a position, over a step
 
 
@@ -96,6 +99,26 @@ class Track:
     def advance(self) -> None:
         """Move the clock on by the step whose velocity was found last."""
         self.reference.advance(self._pace * self._dt)
+
+    def ahead(self) -> tuple[Matrix, Vector]:
+        """(K, n) places on the track from the clock on, farther than a machine takes to stop, and (K,) when [s]."""
+        times = np.linspace(0.0, _FARTHEST_REST, _PLACES_AHEAD)
+        return np.array([self.reference.at(self.reference.clock + time) for time in times.tolist()]), times
+
+    def way_to_rest(self, q: Vector, v: Vector) -> tuple[Matrix, Vector]:
+        """(K, n) where a machine at q, v (n,) on the track is while it slows down along it, and (K,) when [s].
+
+        While a joint of the track itself slows down as fast as it can, the pace cannot be lowered.
+        """
+        dt = max(self._dt, _STEP_TO_REST)
+        alone, places = Track(copy(self.reference), self._limits, dt), [q]
+        alone._pace = self._pace
+        while v.any() and dt * len(places) < _FARTHEST_REST:
+            v = alone.slower(q, v)
+            q = q + dt * v
+            alone.advance()
+            places.append(q)
+        return np.array(places), dt * np.arange(len(places), dtype=float)
 
     def _between(self, kept: float, wanted: float, q: Vector, v: Vector) -> float:
         """The pace nearest to `wanted` that the accelerations allow, from the pace `kept`, which they do."""
