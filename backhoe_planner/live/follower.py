@@ -301,9 +301,8 @@ class PlanFollower:
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
         kept = self._kept.pace(servo.q, servo.v, reference, rates, time=servo.time)
         if kept is None:
-            pace, pull = 0.0, np.zeros_like(pull)
-        else:
-            pace = min(pace, kept, self._paces.at(reference.clock) if reference is self._plan else 1.0)
+            return servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
+        pace = min(pace, kept, self._paces.at(reference.clock) if reference is self._plan else 1.0)
         state = servo.step(joint_velocity=pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
             reference.advance(pace * servo.dt)

@@ -45,6 +45,10 @@ class KeptFollowing:
         """The condition that is not kept, or would not have been, in words; empty if there is none."""
         return self._lost
 
+    def held(self, q: Vector, v: Vector, dt: float) -> Vector:
+        """(n,) the velocity to be commanded when the machine has to stop, see `held_velocity`."""
+        return np.zeros_like(v) if self._keep is None else held_velocity(self._keep, self._limits, q, v, dt)
+
     def pace(self, q: Vector, v: Vector, reference: Reference, rates: Vector, *, time: float) -> float | None:
         """The part of its speed at which the plan may go on, 0 to 1; None if the machine at `q` (n,) has to stop.
 
@@ -82,6 +86,26 @@ class KeptFollowing:
             return None
         lost = beside < -_LEAST
         return float(np.min((left[lost] + _LEAST) / -beside[lost], initial=1.0))
+
+
+def held_velocity(keep: Keep, limits: JointLimits, q: Vector, v: Vector, dt: float) -> Vector:
+    """(n,) the velocity to be commanded to a machine at q, v (n,) that has to stop, for the next `dt` [s].
+
+    All joints slow down in proportion. If a condition would be lost meanwhile, the joints that can change it the
+    soonest counteract, as far as their accelerations allow: how fast a full bucket tips is stopped sooner by turning
+    the bucket than by stopping the boom.
+    """
+    time = float(np.max(np.abs(v) / limits.acceleration))
+    if time == 0.0:
+        return v
+    slower, gradients = max(1.0 - dt / time, 0.0) * v, keep.gradients(q)
+    left = keep.margins(q) + 0.5 * time * (gradients @ v)  # at rest
+    gradient, change = gradients[int(left.argmin())], limits.acceleration * dt
+    rate = float(gradient @ slower)
+    if rate >= 0.0 or left.min() >= 0.0:
+        return slower
+    by = gradient * limits.acceleration**2
+    return np.asarray(np.clip(slower - rate / float(gradient @ by) * by, v - change, v + change))
 
 
 def _time_along(vector: Vector, rates: Vector) -> float:

@@ -12,7 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.live import Rejoining, RejoiningQuery, find_rejoining
 from backhoe_planner.live.braking.joint_bounds import BRAKING
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
-from backhoe_planner.live.kept_following import KeptFollowing
+from backhoe_planner.live.kept_following import KeptFollowing, held_velocity
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import Keep, keep_of
@@ -121,6 +121,33 @@ def test_a_plan_of_least_time_is_followed_within_what_it_keeps(backhoe: bp.Robot
     assert told.done
     assert least > -1e-3
     assert statuses == {"following", "arrived"}
+
+
+@pytest.mark.parametrize("dt", [0.06, 0.1])
+def test_a_machine_that_is_held_keeps_its_bucket_level_in_long_steps_too(backhoe: bp.Robot, dt: float) -> None:
+    """In one step it slides so that the bucket tips by 20 degrees a second more; the boom needs 0.5 s to stop."""
+    plan = bp.plan(backhoe, bp.load_scene(SCENES / "level_bucket.yaml"), effort="quick")
+    keep = plan.problem.keep
+    assert plan.verified
+    assert keep is not None
+    servo = bp.Servo(backhoe, plan.scene, dt, q=plan.trajectory.q[0])
+    with bp.PlanFollower(servo, plan, executor=AtOnce()) as follower:
+        postures = [follower.step().state.q for _ in range(round(2.0 * plan.trajectory.duration / dt))]
+    assert min(float(keep.margins(q).min()) for q in postures) > -1e-3
+    assert servo.last_error is None
+
+
+def test_holding_a_machine_stops_a_tipping_bucket_before_the_boom(backhoe: bp.Robot) -> None:
+    """A condition on the pitch, the sum of three angles; the bucket alone changes its rate by 0.3 rad/s in a step."""
+    keep, limits, dt = keep_of(backhoe, level_scene()), backhoe.limits, 0.1
+    assert keep is not None
+    q, v = np.array(A) + np.array([0.0, 0.0, 0.0, -0.008]), np.array([0.2, -0.2, 0.0, 0.05])
+    held = held_velocity(keep, limits, q, v, dt)
+    assert float(held[1:].sum()) == pytest.approx(0.0, abs=1e-9)
+    assert (np.abs(held - v) <= limits.acceleration * dt + 1e-12).all()
+    np.testing.assert_array_equal(held_velocity(keep, limits, q, np.zeros(4), dt), np.zeros(4))
+    slow = np.array([0.2, 0.01, 0.0, 0.0])  # it tips by 0.01 rad/s * 0.4 s / 2 until it rests, where 0.018 rad are left
+    np.testing.assert_allclose(held_velocity(keep, limits, q, slow, dt), slow * (1.0 - dt / 0.4), atol=1e-12)
 
 
 def test_the_plan_goes_on_only_as_fast_as_braking_straight_ahead_keeps_the_band(backhoe: bp.Robot) -> None:
