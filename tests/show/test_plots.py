@@ -17,7 +17,7 @@ from backhoe_planner.planning import Plan, measure_motion
 from backhoe_planner.proof import certify
 from backhoe_planner.show import plot_envelope, plot_plan
 from backhoe_planner.show.plots import plots
-from backhoe_planner.show.plots.plots import moments_to_draw
+from backhoe_planner.show.plots.plots import moments_to_draw, with_rests_apart
 from backhoe_planner.site import scene_from_dict
 
 START = [0.0, 0.4, -1.6, -0.9]
@@ -135,6 +135,25 @@ def test_the_limit_used_has_no_gaps_between_the_samples_of_a_smooth_motion(panda
 
     far = Trajectory.from_steps(time[::8], q[::8])  # these samples are corners, and nothing is used between them
     assert moments_to_draw(far, far.moments()).all()
+
+
+def test_the_limit_used_in_a_rest_is_that_of_the_machine_at_rest(backhoe: Robot) -> None:
+    """A swing stops, rests for 2 s with only the weight to hold, and starts again."""
+    joints = dict(zip(backhoe.joint_names, START, strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [2.9, 0.0, -1.07]}}}
+    problem = build_problem(backhoe, scene_from_dict(content))
+    start, turned = np.array(START), np.array(START) + np.array([0.01, 0.0, 0.0, 0.0])
+    time = np.array([0.0, SAMPLE_PERIOD, 2.0 + SAMPLE_PERIOD, 2.0 + 2.0 * SAMPLE_PERIOD])
+    stopping = Trajectory.from_steps(time, np.array([start, turned, turned, start]))
+    apart = with_rests_apart(stopping)
+    np.testing.assert_allclose(apart.time[[0, 1, 4, 5]], time)
+    np.testing.assert_array_equal(apart.q[[0, 1, 4, 5]], stopping.q)
+    assert with_rests_apart(replace(stopping, begins=(0, 1, 2))).begins == (0, 1, 4)
+    held = limit_usage(problem, Trajectory.from_steps(np.array([0.0, 1.0]), np.array([turned, turned]))).greatest
+    usage = limit_usage(problem, apart)
+    drawn = moments_to_draw(apart, usage.moments)
+    np.testing.assert_allclose(usage.greatest[drawn][2:4], held[0])
+    assert usage.greatest[drawn][1] > 2.0 * held[0]
 
 
 def test_limits_that_the_legend_does_not_name_are_counted(

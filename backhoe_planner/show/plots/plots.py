@@ -217,11 +217,12 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
 
 
 def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    usage = limit_usage(problem, plan.trajectory)
+    motion = with_rests_apart(plan.trajectory)
+    usage = limit_usage(problem, motion)
     on_the_way = usage.moments.time < plan.certificate.tracking.approach_time  # no tip speed is required there
     asked = np.array([kind == "tip speed" for kind, _ in usage.limits])
     usage = replace(usage, ratio=np.where(np.outer(on_the_way, asked), 0.0, usage.ratio))
-    drawn = moments_to_draw(plan.trajectory, usage.moments)
+    drawn = moments_to_draw(motion, usage.moments)
     binding, time, greatest = usage.binding[drawn], usage.moments.time[drawn], usage.greatest[drawn]
     used = 100.0 * np.minimum(greatest, 1.5)
     binds = greatest >= _BINDS
@@ -256,6 +257,24 @@ def moments_to_draw(trajectory: Trajectory, moments: Moments) -> NDArray[np.bool
     sample = np.diff(moments.segment, prepend=-1) > 0
     far = np.append(np.diff(trajectory.time) > SAMPLE_PERIOD * (1.0 + 1e-6), False)
     return np.asarray(sample | far[moments.segment])
+
+
+def with_rests_apart(trajectory: Trajectory) -> Trajectory:
+    """The same motion with two more samples in each segment that is a rest, one period from its ends.
+
+    What a machine uses at rest is then seen between the samples at which it stops and starts.
+    """
+    time, q, v = trajectory.time, trajectory.q, trajectory.v
+    rests = np.flatnonzero((np.diff(time) > 3.0 * SAMPLE_PERIOD) & (np.diff(q, axis=0) == 0.0).all(axis=1))
+    at = np.repeat(rests + 1, 2)
+    inside = np.column_stack((time[rests] + SAMPLE_PERIOD, time[rests + 1] - SAMPLE_PERIOD)).ravel()
+    return replace(
+        trajectory,
+        time=np.insert(time, at, inside),
+        q=np.insert(q, at, q[at - 1], axis=0),
+        v=np.insert(v, at, 0.0, axis=0),
+        begins=tuple(first + int(np.count_nonzero(at <= first)) for first in trajectory.begins),
+    )
 
 
 def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
