@@ -285,6 +285,9 @@ def test_check_prints_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
     assert status == 1
     assert said.startswith("not verified: outside_limits\n  joint2 starts at 9 rad, allowed -")
     assert said.splitlines()[1].endswith(" rad (9 degrees are 0.1571 rad)")
+    assert said.splitlines()[2].startswith("  there is no motion: ")
+    assert said.splitlines()[3].startswith("planned with ")
+    assert "tip error" not in said
 
 
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:

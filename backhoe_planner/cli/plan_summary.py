@@ -34,8 +34,8 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     if found.message:
         OUT.print(f"  {found.message}")
     metrics = found.metrics
+    moves = _has_motion(found)
     # if there is no motion and the start is not given by joints, the plan only has the posture that came nearest
-    moves = len(found.trajectory) > 1 or found.verified
     if moves or found.problem.start_q is not None:
         _print_clearances(found.certificate, moves=moves)
     _print_tracking_error(found)
@@ -44,6 +44,11 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     _print_legs(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
     OUT.print(f"plan          {output}")
+
+
+def _has_motion(found: bp.Plan) -> bool:
+    """Whether a plan has a motion: one of 0 s on the goal counts, a configuration that came nearest does not."""
+    return len(found.trajectory) > 1 or found.verified
 
 
 def _print_clearances(certificate: bp.Certificate, *, moves: bool) -> None:
@@ -149,12 +154,14 @@ def _print_motion(found: bp.Plan) -> None:
 
 def print_certificate(plan: bp.Plan) -> None:
     """Print what is proven about a plan, row by row."""
-    certificate = plan.certificate
+    certificate, moves = plan.certificate, _has_motion(plan)
     print_verdict("" if certificate.verified else f"not verified: {plan.reason}")
     if not certificate.verified:
         if plan.failure and plan.note:
             OUT.print(f"  {plan.note}")
-        for problem in certificate.problems:
+        if plan.failure and not moves:
+            OUT.print("  there is no motion: what follows is of one configuration, at rest")
+        for problem in certificate.problems if moves or not plan.failure else ():
             if not plan.failure or problem not in plan.note:  # what the planner said need not be said again
                 OUT.print(f"  {problem}")
     if not live.is_recording(plan):
@@ -177,7 +184,8 @@ def print_certificate(plan: bp.Plan) -> None:
         _print_tracking_error(plan)
         _print_goal(plan)
         _print_keep(plan)
-        OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm{_angle_error(plan)} at most")
+        if moves:
+            OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm{_angle_error(plan)} at most")
         _print_left_out(certificate.tracking)
     speed = certificate.tip_speed
     if speed is not None:

@@ -228,9 +228,8 @@ def describe(detail: Any) -> str:
 def _not_a_choice(found: str, shown: str, expected: str) -> str:
     """The message for a value that is none of `expected`, which pydantic lists as: 'work', 'time' or ..."""
     near = nearest_name(found, expected.replace(" or ", ", ").replace("'", "").split(", "))
-    return f"is not one of the allowed values{shown}; allowed: {expected}" + (
-        f" (did you mean {near!r}?)" if near else ""
-    )
+    hint = "without quotes" if near == found else f"did you mean {near!r}?"  # a number is not its text
+    return f"is not one of the allowed values{shown}; allowed: {expected}" + (f" ({hint})" if near else "")
 
 
 def _wrong_tag(detail: Any, tagged: Mapping[str, type[BaseModel]]) -> str:

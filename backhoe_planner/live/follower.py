@@ -109,6 +109,11 @@ class FollowerState:
     status: FollowerStatus
     reason: str
 
+    def __repr__(self) -> str:
+        """One line: what it does and why, how far the plan's clock has come, and how late the machine is."""
+        why = f" ({self.reason})" if self.reason else ""
+        return f"<FollowerState {self.status.value}{why}, plan time {self.plan_time:.2f} s, {self.behind:.2f} s behind>"
+
 
 class PlanFollower:
     """Drives a servo along a plan, one step after the other.

@@ -83,6 +83,12 @@ class Problem:
     max_duration: float = np.inf
     legs: tuple[Problem, ...] = ()
 
+    def __repr__(self) -> str:
+        """One line: machine, task and obstacles."""
+        tasks = {"path": self.path, "sequence": self.legs, "wait": self.wait is not None, "goal": self.goals}
+        task = next((name for name, has in tasks.items() if has), "no task")
+        return f"<Problem of {self.robot.name}: {task}, obstacles: {len(self.obstacles)}>"
+
     def beginning(self, q: Vector, time: float = 0.0) -> Problem:
         """The same problem with the start at the joints `q` (n,) [rad or m], on a clock that begins at `time` [s]."""
         q, time, goals = as_vector(q, self.robot.n, key="q"), as_number(time, key="time"), self.goals

@@ -98,6 +98,10 @@ class Trajectory:
             if getattr(self, name) is not None:
                 check_kind(getattr(self, name), Beside, key=f"trajectory.{name}")
 
+    def __repr__(self) -> str:
+        """One line: samples, joints and duration."""
+        return f"<Trajectory: {len(self)} samples of {self.q.shape[1]} joints, {self.duration:.2f} s>"
+
     def _checked_begins(self) -> tuple[int, ...]:
         begins = tuple(
             as_count(first, key=f"trajectory.begins[{index}]")

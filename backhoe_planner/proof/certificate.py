@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backhoe_planner.digits import beside_bounds, length_text
+from backhoe_planner.digits import beside_bounds, length_text, margin_text
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import (
@@ -66,6 +66,16 @@ class Certificate:
     keep: tuple[KeepUse, ...] = ()
     legs: tuple[LegCertificate, ...] = ()
     duration: LimitUse | None = None
+
+    def __repr__(self) -> str:
+        """One line: whether it is verified, what is nearest, and the first problem."""
+        near = self.min_clearance
+        words = ["verified" if self.verified else f"not verified: {self.problems[0]}"]
+        if len(self.problems) > 1:
+            words.append(f"and {len(self.problems) - 1} more")
+        if near is not None:
+            words.append(f"margin {margin_text(near.margin)} m between {near.link} and {near.name}")
+        return f"<Certificate {', '.join(words)}>"
 
     @property
     def min_clearance(self) -> Obstruction | None:

@@ -67,6 +67,10 @@ class Obstacle:
         object.__setattr__(self, "appears_at", as_number(self.appears_at, key=f"{self.name}.appears_at"))
         object.__setattr__(self, "velocity", as_vector(self.velocity, 3, key=f"{self.name}.velocity"))
 
+    def __repr__(self) -> str:
+        """One line: name, shape and clearance."""
+        return f"<Obstacle {self.name!r}: {self.spec.shape}, clearance {self.clearance:g} m>"
+
     @property
     def slow(self) -> float:
         """The distance beyond the clearance within which the servo goes slower [m]."""

@@ -85,6 +85,23 @@ def test_repr_shows_a_plan_in_a_line(solved: bp.Plan) -> None:
     assert re.fullmatch(shown, repr(solved))
 
 
+def test_parts_of_a_plan_are_shown_in_a_line_each(solved: bp.Plan) -> None:
+    nearest = solved.certificate.clearances[0]
+    assert repr(solved.certificate).startswith("<Certificate verified, margin +")
+    assert repr(solved.certificate).endswith(f" m between {nearest.link} and {nearest.name}>")
+    broken = replace(solved.certificate, problems=("the tip stops", "the rest"), clearances=())
+    assert repr(broken) == "<Certificate not verified: the tip stops, and 1 more>"
+    few = bp.Trajectory.from_steps(np.array([0.0, 0.5]), np.zeros((2, 4)))
+    assert repr(few) == "<Trajectory: 2 samples of 4 joints, 0.50 s>"
+    task = "path" if solved.problem.path else "goal"
+    count = len(solved.problem.obstacles)
+    assert repr(solved.problem) == f"<Problem of {solved.robot.name}: {task}, obstacles: {count}>"
+    for obstacle in solved.problem.obstacles:
+        assert repr(obstacle).startswith(f"<Obstacle {obstacle.name!r}: ")
+    leg = bp.PlannedLeg("over", 0, 1, 1.0, solved.problem, few, solved.certificate, solved.metrics)
+    assert repr(leg) == "<PlannedLeg 'over', verified, 1.00 to 1.50 s>"
+
+
 def test_a_plan_is_the_same_after_saving_and_loading(solved: bp.Plan, tmp_path: Path) -> None:
     file, _ = saved(solved, tmp_path)
     again = bp.load_plan(file)
@@ -155,6 +172,8 @@ def test_the_file_has_the_keys_of_the_contract(solved: bp.Plan, tmp_path: Path) 
         (["method"], "magic", "method"),
         (["verdict"], "perhaps", "verdict"),
         (["seed"], True, "seed"),
+        (["seed"], -1, "seed"),
+        (["version"], "1", "found '1'; allowed: 1"),
         (["effort"], "some", "effort: is not one of the allowed values; found 'some'; allowed: 'quick'"),
         (["metrics"], 1.0, "metrics"),
         (["metrics", "duration"], "long", "metrics.duration"),

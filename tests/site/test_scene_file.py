@@ -290,6 +290,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "key that is no text": (scene(obstacles=[]) | {1: 2}, ["1", "strings"]),  # type: ignore[dict-item]
     "no version": ({"task": GOAL["task"], "start": GOAL["start"]}, ["version: is missing; allowed: version: 1"]),
     "later version": (scene(version=2), ["version", "1", "found 2"]),
+    "version in quotes": (scene(version="1"), ["version", "found '1'; allowed: 1 (without quotes)"]),
     "no task": ({"version": 1}, ["task: is missing"]),
     "no radius": (shaped("sphere"), ["obstacles[0].radius: is missing"]),
     "no name": (scene(obstacles=[{"shape": "sphere", "radius": 1}]), ["obstacles[0].name: is missing"]),

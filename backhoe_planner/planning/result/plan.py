@@ -71,6 +71,11 @@ class PlannedLeg:
     metrics: Metrics
     findings: Findings = NOTHING
 
+    def __repr__(self) -> str:
+        """One line: name, verdict, and when it begins and ends."""
+        verdict, ends = "verified" if self.certificate.verified else "failed", self.begins + self.trajectory.duration
+        return f"<PlannedLeg {self.name!r}, {verdict}, {self.begins:.2f} to {ends:.2f} s>"
+
     @property
     def cost(self) -> str:
         """What it costs by its own objective, in words: ``work 11.39 kJ``.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, StrictInt, ValidationError, model_serializer, model_validator
@@ -254,7 +254,7 @@ class PlanRecord(Record):
     scene_folder: str = "."
     """The folder of the files that the scene names, relative to the plan file."""
     method: Method
-    seed: StrictInt
+    seed: Annotated[StrictInt, Field(ge=0)]
     effort: EffortName | None = None
     """How much was searched; None for a motion driven by hand, and in older files."""
     versions: dict[str, str] = Field(default_factory=dict)
@@ -306,8 +306,8 @@ def read_plan_file(file: Path) -> PlanRecord:
         raise PlanFileError("is not a plan file", file=file, key="format", found=repr(found), allowed=FORMAT)
     if content.get("version") != VERSION:
         raise PlanFileError(
-            "was written in a version that is not known", file=file, key="version", found=content.get("version"),
-            allowed=str(VERSION),
+            "was written in a version that is not known", file=file, key="version",
+            found=repr(content.get("version")), allowed=str(VERSION),
         )  # fmt: skip
     try:
         return PlanRecord.model_validate(content)
