@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.law import CompletedLaw, activation, null_space_term, push_factor
+from backhoe_planner.law import (
+    CompletedLaw,
+    CriticalRows,
+    activation,
+    link_chain,
+    link_jacobian,
+    link_velocities,
+    null_space_term,
+    push_factor,
+)
 from backhoe_planner.machine import Kinematics, Robot
-from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
+from backhoe_planner.site import Gains, Nearby, Proximity, build_obstacles, scene_from_dict
 
 INFLUENCE = 0.6  # unity distance 0.2
 EPSILON = 2e-2  # (m/rad)^2, the regularisation stated in the module
@@ -194,6 +203,32 @@ def test_velocities_do_not_jump_as_the_nearest_obstacle_changes(planar4: Robot) 
     assert largest < 0.02
 
 
+@pytest.mark.parametrize("copies", [1, 40])  # few rows and many are computed in different ways
+@pytest.mark.parametrize(("s_e", "s_o"), [(1.0, 1.0), (0.5, 3.0)])
+def test_the_answer_to_moving_obstacles_equals_a_hand_calculation(
+    planar4: Robot, copies: int, s_e: float, s_o: float
+) -> None:
+    """The task needs the first three joints, so that H = z is the fourth: sum w g missing / (epsilon + sum w g^2).
+
+    At 0.4 m, w = 0.5: the cosine is half way. The obstacle there comes nearer by 0.3 m/s and the tip's task takes the
+    point away from it by 0.1 s_e, so 0.3 - 0.1 s_e m/s are missing. Of the other two, one is beyond the influence, and
+    one moves away: it has no speed missing, but counts in the sum below. Each is there `copies` times.
+    """
+    at = Kinematics(planar4).at(np.array([0.3, 0.8, -1.2, 0.7]))
+    law = CompletedLaw(planar4, influence=INFLUENCE, gains=Gains(s_e=s_e, s_o=s_o), directionality=False)
+    J_e, xdot_e = np.eye(3, 4), np.array([0.1, 0.0, 0.0])
+    gradient = np.array([[0.0, 0.0, 0.0, 5.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 0.0, 0.4]])
+    margin, drift = np.array([0.7, 0.4, 0.4]), np.array([-9.0, -0.3, 0.2])
+    rows = CriticalRows(np.tile(margin, copies), np.tile(gradient, (copies, 1)), np.tile(drift, copies))
+    below = EPSILON + s_o * copies * 0.5 * (2.0**2 + 0.4**2)
+    expected = s_o * copies * 0.5 * 2.0 * (0.3 - 0.1 * s_e) / below
+    wish, quick = law.wish(at, J_e, xdot_e, rows), law.wish_on_null_line(at.q, J_e, xdot_e, rows)
+    assert quick is not None
+    for v, null in ((wish.v, wish.null), quick):
+        np.testing.assert_allclose(null, [0.0, 0.0, 0.0, expected], atol=1e-12)
+        np.testing.assert_allclose(v, [0.1 * s_e, 0.0, 0.0, expected], atol=1e-12)
+
+
 # --- directionality -------------------------------------------------------------------
 
 
@@ -206,6 +241,22 @@ def test_the_nearness_of_a_joint_limit_equals_a_hand_calculation(planar4: Robot)
     np.testing.assert_allclose(law.near_limit(q, -np.ones(4)), [0.0, 0.0, 0.75, 0.0], atol=1e-9)
     np.testing.assert_array_equal(law.near_limit(q, np.zeros(4)), np.zeros(4))
     np.testing.assert_allclose(law.near_limit(q + 0.1 * zone, np.ones(4))[1], 1.0)  # beyond it, too
+
+
+def test_the_hold_of_a_joint_near_its_limit_equals_a_hand_calculation(planar4: Robot) -> None:
+    """Joints 3 and 4 share a task, so that z = (0, 0, 1, -1) / sqrt 2 and both have the rate a / sqrt 2.
+
+    Joint 3 is half a zone from its limit: h = 0.5^2, and H = -z h z_3 v_3 / (epsilon + h z_3^2).
+    """
+    q = np.array([0.0, 0.0, np.pi - 0.5 * 0.15 * 2.0 * np.pi, 0.0])
+    law, a, z = CompletedLaw(planar4, influence=INFLUENCE), 0.3, np.array([0.0, 0.0, 1.0, -1.0]) / np.sqrt(2.0)
+    J_e = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])
+    xdot_e, nothing = np.array([0.0, 0.0, a]), CriticalRows(np.zeros(0), np.zeros((0, 4)), np.zeros(0))
+    expected = -z * 0.25 * 0.5 * a / (EPSILON + 0.25 * 0.5)
+    quick = law.wish_on_null_line(q, J_e, xdot_e, nothing)
+    assert quick is not None
+    for null in (law.wish(Kinematics(planar4).at(q), J_e, xdot_e, nothing).null, quick[1]):
+        np.testing.assert_allclose(null, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -233,6 +284,27 @@ def test_a_joint_near_its_limit_is_slowed(planar4: Robot, joint: int) -> None:
         changes.append(float((held.v[joint] - plain.v[joint]) / plain.v[joint]))
     assert np.max(changes) < 1e-9
     assert np.median(changes) < -0.5
+
+
+def test_links_to_be_turned_give_the_least_sum_of_squares(planar4: Robot) -> None:
+    """H = N y with the least epsilon |H|^2 + sum_k s_k |J_k (v_e + H) - xdot_k|^2, D = +1, by another solver."""
+    at, weights = Kinematics(planar4).at(np.array([0.3, 0.8, -1.2, 0.7])), {"joint1": 0.2, "joint2": 3.0, "joint3": 0.7}
+    law = CompletedLaw(planar4, influence=INFLUENCE, gains=Gains(s_k=weights))
+    nothing = CriticalRows(np.zeros(0), np.zeros((0, 4)), np.zeros(0))
+    found = law.wish(at, at.jacobian[:2], np.array([0.3, 0.2]), nothing)
+    chain, N = link_chain(at), np.eye(4) - np.linalg.pinv(at.jacobian[:2]) @ at.jacobian[:2]
+    asked = link_velocities(
+        chain, at.jacobian[:3] @ found.primary, D=np.ones(3), magnification="norm_preserving", follow_bend=True,
+        as_rates=True,
+    )  # fmt: skip
+    left, right = [np.sqrt(EPSILON) * N], [np.zeros(4)]
+    for k, weight in enumerate(weights.values(), start=1):
+        J_k = link_jacobian(chain, k, reference="standard")
+        left.append(np.sqrt(weight) * J_k @ N)
+        right.append(np.sqrt(weight) * (asked[k - 1] - J_k @ found.primary))
+    expected = N @ np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=1e-10)[0]
+    assert np.linalg.norm(expected) > 0.01
+    np.testing.assert_allclose(found.null, expected, atol=1e-9)
 
 
 def test_a_task_with_as_many_rows_as_joints_has_no_null_space_terms(planar4: Robot) -> None:

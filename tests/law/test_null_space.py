@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.law import projector, pseudo_inverse, resolve
+from backhoe_planner.law.null_space import resolve_on_null_line
 from backhoe_planner.machine import Kinematics, Robot
 
 
@@ -114,3 +115,29 @@ def test_rank_deficient_rows_have_an_exact_projector_and_a_finite_inverse(
     np.testing.assert_allclose(found.projector, N, atol=1e-12)
     assert np.all(np.isfinite(found.inverse))
     np.testing.assert_allclose(np.array(J) @ found.projector, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [4, 6])
+def test_a_singular_value_just_below_0_08_is_damped_whatever_the_others_are(n: int) -> None:
+    """sigma / (sigma^2 + lambda^2) with lambda = 0.08 sqrt(1 - (0.07 / 0.08)^2), in any orientation."""
+    rng = np.random.default_rng(0)
+    damping = 0.08 * np.sqrt(1.0 - (0.07 / 0.08) ** 2)
+    for others in ((1.0, 1.0), (0.08, 0.09), (0.5, 2.0)):
+        U, V = np.linalg.qr(rng.normal(size=(3, 3)))[0], np.linalg.qr(rng.normal(size=(n, 3)))[0]
+        sizes = np.array([*others, 0.07])
+        J = (U * sizes) @ V.T
+        found = resolve(J)
+        assert found.damping == pytest.approx(damping, rel=1e-6)
+        np.testing.assert_allclose(found.inverse, (V * (sizes / (sizes**2 + damping**2))) @ U.T, atol=1e-6)
+        if n == 4:
+            assert resolve_on_null_line(J, np.ones(3)) is None
+
+
+def test_beside_a_singular_value_of_0_a_small_one_is_not_in_the_null_space() -> None:
+    """Singular values 1, 0.01 and 0 in five joints: N has rank 3, and moves none of the task."""
+    rng = np.random.default_rng(1)
+    U, V = np.linalg.qr(rng.normal(size=(3, 3)))[0], np.linalg.qr(rng.normal(size=(5, 3)))[0]
+    J = (U * np.array([1.0, 0.01, 0.0])) @ V.T
+    N = resolve(J).projector
+    np.testing.assert_allclose(J @ N, 0.0, atol=1e-9)
+    assert np.trace(N) == pytest.approx(3.0)

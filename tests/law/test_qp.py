@@ -150,6 +150,27 @@ def test_few_of_many_contradictory_rows_are_used() -> None:
     assert found.iterations <= found.problems * MOST_ITERATIONS
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_units_of_rows_do_not_change_which_of_many_bind(seed: int) -> None:
+    """A row times a number demands the same, and so does its price: it is measured by how far x has to move."""
+    rng = np.random.default_rng(seed)
+    G = rng.normal(size=(300, 4))
+    G /= np.linalg.norm(G, axis=1, keepdims=True)
+    h, factor = rng.uniform(-0.5, 0.5, 300), np.exp(rng.uniform(-4.0, 4.0, 300))
+    plain, scaled = (
+        solve_with_binding_rows(
+            QuadraticProgram(
+                np.eye(4), np.zeros(4), np.full(4, -3.0), np.full(4, 3.0), (Rows("all", by[:, None] * G, by * h),)
+            )
+        )
+        for by in (np.ones(300), factor)
+    )
+    assert plain is not None
+    assert scaled is not None
+    np.testing.assert_array_equal(scaled.kept, plain.kept)
+    np.testing.assert_allclose(scaled.x, plain.x, atol=1e-6)
+
+
 def test_a_solver_that_needs_too_many_iterations_has_no_solution() -> None:
     rows = Rows("below", np.eye(4), np.full(4, -1.0))
     program = QuadraticProgram(np.eye(4), np.zeros(4), np.full(4, -5.0), np.full(4, 5.0), (rows,))

@@ -75,6 +75,14 @@ def test_the_braking_time_is_that_of_the_slowest_joint() -> None:
     assert Shield(two_joints()).braking_time(np.array([0.3, -0.8])) == pytest.approx(0.4)
 
 
+def test_braking_reduces_all_speeds_by_the_same_part() -> None:
+    """0.4 rad/s at 2 rad/s^2 is braked in 0.2 s, so a step of 0.02 s takes a tenth of it; a long one stops."""
+    shield = Shield(two_joints())
+    np.testing.assert_allclose(shield._braked(np.array([0.4, -0.2]), DT), [0.36, -0.18])
+    np.testing.assert_array_equal(shield._braked(np.array([0.01, 0.0]), DT), np.zeros(2))
+    np.testing.assert_array_equal(shield._braked(np.zeros(2), DT), np.zeros(2))
+
+
 def test_a_joint_beyond_its_limit_must_come_back() -> None:
     """0.1 rad outside: at least 0.1 rad/s back; far outside: 0.25 rad/s at most."""
     shield = Shield(two_joints())
