@@ -26,6 +26,9 @@ from backhoe_planner.motion import (
     retime,
     time_along,
 )
+from backhoe_planner.motion.timing.path_limits import PathShape, _Loads, time_path
+from backhoe_planner.motion.timing.time_optimal import TimeLaw
+from backhoe_planner.motion.timing.timing import _over
 from backhoe_planner.planning import load_plan, plan
 from backhoe_planner.proof import certify
 from backhoe_planner.site import Scene, scene_from_dict
@@ -94,13 +97,14 @@ def test_the_requested_tip_speed_bounds_the_motion(planar4: Robot) -> None:
     assert slow.duration == pytest.approx(2.0 / 0.1, rel=1e-3)
 
 
-def test_the_tip_has_the_requested_speed_even_if_arc_lengths_are_wrong(planar4: Robot) -> None:
-    """Joint 1 turns the stretched arm: the tip moves by 0.5 rad times its length; the arc lengths are half of that."""
+@pytest.mark.parametrize("part_of_way", [0.5, 2.0])
+def test_the_tip_has_the_requested_speed_even_if_arc_lengths_are_wrong(planar4: Robot, part_of_way: float) -> None:
+    """Joint 1 turns the stretched arm: the tip moves by 0.5 rad times its length; the arc lengths say otherwise."""
     kinematics = BatchKinematics(planar4)
     arm = float(np.linalg.norm(kinematics.at(np.zeros((1, 4))).tip_position[0, :2]))
     part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
     limits = with_limits(planar4.limits, velocity=9.0, acceleration=1e3)
-    motion = time_along(0.5 * 0.5 * arm * part, q, limits, speed=0.1, kinematics=kinematics)
+    motion = time_along(part_of_way * 0.5 * arm * part, q, limits, speed=0.1, kinematics=kinematics)
     assert motion.duration == pytest.approx(0.5 * arm / 0.1, rel=1e-3)
 
 
@@ -147,6 +151,28 @@ def test_a_pendulum_at_its_torque_limit_takes_the_time_of_bang_bang_control(
     assert motion.duration == pytest.approx(first + second, rel=1e-3)
     effort_use = Drive(robot).use_along(motion.moments()).effort
     assert np.max(effort_use) <= 1.001
+
+
+def test_a_path_is_run_no_faster_than_asked(planar4: Robot) -> None:
+    """1 unit of s at no more than 0.2 units a second, with no need to rest at the ends."""
+    q, slope, bend = np.zeros((11, 4)), np.zeros((11, 4)), np.zeros((10, 4))
+    q[:, 0], slope[:, 0] = np.linspace(0.0, 1.0, 11), 1.0
+    limits = with_limits(planar4.limits, velocity=9.0, acceleration=9.0)
+    law = time_path(PathShape(q[:, 0], q, slope, bend, bend), limits, drive=None, most=0.2, rests=False)
+    assert law is not None
+    assert law.duration == pytest.approx(1.0 / 0.2, rel=1e-9)
+
+
+def test_the_use_of_rods_and_torques_is_that_of_the_direction(backhoe: Robot) -> None:
+    """At the limit of either direction it is 1; cylinders push harder than they pull, and extend more slowly."""
+    drive, q = Drive(backhoe), np.array([[0.0, 0.2, -1.4, -0.9]])
+    assert drive.hydraulics is not None
+    rates, torques = drive.hydraulics.velocity_limits(q), drive.torque_limits(q)
+    assert not np.allclose(rates.positive[0, 1:], rates.negative[0, 1:], rtol=0.1)
+    assert not np.allclose(torques.positive[0, 1:], torques.negative[0, 1:], rtol=0.1)
+    for use, limits in ((drive.rod_speed_use, rates), (drive.effort_use, torques)):
+        np.testing.assert_allclose(use(q, limits.positive)[0, 1:], 1.0)
+        np.testing.assert_allclose(use(q, -limits.negative)[0, 1:], 1.0)
 
 
 def slow_machine(robot: Robot, **changes: Any) -> tuple[Robot, Hydraulics]:
@@ -234,6 +260,48 @@ def test_without_a_drive_the_duration_equals_that_of_toppra(backhoe: Robot, seed
     solver = toppra.algorithm.TOPPRA(both, curve, gridpoints=np.linspace(0.0, along[-1], 2001))
     reference = float(solver.compute_trajectory(0.0, 0.0).duration)
     assert time_along(stations, q, limits).duration == pytest.approx(reference, rel=2e-3)
+
+
+def test_between_the_points_of_its_grid_a_path_is_the_cubic_through_them(tmp_path: Path) -> None:
+    """q = s^3 with one interval from 0 to 1: in its middle q = 1/8 and dq/ds = 3/4, and the bend is 3 on average.
+
+    At x = 1e-12 the torque is that of gravity alone. At x = 4 the velocity is 3/4 of 2, and the acceleration 3 times 4.
+    """
+    robot = pendulum(tmp_path, 400.0)
+    shape = PathShape(
+        np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.array([[0.0], [3.0]]), np.array([[0.0]]), np.array([[6.0]])
+    )
+
+    def at_speed(x: float, limits: JointLimits, drive: Drive | None) -> float:
+        law = TimeLaw(shape.grid, np.full(2, x), np.array([0.0, 1.0 / np.sqrt(x)]))
+        return float(_Loads(shape, limits, drive).over_between(law)[0])
+
+    held = at_speed(1e-12, robot.limits, Drive(robot))
+    assert held == pytest.approx(MASS * GRAVITY * LENGTH * np.cos(1.0 / 8.0) / 400.0, rel=1e-6)
+    fast = with_limits(robot.limits, velocity=0.5, acceleration=1e3)
+    assert at_speed(4.0, fast, None) == pytest.approx(0.75 * 2.0 / 0.5)
+    sharp = with_limits(robot.limits, velocity=1e3, acceleration=5.0)
+    assert at_speed(4.0, sharp, None) == pytest.approx(3.0 * 4.0 / 5.0)
+
+
+def test_the_soils_torques_on_a_path_do_not_depend_on_its_parameter(backhoe: Robot) -> None:
+    """They are those of a motion at 1 rad/s of the fastest joint, whatever the unit of the path's parameter."""
+    q, direction = np.array([[0.0, -0.9, -1.0, -0.9]]), np.array([[0.0, 0.0, -0.8, 0.2]])
+    drive = drive_of(posed(backhoe, q, soil={"cohesion": 20000.0, "density": 1900.0, "surface": -3.0}))
+    expected = drive.soil_torques(q, direction / 0.8)
+    assert np.max(np.abs(expected)) > 1e3
+    for unit in (1e-4, 1.0, 50.0):
+        np.testing.assert_allclose(drive.soil_torques_towards(q, unit * direction), expected, rtol=1e-9)
+
+
+def test_samples_too_far_apart_to_tell_accelerations_count_as_sharp_corners(planar4: Robot) -> None:
+    """To 1 rad and back in a second each: the rate changes by 2 rad/s, within one period of 0.02 s.
+
+    At 10 rad/s^2 it may change by 0.2 rad/s in that time, so all takes 10 times as long.
+    """
+    limits = with_limits(planar4.limits, velocity=5.0, acceleration=10.0)
+    motion = Trajectory.from_steps(np.array([0.0, 1.0, 2.0]), np.outer([0.0, 1.0, 0.0], np.ones(4)))
+    assert _over(motion, limits) == pytest.approx(10.0)
 
 
 # --- all limits and the binding one -------------------------------------------------
