@@ -154,6 +154,18 @@ def test_a_rounded_corner_leaves_room_for_joints_that_are_off_it(backhoe: bp.Rob
     assert keep.corner_holds(q, q + swing, q + 2.0 * swing, sagitta=sagitta) is holds
 
 
+def test_the_bound_of_a_rotation_equals_a_hand_calculation(ur5: bp.Robot) -> None:
+    """max(e_a, e_b) + K / 4 with K = sum_{i<j} |dq_i| |dq_j|, or (e_a + e_b + L) / 2 if that is less, or L is long."""
+    cone = condition_of(ur5, rotation={"rpy": [0.0, 0.0, 0.0], "tolerance": 2.0})
+    delta = np.zeros((3, 6))
+    delta[0, :3] = 0.3, -0.2, 0.1  # K = 0.06 + 0.03 + 0.02, L = 0.6
+    delta[1, :2] = 1.0, -2.2  # L = 3.2, more than half a turn
+    delta[2, 3:5] = 0.8, 0.9  # K = 0.72, L = 1.7: 1.5 + 0.18 is more than a quarter turn
+    before, after = np.array([0.1, 0.1, 0.2]), np.array([0.4, 0.5, 1.5])
+    worst = np.array([0.4 + 0.25 * 0.11, 0.5 * (0.1 + 0.5 + 3.2), 0.5 * (0.2 + 1.5 + 1.7)])
+    np.testing.assert_allclose(cone.lower_bounds(before, after, delta, np.ones(6)), 2.0 - worst, atol=1e-12)
+
+
 GIMBAL = """<robot name="gimbal"><link name="base"/><link name="ring"/><link name="yoke"/>
 <link name="tool"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
 <joint name="pan" type="revolute"><parent link="base"/><child link="ring"/><axis xyz="0 0 1"/>
@@ -254,6 +266,31 @@ def test_a_rounded_corner_is_kept_only_if_its_tangents_keep_the_band(backhoe: bp
     z = float(bp.Kinematics(backhoe).at(q_a).tip_position[2])
     assert keep_of(backhoe, above=z - 1e-3).corner_holds(q_a, inside, q_b, sagitta=still)
     assert not keep_of(backhoe, below=z + 1e-3).corner_holds(q_a, inside, q_b, sagitta=still)
+
+
+@pytest.mark.parametrize(("tolerance", "holds"), [(0.26, True), (0.24, False)])
+def test_a_corner_to_and_fro_is_rounded_halfway_to_it(ur5: bp.Robot, tolerance: float, holds: bool) -> None:
+    """From q to a corner 0.5 rad away and back: the wrist turns by t - t^2, at most by 0.25 rad."""
+    q, spin = np.array([0.1, -1.2, 1.0, -0.7, 0.4, 0.0]), np.eye(6)[5]
+    at = pin.Quaternion(bp.Kinematics(ur5).at(q).tip_rotation)
+    kept = keep_of(ur5, rotation={"quaternion": [at.w, at.x, at.y, at.z], "tolerance": tolerance})
+    assert kept.corner_holds(q, q + 0.5 * spin, q, sagitta=np.zeros(6)) is holds
+
+
+@pytest.mark.parametrize(("first", "second"), [(0.34, 0.34), (0.5, 0.18), (0.18, 0.5)])
+@pytest.mark.parametrize("tolerance", [3.0, 3.14])
+def test_a_rounded_corner_past_the_opposite_orientation_breaks_a_wide_cone(
+    ur5: bp.Robot, first: float, second: float, tolerance: float
+) -> None:
+    """The wrist turns by 0.68 rad from 2.8 rad off, through half a turn, which no cone allows, to 2.8 rad off."""
+    q, spin = np.array([0.1, -1.2, 1.0, -0.7, 0.4, 0.0]), np.eye(6)[5]
+    at = pin.Quaternion(bp.Kinematics(ur5).at(q).tip_rotation)
+    kept = keep_of(ur5, rotation={"quaternion": [at.w, at.x, at.y, at.z], "tolerance": tolerance})
+    begin, corner = q + (np.pi - 0.34) * spin, q + (np.pi - 0.34 + first) * spin
+    end = corner + second * spin
+    assert kept.holds(begin)
+    assert kept.holds(end)
+    assert not kept.corner_holds(begin, corner, end, sagitta=np.zeros(6))
 
 
 # --- targets ----------------------------------------------------------------------------
