@@ -14,6 +14,7 @@ from small_jobs import small_job
 from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.job import BladeSweep, Terrain, build_worksite, deposited, read_ground, scanned, swept
+from backhoe_planner.job.ground.grids import HeightGrid, resampled
 from backhoe_planner.site import build_obstacle, obstacle_from_dict, read_heights
 
 NAN = float("nan")
@@ -219,6 +220,24 @@ def test_holes_in_the_ground_are_named_or_filled(tmp_path: Path) -> None:
     file.write_text("1,2\n3,deep\n", encoding="utf-8")
     with pytest.raises(InputError, match="row 2, column 2: is not a number; found deep"):
         Terrain.from_file(file, low=(0.0, 0.0), cell=1.0, fill=5.0)
+
+
+def test_a_coarser_grid_has_the_mean_of_the_heights_within_its_columns() -> None:
+    """Of each 3 x 3 heights one beside the middle is 0.9 m and the others are 0: 0.1 m on average, 0 in the middle."""
+    z = np.zeros((9, 6))
+    z[2::3, 0::3] = 0.9
+    found = resampled(HeightGrid(np.array([1.0, 2.0]), 0.1, z), HeightGrid(np.array([1.1, 2.1]), 0.3, np.zeros((3, 2))))
+    np.testing.assert_allclose(found.z, np.full((3, 2), 0.1), atol=1e-12)
+
+
+def test_the_columns_within_a_rectangle_are_those_with_their_node_in_it() -> None:
+    ground = Terrain.level(0.0, (0.0, -3.0), (6.0, 3.0), 0.05)
+    low, high = np.array([0.12, -2.93]), np.array([0.31, -2.79])
+    # x from 0.15 to 0.30 m, y from -2.90 to -2.80 m
+    assert ground.columns_within(low, high) == (slice(2, 5), slice(3, 7))
+    assert ground.columns_within(low, high, margin=0.05) == (slice(1, 6), slice(2, 8))
+    rows, columns = ground.columns_within(np.array([-9.0, -9.0]), np.array([-8.0, 9.0]))
+    assert (rows, columns.stop - columns.start) == (slice(0, 121), 0)
 
 
 def test_columns_get_the_mean_height_of_their_points(tmp_path: Path) -> None:

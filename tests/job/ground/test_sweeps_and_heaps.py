@@ -78,6 +78,15 @@ def test_a_tilted_blade_leaves_a_tilted_floor() -> None:
     assert found.bank[-1] == pytest.approx(2.0 * math.cos(tilt) * 0.2, rel=0.01)
 
 
+def test_a_tilted_blade_whose_middle_is_above_the_ground_cuts_with_one_end() -> None:
+    """A triangle 0.5 sin 0.5 - 0.1 m deep whose base is 0.5 cos 0.5 - 0.1 / tan 0.5 m, over 2 m."""
+    tilt = 0.5
+    edge = np.array([[2.0, 0.0, 0.1], [4.0, 0.0, 0.1]])
+    found = swept(flat(), BladeSweep(edge, np.array([0.0, math.cos(tilt), math.sin(tilt)]), 1.0))
+    base, depth = 0.5 * math.cos(tilt) - 0.1 / math.tan(tilt), 0.5 * math.sin(tilt) - 0.1
+    assert found.bank[-1] == pytest.approx(2.0 * 0.5 * base * depth, rel=0.03)
+
+
 def test_a_turning_blade_cuts_a_sector() -> None:
     # a quarter ring with radii of 1.2 and 1.8 m, 0.1 m deep
     angle = np.linspace(0.0, 0.5 * math.pi, 80)
@@ -94,6 +103,20 @@ def test_a_blade_takes_the_loose_soil_above_and_the_bank_soil_to_its_full_depth(
     assert found.loose[-1] == pytest.approx(WIDTH * LENGTH * 0.06, rel=0.01)
     assert found.bank[-1] == pytest.approx(WIDTH * LENGTH * 0.1, rel=0.01)
     assert found.volume[-1] == pytest.approx(WIDTH * LENGTH * (0.06 + 0.125), rel=0.01)
+
+
+def test_a_blade_that_goes_there_and_back_takes_what_it_takes_once() -> None:
+    terrain = flat()
+    terrain = terrain.with_layers(terrain.bank, np.full(terrain.shape, 0.06))
+    edge = np.array([[2.5, 0.013, -0.1], [3.7, 0.013, -0.1], [2.5, 0.013, -0.1]])
+    once, twice = (swept(terrain, BladeSweep(way, np.array([0.0, 1.0, 0.0]), WIDTH)) for way in (edge[:2], edge))
+    assert once.loose[-1] == pytest.approx(WIDTH * LENGTH * 0.06, rel=0.01)
+    assert twice.loose[-1] == pytest.approx(once.loose[-1], rel=1e-9)
+    assert twice.bank[-1] == pytest.approx(once.bank[-1], rel=1e-9)
+    # back and forth again above what is cut
+    again = np.array([*edge[:2], [3.7, 0.013, -0.04], [2.5, 0.013, -0.04], [2.5, 0.013, -0.07], [3.7, 0.013, -0.07]])
+    thrice = swept(terrain, BladeSweep(again, np.array([0.0, 1.0, 0.0]), WIDTH))
+    assert thrice.bank[-1] == pytest.approx(once.bank[-1], rel=1e-9)
 
 
 def test_a_blade_above_the_ground_takes_nothing() -> None:
@@ -113,6 +136,13 @@ def test_a_heap_is_a_cone(repose: float) -> None:
     slope = np.hypot(*np.gradient(found.loose, 0.05))
     flank = (found.loose > 0.15 * height) & (found.loose < 0.85 * height)
     np.testing.assert_allclose(np.arctan(slope[flank]), repose, atol=0.02)
+
+
+def test_two_heaps_on_one_place_are_the_heap_of_both() -> None:
+    height = (3.0 * 0.8 * math.tan(0.6) ** 2 / math.pi) ** (1.0 / 3.0)
+    found = heap(heap(flat(), (3.0, 0.0), 0.3), (3.0, 0.0), 0.5)
+    assert found.loose_volume == pytest.approx(0.8, rel=1e-9)
+    assert found.loose.max() == pytest.approx(height, rel=0.02)
 
 
 def test_a_tower_slumps_to_the_angle_of_repose() -> None:
@@ -140,6 +170,17 @@ def test_a_heap_runs_into_a_trench_only_if_it_reaches_the_edge() -> None:
     lies = near.loose > 1e-9
     steep = ((drop > 0.05 * math.tan(0.6) * 1.05) & lies[1:]) | ((drop < -0.05 * math.tan(0.6) * 1.05) & lies[:-1])
     assert not steep.any()
+
+
+def test_a_heap_runs_into_a_trench_wherever_it_is_on_the_grid() -> None:
+    """Far along x and in the middle of y: rows and columns have other numbers."""
+    ground = Terrain.level(0.0, (0.0, -2.0), (9.0, 2.0), 0.05, repose=0.6)
+    trench = box_cut(ground, 0.0, 1.0, start=(6.5, 0.013)).terrain
+    near = heap(trench, (7.1, 0.8), 0.3)
+    assert near.loose[trench.bank < -0.9].sum() > 0.0
+    drop, lies = np.diff(near.surface, axis=0), near.loose > 1e-9
+    most = 0.05 * math.tan(0.6) * 1.05
+    assert not (((drop > most) & lies[1:]) | ((drop < -most) & lies[:-1])).any()
 
 
 # --- refusals -------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.job import BladeSweep, Terrain, deposited, swept, terrain_obstacle
+from backhoe_planner.job.ground.obstacle import ground_around
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, build_obstacle, obstacle_from_dict
 
@@ -75,3 +76,30 @@ def test_ground_of_another_place_or_size_is_built_anew() -> None:
     np.testing.assert_allclose(moved.cluster.bounds[:, :2], [[1.0, 0.0], [4.0, 3.0]], atol=1e-12)
     with pytest.raises(InputError, match="clearance"):
         terrain_obstacle(Terrain.level(0.0, (0.0, 0.0), (3.0, 3.0)), "ground", -0.1)
+
+
+def test_ground_of_the_same_size_elsewhere_is_where_it_is() -> None:
+    here, there = Terrain.level(0.0, (0.0, -3.0), (6.0, 3.0)), Terrain.level(0.0, (1.0, 4.0), (7.0, 10.0))
+    found = terrain_obstacle(there, "ground", 0.1, before=terrain_obstacle(here, "ground", 0.1))
+    assert found.cluster is not None
+    np.testing.assert_allclose(found.cluster.placement.translation, [4.0, 7.0, 0.0])
+
+
+def test_level_ground_lies_on_all_sides_of_what_is_known() -> None:
+    """Known from 0, -3 to 6, 4 m, covered from -5, -8 to 10, 9 m: four boxes whose tops are level, without gaps."""
+    ground = Terrain.level(0.0, (0.0, -3.0), (6.0, 4.0))
+    found = ground_around(ground, -0.5, np.array([-5.0, -8.0]), np.array([10.0, 9.0]), 0.1)
+    sides = {one.name.split()[2]: one for one in found}
+    expected = {
+        "west": ((-5.0, 0.0), (-8.0, 9.0)), "east": ((6.0, 10.0), (-8.0, 9.0)),
+        "south": ((0.0, 6.0), (-8.0, -3.0)), "north": ((0.0, 6.0), (4.0, 9.0)),
+    }  # fmt: skip
+    assert sides.keys() == expected.keys()
+    for name, (x, y) in expected.items():
+        (piece,) = sides[name].pieces
+        low, high = piece.hull.min(axis=0) - piece.radius, piece.hull.max(axis=0) + piece.radius
+        np.testing.assert_allclose([low[0], high[0], low[1], high[1], high[2]], [*x, *y, -0.5], atol=1e-12)
+        assert low[2] < -10.0
+    # where the known ground reaches far enough, there is none
+    beyond = ground_around(ground, -0.5, np.array([1.0, -8.0]), np.array([5.0, 2.0]), 0.1)
+    assert [one.name.split()[2] for one in beyond] == ["south"]

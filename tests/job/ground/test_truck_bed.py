@@ -30,6 +30,19 @@ def loaded(one: Bed, at: np.ndarray, volume: float) -> Bed:
     return found
 
 
+def test_a_bed_turned_by_its_yaw_lies_where_a_hand_calculation_puts_it() -> None:
+    """1.9 m along its own x is at 3 + 1.9 cos 0.5, 2 + 1.9 sin 0.5: counter-clockwise seen from above."""
+    ahead = np.array([3.0 + 1.9 * math.cos(0.5), 2.0 + 1.9 * math.sin(0.5)])
+    found = loaded(bed(), ahead - 0.2 * np.array([math.cos(0.5), math.sin(0.5)]), 0.1)
+    row, column = np.unravel_index(int(np.argmax(found.load.loose)), found.load.shape)
+    assert found.load.x[column] == pytest.approx(1.7, abs=0.03)
+    assert found.load.y[row] == pytest.approx(0.0, abs=0.03)
+    obstacle = found.load_obstacle("load", 0.1)
+    assert obstacle.spec.model_dump()["rpy"] == (0.0, 0.0, 0.5)
+    with pytest.raises(InputError, match="is not in the bed"):
+        bed().top_at((ahead[0], 2.0 - 1.9 * math.sin(0.5)))
+
+
 def test_a_beds_capacity_includes_a_hipped_roof_above_its_walls() -> None:
     # struck 6.4 m^3, and a roof of half the width, hipped on all sides: w^2 (3 L - w) / 12 tan
     roof = 2.0**2 * (3.0 * 4.0 - 2.0) / 12.0 * TAN
