@@ -627,3 +627,24 @@ def test_inspect_prints_cylinders_pump_and_digging_forces(
     assert re.search(r"bucket +bucket +1\.147 to 1\.993 +-161\.0 to 46\.0 +184\.8 +126\.3", said)
     assert "pump 163 l/min at 228 bar, 53.6 kW" in said
     assert "bucket 65.4 kN, stick 38.2 kN" in said
+
+
+def test_a_cylinder_across_two_planes_reaches_the_hypotenuse_of_its_dead_centres() -> None:
+    """Pins 0.5 and 0.9 m from the axis and 0.3 m apart along it: from hypot(0.4, 0.3) to hypot(1.4, 0.3) m."""
+    linkage = Triangle(0.9, 0.5, 0.0, 0.3)
+    assert linkage.length_range == pytest.approx((0.5, math.hypot(1.4, 0.3)))
+    angle = np.array([0.0, 0.5 * np.pi, np.pi])
+    length = linkage.length(angle)
+    np.testing.assert_allclose(length, [0.5, math.sqrt(0.81 + 0.25 + 0.09), math.hypot(1.4, 0.3)])
+    np.testing.assert_allclose(linkage.angles(length)[0], angle, atol=1e-7)
+
+
+def test_a_load_sensing_pump_delivers_all_oil_at_the_highest_pressure(backhoe: bp.Robot) -> None:
+    """Every joint moves against its load, so that every cylinder does."""
+    hydraulics = backhoe.hydraulics
+    assert hydraulics is not None
+    q, v = np.array([0.2, 0.2, -1.4, -0.9]), np.array([0.1, -0.2, 0.15, 0.3])
+    tau = np.array([4e3, -2e4, 9e3, 5e3])
+    assert hydraulics.power(q, v, tau) == pytest.approx(tau @ v)
+    pressures, flows = hydraulics.pressures(q, tau), hydraulics.flows(q, v)
+    assert hydraulics.load_sensing_power(q, v, tau) == pytest.approx(np.max(pressures) * np.sum(flows))
