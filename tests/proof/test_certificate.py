@@ -7,6 +7,7 @@ joint 1 past a ball at 4.3 m, a corner of its end is nearest.
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,12 @@ Data = dict[str, Any]
 LINK = np.array([1.0, 0.08, 0.08])
 CORNER = float(np.hypot(4.0, 0.04))
 STILL = np.zeros(4)
+
+LIFT = """<robot name="lift"><link name="base"/>
+  <link name="load"><collision><geometry><sphere radius="0.01"/></geometry></collision><inertial><mass value="20"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="load"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="1" effort="400" velocity="1"/></joint></robot>"""
 
 
 def site(obstacles: list[Data], *, q_start: Vector = STILL, **keys: Any) -> bp.Scene:
@@ -391,3 +398,42 @@ def test_memory_does_not_grow_with_samples_times_pairs(planar4: bp.Robot) -> Non
     finally:
         tracemalloc.stop()
     assert most < 8 * pairs * len(motion.time)  # bytes of one number each
+
+
+def test_the_torque_to_hold_a_load_is_compared_with_the_limit_of_its_direction(backhoe: bp.Robot) -> None:
+    """At rest, use over limit is torque over torque, both of which the certificate gives."""
+    names = backhoe.joint_names
+    for q in (np.array([0.0, 0.2, -1.4, -0.9]), np.array([0.3, -0.6, -0.6, -0.4])):
+        joints = {"joints": dict(zip(names, q.tolist(), strict=True))}
+        scene = bp.scene_from_dict({"version": 1, "start": joints, "task": {"goal": joints}, "payload": 500.0})
+        use = certify(backhoe, scene, straight(q, q, 1.0)).effort
+        assert use is not None
+        assert use.unit == "N m"
+        assert use.ratio == pytest.approx(abs(use.needed) / use.available, rel=1e-9)
+        assert use.at_rest == pytest.approx(use.ratio, rel=1e-9)
+
+
+def test_the_speed_of_rods_is_compared_with_the_limit_of_its_direction(backhoe: bp.Robot) -> None:
+    """The boom alone at 0.1 rad/s up or down: what is needed is its rate."""
+    q, names = np.array([0.0, 0.2, -1.4, -0.9]), backhoe.joint_names
+    strong = replace(backhoe, hydraulics=replace(backhoe.hydraulics, pump_flow=1.0, engine_power=1e6))  # type: ignore[type-var]
+    for way in (0.1, -0.1):
+        start, end = ({"joints": dict(zip(names, (q + k * np.eye(4)[1]).tolist(), strict=True))} for k in (0.0, way))
+        scene = bp.scene_from_dict({"version": 1, "start": start, "task": {"goal": end}})
+        use = certify(strong, scene, straight(q, q + way * np.eye(4)[1], 1.0)).hydraulics
+        assert use is not None
+        assert (use.kind, use.joint) == ("rod speed", "boom")
+        assert use.needed == pytest.approx(0.1, rel=0.02)  # the lever changes a little on the way
+
+
+def test_the_force_of_a_slide_is_in_newtons(tmp_path: Path) -> None:
+    """A mass of 20 kg on a vertical slide weighs 196.2 N."""
+    (tmp_path / "lift.urdf").write_text(LIFT)
+    robot = bp.load_robot(tmp_path / "lift.urdf")
+    joints = {"joints": {"lift": 0.5}}
+    scene = bp.scene_from_dict({"version": 1, "start": joints, "task": {"goal": joints}})
+    use = certify(robot, scene, straight(np.array([0.5]), np.array([0.5]), 1.0)).effort
+    assert use is not None
+    assert use.unit == "N"
+    assert use.needed == pytest.approx(20.0 * 9.81)
+    assert use.available == 400.0

@@ -134,3 +134,26 @@ def test_the_bound_is_not_above_the_work_of_a_motion_of_three_samples(tmp_path: 
     assert certificate.acceleration.kept
     assert found is not None
     assert found <= trajectory_costs(problem, motion)["work"]
+
+
+def test_what_the_samples_leave_out_at_the_ends_equals_a_hand_calculation(tmp_path: Path) -> None:
+    """Two half segments at a S = 0.4 rad/s: their lift, m g L a S^2, and the kinetic energy, m L^2 (a S)^2 / 2."""
+    problem = to_height(tmp_path, -0.5, 0.6, limits={"acceleration": {"hinge": 20.0}})
+    speed = 20.0 * 0.02
+    lift, kinetic = MASS * GRAVITY * LENGTH * speed * 0.02, 0.5 * MASS * LENGTH**2 * speed**2
+    assert _PotentialEnergy(problem).unsampled(problem, LOW) == pytest.approx(lift + kinetic, rel=1e-5)
+
+
+def test_what_the_samples_leave_out_of_a_slide_on_a_mast_equals_a_hand_calculation(tmp_path: Path) -> None:
+    """The mast lifts the mass at up to 2 m from its axis, where the slide ends; its inertia is that of the start."""
+    (tmp_path / "slide.urdf").write_text(TURNING_MAST)
+    robot = load_robot(tmp_path / "slide.urdf")
+    joints = {"joints": {"tilt": 0.0, "slide": 0.5}}
+    limits = {"acceleration": {"tilt": 5.0, "slide": 10.0}}
+    content = {"version": 1, "start": joints, "task": {"goal": joints}, "limits": limits}
+    problem = build_problem(robot, bp.scene_from_dict(content))
+    tilt, slide = 5.0 * 0.02, 10.0 * 0.02
+    lift = MASS * GRAVITY * (2.0 * tilt + slide) * 0.02
+    kinetic = 0.5 * MASS * (0.5**2 * tilt**2 + slide**2)
+    found = _PotentialEnergy(problem).unsampled(problem, np.array([0.0, 0.5]))
+    assert found == pytest.approx(lift + kinetic, rel=1e-5)
