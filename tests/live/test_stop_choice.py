@@ -146,6 +146,28 @@ def test_an_obstacle_that_the_track_stops_short_of_does_not_lead_off_it(past_wal
     np.testing.assert_allclose(stopped(servo)[:20], expected[:20], atol=1e-9)
 
 
+def test_among_many_obstacles_beside_the_way_other_stops_are_looked_at_too(past_wall: bp.Plan) -> None:
+    """More distances are near than may be measured for one comparison."""
+    plan = past_wall
+    rng, kinematics = np.random.default_rng(11), bp.Kinematics(plan.robot)
+    ((steps, ball),) = balls_beside(plan, 5, 1)
+    servo, follower = on_track(plan, steps)
+    free, along = braked(servo), stopped(on_track(plan, steps)[0])
+    tip, crowd = kinematics.at(along[-1]).tip_position, [ball]
+    while len(crowd) < 200:
+        one = {"name": f"{len(crowd)}", "shape": "sphere", "radius": 0.05, "clearance": 0.02}
+        one["position"] = (tip + rng.normal(0.0, 0.4, 3)).tolist()
+        if min(least(ball_alone(plan, one), free), least(ball_alone(plan, one), along[::4])) > 0.03:
+            crowd.append(one)
+    for one in crowd:
+        servo.add(one)
+    places = [servo.q]
+    while servo.v.any() and len(places) < 250:
+        places.append(follower.step().state.q)
+    assert min(least(ball_alone(plan, one), places) for one in crowd) > -KEPT
+    assert servo.last_error is None
+
+
 @pytest.mark.parametrize("length", [0.4, 0.9])
 def test_a_load_taken_up_in_motion_comes_no_nearer_than_braking_every_joint_would(
     past_wall: bp.Plan, length: float

@@ -34,6 +34,7 @@ _MOST_PLACES = 48  # of a stop; chosen
 _LEAST_WAY = 1e-12  # m, so that nothing is divided by 0
 _LATER = (0.1, 0.2, 0.3, 0.45)  # parts of the time to rest along a track after which it may be left; chosen
 _MOST_MEASURED = 600  # distances for one choice; chosen, some 20 us each
+_MOST_FOR_PRESENT = 300  # of them for the present stop; chosen, so that among many obstacles others are looked at too
 
 
 class ChosenStop(NamedTuple):
@@ -76,7 +77,10 @@ class StopChoice:
             if margin > -_TOUCH:  # mostly: what turned up is nowhere near
                 return ChosenStop(stop, math.inf, margin)
         places, times = stop.way_to_rest(q, v)
+        others = min(self._left, _MOST_MEASURED - _MOST_FOR_PRESENT)
+        self._left -= others
         best = ChosenStop(stop, math.inf, self._least_margin(q, places, times, worst=-math.inf))
+        self._left += others
         if best.margin >= -_TOUCH:
             return best
         for other in stops_from(v, self._acceleration, self._joints.dt):
@@ -107,7 +111,8 @@ class StopChoice:
         """The least margin from q (n,) on at `places` (K, n) and `times` (K,) [m, s], no more than `_ENOUGH`.
 
         Once it is known to be `worst` or less, the rest is not looked at. It is minus infinity if the joints do not
-        stay within their limits, or if no more may be measured.
+        stay within their limits. If no more may be measured, it is `worst`; or, without one, the least margin found,
+        and so small that only a stop which keeps its clearances has more room.
         """
         if not self._joints.are_kept_at(places[-1]):
             return -math.inf
@@ -126,7 +131,7 @@ class StopChoice:
             if margins[pair, place] >= least:
                 return least
             if self._left <= 0:
-                return -math.inf
+                return min(least, -_TOUCH - _BETTER) if worst == -math.inf else worst
             self._left -= 1
             asked = pairs[pair : pair + 1]
             distance = separation.renew(int(asked[0]), at, int(place))
@@ -152,4 +157,6 @@ class StopChoice:
 
 def _to_beat(best: ChosenStop) -> float:
     """The margin that a stop must have to be preferred to the best one so far [m]."""
+    if best.margin == -math.inf:
+        return -math.inf
     return best.margin + max(_BETTER, -_BETTER_PART * best.margin)
