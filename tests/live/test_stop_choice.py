@@ -13,6 +13,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.live import PlanFollower, Servo
 from backhoe_planner.live.servo.joint_stop import stops_from
+from backhoe_planner.live.servo.stop_choice import StopChoice
 from backhoe_planner.machine import Robot, shipped_folder
 from backhoe_planner.site import Proximity, build_obstacle, obstacle_from_dict
 
@@ -166,6 +167,29 @@ def test_among_many_obstacles_beside_the_way_other_stops_are_looked_at_too(past_
         places.append(follower.step().state.q)
     assert min(least(ball_alone(plan, one), places) for one in crowd) > -KEPT
     assert servo.last_error is None
+
+
+def test_stops_are_not_compared_anew_for_each_move_of_an_obstacle(
+    past_wall: bp.Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A tracked obstacle is moved in each step; a comparison takes longer than many steps."""
+    times: list[float] = []
+    choose = StopChoice.choose
+
+    def noted(self: StopChoice, *given: Any) -> Any:
+        times.append(servo.time)
+        return choose(self, *given)
+
+    monkeypatch.setattr(StopChoice, "choose", noted)
+    ((steps, ball),) = balls_beside(past_wall, 5, 1)
+    servo, follower = on_track(past_wall, steps)
+    begun = servo.time
+    servo.add(ball)
+    for _ in range(25):
+        servo.move("ball", [0.0, 0.0, 1e-4])
+        follower.step()
+    assert times[0] == pytest.approx(begun + DT)
+    assert (np.diff(times) > 0.1).all()
 
 
 @pytest.mark.parametrize("length", [0.4, 0.9])

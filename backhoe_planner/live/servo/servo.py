@@ -62,6 +62,7 @@ from backhoe_planner.site import (
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish and are not named in the state; chosen
+_UNCOMPARED = 0.1  # s between two comparisons of stops while the surroundings change; chosen, a stop takes longer
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, a dt outside is a slip
 
 
@@ -126,6 +127,7 @@ class Servo:
         self._state = JointState(q, np.zeros(n), q)
         self._stop: Stop | None = None  # how the machine stops, if it does not straight ahead
         self._compared_until = math.inf  # s: the stop was chosen from all until then, or until something turns up
+        self._compared_at = -math.inf  # s: when that was
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
@@ -283,7 +285,7 @@ class Servo:
         self._check.forget()
         self._boxes.forget(blocking=True)
         self._recovery.changed()
-        self._compared_until = -math.inf
+        self._compare_again()
 
     def prepare_to_carry(self, leg: str | None) -> None:
         """Measure a few of the pairs of the load of a leg that is about to begin; takes about 0.1 ms.
@@ -360,7 +362,7 @@ class Servo:
         self._bounds.measure(pairs, path, self._at)
         if self._stop is not None:
             self._require_clearance(pairs)
-            self._compared_until = -math.inf
+            self._compare_again()
         if self._bounds.stands[pairs].any():
             self._recovery.changed()
 
@@ -472,6 +474,10 @@ class Servo:
             self._stop = None
             self._measure(self._check.awake(self._state, 0.0).pairs)
 
+    def _compare_again(self) -> None:
+        """Compare stops once more, as something has turned up; not in every step in which an obstacle is moved."""
+        self._compared_until = min(self._compared_until, self._compared_at + _UNCOMPARED)
+
     def _require_clearance(self, pairs: Indices) -> None:
         """Require the clearance of `pairs` (K,): on a track the straight braking path does not say what can be kept."""
         self._bounds.require(pairs, self._separation.clearance[pairs])
@@ -504,7 +510,7 @@ class Servo:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
         if not moved and self._stop is not None:
             if self.time > self._compared_until and not failed:
-                self._compared_until = math.inf
+                self._compared_until, self._compared_at = math.inf, self.time
                 self._stop, best_for, _ = self._stops.choose(self._state, self._stop)
                 self._compared_until = self.time + best_for
             q, v, _ = self._state
