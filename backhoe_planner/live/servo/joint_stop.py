@@ -33,11 +33,11 @@ class JointStop:
         """Do nothing: what is left of the stop follows from the velocity."""
 
     def way_to_rest(self, q: Vector, v: Vector) -> tuple[Matrix, Vector]:
-        """(K, n) where a machine at q, v (n,) is while it stops, and (K,) when [s]."""
+        """(K, n) where a machine at q, v (n,) is while it stops, from the next step on, and (K,) when [s]."""
         rest = np.abs(v) / np.where(self._slowing > 0.0, self._slowing, np.inf)
         times = np.linspace(0.0, float(rest.max()), _PLACES)
         since = np.minimum(times[:, None], rest)
-        return np.asarray(q + since * (v - 0.5 * np.sign(v) * self._slowing * since)), times
+        return np.asarray(q + since * (v - 0.5 * np.sign(v) * self._slowing * (since + self._dt))), times
 
 
 def stops_from(v: Vector, acceleration: Vector, dt: float) -> list[JointStop]:

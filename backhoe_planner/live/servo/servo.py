@@ -45,7 +45,7 @@ from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState
 from backhoe_planner.live.servo.step_report import StepReport
-from backhoe_planner.live.servo.stop_choice import Stop, StopChoice
+from backhoe_planner.live.servo.stop_choice import Comparison, Stop, StopChoice
 from backhoe_planner.live.servo.surroundings import Surroundings
 from backhoe_planner.live.servo.tip_task import TipTask
 from backhoe_planner.live.servo.track import Track
@@ -126,8 +126,9 @@ class Servo:
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
         self._stop: Stop | None = None  # how the machine stops, if it does not straight ahead
-        self._compared_until = math.inf  # s: the stop was chosen from all until then, or until something turns up
-        self._compared_at = -math.inf  # s: when that was
+        self._comparison: Comparison | None = None  # of stops, begun when the present one was not proven
+        self._compare_from = math.inf  # s: from then on stops are compared anew
+        self._compared_at = -math.inf  # s: when a comparison began
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
@@ -453,7 +454,7 @@ class Servo:
         self._bounds.accept(awake.pairs, found)
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=False)
-        self._compared_until = math.inf  # the track is proven
+        self._comparison, self._compare_from = None, math.inf  # the track is proven
         self._go_on(track, wished, path.end, straight=straight)
         wish = self._tip.wish(q, self._commands, near, circulate=False)
         request = VelocityWish(wished, wished, None, wished, for_tip=False, range=limits._replace(cuts_wish=False))
@@ -476,7 +477,7 @@ class Servo:
 
     def _compare_again(self) -> None:
         """Compare stops once more, as something has turned up; not in every step in which an obstacle is moved."""
-        self._compared_until = min(self._compared_until, self._compared_at + _UNCOMPARED)
+        self._compare_from = min(self._compare_from, self._compared_at + _UNCOMPARED)
 
     def _require_clearance(self, pairs: Indices) -> None:
         """Require the clearance of `pairs` (K,): on a track the straight braking path does not say what can be kept."""
@@ -506,13 +507,22 @@ class Servo:
         q = before.q + moved
         self._state = JointState(q, v, self._check.path(q, v, step=False).end if end is None else end)
 
+    def _best_stop(self, stop: Stop) -> Stop:
+        """The stop to go on with instead of `stop`, which is not proven."""
+        begun = self._comparison
+        if self.time > self._compare_from or (begun is not None and self.time > begun.until):
+            self._compare_from, self._compared_at = math.inf, self.time
+            begun = self._comparison = self._stops.compare(stop)
+        if begun is None or begun.is_done:
+            return stop
+        begun.go_on(self._state, self.time)
+        return begun.best
+
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
         if not moved and self._stop is not None:
-            if self.time > self._compared_until and not failed:
-                self._compared_until, self._compared_at = math.inf, self.time
-                self._stop, best_for, _ = self._stops.choose(self._state, self._stop)
-                self._compared_until = self.time + best_for
+            if not failed:
+                self._stop = self._best_stop(self._stop)
             q, v, _ = self._state
             slower = self._stop.slower(q, v)
             self._bounds.accept_nothing()

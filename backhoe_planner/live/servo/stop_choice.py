@@ -6,12 +6,17 @@ accelerations allow are compared by the least margin on the way, to everything t
 itself. Planes bound the distances along a whole stop; only where these bounds are the smallest of all is anything
 measured, so that a stop that leads into something is soon known to. Of a cluster the boxes count that were found
 around the machine: they reach as far as it moves while it brakes straight ahead.
+
+A step of the servo must not come late, least of all now. So each step looks at one or two stops, and the machine slows
+down along its track meanwhile, until one is found that leaves more room.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterator
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,16 +38,12 @@ _BETWEEN = 0.03  # m that any point moves between two places of a stop; chosen, 
 _MOST_PLACES = 48  # of a stop; chosen
 _LEAST_WAY = 1e-12  # m, so that nothing is divided by 0
 _LATER = (0.1, 0.2, 0.3, 0.45)  # parts of the time to rest along a track after which it may be left; chosen
-_MOST_MEASURED = 600  # distances for one choice; chosen, some 20 us each
-_MOST_FOR_PRESENT = 300  # of them for the present stop; chosen, so that among many obstacles others are looked at too
-
-
-class ChosenStop(NamedTuple):
-    """A stop, how long it is the best one [s], and the least margin on the way if it is chosen anew then [m]."""
-
-    stop: Stop
-    until: float
-    margin: float
+_MOST_MEASURED = 120  # distances for one stop: enough for many obstacles, mostly 15 do; chosen
+# work of a comparison for each second of its steps, of one stop, and of one place of a machine that slows down along
+# its track, all in measured distances, which take some 0.1 ms; chosen so that a step of 10 ms takes about 5 ms more
+_WORK_PER_SECOND, _WORK_OF_STOP, _WORK_OF_PLACE = 5_000.0, 10, 2
+_FARTHER = 1.3  # times what a machine needs to come to rest along its track, by a rough estimate; chosen
+_AGAIN = 0.1  # s after which that is estimated once more; chosen
 
 
 class StopChoice:
@@ -58,56 +59,27 @@ class StopChoice:
         self._separation, self._bounds, self._joints = check.separation, check.bounds, check.joints
         self._acceleration = (1.0 - 1e-9) * check.joints.limits.acceleration
         self._at = Placements(robot, _MOST_PLACES + 1)
-        self._left = 0  # distances that may still be measured for this choice
+        self.work = 0  # done in this step
 
-    def choose(self, state: JointState, stop: Stop) -> ChosenStop:
-        """The stop that leaves the most room from here; the present `stop` if it touches nothing."""
-        planes = [each.copy() for each in self._separation.of_boxes]
-        self._left = _MOST_MEASURED
+    def compare(self, stop: Stop) -> Comparison:
+        """The comparison of a machine's present `stop` with others, over the next steps."""
+        return Comparison(self, stop)
+
+    def stops_from(self, v: Vector) -> list[JointStop]:
+        """The stops off the track from a velocity v (n,)."""
+        return stops_from(v, self._acceleration, self._joints.dt)
+
+    def look(self, looks: Iterator[None]) -> bool:
+        """Look at a few stops, with a little work in each iteration of `looks`; whether there are more."""
+        planes, self.work = [each.copy() for each in self._separation.of_boxes], 0
+        most = _WORK_PER_SECOND * self._joints.dt
         try:
-            return self._best(state, stop)
+            return any(self.work >= most for _ in looks)
         finally:  # the planes that were measured where the machine is are of more use to the next steps
             for each, kept in zip(self._separation.of_boxes, planes, strict=True):
                 each[...] = kept
 
-    def _best(self, state: JointState, stop: Stop) -> ChosenStop:
-        q, v, _ = state
-        if isinstance(stop, Track):
-            margin = self._least_margin(q, *stop.ahead(), worst=-_TOUCH)
-            if margin > -_TOUCH:  # mostly: what turned up is nowhere near
-                return ChosenStop(stop, math.inf, margin)
-        places, times = stop.way_to_rest(q, v)
-        others = min(self._left, _MOST_MEASURED - _MOST_FOR_PRESENT)
-        self._left -= others
-        best = ChosenStop(stop, math.inf, self._least_margin(q, places, times, worst=-math.inf))
-        self._left += others
-        if best.margin >= -_TOUCH:
-            return best
-        for other in stops_from(v, self._acceleration, self._joints.dt):
-            way, when = other.way_to_rest(q, v)
-            margin = self._least_margin(q, way, when, worst=_to_beat(best))
-            if margin > _to_beat(best):
-                best = ChosenStop(other, math.inf, margin)
-            if best.margin >= _ENOUGH:
-                return best
-        if not isinstance(stop, Track):
-            return best
-        for part in _LATER:
-            row = math.ceil(part * (len(times) - 1))
-            if row >= len(times) - 1:
-                break
-            v = (places[row] - places[row - 1]) / (times[row] - times[row - 1])
-            for other in stops_from(v, self._acceleration, self._joints.dt):
-                way, when = other.way_to_rest(places[row], v)
-                way, when = np.vstack((places[:row], way)), np.append(times[:row], times[row] + when)
-                margin = self._least_margin(q, way, when, worst=_to_beat(best))
-                if margin > _to_beat(best):
-                    best = ChosenStop(stop, float(times[row]), margin)
-                if best.margin >= _ENOUGH:
-                    return best
-        return best
-
-    def _least_margin(self, q: Vector, places: Matrix, times: Vector, *, worst: float) -> float:
+    def least_margin(self, q: Vector, places: Matrix, times: Vector, *, worst: float) -> float:
         """The least margin from q (n,) on at `places` (K, n) and `times` (K,) [m, s], no more than `_ENOUGH`.
 
         Once it is known to be `worst` or less, the rest is not looked at. It is minus infinity if the joints do not
@@ -116,6 +88,8 @@ class StopChoice:
         """
         if not self._joints.are_kept_at(places[-1]):
             return -math.inf
+        most = self.work + _MOST_MEASURED
+        self.work += _WORK_OF_STOP
         separation, at = self._separation, self._at
         places, times = self._spread(places, times)
         at.place_each(places)
@@ -130,9 +104,9 @@ class StopChoice:
             pair, place = np.unravel_index(int(margins.argmin()), margins.shape)
             if margins[pair, place] >= least:
                 return least
-            if self._left <= 0:
+            if self.work >= most:
                 return min(least, -_TOUCH - _BETTER) if worst == -math.inf else worst
-            self._left -= 1
+            self.work += 1
             asked = pairs[pair : pair + 1]
             distance = separation.renew(int(asked[0]), at, int(place))
             anew = separation.gaps(asked, at, len(places)).least[0]
@@ -155,8 +129,99 @@ class StopChoice:
         )
 
 
-def _to_beat(best: ChosenStop) -> float:
-    """The margin that a stop must have to be preferred to the best one so far [m]."""
-    if best.margin == -math.inf:
-        return -math.inf
-    return best.margin + max(_BETTER, -_BETTER_PART * best.margin)
+class Comparison:
+    """One comparison of stops.
+
+    Parameters
+    ----------
+    choice: measures what is compared.
+    stop: the present stop.
+
+    Attributes
+    ----------
+    best: the stop to go on with, the present one unless that touches something and another is known to leave more room.
+    until: when stops are to be compared anew, because one that is taken then leaves more room [s]; otherwise infinite.
+    is_done: whether all stops were looked at.
+    """
+
+    def __init__(self, choice: StopChoice, stop: Stop) -> None:
+        self.best, self.until, self.is_done = stop, math.inf, False
+        self._choice, self._margin = choice, math.inf
+        self._looks = self._compare()
+
+    def go_on(self, state: JointState, time: float) -> None:
+        """Look at a few more stops of a machine whose `state` at `time` [s] this is."""
+        self._state, self._now = state, time
+        self.is_done = not self._choice.look(self._looks)
+
+    def _compare(self) -> Iterator[None]:
+        """Look at one stop in each iteration: along the track, then off it from here, then off it later."""
+        q, v, _ = self._state
+        begun, measure = self._now, self._choice.least_margin
+        if isinstance(self.best, Track):
+            needed = _FARTHER * self.best.time_to_rest(q, v)
+            self._margin = measure(q, *self.best.ahead(needed), worst=-_TOUCH)
+            if self._margin > -_TOUCH:  # mostly: what turned up is nowhere near
+                self.until = begun + _AGAIN
+                return
+            for other in self._stops_from_here():  # one that touches nothing is worth more the sooner it is known
+                way, times = other.way_to_rest(self._state.q, self._state.v)
+                if measure(self._state.q, way, times, worst=-_TOUCH) > -_TOUCH:
+                    self.best = other
+                    return
+                yield
+            begun, q, v = self._now, self._state.q, self._state.v
+            track, along = self.best.looking_ahead(), [q]
+            for place in track.places_to_rest(q, v):  # which takes as much work as looking at several stops
+                along.append(place)
+                self._choice.work += _WORK_OF_PLACE
+                yield
+            places, times = np.array(along), track.dt * np.arange(len(along), dtype=float)
+        else:
+            places, times = self.best.way_to_rest(q, v)
+        # how near it comes at first does not count: the machine has come that far meanwhile
+        here = min(int(times.searchsorted(self._now - begun)), len(times) - 1)
+        self._margin = measure(self._state.q, places[here:], times[here:] - times[here], worst=-math.inf)
+        if self._margin >= -_TOUCH:
+            return
+        yield
+        least_bad: int | None = None  # number of a stop from here: none of them touches nothing
+        for number, other in enumerate(self._stops_from_here()):
+            if self._is_better(*other.way_to_rest(self._state.q, self._state.v)):
+                least_bad = number
+            yield
+        for part in _LATER if isinstance(self.best, Track) else ():
+            row = math.ceil(part * (len(times) - 1))
+            if row >= len(times) - 1:
+                break
+            rates = (places[row] - places[row - 1]) / (times[row] - times[row - 1])
+            for other in self._choice.stops_from(rates):
+                gone = int(times.searchsorted(self._now - begun))
+                if gone >= row:  # the machine is already farther
+                    break
+                after, when = other.way_to_rest(places[row], rates)
+                when = np.append(times[gone:row], times[row] + when) - times[gone]
+                if self._is_better(np.vstack((places[gone:row], after)), when):
+                    self.until, least_bad = begun + float(times[row]), None
+                if self._margin >= _ENOUGH:
+                    return
+                yield
+        if least_bad is not None:
+            self.best = next(itertools.islice(self._stops_from_here(), least_bad, None), self.best)
+
+    def _stops_from_here(self) -> Iterator[JointStop]:
+        """The stops off the track, each from where the machine is when it is asked for."""
+        for number in itertools.count():
+            stops = self._choice.stops_from(self._state.v)
+            if number >= len(stops):
+                return
+            yield stops[number]
+
+    def _is_better(self, places: Matrix, times: Vector) -> bool:
+        """Whether a stop at `places` (K, n) and `times` (K,) leaves more room than the best so far; notes how much."""
+        to_beat = self._margin + max(_BETTER, -_BETTER_PART * self._margin)
+        margin = self._choice.least_margin(self._state.q, places, times, worst=to_beat)
+        if margin <= to_beat:
+            return False
+        self._margin = margin
+        return True

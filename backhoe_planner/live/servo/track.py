@@ -9,6 +9,7 @@ be, and everywhere it can lower the pace as far as the accelerations allow.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from copy import copy
 from typing import Protocol
 
@@ -20,6 +21,7 @@ from backhoe_planner.machine import JointLimits, Piece
 _ON_TRACK = 1e-6  # rad or m off the track within which the machine is on it; chosen, far below every tolerance
 _ROUNDING = 1e-6  # part of the acceleration: a change of velocity that is larger by no more is allowed
 _PARTS = (1.0, 0.98, 0.9, 0.7, 0.4, 0.1)  # of the change of pace that is expected to be allowed, which are tried
+_ROUGH_STEP = 0.04  # s of a step on the way to rest, of which only about the time counts; chosen
 _STEP_TO_REST = 0.005  # s of a step on the way to rest, at least; measured: shorter ones lead to the same place
 _FARTHEST_REST, _PLACES_AHEAD = 3.0, 60  # s after which the machine rests, and places until then; chosen
 _STILL = 1e-9  # rad/s or m/s: a slower machine stands still; rounding of a position, over a step
@@ -55,6 +57,7 @@ class Track:
 
     Attributes
     ----------
+    dt: length of a step [s].
     revision: the `Servo.revision` for whose obstacles the rest of the motion is proven clear; None if it is for none.
     carried: the load, `Robot.carried`, for which it is.
     """
@@ -63,7 +66,7 @@ class Track:
         self.reference = reference
         self.revision: int | None = None
         self.carried: tuple[str, tuple[Piece, ...]] | None = None
-        self._limits, self._dt = limits, dt
+        self._limits, self.dt = limits, dt
         self._change = (1.0 + _ROUNDING) * limits.acceleration * dt
         self._pace = 0.0
 
@@ -73,7 +76,7 @@ class Track:
             return False
         if self._allows(self._pace, q, v):  # the pace of the step before, if it was on the track
             return True
-        rates = self.reference.rates(self._dt)
+        rates = self.reference.rates(self.dt)
         squared = float(rates @ rates)
         self._pace = min(max(float(rates @ v) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
         return self._allows(self._pace, q, v)
@@ -98,31 +101,54 @@ class Track:
 
     def advance(self) -> None:
         """Move the clock on by the step whose velocity was found last."""
-        self.reference.advance(self._pace * self._dt)
+        self.reference.advance(self._pace * self.dt)
 
-    def ahead(self) -> tuple[Matrix, Vector]:
-        """(K, n) places on the track from the clock on, farther than a machine takes to stop, and (K,) when [s]."""
-        times = np.linspace(0.0, _FARTHEST_REST, _PLACES_AHEAD)
-        return np.array([self.reference.at(self.reference.clock + time) for time in times.tolist()]), times
+    def ahead(self, time: float) -> tuple[Matrix, Vector]:
+        """(K, n) places on the track for a `time` [s] from the clock on, and (K,) when they are due [s]."""
+        times = np.linspace(0.0, time, _PLACES_AHEAD)
+        return np.array([self.reference.at(self.reference.clock + since) for since in times.tolist()]), times
+
+    def time_to_rest(self, q: Vector, v: Vector) -> float:
+        """About how far the clock advances while a machine at q, v (n,) slows down along the track [s]."""
+        alone = self._copy(max(self.dt, _ROUGH_STEP))
+        for _ in alone.places_to_rest(q, v):
+            pass
+        return alone.reference.clock - self.reference.clock
 
     def way_to_rest(self, q: Vector, v: Vector) -> tuple[Matrix, Vector]:
         """(K, n) where a machine at q, v (n,) on the track is while it slows down along it, and (K,) when [s].
 
         While a joint of the track itself slows down as fast as it can, the pace cannot be lowered.
         """
-        dt = max(self._dt, _STEP_TO_REST)
-        alone, places = Track(copy(self.reference), self._limits, dt), [q]
+        alone = self.looking_ahead()
+        places = [q, *alone.places_to_rest(q, v)]
+        return np.array(places), alone.dt * np.arange(len(places), dtype=float)
+
+    def looking_ahead(self) -> Track:
+        """The same track with a clock of its own, for a look ahead at how a machine slows down along it."""
+        return self._copy(max(self.dt, _STEP_TO_REST))
+
+    def places_to_rest(self, q: Vector, v: Vector) -> Iterator[Vector]:
+        """(n,) where a machine at q, v (n,) on the track is after each of its steps until it rests.
+
+        Each is computed when it is asked for, and moves the clock on.
+        """
+        steps = 1
+        while v.any() and self.dt * steps < _FARTHEST_REST:
+            v = self.slower(q, v)
+            q = q + self.dt * v
+            self.advance()
+            steps += 1
+            yield q
+
+    def _copy(self, dt: float) -> Track:
+        alone = Track(copy(self.reference), self._limits, dt)
         alone._pace = self._pace
-        while v.any() and dt * len(places) < _FARTHEST_REST:
-            v = alone.slower(q, v)
-            q = q + dt * v
-            alone.advance()
-            places.append(q)
-        return np.array(places), dt * np.arange(len(places), dtype=float)
+        return alone
 
     def _between(self, kept: float, wanted: float, q: Vector, v: Vector) -> float:
         """The pace nearest to `wanted` that the accelerations allow, from the pace `kept`, which they do."""
-        rates, beyond = self.reference.rates(self._dt), self._velocity(kept, q) - v
+        rates, beyond = self.reference.rates(self.dt), self._velocity(kept, q) - v
         towards = rates if wanted > kept else -rates
         room = np.where(towards > 0.0, self._change - beyond, self._change + beyond)
         moving = np.abs(rates) > _STILL
@@ -139,6 +165,6 @@ class Track:
     def _velocity(self, pace: float, q: Vector) -> Vector:
         """(n,) from q (n,) to the place on the track that is a step further at a pace [rad/s or m/s]."""
         limits = self._limits
-        ahead = self.reference.at(self.reference.clock + pace * self._dt)
-        found = np.clip((np.clip(ahead, limits.lower, limits.upper) - q) / self._dt, -limits.velocity, limits.velocity)
+        ahead = self.reference.at(self.reference.clock + pace * self.dt)
+        found = np.clip((np.clip(ahead, limits.lower, limits.upper) - q) / self.dt, -limits.velocity, limits.velocity)
         return found if float(np.abs(found).max()) > _STILL else np.zeros_like(found)
