@@ -143,7 +143,7 @@ class _Waypoints:
                     )
                 if aside is None:
                     return self._collides(index, ends, what)
-                within = aside
+                within = aside[0]
         if within is not target:
             self._positions[index] = within.position
         return None

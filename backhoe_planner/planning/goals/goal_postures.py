@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import InverseKinematics, TipTarget, solve_inverse_kinematics
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.result.plan_file import Reason
@@ -153,7 +153,9 @@ def _on_target(
     if found.best.reached and not found.clear and travel is None and not world.problem.is_dynamic:
         aside = _aside(world, aim, goal, found, time)
         if aside is not None:
-            moved, aim, found = aside, aside, at(aside)
+            moved = aim = aside[0]
+            found = at(aim)
+            found = found if found.clear else replace(found, clear=tuple(aside[1]))
     if moved is not None:
         own = world.aims[goal, is_narrowed] = replace(goal, aim=moved.position)
     return no_posture(world, found, aim, "goal_in_collision", goal.name) or _OnGoal(own or goal, found.clear)
@@ -175,8 +177,13 @@ def _within_reach(world: World, target: TipTarget, goal: Goal, best: InverseKine
     return None if moved is None else moved[0]
 
 
-def _aside(world: World, aim: TipTarget, goal: Goal, found: PostureResult, time: float) -> TipTarget | None:
-    """`aim` moved away from what all postures found there are too near to; None if the tolerance does not allow it."""
+def _aside(
+    world: World, aim: TipTarget, goal: Goal, found: PostureResult, time: float
+) -> tuple[TipTarget, Matrix] | None:
+    """`aim` moved away from what all postures found there are too near to, and (C, n) clear postures on it [rad or m].
+
+    None if the tolerance does not allow it.
+    """
     screen = ClearanceScreen(world.proximity, time=time, spare=POSTURE_SPARE)
     return move_aside(
         world.proximity, screen, aim, found.blocked, given=goal.target.position, most=_MOVED * goal.allowed_off,

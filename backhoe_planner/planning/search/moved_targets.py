@@ -59,8 +59,8 @@ def move_within_reach(
 def move_aside(
     proximity: Proximity, screen: ClearanceScreen, target: TipTarget, ends: Matrix, *, given: Vector, most: float,
     spare: float = 0.0, time: float = 0.0,
-) -> TipTarget | None:  # fmt: skip
-    """`target` moved away from what the machine is too near to, until it is clear; None if that is too far.
+) -> tuple[TipTarget, Matrix] | None:  # fmt: skip
+    """`target` moved away from what the machine is too near to, and (C, n) joints clear there; None if that is too far.
 
     Parameters
     ----------
@@ -86,6 +86,7 @@ def move_aside(
         ends = q[reached]
         if not len(ends):
             return None
-        if screen.keeps(ends).any():
-            return target
+        clear = screen.keeps(ends)
+        if clear.any():
+            return target, ends[clear]
     return None
