@@ -115,15 +115,6 @@ class Track:
             pass
         return alone.reference.clock - self.reference.clock
 
-    def way_to_rest(self, q: Vector, v: Vector) -> tuple[Matrix, Vector]:
-        """(K, n) where a machine at q, v (n,) on the track is while it slows down along it, and (K,) when [s].
-
-        While a joint of the track itself slows down as fast as it can, the pace cannot be lowered.
-        """
-        alone = self.looking_ahead()
-        places = [q, *alone.places_to_rest(q, v)]
-        return np.array(places), alone.dt * np.arange(len(places), dtype=float)
-
     def looking_ahead(self) -> Track:
         """The same track with a clock of its own, for a look ahead at how a machine slows down along it."""
         return self._copy(max(self.dt, _STEP_TO_REST))
@@ -131,7 +122,8 @@ class Track:
     def places_to_rest(self, q: Vector, v: Vector) -> Iterator[Vector]:
         """(n,) where a machine at q, v (n,) on the track is after each of its steps until it rests.
 
-        Each is computed when it is asked for, and moves the clock on.
+        Each is computed when it is asked for, and moves the clock on. While a joint of the track itself slows down as
+        fast as it can, the pace cannot be lowered.
         """
         steps = 1
         while v.any() and self.dt * steps < _FARTHEST_REST:
