@@ -160,10 +160,11 @@ def motion_energy(
     outside: (T, n) external torques or forces on the joints [N m or N], such as those of the soil.
     """
     dynamics = Dynamics(robot, payload=payload, payload_at=payload_at)
-    forces = [None] * len(time) if tip_force is None else list(tip_force)
-    torque = np.array(
-        [dynamics.torques(*row, tip_force=force) for *row, force in zip(q, v, a, forces, strict=True)]
-    ).reshape(q.shape)
+    if tip_force is None:
+        torque = dynamics.torques_along(q, v, a)
+    else:
+        moments = zip(q, v, a, tip_force, strict=True)
+        torque = np.array([dynamics.torques(*row, tip_force=force) for *row, force in moments]).reshape(q.shape)
     if outside is not None:
         torque = torque - outside
     potential = np.array([dynamics.potential_energy(row) for row in q])

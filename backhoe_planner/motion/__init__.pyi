@@ -45,6 +45,7 @@ from .timing.joining import slow_where_needed as slow_where_needed
 from .timing.time_optimal import Rows as Rows
 from .timing.time_optimal import fastest as fastest
 from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
+from .timing.timing import FastestRun as FastestRun
 from .timing.timing import retime as retime
 from .timing.timing import slow_tip as slow_tip
 from .timing.timing import time_along as time_along

@@ -8,6 +8,7 @@ direction to the other's: the path is C1, and d2q/ds2 is piecewise constant.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ class TipPath:
         """Length of the whole path, by its measure s [m]."""
         return float(self.stations[-1])
 
-    @property
+    @cached_property
     def turns(self) -> bool:
         """Whether s counts a turn anywhere; if not, s is the arc length of the tip."""
         return bool(self.turning.any())
@@ -175,23 +176,28 @@ class TipPath:
         """
         point, low = as_vector(point, 3, key="point"), as_number(low, key="low")
         high = self.length if high is None else as_number(high, key="high")
-        best, marks = (low, float(np.linalg.norm(point - self(low)))), self._marks
+        marks = self._marks
+        best, distance = low, math.dist(point.tolist(), self(low).tolist())
         first, behind = bisect_left(marks, low, 1) - 1, bisect_right(marks, high, 0, len(marks) - 1)
-        at_least = self._distances_to_legs(point, first, behind).tolist()
-        for leg, least in enumerate(at_least, start=first):
-            s0, s1 = max(marks[leg], low), min(marks[leg + 1], high)
-            if s1 < s0 or least >= best[1]:
+        at_least = self._distances_to_legs(point, first, behind)
+        x, y, z = point.tolist()
+        # with plain numbers: arrays of three take ten times as long
+        for row in np.flatnonzero(at_least < distance).tolist():
+            leg = first + row
+            mark, span = marks[leg], marks[leg + 1] - marks[leg]
+            s0, s1 = max(mark, low), min(marks[leg + 1], high)
+            if s1 < s0 or at_least[row] >= distance:
                 continue
-            a, b = self(s0) if s0 > marks[leg] else self.points[leg], self.points[leg + 1]
-            if s1 < marks[leg + 1]:
-                b = self(s1)
-            step = b - a
-            square = float(step @ step)
-            part = float(np.clip((point - a) @ step / square, 0.0, 1.0)) if square > 0.0 else 0.0
-            distance = float(np.linalg.norm(point - a - part * step))
-            if distance < best[1] - 1e-12:
-                best = (s0 + part * (s1 - s0), distance)
-        return best
+            (ax, ay, az), (dx, dy, dz), square = self._leg_numbers[leg]
+            ax, ay, az = x - ax, y - ay, z - az
+            part = begin = (s0 - mark) / span if span > 0.0 else 0.0
+            if square > 0.0:
+                end = (s1 - mark) / span if span > 0.0 else 0.0
+                part = min(max((ax * dx + ay * dy + az * dz) / square, begin), end)
+            off = math.hypot(ax - part * dx, ay - part * dy, az - part * dz)
+            if off < distance - 1e-12:
+                best, distance = mark + part * span, off
+        return best, distance
 
     def place(self, at: Configuration, *, low: float, high: float, slack: float) -> tuple[float, float, float]:
         """Where on the path the tip is, by position and orientation: s [m], and how far off the path [m], [rad].
@@ -328,12 +334,20 @@ class TipPath:
         steps = np.diff(self.points, axis=0)
         return steps, np.maximum(np.einsum("ki,ki->k", steps, steps), _NO_LENGTH**2)
 
+    @cached_property
+    def _leg_numbers(self) -> list[tuple[list[float], list[float], float]]:
+        """Of each leg its begin [m], the vector to its end [m], and the square of that [m^2]."""
+        steps = np.diff(self.points, axis=0)
+        squares = np.einsum("ki,ki->k", steps, steps)
+        return list(zip(self.points[:-1].tolist(), steps.tolist(), squares.tolist(), strict=True))
+
     def _distances_to_legs(self, tip: Vector, first: int, behind: int) -> Vector:
         """(behind - first,) distance [m] of the tip (3,) from each of the legs from `first` to before `behind`."""
         legs, (steps, squares) = slice(first, behind), self._leg_steps
         off, along = tip - self.points[:-1][legs], steps[legs]
-        part = np.clip(np.einsum("ki,ki->k", off, along) / squares[legs], 0.0, 1.0)
-        return np.asarray(np.linalg.norm(off - part[:, None] * along, axis=1))
+        part = np.minimum(np.maximum(np.einsum("ki,ki->k", off, along) / squares[legs], 0.0), 1.0)
+        off -= part[:, None] * along
+        return np.asarray(np.sqrt(np.einsum("ki,ki->k", off, off)))
 
     def _least_costs(self, at: Configuration) -> Vector:
         """(W - 1,) a lower bound on how far the tip is off each leg [m], a radian counted as 0.25 m."""

@@ -60,6 +60,24 @@ def test_the_nearest_point_of_a_part_of_a_path_is_within_the_part() -> None:
     assert path.nearest(point, low=5.0, high=6.0) == pytest.approx((5.0, np.hypot(2.0, 2.0)))
 
 
+def test_no_point_of_a_dense_raster_is_nearer_than_the_nearest_point() -> None:
+    """On random paths, some of whose waypoints coincide, and within random parts of them."""
+    rng = np.random.default_rng(5)
+    for _ in range(15):
+        corners = np.cumsum(0.2 * rng.normal(size=(8, 3)), axis=0)[rng.choice([0, 1, 2, 2, 3, 4, 5, 6, 7], 9)]
+        path = TipPath([Waypoint(position=tuple(corner)) for corner in corners.tolist()])
+        low, high = np.sort(rng.uniform(-0.1, 1.1, 2)) * path.length
+        raster = np.linspace(max(low, 0.0), max(min(high, path.length), 0.0), 4000)
+        places = np.array([path(float(s)) for s in raster])
+        point = corners[4] + 0.1 * rng.normal(size=3)
+        s, distance = path.nearest(point, low=float(low), high=float(high))
+        away = np.linalg.norm(places - point, axis=1)
+        step = float(raster[1] - raster[0])
+        assert np.min(away) - step <= distance <= np.min(away) + 1e-12
+        assert np.linalg.norm(path(s) - point) == pytest.approx(distance, abs=1e-12)
+        assert low - 1e-12 <= s <= high + 1e-12
+
+
 def test_pitch_is_interpolated() -> None:
     path = TipPath(
         [Waypoint(position=(0.0, 0.0, 0.0), pitch=-1.0), Waypoint(position=(2.0, 0.0, 0.0), pitch=(-2.2, -1.8))]

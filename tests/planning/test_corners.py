@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion import Problem, Trajectory, build_problem, time_along
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import BatchKinematics
+from backhoe_planner.motion import FastestRun, Problem, build_problem
 from backhoe_planner.planning import Brake, Stretch, resolve_along, round_corners, time_stretch
 from backhoe_planner.planning.paths import corners
 from validation.habitats import load_machine
@@ -126,11 +129,11 @@ def test_motions_between_stops_share_the_intervals_of_one_motion(
     problem, stretch = zigzag(planar4, 20)
     counted: list[int] = []
 
-    def counting(*args: Any, intervals: int, **keys: Any) -> Trajectory:
+    def counting(*args: Any, intervals: int, **keys: Any) -> FastestRun:
         counted.append(intervals)
-        return time_along(*args, intervals=intervals, **keys)
+        return FastestRun(*args, intervals=intervals, **keys)
 
-    monkeypatch.setattr(corners, "time_along", counting)
+    monkeypatch.setattr(corners, "FastestRun", counting)
     assert problem.path is not None
     found = time_stretch(problem, problem.path, stretch, brake=brake)
     assert len(found) == 40
@@ -139,6 +142,35 @@ def test_motions_between_stops_share_the_intervals_of_one_motion(
     least = 2.0 * float(np.sqrt(0.02 / problem.limits.acceleration[0]))
     for motion in found:
         assert least <= motion.duration < 1.1 * least
+
+
+def off_leg(place: Vector, begin: Vector, end: Vector) -> float:
+    """The distance of a point from a straight segment [m]."""
+    leg = end - begin
+    part = min(max(float((place - begin) @ leg / (leg @ leg)), 0.0), 1.0)
+    return float(np.linalg.norm(place - begin - part * leg))
+
+
+def test_how_far_segments_are_off_the_corners_that_they_pass_is_found_as_one_by_one(planar4: bp.Robot) -> None:
+    """Steps of joints that cut the corners of a zigzag by far, by little, or not at all."""
+    rng = np.random.default_rng(3)
+    problem, stretch = zigzag(planar4, 5)
+    path, kinematics, seen = problem.path, BatchKinematics(planar4), []
+    assert path is not None
+    for spread, every in ((1e-4, 1), (1e-3, 1), (1e-2, 1), (1e-3, 3)):
+        q = stretch.q[::every] + spread * rng.normal(size=stretch.q[::every].shape)
+        worst = 0.0
+        for before, corner, after in zip(path.points, path.points[1:], path.points[2:], strict=False):
+            for a, b in pairwise(kinematics.at(q).tip_position):
+                if min(np.linalg.norm(a - corner), np.linalg.norm(b - corner)) < np.linalg.norm(b - a):
+                    places = [a + part * (b - a) for part in np.arange(1, 8) / 8]
+                    off = [min(off_leg(place, before, corner), off_leg(place, corner, after)) for place in places]
+                    worst = max(worst, *off)
+        found = corners._off_corners(kinematics, path, corners._passed_waypoints(path, stretch), q)
+        assert found == pytest.approx(worst, rel=1e-9, abs=1e-12)
+        seen.append(found)
+    assert min(seen) < 1e-3
+    assert max(seen) > 1e-2
 
 
 # --- samples between samples ---------------------------------------------------------------

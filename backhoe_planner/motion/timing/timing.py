@@ -73,37 +73,81 @@ def time_along(
     drive: of the joints; None for no limits other than those of the joints.
     intervals: the approximate least number of intervals whose ends are checked for limits.
     """
-    if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
-        return Trajectory.from_steps(np.zeros(1), q[:1])
-    from scipy.interpolate import CubicSpline
+    run = FastestRun(stations, q, limits, speed=speed, kinematics=kinematics, drive=drive, intervals=intervals)
+    return run.motion(period)
 
-    along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
-    # arc length is one more coordinate, so that its rate is the tip's speed
-    curve = CubicSpline(
-        along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
-    )
-    grid = _denser_at_ends(_refined(along, max(2 * (len(along) - 1), intervals)))
-    places, slope, bend = curve(grid)[:, :-1], curve(grid, 1), curve(grid, 2)[:, :-1]
-    tip_slope = slope[:, -1]
-    if speed is not None and kinematics is not None:
-        tip_slope = _tip_rates(kinematics, places, slope[:, :-1])
-    shape = PathShape(grid, places, slope[:, :-1], bend[:-1], bend[1:], tip_slope=tip_slope)
-    law = time_path(shape, limits, drive=drive, tip_speed=speed)
-    if law is None:
-        time, samples = _ramp(along, q, limits)
-        ramp = Trajectory.from_steps(time, samples)
-        return retime(_slow_to_speed(ramp, limits, speed, kinematics), limits, drive=drive)
-    time, samples = _thin_out(
-        _samples(law.duration, period),
-        lambda moments: np.asarray(curve(law.at(moments))),
-        np.append(np.full(q.shape[1], _LEAST_STEP), _LEAST_TIP_STEP),
-        np.append(_LEAST_CHANGE * SAMPLE_PERIOD * limits.acceleration, np.inf),
-    )
-    samples = samples[:, :-1]
-    samples[0], samples[-1] = q[0], q[-1]
-    # a spline may swing slightly beyond a limit if its samples are at that limit
-    motion = Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
-    return _slow_to_limits(_slow_to_speed(motion, limits, speed, kinematics), limits, drive)
+
+class FastestRun:
+    """The fastest motion through samples of a joint path, from rest to rest, to be sampled at any period.
+
+    The parameters are those of `time_along`.
+    """
+
+    def __init__(
+        self,
+        stations: Vector,
+        q: Matrix,
+        limits: JointLimits,
+        *,
+        speed: float | None = None,
+        kinematics: BatchKinematics | None = None,
+        drive: Drive | None = None,
+        intervals: int = _LEAST_GRID,
+    ) -> None:
+        self._q, self._limits, self._drive = q, limits, drive
+        self._speed, self._kinematics = speed, kinematics
+        self._still = len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12
+        if self._still:
+            return
+        from scipy.interpolate import CubicSpline
+
+        self._along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
+        # arc length is one more coordinate, so that its rate is the tip's speed
+        bc_type = "not-a-knot" if len(self._along) > 3 else "natural"
+        self._curve = curve = CubicSpline(self._along, np.column_stack((q, stations)), bc_type=bc_type, axis=0)
+        grid = _denser_at_ends(_refined(self._along, max(2 * (len(self._along) - 1), intervals)))
+        places, slope, bend = curve(grid)[:, :-1], curve(grid, 1), curve(grid, 2)[:, :-1]
+        tip_slope = slope[:, -1]
+        if speed is not None and kinematics is not None:
+            tip_slope = _tip_rates(kinematics, places, slope[:, :-1])
+        shape = PathShape(grid, places, slope[:, :-1], bend[:-1], bend[1:], tip_slope=tip_slope)
+        self._law = time_path(shape, limits, drive=drive, tip_speed=speed)
+
+    def samples(self, period: float = SAMPLE_PERIOD) -> tuple[Vector, Matrix]:
+        """Times (T,) [s] and joints (T, n) [rad or m] of the motion before it is slowed where samples exceed a limit.
+
+        Slowing changes the times alone, so these are the joints of `motion`.
+        """
+        if self._still:
+            return np.zeros(1), self._q[:1]
+        law, curve, n = self._law, self._curve, self._q.shape[1]
+        if law is None:
+            return _ramp(self._along, self._q, self._limits)
+        time, samples = _thin_out(
+            _samples(law.duration, period),
+            lambda moments: np.asarray(curve(law.at(moments))),
+            np.append(np.full(n, _LEAST_STEP), _LEAST_TIP_STEP),
+            np.append(_LEAST_CHANGE * SAMPLE_PERIOD * self._limits.acceleration, np.inf),
+        )
+        samples = samples[:, :-1]
+        samples[0], samples[-1] = self._q[0], self._q[-1]
+        # a spline may swing slightly beyond a limit if its samples are at that limit
+        return time, np.clip(samples, self._limits.lower, self._limits.upper)
+
+    def motion(self, period: float = SAMPLE_PERIOD) -> Trajectory:
+        """The motion, slowed where its samples exceed a limit.
+
+        Parameters
+        ----------
+        period: between its samples [s].
+        """
+        motion, limits = Trajectory.from_steps(*self.samples(period)), self._limits
+        if self._still:
+            return motion
+        motion = _slow_to_speed(motion, limits, self._speed, self._kinematics)
+        if self._law is None:
+            return retime(motion, limits, drive=self._drive)
+        return _slow_to_limits(motion, limits, self._drive)
 
 
 def time_curve(

@@ -6,26 +6,30 @@ the path, and is off the path by no more than a part of the tolerance.
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import chain, pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import (
     SAMPLE_PERIOD,
+    FastestRun,
     Problem,
     TipPath,
     Trajectory,
     drive_of,
     step_lengths,
     targets_along,
-    time_along,
 )
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 SHARP = np.radians(5.0)  # chosen: at a sharper corner the joints' velocities would jump noticeably
 # chosen: at the limits of usual joints, bends below do not slow the tip down noticeably
@@ -120,22 +124,19 @@ def time_stretch(
         own = Stretch(stations[first : last + 1], q[first : last + 1])
         own = _dense_enough(kinematics, path, own, _CHORD * task.tolerance)
 
-        def timed(period: float, own: Stretch = own, intervals: int = intervals) -> Trajectory:
-            return time_along(
-                own.stations, own.q, problem.limits,
-                speed=task.speed, kinematics=kinematics, period=period, drive=drive, intervals=intervals,
-            )  # fmt: skip
-
-        motion, denser = timed(period), 1.0
-        off = _off_chords(kinematics, motion.q)
+        run = FastestRun(
+            own.stations, own.q, problem.limits,
+            speed=task.speed, kinematics=kinematics, drive=drive, intervals=intervals,
+        )  # fmt: skip
+        denser = 1.0
+        off = _off_chords(kinematics, run.samples(period)[1])
         if off > _CHORD * task.tolerance:  # the deviation of chords is proportional to the square of the period
             denser = max(float(np.sqrt(0.8 * _CHORD * task.tolerance / off)), _DENSEST)
-            motion = timed(denser * period)
         # samples further apart than the length of a rounded corner would cut it once more
-        while denser > _DENSEST and _off_corners(kinematics, path, own, motion.q) > (_PART + _CHORD) * task.tolerance:
+        passed, allowed = _passed_waypoints(path, own), (_PART + _CHORD) * task.tolerance
+        while denser > _DENSEST and _off_corners(kinematics, path, passed, run.samples(denser * period)[1]) > allowed:
             denser = max(0.5 * denser, _DENSEST)
-            motion = timed(denser * period)
-        found.append(motion)
+        found.append(run.motion(denser * period))
     return found
 
 
@@ -205,29 +206,50 @@ def _off_chords(kinematics: BatchKinematics, q: Matrix) -> float:
     return float(np.max(np.linalg.norm(off - along[:, None] * chords, axis=1)))
 
 
-def _off_corners(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, q: Matrix) -> float:
-    """How far straight segments between tip positions at q (T, n) are off both legs of a corner that they pass [m]."""
-    within = (path.stations[1:-1] > stretch.stations[0]) & (path.stations[1:-1] < stretch.stations[-1])
-    rows = 1 + np.flatnonzero(within)
-    if not len(rows) or len(q) < 2:
+def _passed_waypoints(path: TipPath, stretch: Stretch) -> Indices:
+    """(C,) indices of the waypoints between the ends of a stretch."""
+    marks = path.stations[1:-1]
+    return 1 + np.flatnonzero((marks > stretch.stations[0]) & (marks < stretch.stations[-1]))
+
+
+def _off_corners(kinematics: BatchKinematics, path: TipPath, waypoints: Indices, q: Matrix) -> float:
+    """How far straight segments between tip positions at q (T, n) are off both legs at a waypoint that they pass [m].
+
+    Parameters
+    ----------
+    waypoints: (C,) their indices.
+    """
+    if not len(waypoints) or len(q) < 2:
         return 0.0
-    tips, most = kinematics.at(q).tip_position, 0.0
+    from scipy.spatial import cKDTree
+
+    tips, corners = kinematics.at(q).tip_position, path.points[waypoints]
     ways = np.diff(tips, axis=0)
-    for row in rows.tolist():
-        from_corner = np.linalg.norm(tips - path.points[row], axis=1)
-        passing = np.flatnonzero(np.minimum(from_corner[:-1], from_corner[1:]) < np.linalg.norm(ways, axis=1))
-        if len(passing):
-            points = (tips[passing] + _PARTS[:, None, None] * ways[passing]).reshape(-1, 3)
-            legs = (_off_leg(points, *path.points[[row, end]]) for end in (row - 1, row + 1))
-            most = max(most, float(np.max(np.minimum(*legs))))
-    return most
+    lengths = np.linalg.norm(ways, axis=1)
+    # a segment passes a waypoint if one of its ends is nearer to the waypoint than the segment is long
+    begins, ends = (_pairs_within(cKDTree(points), corners, lengths) for points in (tips[:-1], tips[1:]))
+    segment, row = np.append(begins[0], ends[0]), waypoints[np.append(begins[1], ends[1])]
+    points = tips[segment] + _PARTS[:, None, None] * ways[segment]
+    off = np.minimum(*(_off_legs(points, path.points[row], path.points[beside]) for beside in (row - 1, row + 1)))
+    return float(np.max(off, initial=0.0))
 
 
-def _off_leg(points: Matrix, begin: Vector, end: Vector) -> Vector:
-    """(K,) distances of points (K, 3) from the straight segment from `begin` to `end` (3,) [m]."""
-    leg = end - begin
-    part = np.clip((points - begin) @ leg / max(float(leg @ leg), 1e-18), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(points - begin - part[:, None] * leg, axis=1))
+def _pairs_within(tree: cKDTree, centres: Matrix, reach: Vector) -> tuple[Indices, Indices]:
+    """The points of a tree, and the `centres` (C, 3) [m] that are nearer to each than its own `reach` (T,) [m]."""
+    found = tree.query_ball_point(centres, float(np.max(reach)), return_sorted=False)
+    counts = [len(points) for points in found]
+    point = np.fromiter(chain.from_iterable(found), dtype=np.intp, count=sum(counts))
+    centre = np.repeat(np.arange(len(centres)), counts)
+    near = np.linalg.norm(tree.data[point] - centres[centre], axis=1) < reach[point]
+    return point[near], centre[near]
+
+
+def _off_legs(points: Array, begins: Matrix, ends: Matrix) -> Matrix:
+    """(P, K) distances of points (P, K, 3) from K straight segments from `begins` to `ends` (K, 3) [m]."""
+    legs = ends - begins
+    squares = np.maximum(np.sum(legs * legs, axis=1), 1e-18)
+    part = np.clip(np.sum((points - begins) * legs, axis=2) / squares, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - begins - part[:, :, None] * legs, axis=2))
 
 
 def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:
