@@ -11,6 +11,8 @@ from .paths.path_resolution import PathResolver as PathResolver
 from .paths.path_resolution import Resolution as Resolution
 from .paths.smoothing import smooth_stretch as smooth_stretch
 from .paths.stretch import Stretch as Stretch
+from .paths.timed_stretch import join_motions as join_motions
+from .paths.timed_stretch import time_rounded as time_rounded
 from .planner import plan_motion as plan_motion
 from .reactive.law_timing import places_on as places_on
 from .reactive.law_timing import speed_up as speed_up
@@ -24,8 +26,6 @@ from .report.asked_speed import measure_speed as measure_speed
 from .report.comparison import LawComparison as LawComparison
 from .report.comparison import compare_with_law as compare_with_law
 from .report.comparison import describe_saving as describe_saving
-from .report.comparison import fastest_motion as fastest_motion
-from .report.comparison import join_motions as join_motions
 from .report.comparison import law_motion as law_motion
 from .report.comparison import least_norm_resolution as least_norm_resolution
 from .report.comparison import part_on_path as part_on_path

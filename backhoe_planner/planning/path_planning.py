@@ -16,8 +16,8 @@ from backhoe_planner.motion import (
     Trajectory,
     WaypointStep,
     longest_step,
+    motion_cost,
     progress,
-    trajectory_costs,
 )
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
@@ -26,8 +26,8 @@ from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.paths.stretch import LawWay, Stretch
+from backhoe_planner.planning.paths.timed_stretch import TimedStretch, time_rounded
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.planning.report.comparison import fastest_motion
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
@@ -153,6 +153,7 @@ class _Along:
         assert task is not None
         self._may_leave, self._may_turn = task.detour, task.turn_on_the_spot
         self._time = 0.0 if stepper is None else stepper.time
+        self._timed: dict[Stretch, TimedStretch] = {}  # those whose motions have been compared
 
     def plan(self, begin: Vector | None, *, off_path: bool = False) -> Outcome:
         """The motion to the path and along it.
@@ -265,7 +266,9 @@ class _Along:
                     way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
                     if not self._world.apart:  # the law does not know these extra clearances
                         pieces[index] = self._cheaper_than_law(cheap, way, free_start=free_start)
-                    law = LawWay(self._path, way) if low == 0.0 and not self._world.problem.is_dynamic else None
+                    if low == 0.0 and not self._world.problem.is_dynamic:
+                        timed = self._timed.get(way)
+                        law = LawWay(self._path, way, None if timed is None else timed.motion)
         return pieces, law
 
     def _cheapen(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
@@ -298,9 +301,9 @@ class _Along:
 
     def _motion_cost(self, way: Stretch) -> float:
         """The cost of the fastest motion along a stretch, by the objective and in its unit."""
-        problem = self._world.problem
-        motion = fastest_motion(problem, self._path, way, proximity=self._world.proximity, time=self._time)
-        return trajectory_costs(problem, motion)[self._cost.objective.name]
+        world, problem = self._world, self._world.problem
+        self._timed[way] = timed = time_rounded(problem, self._path, way, proximity=world.proximity, time=self._time)
+        return motion_cost(problem, timed.motion)
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Bypass]) -> None:
         world, problem = self._world, self._world.problem
@@ -308,13 +311,16 @@ class _Along:
             if isinstance(piece, Bypass):
                 play(world, stepper, JointPath(piece.q))
             elif len(piece.q) > 1:
-                rounded, stops = round_corners(problem, self._path, piece, proximity=world.proximity, time=stepper.time)
-                if not self._keeps_steps([rounded]):
-                    rounded, stops = piece, self._path.corners(SHARP)
-                for motion in self._timed(rounded, stops, stepper.time):
+                timed = self._timed.get(piece)
+                if timed is None or problem.is_dynamic:  # later, moving obstacles are elsewhere
+                    corners = round_corners(problem, self._path, piece, proximity=world.proximity, time=stepper.time)
+                    timed = TimedStretch(*corners)
+                if not self._keeps_steps([timed.rounded]):
+                    timed = TimedStretch(piece, self._path.corners(SHARP))
+                for motion in self._clear_motions(timed, stepper.time):
                     stepper.play(motion)
 
-    def _timed(self, stretch: Stretch, stops: Vector, time: float) -> list[Trajectory]:
+    def _clear_motions(self, timed: TimedStretch, time: float) -> Sequence[Trajectory]:
         """The motions along a stretch, each from rest to rest.
 
         Where the joints turn sharply, for example at the end of a turn on the spot, the smooth curve through the
@@ -323,9 +329,15 @@ class _Along:
         """
         world, brake = self._world, self._world.work.brake
         screen = ClearanceScreen(world.proximity, time=time, spare=-AT_CLEARANCE)
+        stretch, known = timed.rounded, timed.motions
         for denser in range(_MOST_DENSER + 1):
             period = _FINE_PERIOD if self._is_tight(stretch.q, time) else SAMPLE_PERIOD
-            motions = time_stretch(world.problem, self._path, stretch, period=period, stops=stops, brake=brake)
+            motions: Sequence[Trajectory] = known if period == SAMPLE_PERIOD else ()
+            if not motions:
+                motions = time_stretch(
+                    world.problem, self._path, stretch, period=period, stops=timed.stops, brake=brake
+                )
+            known = ()
             if denser == _MOST_DENSER or brake.is_used_up():
                 break
             if all(screen.keeps_all_unchecked(motion.q) for motion in motions):

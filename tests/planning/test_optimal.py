@@ -25,13 +25,13 @@ from backhoe_planner.planning import (
     Stretch,
     cheapen_stretch,
     describe_saving,
-    fastest_motion,
     join_motions,
     law_motion,
     least_norm_resolution,
     part_on_path,
     resolve_along,
     stations_of,
+    time_rounded,
 )
 from backhoe_planner.planning.paths.dynamic_programming import _cheapest_with_turns
 
@@ -255,7 +255,7 @@ def test_the_saving_equals_one_computed_step_by_step(backhoe: bp.Robot, cut: bp.
     told = comparison(plan)
     # the law's own motion has another timing while limits bind, as at its ends
     assert law_cost(told) == pytest.approx(work, rel=1e-3)
-    fastest = fastest_motion(problem, problem.path, law, proximity=bp.Proximity(backhoe))
+    fastest = time_rounded(problem, problem.path, law, proximity=bp.Proximity(backhoe)).motion
     work = trajectory_costs(problem, fastest)["work"]
     assert law_cost(told) == pytest.approx(work, rel=1e-9)
     assert told.saving_percent == pytest.approx(100.0 * (1.0 - plan.metrics.energy["work"] / work), rel=1e-9)

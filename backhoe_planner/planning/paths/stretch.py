@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.motion import TipPath
+from backhoe_planner.motion import TipPath, Trajectory
 from backhoe_planner.proof import AT_CLEARANCE
 from backhoe_planner.site import Obstruction
 
@@ -38,7 +38,13 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class LawWay:
-    """How the local law follows a whole path among static obstacles."""
+    """How the local law follows a whole path among static obstacles.
+
+    Attributes
+    ----------
+    fastest: the fastest motion along the stretch; None if it has not been computed.
+    """
 
     path: TipPath
     stretch: Stretch
+    fastest: Trajectory | None = None

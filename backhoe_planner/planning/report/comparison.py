@@ -13,7 +13,7 @@ and of the whole motion. The law begins where the plan does, so its approach is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any
@@ -25,10 +25,10 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import Problem, TipPath, Trajectory, drive_of, retime, trajectory_costs
-from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
 from backhoe_planner.planning.paths.monotone_curve import monotone_curve
 from backhoe_planner.planning.paths.stretch import LawWay, Stretch
+from backhoe_planner.planning.paths.timed_stretch import time_rounded
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
@@ -153,16 +153,17 @@ def _along_by_law(
     problem: Problem, path: TipPath, motion: Trajectory, begun: float, known: LawWay | None, *, kinematics: Kinematics
 ) -> tuple[Trajectory | None, Obstruction | None]:
     """The law's motion to compare with `motion`, None if the law cannot follow the path; and what the law breaks."""
-    proximity, is_time = Proximity(problem.robot, problem.obstacles), problem.objective.is_time
+    proximity, fastest = Proximity(problem.robot, problem.obstacles), None
     if known is not None and known.path is path and np.array_equal(known.stretch.q[0], motion.q[0]):
-        law = known.stretch
+        law, fastest = known.stretch, known.fastest
     else:
         law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
     breaks = law.obstruction
     if breaks is None:
-        fastest = fastest_motion(problem, path, law, proximity=proximity, time=begun)
+        if fastest is None:
+            fastest = time_rounded(problem, path, law, proximity=proximity, time=begun).motion
         return retime(fastest, problem.limits, drive=drive_of(problem)), None
-    if is_time or breaks.kind != "joint":
+    if problem.objective.is_time or breaks.kind != "joint":
         return None, breaks
     blind = least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
     return None if blind is None else law_motion(path, blind, motion, kinematics=kinematics), breaks
@@ -190,32 +191,6 @@ def part_on_path(
         first += len(off) - 1 - int(np.argmin(off[::-1]))  # the tip may stand there for a step
     time = trajectory.time[first:] - trajectory.time[first]
     return Trajectory.from_steps(time, trajectory.q[first:]), float(trajectory.time[first])
-
-
-def fastest_motion(
-    problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
-) -> Trajectory:
-    """The motion along a stretch as fast as the limits allow, at rest at both ends and at corners that are not rounded.
-
-    Parameters
-    ----------
-    time: at which the positions of the obstacles are taken [s].
-    """
-    rounded, stops = round_corners(problem, path, stretch, proximity=proximity, time=time)
-    return join_motions(time_stretch(problem, path, rounded, stops=stops))
-
-
-def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
-    """Motions from rest to rest, one after the other; the machine rests for one step between them."""
-    times, places = [motions[0].time], [motions[0].q]
-    for motion in motions[1:]:
-        if len(motion) < 2:
-            continue
-        end = times[-1][-1] + (times[-1][-1] - times[-1][-2] if len(times[-1]) > 1 else 0.0)
-        stands = end > times[-1][-1]
-        times.append(end + motion.time[0 if stands else 1 :])
-        places.append(motion.q[0 if stands else 1 :])
-    return Trajectory.from_steps(np.concatenate(times), np.vstack(places))
 
 
 def law_motion(path: TipPath, law: Stretch, motion: Trajectory, *, kinematics: Kinematics) -> Trajectory:
