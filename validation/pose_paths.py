@@ -39,7 +39,7 @@ _CLEARANCE = 0.01  # m of every obstacle
 _PLACES = 400  # draws of a path's place until its poses can be reached clear of everything
 _LOOKED_AT = 40  # poses of a path checked for each draw
 _GUESSES = 24  # for each of these poses
-_AT_ONCE = 40  # samples of a motion in which a waypoint is searched after the previous one
+_AHEAD = 2.0  # times the way from waypoint to waypoint, within which the next is searched; and 1 cm
 
 
 @dataclass(frozen=True)
@@ -375,10 +375,13 @@ def waypoint_steps(problem: Problem, q: Matrix) -> tuple[float, float]:
     poses = np.array([_vector(p, R) for p, R in zip(at.tip_position, at.tip_rotation, strict=True)])
     span = np.diff(poses, axis=0)
     square = np.maximum(np.einsum("ti,ti->t", span, span), 1e-18)
+    gone = np.concatenate(([0.0], np.cumsum(np.sqrt(square))))
+    ways = np.linalg.norm(np.diff(wanted, axis=0, prepend=wanted[:1]), axis=1)
     joints, off, here = [], 0.0, 0.0
-    for pose in wanted:
-        first = int(here)
-        rows = np.arange(first, min(first + _AT_ONCE, len(span)))
+    for pose, way in zip(wanted, ways.tolist(), strict=True):
+        first = min(int(here), len(span) - 1)
+        behind = int(np.searchsorted(gone, gone[first] + _AHEAD * way + 10.0 * TOLERANCE))
+        rows = np.arange(first, min(behind + 1, len(span)))
         part = np.einsum("ti,ti->t", pose - poses[rows], span[rows]) / square[rows]
         part = np.clip(part, np.where(rows == first, min(here - first, 1.0), 0.0), 1.0)
         away = np.linalg.norm(poses[rows] + part[:, None] * span[rows] - pose, axis=1)
