@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -154,51 +155,100 @@ def _read_head(lines: Sequence[str], path: Path) -> _Head:
     """What precedes the points: titles, comments, a header, a line of units, the number of points."""
     point = next((at for at, line in enumerate(lines) if _is_point(line.strip())), len(lines))
     row = lines[point] if point < len(lines) else ""
-    mark, given = delimiter_of(row), len(cells_of(row))
-    columns, names, is_named = None, 0, False  # named by a line that is no comment
-    untold = ""  # a line that may be a header, but does not name x, y and z
+    mark, width = delimiter_of(row), len(cells_of(row))
+    header: _HeadLine | None = None  # a comment that names x, y and z is replaced by a line that is no comment
+    unclear: _HeadLine | None = None  # it may be a header, but does not name x, y and z
+    first = point
     for at, whole in enumerate(lines[:point]):
-        line = whole.strip()
-        words, is_comment = line.lstrip("#/").strip(), line.startswith(COMMENTS)
-        if not words or (is_comment and _TELLING.isdisjoint(_WORDS.findall(words.lower()))):
-            continue
-        if not is_comment and line.isdecimal():
+        if whole.strip().isdecimal():
             _check_count(lines, at, path)
             continue
-        cells = _names_in(words)
-        found, told = _columns_in(cells), _columns_in([_ANY_UNIT.sub("", cell) for cell in cells])
-        clear = next((tuple(one[0] for one in each) for each in found if all(len(one) == 1 for one in each)), None)
-        # columns beside x, y, z may have other units: a range in mm, a latitude
-        beside = clear is not None and len(cells) == given and not any(map(_BARE_UNIT.fullmatch, cells))
-        if any(map(_OTHER_UNITS.search, cells)) and (
-            not beside and (not is_comment or any(map(any, told)) or _UNIT_IN_COMMENT.search(words.lower()))
-        ):
-            raise InputError("is not in metres", file=path, key="header", found=words[:60], allowed="x, y, z in metres")
-        if is_named and not is_comment:
-            if not all(map(_UNITS.fullmatch, cells_of(words.lower()))):
-                return _Head(columns, names, at)
+        line = _HeadLine.of(whole)
+        if line is None:
             continue
-        if clear is not None and (columns is None or not is_comment):
-            if len(cells) != given > max(clear) and sorted(clear) != [0, 1, 2]:
+        if line.has_other_units(width):
+            raise InputError(
+                "is not in metres", file=path, key="header", found=line.words[:60], allowed="x, y, z in metres"
+            )
+        if header is not None and not header.is_comment and not line.is_comment:
+            if not line.gives_units:
+                first = at
+                break
+        elif line.columns is not None and (header is None or not line.is_comment):
+            if len(line.cells) != width > max(line.columns) and sorted(line.columns) != [0, 1, 2]:
                 hint = "names with blanks stand in quotes or between tabs"
                 raise InputError(
                     "the header has another number of columns than the lines", file=path, key="header",
-                    found=words[:60], allowed=f"{given} names", hint=hint,
+                    found=line.words[:60], allowed=f"{width} names", hint=hint,
                 )  # fmt: skip
-            columns, names, is_named = clear, len(cells), not is_comment
-        elif columns is None and any(map(any, found)) and len(cells) == given:
-            untold = words
-        elif not is_comment and delimiter_of(words) == mark and (len(cells) == given or (mark and len(cells) > 2)):
-            # not a title, which has blanks where the points have another delimiter, or another number of words
-            if any(map(is_number, cells)):
-                return _Head(columns, names, at)  # a wrong line of points
-            untold = words
-    if columns is None and untold:
-        raise InputError(
-            "the header does not name x, y and z once each", file=path, key="header", found=untold[:60],
-            allowed="x, y, z; easting, northing, elevation; with others beside them", hint="a title begins with #",
-        )  # fmt: skip
-    return _Head(columns, names, point)
+            header = line
+        elif header is None and line.names_some and len(line.cells) == width:
+            unclear = line
+        elif line.is_like_a_row(mark, width):
+            if any(map(is_number, line.cells)):  # a wrong line of points
+                first = at
+                break
+            unclear = line
+    else:
+        if header is None and unclear is not None:
+            raise InputError(
+                "the header does not name x, y and z once each", file=path, key="header", found=unclear.words[:60],
+                allowed="x, y, z; easting, northing, elevation; with others beside them",
+                hint="a title begins with #",
+            )  # fmt: skip
+    return _Head(None, 0, first) if header is None else _Head(header.columns, len(header.cells), first)
+
+
+@dataclass(frozen=True)
+class _HeadLine:
+    """A line before the points that may be a header, or say in which unit the points are.
+
+    Attributes
+    ----------
+    words: the line without the sign of a comment.
+    cells: its cells in lower case, without units of metres.
+    columns: of x, y and z, if it names each of them once.
+    names_some: whether it names any of them.
+    """
+
+    words: str
+    cells: list[str]
+    is_comment: bool
+    columns: tuple[int, ...] | None
+    names_some: bool
+
+    @classmethod
+    def of(cls, whole: str) -> _HeadLine | None:
+        """None for a blank line, and for a comment that does not mention coordinates or units."""
+        line = whole.strip()
+        words, is_comment = line.lstrip("#/").strip(), line.startswith(COMMENTS)
+        if not words or (is_comment and _TELLING.isdisjoint(_WORDS.findall(words.lower()))):
+            return None
+        cells = _names_in(words)
+        found = _columns_in(cells)
+        named = (tuple(one[0] for one in each) for each in found if all(len(one) == 1 for one in each))
+        return cls(words, cells, is_comment, next(named, None), any(map(any, found)))
+
+    @property
+    def gives_units(self) -> bool:
+        """Whether every cell is a unit of metres, or empty."""
+        return all(map(_UNITS.fullmatch, cells_of(self.words.lower())))
+
+    def has_other_units(self, width: int) -> bool:
+        """Whether it says that x, y and z of rows with `width` cells are not in metres."""
+        if not any(map(_OTHER_UNITS.search, self.cells)):
+            return False
+        if self.columns is not None and len(self.cells) == width and not any(map(_BARE_UNIT.fullmatch, self.cells)):
+            return False  # columns beside x, y, z may have other units: a range in mm, a latitude
+        if not self.is_comment or _UNIT_IN_COMMENT.search(self.words.lower()):
+            return True
+        return any(map(any, _columns_in([_ANY_UNIT.sub("", cell) for cell in self.cells])))
+
+    def is_like_a_row(self, mark: str | None, width: int) -> bool:
+        """Whether it is no title, which has blanks where the points have a `mark`, or another number of words."""
+        if self.is_comment or delimiter_of(self.words) != mark:
+            return False
+        return len(self.cells) == width or (bool(mark) and len(self.cells) > 2)
 
 
 def _is_point(line: str) -> bool:
