@@ -36,7 +36,8 @@ class JointStop:
         """(K, n) where a machine at q, v (n,) is while it stops, from the next step on, and (K,) when [s]."""
         rest = np.abs(v) / np.where(self._slowing > 0.0, self._slowing, np.inf)
         times = np.linspace(0.0, float(rest.max()), _PLACES)
-        since = np.minimum(times[:, None], rest)
+        # the step that stops a joint does so at once: what is left of its time before does not move it
+        since = np.minimum(times[:, None], self._dt * np.floor(rest / self._dt))
         return np.asarray(q + since * (v - 0.5 * np.sign(v) * self._slowing * (since + self._dt))), times
 
 

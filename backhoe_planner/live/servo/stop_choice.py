@@ -219,7 +219,8 @@ class Comparison:
 
     def _is_better(self, places: Matrix, times: Vector) -> bool:
         """Whether a stop at `places` (K, n) and `times` (K,) leaves more room than the best so far; notes how much."""
-        to_beat = self._margin + max(_BETTER, -_BETTER_PART * self._margin)
+        beyond_limits = self._margin == -math.inf  # then any stop within them is better
+        to_beat = self._margin if beyond_limits else self._margin + max(_BETTER, -_BETTER_PART * self._margin)
         margin = self._choice.least_margin(self._state.q, places, times, worst=to_beat)
         if margin <= to_beat:
             return False
