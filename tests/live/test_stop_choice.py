@@ -193,6 +193,32 @@ def test_stops_are_not_compared_anew_for_each_move_of_an_obstacle(
     assert (np.diff(times) > 0.1).all()
 
 
+def test_no_step_measures_the_track_and_a_stop_off_it_one_after_the_other(
+    past_wall: bp.Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step of 10 ms begins no stop once it has done the work of 50 distances; one stop takes at most 130."""
+    work: list[int] = []
+    look = StopChoice.look
+
+    def noted(self: StopChoice, looks: Iterator[None]) -> bool:
+        more = look(self, looks)
+        work.append(self.work)
+        return more
+
+    monkeypatch.setattr(StopChoice, "look", noted)
+    rng, kinematics = np.random.default_rng(0), bp.Kinematics(past_wall.robot)
+    for steps in moments(past_wall)[::5]:
+        servo, follower = on_track(past_wall, steps)
+        tip = kinematics.at(past_wall.trajectory.at(np.array([DT * steps + 0.3]))[0]).tip_position
+        for number in range(30):
+            place = (tip + rng.normal(0.0, 0.3, 3)).tolist()
+            servo.add({"name": f"{number}", "shape": "sphere", "radius": 0.05, "position": place, "clearance": 0.02})
+        for _ in range(3):
+            follower.step()
+    assert max(work) > 50
+    assert max(work) < 50 + 130
+
+
 @pytest.mark.parametrize("length", [0.4, 0.9])
 def test_a_load_taken_up_in_motion_comes_no_nearer_than_braking_every_joint_would(
     past_wall: bp.Plan, length: float

@@ -164,6 +164,7 @@ class Comparison:
             if self._margin > -_TOUCH:  # mostly: what turned up is nowhere near
                 self.until = begun + _AGAIN
                 return
+            yield
             for other in self._stops_from_here():  # one that touches nothing is worth more the sooner it is known
                 way, times = other.way_to_rest(self._state.q, self._state.v)
                 if measure(self._state.q, way, times, worst=-_TOUCH) > -_TOUCH:
