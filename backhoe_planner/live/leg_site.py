@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
+from dataclasses import replace
+from itertools import count
+from weakref import WeakKeyDictionary
+
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.planning import Plan, PlannedLeg
+from backhoe_planner.site import Obstacle
 
 _AHEAD = 0.3  # s before a leg at which measuring its load begins; chosen, 60 pairs at steps of 20 ms
+
+
+# by servo: the plans' obstacles that a follower took away, for it to bring them back, or another one after it
+_AWAY: WeakKeyDictionary[Servo, set[str]] = WeakKeyDictionary()
+# by servo: the names of those that came back under another one
+_CALLED: WeakKeyDictionary[Servo, dict[str, str]] = WeakKeyDictionary()
 
 
 class LegSite:
     """Adds and removes the obstacles that are present in some legs only, as the plan goes on.
 
-    It does the same with what the machine carries. It leaves alone whatever else is added or removed by hand.
+    It does the same with what the machine carries. It leaves alone whatever else is added or removed by hand, also
+    under the name of one of these obstacles: then the plan's own comes back under another name.
 
     Parameters
     ----------
@@ -30,7 +43,7 @@ class LegSite:
         if self._carries:
             _check_loads(servo, plan)
         self._some = {one.name: one for one in plan.problem.obstacles if one.spec.legs is not None and one.zone is None}
-        self._away: set[str] = set()
+        self._away, self._called = _AWAY.setdefault(servo, set()), _CALLED.setdefault(servo, {})
         self._index = -1
 
     @property
@@ -48,16 +61,27 @@ class LegSite:
         self._index = index
         name, servo = self._legs[index].name, self._servo
         here = {one.name: name in (one.spec.legs or ()) for one in self._some.values()}
-        for obstacle in [one for one in self._some if not here[one] and one in servo.obstacles]:
-            servo.remove(obstacle)
-            self._away.add(obstacle)
+        present = {one.name: one.spec for one in servo.snapshot()} if self._some else {}
+        for obstacle in [one for one in self._some if not here[one] and one not in self._away]:
+            called = self._called.get(obstacle, obstacle)
+            if present.get(called) == self._some[obstacle].spec:  # otherwise another one has that name
+                servo.remove(called)
+                self._away.add(obstacle)
         if self._carries:
             servo.carry(name)
         for obstacle in [one for one in self._some if here[one] and one in self._away]:
             self._away.discard(obstacle)
-            if obstacle not in servo.obstacles:
-                servo.add(self._some[obstacle])
+            self._called[obstacle] = self._add(self._some[obstacle])
         return True
+
+    def _add(self, obstacle: Obstacle) -> str:
+        """Add an obstacle to the servo, and return the name under which it is there."""
+        for number in count(1):
+            name = obstacle.name if number == 1 else f"{obstacle.name} ({number})"
+            with contextlib.suppress(InputError):  # the name is in use: the obstacle itself is the plan's
+                self._servo.add(replace(obstacle, name=name))
+                return name
+        raise AssertionError
 
 
 def _check_loads(servo: Servo, plan: Plan) -> None:

@@ -1,0 +1,91 @@
+"""Obstacles of some legs only, beside others of the same name, and in one cycle after the other."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor, Future
+from typing import Any
+
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.live import PlanFollower, Servo
+from backhoe_planner.machine import Robot
+
+DT = 0.05  # s
+POSTURE = {"boom": 0.4, "stick": -1.6, "bucket": -0.9}
+BESIDE = {"shape": "sphere", "radius": 0.2, "position": [0.0, 4.0, 0.5]}
+FAR = {"shape": "sphere", "radius": 0.1, "position": [-9.0, 0.0, 0.0]}
+
+
+class Never(Executor):
+    """Never answers."""
+
+    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
+        return Future()
+
+
+@pytest.fixture(scope="module")
+def there_and_back(backhoe: Robot) -> bp.Plan:
+    """Three legs; `first` is present in the first one only, `last` in the last one only."""
+    legs = [
+        {"name": name, "goal": {"joints": POSTURE | {"swing": swing}}}
+        for name, swing in (("there", 0.3), ("on", 0.4), ("back", 0.0))
+    ]
+    obstacles = [{"name": "first", "legs": ["there"], **BESIDE}, {"name": "last", "legs": ["back"], **BESIDE}]
+    content = {"version": 1, "start": {"joints": POSTURE | {"swing": 0.0}}, "task": {"sequence": legs}}
+    found = bp.plan(backhoe, bp.scene_from_dict(content | {"obstacles": obstacles}), effort="quick")
+    assert found.verified, found.message
+    return found
+
+
+def in_legs(servo: Servo, plan: bp.Plan) -> list[set[str]]:
+    """The names that are there in each leg of a plan that is followed to its end."""
+    names: list[set[str]] = [set() for _ in plan.legs]
+    with PlanFollower(servo, plan, executor=Never()) as follower:
+        for _ in range(int((plan.trajectory.duration + 3.0) / DT)):
+            state = follower.step()
+            if state.done:
+                return names
+            leg = sum(leg.begins <= state.plan_time - DT for leg in plan.legs) - 1
+            names[max(leg, 0)] |= set(servo.obstacles)
+    raise AssertionError(state)
+
+
+def test_a_plan_followed_twice_has_its_obstacles_both_times(backhoe: Robot, there_and_back: bp.Plan) -> None:
+    servo = Servo(backhoe, there_and_back.scene, DT)
+    once = in_legs(servo, there_and_back)
+    assert ["first" in names for names in once] == [True, False, False]
+    assert ["last" in names for names in once] == [False, False, True]
+    assert in_legs(servo, there_and_back) == once
+
+
+def test_one_that_was_removed_by_hand_stays_away(backhoe: Robot, there_and_back: bp.Plan) -> None:
+    servo = Servo(backhoe, there_and_back.scene, DT)
+    servo.remove("last")
+    assert not any("last" in names for names in in_legs(servo, there_and_back))
+
+
+@pytest.mark.parametrize("later", [{}, {"appears_at": 1000.0}])
+def test_another_obstacle_of_the_same_name_stays_and_the_plans_own_comes_back(
+    backhoe: Robot, there_and_back: bp.Plan, later: dict[str, float]
+) -> None:
+    """The plan's own comes back beside one that is there, and beside one that is still to appear."""
+    servo = Servo(backhoe, there_and_back.scene, DT)
+    with PlanFollower(servo, there_and_back, executor=Never()) as follower:
+        assert "last" not in servo.obstacles
+        servo.add({"name": "last", **FAR, **later})
+        while not follower.step().done:
+            assert servo.time < there_and_back.trajectory.duration + 3.0
+    radii = sorted(one.spec.radius for one in servo.snapshot() if one.name.startswith("last"))  # type: ignore[union-attr]
+    assert radii == ([0.2] if later else [0.1, 0.2])
+    servo.remove("last")  # the other one: it is still there, or still to appear
+    assert "last (2)" in servo.obstacles
+
+
+def test_another_obstacle_in_place_of_one_removed_by_hand_is_not_taken_away(
+    backhoe: Robot, there_and_back: bp.Plan
+) -> None:
+    servo = Servo(backhoe, there_and_back.scene, DT)
+    servo.remove("first")
+    servo.add({"name": "first", **FAR})
+    assert all("first" in names for names in in_legs(servo, there_and_back))
