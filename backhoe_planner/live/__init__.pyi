@@ -4,9 +4,9 @@ from .braking.joint_bounds import VelocityRange as VelocityRange
 from .braking.step_work import MOST_DISTANCES as MOST_DISTANCES
 from .braking.step_work import MOST_NEAR as MOST_NEAR
 from .braking.step_work import StepWork as StepWork
-from .follower import FollowerState as FollowerState
-from .follower import FollowerStatus as FollowerStatus
 from .follower import PlanFollower as PlanFollower
+from .follower_state import FollowerState as FollowerState
+from .follower_state import FollowerStatus as FollowerStatus
 from .planes.separation import Separation as Separation
 from .recordings import is_recording as is_recording
 from .recordings import plan_from_recording as plan_from_recording

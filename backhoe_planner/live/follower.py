@@ -18,30 +18,23 @@ the machine keeps to it exactly, also where it cannot brake straight ahead.
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Sequence
-from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
+from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.plan_fit import check_fits
+from backhoe_planner.live.progress import ARRIVED, Progress
 from backhoe_planner.live.reference import Reference
-from backhoe_planner.live.rejoining import (
-    LONGEST,
-    NoRejoining,
-    Rejoining,
-    RejoiningQuery,
-    find_rejoining,
-    is_still_clear,
-)
+from backhoe_planner.live.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
+from backhoe_planner.live.searches import Searches
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
 from backhoe_planner.live.servo.track import Track
@@ -54,65 +47,17 @@ from backhoe_planner.site import ClearanceScreen, Obstacle, Proximity
 # The numbers are chosen; validation/placements.py drives machines with them.
 _PART = 0.5  # part of the acceleration for braking on the return to the plan; the rest is for following it
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
-_ARRIVED = 1e-3  # rad or m from the end of the plan
-_ON_PLAN = _ARRIVED  # rad or m off the plan within which its clock does not wait
+_ON_PLAN = ARRIVED  # rad or m off the plan within which its clock does not wait
 _RESTS_AT_END = 2e-3  # rad/s or m/s: a slower machine counts as at rest at the end of the plan
 _STILL = 1e-6  # rad/s or m/s: the machine must be slower when a detour is searched, which is planned from rest
-_PUSHED = 0.2  # rad or m by which the machine is pushed away: more than it slides to and fro
 _NOTICED = 0.3  # s without progress after which the status says that the machine waits
 _PATIENCE = 1.0  # s without progress after which a detour is searched
 _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it may pass
-_WINDOW = 0.4  # s in which there must be progress by `_PACE` or by `_APPROACH`
-_PACE = 0.05  # part of the planned speed by which the clock goes on
-_APPROACH = 0.1  # part of the slowest joint's greatest rate by which the machine comes nearer to the plan
 _FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck, after which it is free again
-_LONGEST_SEARCH = LONGEST + 5.0  # s after which an answer is no longer awaited: the search has ended by itself before
 _ATTEMPTS = 4  # failed searches in a row after which the status says that the machine is blocked
 _LONGEST_BREAK = 16.0  # s, longest break between two failed searches; it doubles from 1 s on
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
-
-
-class FollowerStatus(str, Enum):
-    """How following a plan is going; see `FollowerState`."""
-
-    FOLLOWING = "following"
-    WAITING = "waiting"
-    GOING_ROUND = "going_round"
-    BLOCKED = "blocked"
-    ARRIVED = "arrived"
-
-
-@dataclass(frozen=True)
-class FollowerState:
-    """The state after one step along a plan.
-
-    Attributes
-    ----------
-    state: of the servo.
-    plan_time: how far the plan's clock has come [s].
-    behind: how much later than planned the machine is [s].
-    deviation: of the joint that is farthest from the plan at `plan_time` [rad or m].
-    done: whether the machine rests at the end of the plan.
-    status: ``following``; ``waiting``: no progress, and soon a detour is searched;
-        ``going_round``: on a detour that rejoins the plan; ``blocked``: no detour was found, and
-        further searches follow; ``arrived``.
-    reason: what the machine waits for, goes around, or is blocked by, in words, and whether a way round is searched
-        for; otherwise empty.
-    """
-
-    state: ServoState
-    plan_time: float
-    behind: float
-    deviation: float
-    done: bool
-    status: FollowerStatus
-    reason: str
-
-    def __repr__(self) -> str:
-        """One line: what it does and why, how far the plan's clock has come, and how late the machine is."""
-        why = f" ({self.reason})" if self.reason else ""
-        return f"<FollowerState {self.status.value}{why}, plan time {self.plan_time:.2f} s, {self.behind:.2f} s behind>"
 
 
 class PlanFollower:
@@ -180,8 +125,8 @@ class PlanFollower:
         self._enter_leg()
         self._steps = 0
         self._slowest = float(servo.limits.velocity.min())
-        self._progress = _Progress(self._slowest)
-        self._searches = _Searches(executor)
+        self._progress = Progress(self._slowest)
+        self._searches = Searches(executor)
         self._seed = seed
         self._failed = 0  # searches in a row that found nothing, or a detour that led nowhere
         self._stuck_at = -np.inf  # s of the plan
@@ -208,7 +153,7 @@ class PlanFollower:
     def done(self) -> bool:
         """Whether the machine rests at the end of the plan."""
         servo, end = self.servo, self._plan.last_q
-        arrived = self._plan.ended and float(np.abs(end - servo.q).max()) < _ARRIVED
+        arrived = self._plan.ended and float(np.abs(end - servo.q).max()) < ARRIVED
         return arrived and bool((np.abs(servo.v) < _RESTS_AT_END).all())
 
     def step(self) -> FollowerState:
@@ -230,7 +175,7 @@ class PlanFollower:
         else:
             if self._was_holding:
                 self._was_holding = False
-                self._progress = _Progress(self._slowest)
+                self._progress = Progress(self._slowest)
             state = self._follow(self._plan if self._round is None else self._round.reference)
         done = self.done
         status, reason = self._status(state, done)
@@ -289,7 +234,7 @@ class PlanFollower:
         if self._progress.made(reference, deviation, servo.dt):
             self._got_on()
         elif self._progress.waited > _PATIENCE and not (
-            reference is self._plan and reference.ended and deviation < _ARRIVED
+            reference is self._plan and reference.ended and deviation < ARRIVED
         ):
             self._lose_patience(state)
         if self._round is not None:
@@ -354,7 +299,7 @@ class PlanFollower:
             self._round = None
             self._searches.drop()
             self._plan.clock = found.rejoins_at
-            self._progress = _Progress(self._slowest)
+            self._progress = Progress(self._slowest)
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
             found.checked, found.check_at = servo.revision, servo.time + _RECHECK
             rest = np.vstack((servo.q[None], found.reference.rest()))
@@ -408,7 +353,7 @@ class PlanFollower:
                 answer.around,
                 checked=self._searches.revision,
             )
-            self._progress = _Progress(self._slowest)
+            self._progress = Progress(self._slowest)
             self._blocked = ""
         elif not isinstance(answer, bool):
             final = isinstance(answer, NoRejoining) and not answer.searched
@@ -491,100 +436,3 @@ def _late(off: Vector, rates: Vector) -> float:
     if along < 0.0:
         off = off - (along / float(rates @ rates)) * rates
     return float(np.abs(off).max())
-
-
-class _Progress:
-    """Notices when neither the clock goes on nor the machine comes nearer to the plan than it was.
-
-    Sliding to and fro before an obstacle is no progress.
-
-    Attributes
-    ----------
-    waited: how long there has been no progress [s], counted in windows.
-    """
-
-    def __init__(self, slowest: float) -> None:
-        self.waited = 0.0
-        self._approach = _APPROACH * _WINDOW * slowest
-        self._clock = self._nearest = np.inf
-        self._looked = 0.0
-
-    def made(self, reference: Reference, deviation: float, dt: float) -> bool:
-        """Whether this step completes some progress."""
-        clock = reference.clock
-        if deviation > self._nearest + _PUSHED or self._clock == np.inf:
-            self._clock, self._nearest = clock, deviation
-        self._looked += dt
-        # near the end no more progress is required than what is left
-        further = clock > self._clock + _PACE * _WINDOW or (reference.ended and self._clock < clock)
-        approach = min(self._approach, 0.5 * self._nearest)
-        if further or (deviation < self._nearest - approach and self._nearest > _ARRIVED):
-            self._clock, self._nearest, self._looked, self.waited = clock, deviation, 0.0, 0.0
-            return True
-        if self._looked > _WINDOW:
-            self.waited += self._looked
-            self._clock, self._looked = clock, 0.0
-        return False
-
-
-class _Searches:
-    """Runs one call at a time in an executor: the given one, or a thread of its own."""
-
-    def __init__(self, executor: Executor | None) -> None:
-        self._executor = executor
-        self._own: ThreadPoolExecutor | None = None
-        self._future: Future[Any] | None = None
-        self._closed = False
-        self._begun = 0.0
-        self.revision = -1
-
-    @property
-    def under_way(self) -> bool:
-        return self._future is not None
-
-    def begin(self, revision: int, now: float, function: Callable[..., Any], *args: Any) -> None:
-        self.revision, self._begun = revision, now
-        try:
-            if self._closed:
-                raise RuntimeError("the follower is closed")
-            self._future = self._pool().submit(function, *args)
-        except Exception as error:  # noqa: BLE001  no exception may leave the loop
-            self._future = Future()
-            self._future.set_exception(error)
-
-    def answer(self, now: float) -> Any:
-        """The result of the call, or the exception that ended it; None while it runs."""
-        future = self._future
-        if future is None:
-            return None
-        if not future.done():
-            if now - self._begun < _LONGEST_SEARCH:
-                return None
-            self.drop()
-            return TimeoutError(f"no answer within {_LONGEST_SEARCH:g} s")
-        self._future = None
-        try:
-            found = future.exception() or future.result()
-        except CancelledError as error:  # cancelled by the owner of the executor
-            return error
-        return TypeError("no answer came back") if found is None else found
-
-    def drop(self) -> None:
-        """Stop waiting for the answer."""
-        if self._future is not None:
-            self._future.cancel()
-            self._future = None
-
-    def close(self) -> None:
-        self._closed = True
-        self.drop()
-        if self._own is not None:
-            self._own.shutdown(wait=True, cancel_futures=True)
-
-    def _pool(self) -> Executor:
-        if self._executor is not None:
-            return self._executor
-        if self._own is None:
-            self._own = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rejoining")
-            weakref.finalize(self, self._own.shutdown, wait=False, cancel_futures=True)
-        return self._own

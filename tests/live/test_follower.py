@@ -25,8 +25,8 @@ from backhoe_planner.live import (
     find_rejoining,
     is_still_clear,
     rejoining,
+    searches,
 )
-from backhoe_planner.live import follower as follower_module
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import EFFORTS
 from backhoe_planner.proof import certify_problem
@@ -563,7 +563,7 @@ class Silent(Executor):
 def test_the_plan_can_be_finished_after_a_search_without_an_answer(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(follower_module, "_LONGEST_SEARCH", 2.0)
+    monkeypatch.setattr(searches, "_LONGEST_SEARCH", 2.0)
     for executor in (Never(), Silent()):
         servo = Servo(backhoe, site(backhoe), DT)
         follower = PlanFollower(servo, smooth_motion(), executor=executor)
