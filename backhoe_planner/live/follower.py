@@ -274,6 +274,8 @@ class PlanFollower:
             return
         changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
         if changed or servo.time >= self._again_at:
+            if self._searches.under_way and self._proving:
+                self._proof.ask_again()
             self._searches.drop()
             self._stuck_at = self._plan.clock
             self._holding, self._retrying = True, False

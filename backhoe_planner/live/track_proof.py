@@ -110,6 +110,10 @@ class TrackProof:
         if clear and revision == self._servo.revision == self._asked and self._carries_the_same():
             self._prove(revision)
 
+    def ask_again(self) -> None:
+        """Note that the last query will not be answered, so that it is asked once more."""
+        self._asked = -1
+
     def _prove(self, revision: int) -> None:
         self._track.revision, self._track.carried = revision, self._servo.robot.carried
 

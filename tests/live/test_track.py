@@ -138,6 +138,29 @@ def test_an_obstacle_away_from_the_plan_costs_no_time_once_the_rest_is_proven_cl
     assert steps[-1].behind <= 2.0 * DT + 1e-9
 
 
+class FirstProofNever(AtOnce):
+    """Never answers the first proof."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
+        self.asked.append(function.__name__)
+        unanswered = self.asked == ["rest_is_clear"]
+        return Future() if unanswered else super().submit(function, *args, **keys)
+
+
+def test_a_proof_that_was_given_up_for_a_search_is_asked_for_again(past_wall: bp.Plan) -> None:
+    """Without it the machine is held by the wall that it cannot brake straight in front of, and a way is searched."""
+    executor = FirstProofNever()
+    servo = servo_of(past_wall)
+    with PlanFollower(servo, past_wall, executor=executor) as follower:
+        followed(follower, 0.2 * past_wall.trajectory.duration)
+        servo.add(BALL | {"position": [-6.0, 0.0, 4.0]})
+        assert followed(follower, 5.0 * past_wall.trajectory.duration)[-1].done
+    assert executor.asked[:3] == ["rest_is_clear", "find_rejoining", "rest_is_clear"]
+
+
 def test_without_that_proof_the_machine_leaves_the_track_clear_of_everything(past_wall: bp.Plan) -> None:
     servo = servo_of(past_wall)
     with PlanFollower(servo, past_wall, executor=Never()) as follower:
