@@ -88,7 +88,8 @@ class TipTarget:
         if self.rotation is not None:
             if self.rotation_tolerance == 0.0:
                 return at.jacobian
-            turning = _beyond_jacobian(self._turn_from(at), self.rotation_tolerance) @ at.jacobian[3:]
+            tolerance = np.array([self.rotation_tolerance])
+            turning = _beyond_jacobians(self._turn_from(at)[None], tolerance)[0] @ at.jacobian[3:]
             return np.vstack((at.jacobian[:3], turning))
         if self.pitch is not None:
             return np.vstack((at.jacobian[:3], at.pitch_row))
@@ -111,13 +112,15 @@ def _beyond(turn: Vector, tolerance: float) -> Vector:
     return turn * max(1.0 - tolerance / angle, 0.0) if angle > 0.0 else turn
 
 
-def _beyond_jacobian(turn: Vector, tolerance: float) -> Matrix:
-    """(3, 3) derivative of `_beyond` with respect to the rotation vector."""
-    angle = float(np.linalg.norm(turn))
-    if angle <= tolerance:
-        return np.zeros((3, 3))
-    axis, part = turn / angle, tolerance / angle
-    return np.asarray((1.0 - part) * np.eye(3) + part * np.outer(axis, axis))
+def _beyond_jacobians(turns: Matrix, tolerance: Vector) -> Array:
+    """(B, 3, 3) derivatives of `_beyond` with respect to the rotation vectors (B, 3), each with its tolerance (B,)."""
+    angle = np.linalg.norm(turns, axis=1)
+    beyond = angle > tolerance
+    found = np.zeros((len(turns), 3, 3))
+    axis = turns[beyond] / angle[beyond, None]
+    part = (tolerance[beyond] / angle[beyond])[:, None, None]
+    found[beyond] = (1.0 - part) * np.eye(3) + part * (axis[:, :, None] * axis[:, None, :])
+    return found
 
 
 def _are_two_numbers(*pitch: float) -> bool:
@@ -195,10 +198,10 @@ class TargetBatch:
         found[:, :3] = at.position_jacobian()
         if self.has_rotation.any():
             turning = at.rotation_jacobian()
-            tolerant = np.flatnonzero(self.has_rotation & (self.rotation_tolerance > 0.0)).tolist()
-            turns = self._turns_from(at) if tolerant else turning
-            for row in tolerant:
-                turning[row] = _beyond_jacobian(turns[row], self.rotation_tolerance[row]) @ turning[row]
+            tolerant = np.flatnonzero(self.has_rotation & (self.rotation_tolerance > 0.0))
+            if len(tolerant):
+                beyond = _beyond_jacobians(self._turns_from(at)[tolerant], self.rotation_tolerance[tolerant])
+                turning[tolerant] = beyond @ turning[tolerant]
             found[:, 3:6] = np.where(self.has_rotation[:, None, None], turning, 0.0)
         if self.has_pitch.any():
             found[:, 6] = np.where(self.has_pitch[:, None], at.pitch_rows(), 0.0)
