@@ -1,7 +1,9 @@
 """A path with the conditions that `keep` adds along it.
 
-Each condition is written into every waypoint that leaves it open, so that everything that
-follows the path keeps the condition. The certificate judges by the path as it was given.
+A condition is written into every waypoint that leaves it open, so that everything that
+follows the path keeps the condition. A cone of orientations is written there, as its middle, only for
+a machine that can take any orientation at a position; for others see `paths.kept_cone`.
+The certificate judges by the path as it was given.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import BatchKinematics, Robot
 from backhoe_planner.motion import (
     KEPT_TO,
     Condition,
@@ -27,10 +30,12 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint
 
 _SPARE = 1e-3  # rad kept inside the band at either end; chosen, ten times what rounded corners were seen to use
-_WHOLE_POSE = 6  # joints: an arm with so many or more can take any orientation at a position
+_WHOLE_POSE = 6  # dimensions of position and orientation
 _PITCHED = 4  # joints: an arm with so many or fewer has only single configurations at a position with a pitch
-_TURNED = _WHOLE_POSE - 1  # joints: an arm with so many or fewer may be unable to take an orientation at a position
+_TURNED = 5  # joints: an arm with so many or fewer may be unable to take an orientation at a position
 _STARTS = 60  # starting points of the inverse kinematics of a waypoint; chosen
+_LOOKS = 8  # configurations at which the rank of the Jacobian is looked at; chosen, as it is lower only at a few
+_RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
 _MOST_WAYPOINTS = 32  # at which configurations are looked for; chosen: each takes some 10 ms
 
 
@@ -39,7 +44,8 @@ def narrow_path(problem: Problem) -> Problem:
     path, keep = problem.path, problem.keep
     if path is None or keep is None:
         return problem
-    asked = [_narrow(keep, waypoint, problem.robot.n) for waypoint in path.waypoints]
+    any_orientation = keep.has_cone and _takes_any_orientation(problem.robot)
+    asked = [_narrow(keep, waypoint, any_orientation=any_orientation) for waypoint in path.waypoints]
     numbers = [path.number(index) for index in range(len(asked))]
     return replace(problem, path=TipPath(asked, numbers=numbers))
 
@@ -100,7 +106,7 @@ def _nearest_posture(world: World, keep: Keep, waypoint: Waypoint) -> Vector | N
     return nearest
 
 
-def _narrow(keep: Keep, waypoint: Waypoint, joints: int) -> Waypoint:
+def _narrow(keep: Keep, waypoint: Waypoint, *, any_orientation: bool) -> Waypoint:
     if waypoint.rotation is not None:
         return waypoint
     narrowed = keep.narrowed(waypoint.target)
@@ -109,10 +115,19 @@ def _narrow(keep: Keep, waypoint: Waypoint, joints: int) -> Waypoint:
         spare = min(_SPARE, 0.5 * (high - low))
         return Waypoint(position=waypoint.position, pitch=_one_turn(low + spare, high - spare))
     cone = next((one for one in keep.conditions if isinstance(one, RotationCone)), None)
-    if cone is not None and waypoint.pitch is None and joints >= _WHOLE_POSE:
+    if cone is not None and waypoint.pitch is None and any_orientation:
         turned = pin.Quaternion(cone.rotation)
         return Waypoint(position=waypoint.position, quaternion=(turned.w, turned.x, turned.y, turned.z))
     return waypoint
+
+
+def _takes_any_orientation(robot: Robot) -> bool:
+    """Whether a machine can take any orientation at a position: six joints may all turn the tip about two axes."""
+    rng = np.random.default_rng(0)
+    q = np.array([robot.random_q(rng) for _ in range(_LOOKS)])
+    at = BatchKinematics(robot).at(q)
+    J = np.concatenate((at.position_jacobian(), at.rotation_jacobian()), axis=1)
+    return int(np.max(np.linalg.matrix_rank(J, tol=_RANK))) == _WHOLE_POSE
 
 
 def _one_turn(low: float, high: float) -> tuple[float, float]:

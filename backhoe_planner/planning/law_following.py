@@ -16,6 +16,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, TipPath
 from backhoe_planner.planning.goals.goal_planning import describe_attempts
 from backhoe_planner.planning.paths.corners import time_stretch
+from backhoe_planner.planning.paths.kept_cone import open_cone
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.law_timing import speed_up
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
@@ -54,7 +55,8 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
     failure = no_posture(world, found, target, "goal_in_collision", "beginning of the path")
     if failure is not None:
         return failure
-    starts = follower.furthest(stepper or world.stepper(found.clear[0]), 0.0, found.clear[:_STARTS])
+    clear = _within_cone(world, path, near) or found.clear
+    starts = follower.furthest(stepper or world.stepper(clear[0]), 0.0, clear[:_STARTS])
     attempts: list[Attempt] = []
 
     def begun() -> Iterator[Stepper]:
@@ -74,6 +76,21 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
             return outcome
         first = first or outcome
     return first or describe_attempts(attempts, world.work.brake)
+
+
+def _within_cone(world: World, path: TipPath, near: Vector | None) -> Sequence[Vector]:
+    """(n,) each, clear configurations at the beginning of a path, within the cone to be kept along it, if there is one.
+
+    Parameters
+    ----------
+    near: (n,) which are wanted first [rad or m]; None if that does not matter.
+    """
+    cone, target = open_cone(world.problem, path), path.target(0.0)
+    if cone is None or target.rotation is not None:
+        return ()
+    found = world.postures.at(cone.target(target), near=near, count=world.work.effort.starting_points)
+    kept = cone.holds_each(np.array(found.clear).reshape(-1, world.problem.robot.n))
+    return [q for q, holds in zip(found.clear, kept.tolist(), strict=True) if holds]
 
 
 class _Follower:

@@ -22,6 +22,7 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
+from backhoe_planner.planning.paths.kept_cone import open_cone
 from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
@@ -37,6 +38,7 @@ from backhoe_planner.planning.world.outcome import (
     blocked_path,
     by_arc_length,
     no_posture,
+    rest_at_start,
 )
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import AT_CLEARANCE, describe_step
@@ -111,6 +113,13 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
         )
 
     resolver = resolver_within(None)
+    outside = resolver.outside_cone()
+    if outside is not None:
+        station, broken = outside
+        why = f"no posture was found {station:.2f} m along the path that keeps it: at best {broken}"
+        return Outcome(
+            rest_at_start(world, robot.middle) if stepper is None else stepper.trajectory(), "goal_breaks_keep", why
+        )
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
         found = world.postures.at(path.target(0.0), near=near, count=world.work.effort.starting_points, time=time)
@@ -148,7 +157,7 @@ class _Along:
         self._cost = cost
         self._stepper = stepper
         self._resolver_within = resolver_within
-        self._steps = world.problem.joint_steps
+        self._steps, self._cone = world.problem.joint_steps, open_cone(world.problem, path)
         task = world.problem.scene.task.path
         assert task is not None
         self._may_leave, self._may_turn = task.detour, task.turn_on_the_spot
@@ -289,7 +298,7 @@ class _Along:
         A cost has more than one minimum, and the grid may miss the one near the law's resolution. The search minimises
         an approximation of the cost without inertia, so the costs of the motions decide.
         """
-        if law.obstruction is not None:
+        if law.obstruction is not None or (self._cone is not None and not self._cone.motion_holds(law.q)):
             return piece
         costs = {way: self._motion_cost(way) for way in (piece, law) if self._keeps_steps([way])}
         # for full poses the graph has all configurations, and lowering the law's cost would take as long again
@@ -340,7 +349,8 @@ class _Along:
             known = ()
             if denser == _MOST_DENSER or brake.is_used_up():
                 break
-            if all(screen.keeps_all_unchecked(motion.q) for motion in motions):
+            kept = self._cone is None or all(self._cone.motion_holds(motion.q) for motion in motions)
+            if kept and all(screen.keeps_all_unchecked(motion.q) for motion in motions):
                 break
             stretch = with_halfways(world.problem, self._path, stretch)
         return motions

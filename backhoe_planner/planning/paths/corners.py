@@ -23,6 +23,7 @@ from backhoe_planner.motion import (
     step_lengths,
     targets_along,
 )
+from backhoe_planner.planning.paths.kept_cone import KeptCone, cone_kept_by
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import path_segment_is_clear
@@ -67,8 +68,8 @@ def round_corners(
     stations, q = stretch.stations, stretch.q
     task = problem.scene.task.path
     assert task is not None
-    kinematics = BatchKinematics(problem.robot)
     left: list[float] = []
+    kinematics, cone = BatchKinematics(problem.robot), cone_kept_by(q, problem, path)
     sharp = set(path.corners(SHARP).tolist())
     for corner in path.corners(_SLIGHT).tolist():
         if not stations[0] < corner < stations[-1]:
@@ -77,7 +78,9 @@ def round_corners(
         rounded = None
         if cut is not None and (corner in sharp or cut > _SPACING):
             at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
-            rounded = _round(kinematics, path, corner, cut, at, stations, q)
+            rounded = _round(kinematics, path, corner, cut, at, stations, q, cone)
+            if rounded is not None and cone is not None and not cone.motion_holds(rounded):
+                rounded = None
         if rounded is None or not all(path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(rounded)):
             if corner in sharp:
                 left.append(corner)
@@ -122,7 +125,7 @@ def time_stretch(
         share = 0.0 if brake.is_used_up() else shared * float(np.sum(lengths[first:last]))
         intervals = max(int(np.ceil(share)), _FEWEST_INTERVALS)
         own = Stretch(stations[first : last + 1], q[first : last + 1])
-        own = _dense_enough(kinematics, path, own, _CHORD * task.tolerance)
+        own = _dense_enough(problem, path, own, _CHORD * task.tolerance)
 
         run = FastestRun(
             own.stations, own.q, problem.limits,
@@ -140,11 +143,11 @@ def time_stretch(
     return found
 
 
-def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, allowed: float) -> Stretch:
+def _dense_enough(problem: Problem, path: TipPath, stretch: Stretch, allowed: float) -> Stretch:
     """A stretch with more samples wherever a smooth curve through them is off the path by more than `allowed` [m]."""
     from scipy.interpolate import CubicSpline
 
-    stations, q = stretch.stations, stretch.q
+    kinematics, stations, q = BatchKinematics(problem.robot), stretch.stations, stretch.q
     for _ in range(_REFINED):
         if len(stations) < 4 or float(np.max(np.abs(np.diff(q, axis=0)))) < _STILL:
             break
@@ -159,7 +162,7 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
         rows = np.flatnonzero((off > allowed) & on[:-1] & on[1:] & (np.diff(stations) > _FINEST))
         if not len(rows):
             break
-        stations, q = _with_samples(kinematics, path, stations, q, rows, curve[rows])
+        stations, q = _with_samples(problem, path, stations, q, rows, curve[rows])
     return Stretch(stations, q)
 
 
@@ -172,7 +175,7 @@ def with_halfways(problem: Problem, path: TipPath, stretch: Stretch) -> Stretch:
     if not len(rows):
         return stretch
     guesses = 0.5 * (q[1:] + q[:-1])[rows]
-    return Stretch(*_with_samples(kinematics, path, stations, q, rows, guesses, near=_NEAR), stretch.obstruction)
+    return Stretch(*_with_samples(problem, path, stations, q, rows, guesses, near=_NEAR), stretch.obstruction)
 
 
 def _on_path(tips: Matrix, path: TipPath, stations: Vector) -> Flags:
@@ -181,7 +184,7 @@ def _on_path(tips: Matrix, path: TipPath, stations: Vector) -> Flags:
 
 
 def _with_samples(
-    kinematics: BatchKinematics, path: TipPath, stations: Vector, q: Matrix, rows: Indices, guesses: Matrix,
+    problem: Problem, path: TipPath, stations: Vector, q: Matrix, rows: Indices, guesses: Matrix,
     *, near: float = np.inf,
 ) -> tuple[Vector, Matrix]:  # fmt: skip
     """Stations (T,) [m] and joints (T, n) with one more sample on the path halfway after each of `rows` (K,).
@@ -189,7 +192,9 @@ def _with_samples(
     If no solution is found within `near` [rad or m] of the guess (K, n), no sample is added there.
     """
     halfway = 0.5 * (stations[rows] + stations[rows + 1])
-    between, reached = solve_batch(kinematics, targets_along(path, halfway), guesses, iterations=12)
+    targets, cone = targets_along(path, halfway), cone_kept_by(q, problem, path)
+    targets = targets if cone is None else cone.narrowed(targets)
+    between, reached = solve_batch(BatchKinematics(problem.robot), targets, guesses, iterations=12)
     reached &= np.max(np.abs(between - guesses), axis=1) < near
     rows, halfway, between = rows[reached], halfway[reached], between[reached]
     return np.insert(stations, rows + 1, halfway), np.insert(q, rows + 1, between, axis=0)
@@ -276,15 +281,17 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
 
 
 def _round(
-    kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
-) -> Matrix | None:
-    """(M, n) joints with the tip on the parabola; None if none are near those on the path."""
+    kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix,
+    cone: KeptCone | None,
+) -> Matrix | None:  # fmt: skip
+    """(M, n) joints with the tip on the parabola, within a `cone`; None if none are near those on the path."""
     begin, middle, end = path(corner - cut), path(corner), path(corner + cut)
     part = (at - at[0])[:, None] / (at[-1] - at[0])
     positions = (1.0 - part) ** 2 * begin + 2.0 * part * (1.0 - part) * middle + part**2 * end
     asked = [path.target(float(s)) for s in at]
-    targets = [TipTarget(p, one.pitch, one.rotation) for p, one in zip(positions, asked, strict=True)]
+    targets = TargetBatch.of([TipTarget(p, one.pitch, one.rotation) for p, one in zip(positions, asked, strict=True)])
+    targets = targets if cone is None else cone.narrowed(targets)
     guesses = np.column_stack([np.interp(at, stations, column) for column in q.T])
-    found, reached = solve_batch(kinematics, TargetBatch.of(targets), guesses, iterations=12)
+    found, reached = solve_batch(kinematics, targets, guesses, iterations=12)
     near = np.max(np.abs(found - guesses)) < _NEAR
     return found if reached.all() and near else None

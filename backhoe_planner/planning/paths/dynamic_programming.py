@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, solve_batch
-from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths, targets_along
+from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
+from backhoe_planner.planning.paths.kept_cone import kept_targets
 from backhoe_planner.planning.paths.monotone_curve import monotone_curve
 from backhoe_planner.planning.paths.smoothing import ENOUGH, margins_to_keep, null_bases, strict_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
@@ -116,7 +117,7 @@ class _Descent:
         self._bounds = StepBounds(path, stretch, problem.joint_steps)
         self._stations = stations = stretch.stations
         self.q = q = stretch.q
-        self._targets = targets_along(path, stations)
+        self._targets = kept_targets(problem, path, stations)
         self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
         self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
         self.least = cost.of_run(stations, q)

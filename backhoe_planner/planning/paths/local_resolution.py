@@ -15,6 +15,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
+from backhoe_planner.planning.paths.kept_cone import KeptCone, open_cone
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
@@ -49,6 +50,8 @@ def resolve_along(
 ) -> Stretch:  # fmt: skip
     """Resolve `path` from arc length `s` [m], with the joints at `q` (n,) there, as far as the law goes.
 
+    A cone of orientations to be kept is left only where the law cannot follow the path within it.
+
     Parameters
     ----------
     time: at which the positions of the obstacles are taken [s].
@@ -58,14 +61,17 @@ def resolve_along(
     The stretch that the law resolves; its `obstruction` says what ended it before the end of the path.
     """
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
-    stations = sample_stations(path, s)
+    stations, cone = sample_stations(path, s), open_cone(problem, path)
     found = [np.array(q, dtype=float)]
     for station in stations[1:]:
         at = kinematics.at(found[-1])
         nearby = proximity.at(at.q, time=time, margin=problem.scene.influence)
         # if a waypoint is there twice, only the tip turns, which takes some time too
         span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
-        after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
+        target = path.target(float(station))
+        after = None if cone is None else _next(problem, law, target, at, nearby, span, kinematics, cone)
+        if after is None:
+            after = _next(problem, law, target, at, nearby, span, kinematics, None)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
             return Stretch(stations[: len(found)], np.array(found), _obstruction(problem, at, nearby, proximity))
         found.append(after)
@@ -80,15 +86,19 @@ def _next(
     nearby: Nearby,
     span: float,
     kinematics: Kinematics,
+    cone: KeptCone | None,
 ) -> Vector | None:
-    """(n,) the configuration on `target` to which the law moves from `at` in `span` [s]; None if it is stuck."""
+    """(n,) the configuration on `target`, within a `cone`, to which the law moves from `at` in `span` [s].
+
+    None if it is stuck.
+    """
     error, J = _rows(target, at)
     limits = problem.limits
     wish = span * law.wish_unchecked(at, J, error / span, nearby).v
     low = np.maximum(limits.lower - at.q, -_LARGEST_STEP)
     high = np.minimum(limits.upper - at.q, _LARGEST_STEP)
     room = _APPROACH * np.maximum(nearby.margin - _SPARE, 0.0)
-    rows = (Rows("clearance", -nearby.gradient, room, Kind.HARD), *_pitch_rows(target, at))
+    rows = (Rows("clearance", -nearby.gradient, room, Kind.HARD), *_turn_rows(target, at, cone))
     step = step_on_path(wish, J, error=error, low=low, high=high, rows=rows)
     if step is None:
         return None
@@ -96,10 +106,10 @@ def _next(
     for _ in range(_CORRECTIONS):
         now = kinematics.at(q)
         error, J = _rows(target, now)
-        if float(np.max(np.abs(error))) < _EXACT:
+        if float(np.max(np.abs(error))) < _EXACT and (cone is None or bool(cone.holds_each(q[None])[0])):
             break
         low, high = limits.lower - q, limits.upper - q
-        fix = step_on_path(np.zeros(len(q)), J, error=error, low=low, high=high, rows=_pitch_rows(target, now))
+        fix = step_on_path(np.zeros(len(q)), J, error=error, low=low, high=high, rows=_turn_rows(target, now, cone))
         if fix is None:
             return None
         q = q + fix
@@ -120,6 +130,12 @@ def _rows(target: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
 def has_open_range(target: TipTarget) -> bool:
     """Whether a target allows a limited range of pitch, more than one angle."""
     return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
+
+
+def _turn_rows(target: TipTarget, at: Configuration, cone: KeptCone | None) -> tuple[Rows, ...]:
+    """The rows that keep the pitch within its range, and the orientation within a `cone`."""
+    rows = _pitch_rows(target, at)
+    return rows if cone is None else (*rows, cone.row(at.q))
 
 
 def _pitch_rows(target: TipTarget, at: Configuration) -> tuple[Rows, ...]:

@@ -11,6 +11,7 @@ branches of the inverse kinematics.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
+from backhoe_planner.planning.paths.kept_cone import KeptCone
 from backhoe_planner.planning.search.effort import Brake
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ Mask = NDArray[np.bool_]
 _SAME = 0.01  # rad or m; chosen: solutions nearer than this count as one
 _BRANCHES = 8  # guesses per value of the pitch in a search for branches; chosen
 _SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen: between them, nodes are carried on
+_CONE_PART = 0.25  # part of the half-angle of a cone that the grid has for a step at most; chosen
 _SAMPLES = 256  # configurations per layer if the redundancy has several dimensions; chosen
 _RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
 _FOLLOWED = 0.2  # rad or m; chosen: a node with another this near in the next layer counts as continued there
@@ -53,13 +56,18 @@ class PathLayers:
     ----------
     grid: step of the free parameter, if there is one [rad; m for a slide].
     longest: how far a joint may move from one waypoint to the next [rad or m]; by default freely.
+    cone: within which targets without an orientation are kept; by default none.
     brake: checked between portions of the work; by default none.
     """
 
-    def __init__(self, robot: Robot, *, grid: float, longest: float = np.inf, brake: Brake | None = None) -> None:
+    def __init__(
+        self, robot: Robot, *, grid: float, longest: float = np.inf, cone: KeptCone | None = None,
+        brake: Brake | None = None,
+    ) -> None:  # fmt: skip
         self._robot = robot
         self._kinematics = BatchKinematics(robot)
-        self._grid = grid
+        self._cone = cone
+        self._grid = grid if cone is None else min(grid, _CONE_PART * cone.tolerance)
         self._followed = min(_FOLLOWED, _FOLLOWED_PART * longest)
         self._brake = brake or Brake()
         lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
@@ -75,11 +83,13 @@ class PathLayers:
         """
         if not len(targets):
             return []
-        batch = TargetBatch.of(targets)
+        batch = self._batch(targets)
         free = freest(self._robot, targets)
         redundancy = redundancy_of(self._robot, free)
-        on_grid = redundancy == 0 or (redundancy == 1 and _pitch_is_free(self._robot, free))
-        if redundancy >= 2:
+        on_grid = redundancy == 0 or (redundancy == 1 and self._cone is None and _pitch_is_free(self._robot, free))
+        if self._cone is not None and redundancy >= 1:
+            found = self._in_cone(batch)
+        elif redundancy >= 2:
             found = self._on_samples(batch)
         elif not on_grid:
             found = self._on_curves(stations, batch)
@@ -98,10 +108,21 @@ class PathLayers:
 
     def between(self, targets: Sequence[TipTarget], near: Matrix) -> list[Matrix]:
         """(N_l, n) solutions within the limits for each of L targets, each near one of `near` (N, n)."""
-        batch = TargetBatch.of(targets)
+        batch = self._batch(targets)
         rows = np.repeat(np.arange(len(targets)), len(near))
         q, reached = self._solve_all(batch.take(rows), np.tile(near, (len(targets), 1)))
         return [self._few(q[reached & (rows == row)]) for row in range(len(targets))]
+
+    def at_any_angle(self, target: TipTarget) -> Matrix:
+        """(N, n) solutions within the limits for one target, outside the cone too."""
+        guesses = _spread(self._box, _SAMPLES)
+        q, reached = self._solve_all(TargetBatch.of([target] * len(guesses)), guesses)
+        return q[reached]
+
+    def _batch(self, targets: Sequence[TipTarget]) -> TargetBatch:
+        """The targets as one batch, within the cone if there is one."""
+        batch = TargetBatch.of(targets)
+        return batch if self._cone is None else self._cone.narrowed(batch)
 
     def _around(self, batch: TargetBatch, begin: Vector) -> Matrix:
         """(N, n) solutions for the first target near and far from `begin` (n,)."""
@@ -282,6 +303,21 @@ class PathLayers:
         q, reached = q.reshape(len(batch), len(guesses), -1), reached.reshape(len(batch), len(guesses))
         return [self._distinct(q[row][reached[row]]) for row in range(len(batch))]
 
+    def _in_cone(self, batch: TargetBatch) -> list[Matrix]:
+        """The same within a cone: each sample is searched in a smaller one, so that the nodes are spread over it.
+
+        A smaller one may be out of reach; the whole one is searched then.
+        """
+        guesses = _spread(self._box, _SAMPLES)
+        rows = np.repeat(np.arange(len(batch)), len(guesses))
+        targets = batch.take(rows)
+        parts = np.tile(_evenly(len(guesses)), len(batch))
+        smaller = replace(targets, rotation_tolerance=parts * targets.rotation_tolerance)
+        q, reached = self._solve_all(smaller, np.tile(guesses, (len(batch), 1)))
+        missed = np.flatnonzero(~reached)
+        q[missed], reached[missed] = self._solve_all(targets.take(missed), q[missed])
+        return [self._distinct(q[reached & (rows == row)], within=min(_SAME, self._grid)) for row in range(len(batch))]
+
     def _solve_all(self, targets: TargetBatch, guesses: Matrix) -> tuple[Matrix, Mask]:
         """`solve_batch` in portions, between which the brake is checked."""
         ends, reached = [], []
@@ -394,6 +430,11 @@ def _spread(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
     begin = np.random.default_rng(seed).random(n)
     points = np.mod(begin + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, n + 1.0), 1.0)
     return np.asarray(box[0] + points * (box[1] - box[0]))
+
+
+def _evenly(count: int) -> Vector:
+    """(count,) parts of 1, spread evenly however many of them are used: the same sequence in one dimension."""
+    return np.asarray(_spread((np.zeros(1), np.ones(1)), count)[:, 0])
 
 
 def _seeds(stations: Vector) -> NDArray[np.intp]:

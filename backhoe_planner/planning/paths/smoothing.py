@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import Problem, TipPath, step_lengths, targets_along
+from backhoe_planner.motion import Problem, TipPath, step_lengths
+from backhoe_planner.planning.paths.kept_cone import kept_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
 from backhoe_planner.planning.paths.stretch import NEARER, Stretch
 from backhoe_planner.planning.search.effort import Brake
@@ -62,7 +63,7 @@ def smooth_stretch(
     if len(q) < 3:
         return stretch
     kinematics = BatchKinematics(problem.robot)
-    targets = targets_along(path, stretch.stations)
+    targets = kept_targets(problem, path, stretch.stations)
     strict = strict_targets(targets)
     weights = 1.0 / step_lengths(stretch.stations, q, least=_LEAST_STEP)
     held = np.zeros(len(q), dtype=bool)
@@ -114,8 +115,12 @@ def _cost(weights: Vector, q: Matrix) -> float:
 
 
 def strict_targets(targets: TargetBatch) -> TargetBatch:
-    """The targets without the pitch ranges: only what must be met exactly."""
-    return replace(targets, has_pitch=targets.has_pitch & (targets.pitch_half < 1e-9))
+    """The targets without the pitch ranges and cones of orientations: only what must be met exactly."""
+    return replace(
+        targets,
+        has_pitch=targets.has_pitch & (targets.pitch_half < 1e-9),
+        has_rotation=targets.has_rotation & (targets.rotation_tolerance == 0.0),
+    )
 
 
 def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:

@@ -1,0 +1,231 @@
+"""Paths of positions within a narrow cone of orientations, on arms that cannot take any orientation at a position.
+
+Each path is built from joint configurations: straight on with the tip, and with each configuration within the cone.
+So it has a solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import backhoe_planner as bp
+from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
+from validation.habitats import load_machine
+
+Data = dict[str, Any]
+Matrix = NDArray[np.float64]
+
+FAR = 0.005  # rad or m that the known configurations keep from the limits
+STEP = 0.01  # m of the known path
+MORE = [*range(1, 6)]  # seeds of the long variants
+
+# place and axis of each hinge of an arm, and half of its range [rad]: with a roll, and six that move in a plane
+FIVE_AXES = (
+    ("0 0 0.2", "0 0 1", 2.5), ("0.05 0 0.1", "0 1 0", 1.5), ("0.5 0 0", "0 1 0", 2.5), ("0.4 0 0", "0 1 0", 2.0),
+    ("0.1 0 0", "1 0 0", 2.9),
+)  # fmt: skip
+
+
+SIX_IN_A_PLANE = (
+    ("0 0 0.3", "0 0 1", 2.5), ("0.1 0 0", "0 -1 0", 1.2), *(("0.4 0 0", "0 -1 0", 1.2) for _ in range(4)),
+)  # fmt: skip
+
+
+def light_arm(axes: Sequence[tuple[str, str, float]], folder: Path) -> bp.Robot:
+    """An arm of small balls, one at each hinge."""
+    parts, parent = ['<link name="base"/>'], "base"
+    for number, (place, axis, most) in enumerate(axes):
+        link = f"link{number}"
+        parts.append(
+            f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
+            'ixz="0" iyz="0"/></inertial><collision><geometry><sphere radius="0.03"/></geometry></collision></link>'
+            f'<joint name="joint{number}" type="revolute"><parent link="{parent}"/><child link="{link}"/>'
+            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="{-most}" upper="{most}" velocity="1" '
+            'effort="500"/></joint>'
+        )
+        parent = link
+    parts.append(
+        f'<link name="tip"/><joint name="tool" type="fixed"><origin xyz="0.2 0 0"/><parent link="{parent}"/>'
+        '<child link="tip"/></joint>'
+    )
+    file = folder / "light_arm.urdf"
+    file.write_text(f'<robot name="light arm">{"".join(parts)}</robot>', encoding="utf-8")
+    return bp.load_robot(file, tip="tip")
+
+
+ARMS = {"five axes": FIVE_AXES, "six in a plane": SIX_IN_A_PLANE}
+
+
+@pytest.fixture
+def robot(request: pytest.FixtureRequest, tmp_path: Path) -> bp.Robot:
+    """The machine of a name."""
+    if request.param in ARMS:
+        return light_arm(ARMS[request.param], tmp_path)
+    return load_machine("telescope") if request.param == "telescope" else bp.load_robot(f"example:{request.param}")
+
+
+def known_path(robot: bp.Robot, seed: int, *, legs: int = 2) -> tuple[Matrix, Matrix, Rotation, float]:
+    """(W, 3) waypoints [m], (K, n) configurations along them, and the cone: its middle and its half-angle [rad].
+
+    The middle is beside the first orientation, about any axis, so that the tip is nowhere in the middle exactly.
+    """
+    rng = np.random.default_rng(seed)
+    kinematics = BatchKinematics(robot)
+    lower, upper = robot.limits.lower + FAR, robot.limits.upper - FAR
+    while True:
+        q = rng.uniform(0.8 * lower + 0.2 * upper, 0.2 * lower + 0.8 * upper)
+        at = kinematics.at(q[None])
+        cone = np.radians(rng.uniform(2.0, 10.0))
+        turn = rng.normal(size=3)
+        middle = Rotation.from_rotvec(0.3 * cone * turn / np.linalg.norm(turn)) * Rotation.from_matrix(
+            at.tip_rotation[0]
+        )
+        way, points = [q], [at.tip_position[0]]
+        for _ in range(legs):
+            ahead = kinematics.at(way[-1][None]).position_jacobian()[0] @ rng.normal(size=robot.n)
+            ahead *= STEP / np.linalg.norm(ahead)
+            begin, steps = points[-1], 0
+            for number in range(1, 1 + int(rng.uniform(0.1, 0.3) * np.linalg.norm(at.tip_position[0]) / STEP)):
+                target = TipTarget(begin + number * ahead, None, middle.as_matrix(), 0.9 * cone)
+                after, reached = solve_batch(kinematics, TargetBatch.of([target]), way[-1][None])
+                inside = np.all(after[0] >= lower) and np.all(after[0] <= upper)
+                if not reached[0] or not inside or np.max(np.abs(after[0] - way[-1])) > 0.1:
+                    break
+                way.append(after[0])
+                steps = number
+            points.append(begin + steps * ahead)
+        clear = bp.Proximity(robot)
+        far = min(np.linalg.norm(np.diff(points, axis=0), axis=1)) > 5.0 * STEP
+        if far and all(np.all(clear.distances(one) > clear.clearance + 0.02) for one in way):
+            return np.array(points), np.array(way), middle, float(cone)
+
+
+def scene_along(points: Matrix, middle: Rotation, cone: float, **keys: Any) -> Data:
+    x, y, z, w = middle.as_quat().tolist()
+    return {
+        "version": 1,
+        "clearance": 0.01,
+        "task": {
+            "path": {"waypoints": [{"position": point} for point in points.tolist()], "speed": 0.5},
+            "keep": {"rotation": {"quaternion": [w, x, y, z], "tolerance": cone}},
+        },
+        **keys,
+    }
+
+
+def most_turned(plan: bp.Plan, robot: bp.Robot, middle: Rotation) -> float:
+    """The largest angle of the tip from the middle of the cone, at and halfway between the samples of a motion."""
+    q = plan.trajectory.q
+    at = BatchKinematics(robot).at(np.vstack((q, 0.5 * (q[1:] + q[:-1]))))
+    return float(np.max((middle.inv() * Rotation.from_matrix(at.tip_rotation)).magnitude()))
+
+
+MACHINES = ("backhoe", "telescope", "planar4", *ARMS)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in MORE)])
+@pytest.mark.parametrize("robot", MACHINES, indirect=True)
+def test_a_path_of_positions_is_followed_within_the_cone(robot: bp.Robot, seed: int) -> None:
+    points, _, middle, cone = known_path(robot, seed)
+    plan = bp.plan(robot, bp.scene_from_dict(scene_along(points, middle, cone)), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
+    assert not plan.findings.detours
+
+
+@pytest.mark.parametrize("robot", ["backhoe", pytest.param("telescope", marks=pytest.mark.long)], indirect=True)
+def test_the_law_alone_begins_within_the_cone_and_keeps_it(robot: bp.Robot) -> None:
+    points, _, middle, cone = known_path(robot, 1)
+    plan = bp.plan(robot, bp.scene_from_dict(scene_along(points, middle, cone)), method="reactive")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
+
+
+@pytest.mark.parametrize("robot", ["telescope", pytest.param("five axes", marks=pytest.mark.long)], indirect=True)
+def test_from_a_given_start_the_way_to_the_path_keeps_the_cone_too(robot: bp.Robot) -> None:
+    """The start is a third of the way along the path."""
+    points, way, middle, cone = known_path(robot, 7)
+    start = {"joints": dict(zip(robot.joint_names, way[len(way) // 3].tolist(), strict=True))}
+    plan = bp.plan(robot, bp.scene_from_dict(scene_along(points, middle, cone, start=start)), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
+
+
+@pytest.mark.parametrize("robot", ["telescope", pytest.param("backhoe", marks=pytest.mark.long)], indirect=True)
+def test_a_band_of_the_pitch_and_a_cone_are_kept_together(robot: bp.Robot) -> None:
+    """The band is that of the known configurations, which is narrower than the cone."""
+    points, way, middle, cone = known_path(robot, 3)
+    pitches = [bp.Kinematics(robot).at(q).pitch for q in way]
+    low, high = min(pitches) - 0.005, max(pitches) + 0.005
+    content = scene_along(points, middle, cone)
+    content["task"]["keep"]["pitch"] = [low, high]
+    plan = bp.plan(robot, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
+    found = [bp.Kinematics(robot).at(q).pitch for q in plan.trajectory.q]
+    assert low - 1e-6 <= min(found) <= max(found) <= high + 1e-6
+
+
+@pytest.mark.parametrize("robot", ["telescope", pytest.param("backhoe", marks=pytest.mark.long)], indirect=True)
+def test_waypoints_with_their_own_pitch_are_followed_within_the_cone(robot: bp.Robot) -> None:
+    """One waypoint has the pitch of the known configuration, the other leaves it to the cone."""
+    points, way, middle, cone = known_path(robot, 4, legs=1)
+    content = scene_along(points, middle, cone)
+    content["task"]["path"]["waypoints"][0]["pitch"] = bp.Kinematics(robot).at(way[0]).pitch
+    plan = bp.plan(robot, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
+    assert bp.Kinematics(robot).at(plan.trajectory.q[0]).pitch == pytest.approx(
+        bp.Kinematics(robot).at(way[0]).pitch, abs=1e-6
+    )
+
+
+def test_a_path_past_a_ball_keeps_the_cone(backhoe: bp.Robot) -> None:
+    """The ball is 0.1 m beside the known way of the bucket."""
+    points, way, middle, cone = known_path(backhoe, 0)
+    tip = bp.Kinematics(backhoe).at(way[len(way) // 2]).tip_position
+    rng = np.random.default_rng(0)
+    while True:
+        beside = rng.normal(size=3)
+        ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": (tip + 0.4 * beside).tolist()}
+        scene = bp.scene_from_dict(scene_along(points, middle, cone, obstacles=[ball]))
+        clear = bp.Proximity(backhoe, bp.build_obstacles(scene, backhoe))
+        least = min(float(np.min(clear.distances(q) - clear.clearance)) for q in way)
+        if 0.01 < least < 0.1:
+            break
+    plan = bp.plan(backhoe, scene, effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, backhoe, middle) <= cone + 1e-6
+
+
+def test_a_place_between_waypoints_that_no_posture_within_the_cone_reaches_is_named(backhoe: bp.Robot) -> None:
+    """The bucket reaches both ends with a pitch of -1.4 rad, but no posture between them with one within 0.06 rad.
+
+    That is known from 200,000 postures with such pitches, none of which comes within 0.1 m of the middle.
+    """
+    low, high, middle, pitch, cone = (2.75, 0.0, 0.6), (2.75, 0.0, 2.8), (2.75, 0.0, 2.0), -1.4, 0.06
+    kinematics = BatchKinematics(backhoe)
+    ranges = zip(backhoe.limits.lower[1:3], backhoe.limits.upper[1:3], strict=True)
+    boom, stick, turned = (
+        part.ravel()
+        for part in np.meshgrid(*(np.linspace(a, b, 200) for a, b in ranges), pitch + cone * np.linspace(-1, 1, 5))
+    )
+    q = np.column_stack((np.zeros(len(boom)), boom, stick, turned - boom - stick))
+    q = q[(q[:, 3] >= backhoe.limits.lower[3]) & (q[:, 3] <= backhoe.limits.upper[3])]
+    tips = kinematics.at(q).tip_position
+    assert np.linalg.norm(tips - middle, axis=1).min() > 0.1
+    assert all(np.linalg.norm(tips - end, axis=1).min() < 0.02 for end in (low, high))
+    turn = Rotation.from_matrix(kinematics.at(q[:1]).tip_rotation[0])
+    first = bp.Kinematics(backhoe).at(q[0]).pitch
+    level = Rotation.from_euler("y", first - pitch) * turn
+    content = scene_along(np.array([low, high]), level, cone)
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.reason == "goal_breaks_keep"
+    assert "along the path that keeps it: at best the tip is turned by" in plan.message
