@@ -56,6 +56,7 @@ _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it 
 _FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck, after which it is free again
 _ATTEMPTS = 4  # failed searches in a row after which the status says that the machine is blocked
 _LONGEST_BREAK = 16.0  # s, longest break between two failed searches; it doubles from 1 s on
+_JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
 
@@ -138,6 +139,7 @@ class PlanFollower:
         self._holding = False
         self._blocked = ""
         self._retrying = False
+        self._joins_until = -np.inf  # s
 
     def __enter__(self) -> PlanFollower:
         return self
@@ -175,6 +177,7 @@ class PlanFollower:
         else:
             if self._was_holding:
                 self._was_holding = False
+                self._joins_until = servo.time + _JOINS
                 self._progress = Progress(self._slowest)
             state = self._follow(self._plan if self._round is None else self._round.reference)
         done = self.done
@@ -228,6 +231,7 @@ class PlanFollower:
         deviation = float(np.abs(reference.q - servo.q).max())
         on_track = reference is self._plan and servo.is_proven_along_unchecked(self._track)
         if on_track and self._track.is_joined_by(servo.q, servo.v):
+            self._joins_until = -np.inf
             state = servo.step_along_unchecked(self._track)
         else:
             state = self._step_towards(reference)
@@ -253,10 +257,22 @@ class PlanFollower:
         if kept is None:
             return servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
         pace = min(pace, kept, self._paces.at(reference.clock) if reference is self._plan else 1.0)
+        pace = 0.0 if reference is self._plan and self._joins_track() else pace
         state = servo.step(joint_velocity=pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
             reference.advance(pace * servo.dt)
         return state
+
+    def _joins_track(self) -> bool:
+        """Whether a machine that was held, or comes from a detour, is to come exactly onto the plan at its clock.
+
+        There it can go on along the track. Beside it, it would have to gather speed among obstacles and conditions that
+        leave room for the plan alone.
+        """
+        servo = self.servo
+        if servo.time >= self._joins_until:
+            return False
+        return servo.is_proven_along_unchecked(self._track) or (self._proving and self._searches.under_way)
 
     def _got_on(self) -> None:
         if self._holding:  # what was in the way has gone meanwhile
@@ -301,6 +317,7 @@ class PlanFollower:
             self._round = None
             self._searches.drop()
             self._plan.clock = found.rejoins_at
+            self._joins_until = servo.time + _JOINS
             self._progress = Progress(self._slowest)
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
             found.checked, found.check_at = servo.revision, servo.time + _RECHECK
