@@ -124,6 +124,16 @@ class Keep:
             ],
         )
 
+    def with_narrower_cone(self, by: float) -> Keep | None:
+        """The same conditions, with a cone of orientations narrower by `by` [rad]; None if that is most of it."""
+        cones = [one for one in self.conditions if isinstance(one, RotationCone)]
+        if not cones or any(2.0 * by > one.tolerance - one.room for one in cones):
+            return None
+        return Keep(
+            self.robot,
+            [one.widened(self.robot, -by) if isinstance(one, RotationCone) else one for one in self.conditions],
+        )
+
     def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
         """A configuration (n,) near `q` (n,) where all conditions hold, within `lower` and `upper` (n,), or None.
 

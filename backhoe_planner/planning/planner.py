@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _SLOWER = 3  # at most so many plans, each with slower joints; chosen, because each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen; slower joints are not tried for a load so far beyond its limit
 _APART = (5e-4, 3e-3)  # m added to the clearance, tried in turn; chosen: a curve swings out by some tenths of a mm
+_NARROWER = 2  # times that a path is planned in a narrower cone at most; chosen, because each is a whole plan
+_MISSED = 2.0  # times what the tip was outside the cone, by which it is made narrower; chosen
 # times the fastest motion past moving obstacles, that motions of little cost may take, each planned anew; chosen
 _LONGER = (1.1, 1.4)
 _LONG_SEARCH = 4  # times the usual starting points, for a start given by the tip; chosen: all else depends on it
@@ -145,21 +147,43 @@ def _find_proven(
     """A motion for `slowed`, and its certificate for `problem`.
 
     The motion along a path is a smooth curve near the configurations that were found for it. If the certificate says
-    that a link comes too near to something, the path is planned anew with more clearance between the two.
+    that a link comes too near to something, the path is planned anew with more clearance between the two; if it says
+    that the tip leaves the cone of orientations to be kept a little, with a narrower cone.
     """
 
-    def planned(apart: Mapping[tuple[str, str], float]) -> tuple[Outcome, Certificate]:
+    def planned(apart: Mapping[tuple[str, str], float], slowed: Problem = slowed) -> tuple[Outcome, Certificate]:
         world = World(slowed, seed=seed, work=Work(effort, brake), watch=watch, apart=apart)
         return _retime(problem, _find_motion(world, method))
 
     first = outcome, certificate = planned({})
     apart: dict[tuple[str, str], float] = {}
-    for more in () if problem.path is None or problem.is_dynamic or method == "reactive" else _APART:
+    once = problem.path is None or problem.is_dynamic or method == "reactive"
+    for more in () if once else _APART:
         if outcome.reason or not certificate.too_near:
             break
         apart |= {(near.link, near.name): more for near in certificate.too_near}
         outcome, certificate = planned(apart)
-    return first if outcome.reason or certificate.too_near else (outcome, certificate)
+    if outcome.reason or certificate.too_near:
+        return first
+    return (outcome, certificate) if once else _within_cone(slowed, outcome, certificate, lambda p: planned(apart, p))
+
+
+def _within_cone(
+    slowed: Problem, outcome: Outcome, certificate: Certificate, plan: Callable[[Problem], tuple[Outcome, Certificate]]
+) -> tuple[Outcome, Certificate]:
+    """A motion along a path, and its proof: the given one, or if it leaves a cone a little, one in a narrower cone."""
+    keep, by = slowed.keep, 0.0
+    found, proof = outcome, certificate
+    for _ in range(_NARROWER):
+        missed = max((-use.margin for use in proof.keep if use.name == "rotation" and not use.kept), default=0.0)
+        if keep is None or found.reason or missed == 0.0:
+            break
+        by += _MISSED * missed
+        narrower = keep.with_narrower_cone(by)
+        if narrower is None:
+            return outcome, certificate
+        found, proof = plan(replace(slowed, keep=narrower))
+    return (outcome, certificate) if found.reason or not proof.verified else (found, proof)
 
 
 def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:

@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
+from backhoe_planner.planning import planner
+from backhoe_planner.planning.paths import kept_cone
 from validation.habitats import load_machine
 
 Data = dict[str, Any]
@@ -26,7 +28,8 @@ FAR = 0.005  # rad or m that the known configurations keep from the limits
 STEP = 0.01  # m of the known path
 MORE = [*range(1, 6)]  # seeds of the long variants
 
-# place and axis of each hinge of an arm, and half of its range [rad]: with a roll, and six that move in a plane
+# place and axis of each hinge of an arm, and half of its range [rad]: with a roll, and six that move in a plane;
+# and with a slide for its third joint, half of whose range is 0.3 m
 FIVE_AXES = (
     ("0 0 0.2", "0 0 1", 2.5), ("0.05 0 0.1", "0 1 0", 1.5), ("0.5 0 0", "0 1 0", 2.5), ("0.4 0 0", "0 1 0", 2.0),
     ("0.1 0 0", "1 0 0", 2.9),
@@ -36,17 +39,20 @@ FIVE_AXES = (
 SIX_IN_A_PLANE = (
     ("0 0 0.3", "0 0 1", 2.5), ("0.1 0 0", "0 -1 0", 1.2), *(("0.4 0 0", "0 -1 0", 1.2) for _ in range(4)),
 )  # fmt: skip
+WITH_A_SLIDE = (
+    ("0 0 1", "0 0 1", 2.5), ("0.5 0 0.1", "0 0 1", 2.4), ("0.4 0 0.1", "0 0 1", 0.3), ("0 0 -0.3", "0 0 1", 2.9),
+)  # fmt: skip
 
 
 def light_arm(axes: Sequence[tuple[str, str, float]], folder: Path) -> bp.Robot:
     """An arm of small balls, one at each hinge."""
     parts, parent = ['<link name="base"/>'], "base"
     for number, (place, axis, most) in enumerate(axes):
-        link = f"link{number}"
+        link, kind = f"link{number}", "prismatic" if axes is WITH_A_SLIDE and number == 2 else "revolute"
         parts.append(
             f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
             'ixz="0" iyz="0"/></inertial><collision><geometry><sphere radius="0.03"/></geometry></collision></link>'
-            f'<joint name="joint{number}" type="revolute"><parent link="{parent}"/><child link="{link}"/>'
+            f'<joint name="joint{number}" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
             f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="{-most}" upper="{most}" velocity="1" '
             'effort="500"/></joint>'
         )
@@ -60,7 +66,7 @@ def light_arm(axes: Sequence[tuple[str, str, float]], folder: Path) -> bp.Robot:
     return bp.load_robot(file, tip="tip")
 
 
-ARMS = {"five axes": FIVE_AXES, "six in a plane": SIX_IN_A_PLANE}
+ARMS = {"five axes": FIVE_AXES, "six in a plane": SIX_IN_A_PLANE, "with a slide": WITH_A_SLIDE}
 
 
 @pytest.fixture
@@ -200,6 +206,23 @@ def test_a_path_past_a_ball_keeps_the_cone(backhoe: bp.Robot) -> None:
         least = min(float(np.min(clear.distances(q) - clear.clearance)) for q in way)
         if 0.01 < least < 0.1:
             break
+    plan = bp.plan(backhoe, scene, effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, backhoe, middle) <= cone + 1e-6
+
+
+def test_a_path_whose_curve_leaves_the_cone_a_little_is_planned_in_a_narrower_one(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the curve leaves it because the configurations may be 0.001 rad outside, not inside."""
+    points, _, middle, cone = known_path(backhoe, 2)
+    scene = bp.scene_from_dict(scene_along(points, middle, cone))
+    monkeypatch.setattr(kept_cone, "SPARE", -0.001)
+    with monkeypatch.context() as patch:
+        patch.setattr(planner, "_NARROWER", 0)
+        once = bp.plan(backhoe, scene, effort="quick")
+    assert once.reason == "not_done"
+    assert 0.0 < most_turned(once, backhoe, middle) - cone < 0.0015
     plan = bp.plan(backhoe, scene, effort="quick")
     assert plan.verified, plan.message
     assert most_turned(plan, backhoe, middle) <= cone + 1e-6
