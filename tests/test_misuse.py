@@ -245,7 +245,7 @@ def calls() -> dict[str, Call]:
         "TipTarget": call(
             lambda **keys: bp.TipTarget(**keys).distances(at()), position=(np.ones(3), vector(3)),
             pitch=((0.1, 0.2), optional(vector(2))), rotation=(np.eye(3), optional(MATRIX)),
-            rotation_tolerance=(0.1, Kind((*NUMBER.bad, -1.0))),
+            rotation_tolerance=(0.1, Kind((*NUMBER.bad, -1.0))), position_tolerance=(0.1, Kind((*NUMBER.bad, -1.0))),
         ),
         "Goal": call(
             lambda **keys: bp.Goal(**keys).error(at()), target=(target, THING), q=(Q, optional(vector(4))),

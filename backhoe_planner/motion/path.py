@@ -414,6 +414,7 @@ def targets_along(path: TipPath, s: Vector) -> TargetBatch:
         rotation=rotation,
         has_rotation=before.has_rotation | after.has_rotation,
         rotation_tolerance=np.zeros(len(s)),
+        position_tolerance=np.zeros(len(s)),
         pitch_middle=np.where(asked, middle + np.where(both, part * path._pitch_turns[leg], 0.0), 0.0),
         pitch_half=np.where(asked, near + wider, 0.0),
         has_pitch=asked,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -68,6 +70,8 @@ def test_batch_errors_and_jacobians_equal_those_of_single_targets(any_robot: bp.
         else:
             span = (-2.0, -1.5) if any_robot.has_pitch else None
             targets.append(TipTarget(goal.tip_position.copy(), pitch=span))
+        if number >= 10:
+            targets[-1] = replace(targets[-1], position_tolerance=0.3 * number)
     batch = TargetBatch.of(targets)
     at = BatchKinematics(any_robot).at(places)
     errors, jacobians = batch.errors(at), batch.jacobians(at)
@@ -77,6 +81,32 @@ def test_batch_errors_and_jacobians_equal_those_of_single_targets(any_robot: bp.
         np.testing.assert_allclose(errors[row, rows], target.error(one), atol=1e-9)
         np.testing.assert_allclose(jacobians[row, rows], target.jacobian(one), atol=1e-9)
         assert np.count_nonzero(np.delete(errors[row], rows)) == 0
+
+
+def test_only_what_is_beyond_a_position_tolerance_is_an_error(backhoe: bp.Robot) -> None:
+    """The tip is 0.5 m beside the target. To first order, a step reduces the error by jacobian @ dq."""
+    kinematics, q = bp.Kinematics(backhoe), np.array([0.3, 0.4, -1.6, -0.9])
+    at = kinematics.at(q)
+    off = np.array([0.3, 0.0, -0.4])
+    for tolerance, beyond in ((0.2, 0.3), (0.5, 0.0), (0.7, 0.0)):
+        target = TipTarget(at.tip_position + off, position_tolerance=tolerance)
+        np.testing.assert_allclose(target.error(at), beyond * off / 0.5, atol=1e-12)
+        assert target.distances(at) == pytest.approx((beyond, 0.0), abs=1e-12)
+    target = TipTarget(at.tip_position + off, position_tolerance=0.2)
+    for dq in 1e-6 * np.eye(4):
+        less = target.error(at) - target.error(kinematics.at(q + dq))
+        np.testing.assert_allclose(target.jacobian(at) @ dq, less, atol=1e-10)
+    assert not TipTarget(at.tip_position + off, position_tolerance=0.6).jacobian(at).any()
+
+
+def test_solutions_end_within_a_position_tolerance(any_robot: bp.Robot) -> None:
+    goals, guesses = _random(any_robot, 60, seed=3), _random(any_robot, 60, seed=4)
+    kinematics = bp.Kinematics(any_robot)
+    targets = [TipTarget(kinematics.at(q).tip_position.copy(), position_tolerance=0.1) for q in goals]
+    q, reached = solve_batch(BatchKinematics(any_robot), TargetBatch.of(targets), guesses)
+    assert reached.any()
+    for row in np.flatnonzero(reached):
+        assert np.linalg.norm(kinematics.at(q[row]).tip_position - targets[row].position) <= 0.1 + 1e-7
 
 
 def test_solutions_are_on_the_target_and_within_the_joint_limits(any_robot: bp.Robot) -> None:

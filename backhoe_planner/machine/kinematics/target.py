@@ -21,7 +21,7 @@ _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15
 
 @dataclass(frozen=True)
 class TipTarget:
-    """A target pose of the tip, which may leave the pitch or the orientation free.
+    """A target pose of the tip, which may leave the pitch or the orientation free, and the position within a ball.
 
     Attributes
     ----------
@@ -29,6 +29,7 @@ class TipTarget:
     pitch: (low, high) [rad], equal for a single angle; None if it is free.
     rotation: (3, 3) R_world_tip; None if the orientation is free.
     rotation_tolerance: how far the tip may be turned from `rotation` [rad]: only the excess is an error.
+    position_tolerance: how far the tip may be from `position` [m]: only the excess is an error.
 
     Raises
     ------
@@ -39,6 +40,7 @@ class TipTarget:
     pitch: tuple[float, float] | None = None
     rotation: Matrix | None = None
     rotation_tolerance: float = 0.0
+    position_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
@@ -50,6 +52,8 @@ class TipTarget:
             object.__setattr__(self, "rotation", as_array(self.rotation, 3, 3, key="rotation"))
         if self.rotation_tolerance != 0.0:
             as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
+        if self.position_tolerance != 0.0:
+            as_number(self.position_tolerance, key="position_tolerance", above=0.0)
 
     def pitch_excess(self, pitch: float) -> float:
         """How far `pitch` is above (+) or below (-) the required range [rad]; 0 inside."""
@@ -64,9 +68,10 @@ class TipTarget:
         """(m,) target minus actual at a configuration: position [m], then angles [rad].
 
         The rows are 3 of position, then 1 of pitch (0 inside the required range) or 3 of the
-        rotation vector, in world axes, by as much as it is longer than the tolerance.
+        rotation vector, in world axes; both vectors by as much as they are longer than their tolerance.
         """
-        rows = [self.position - check_kind(at, Configuration, key="at").tip_position]
+        off = self.position - check_kind(at, Configuration, key="at").tip_position
+        rows = [off if self.position_tolerance == 0.0 else _beyond(off, self.position_tolerance)]
         if self.rotation is not None:
             rows.append(_beyond(self._turn_from(at), self.rotation_tolerance))
         elif self.pitch is not None:
@@ -85,15 +90,17 @@ class TipTarget:
     def jacobian(self, at: Configuration) -> Matrix:
         """(m, n) of `error` at a configuration: to first order, a step dq reduces the error by jacobian @ dq."""
         check_kind(at, Configuration, key="at")
+        moving = at.jacobian[:3]
+        if self.position_tolerance != 0.0:
+            moving = _beyond_jacobian(self.position - at.tip_position, self.position_tolerance) @ moving
         if self.rotation is not None:
             if self.rotation_tolerance == 0.0:
-                return at.jacobian
-            tolerance = np.array([self.rotation_tolerance])
-            turning = _beyond_jacobians(self._turn_from(at)[None], tolerance)[0] @ at.jacobian[3:]
-            return np.vstack((at.jacobian[:3], turning))
+                return at.jacobian if self.position_tolerance == 0.0 else np.vstack((moving, at.jacobian[3:]))
+            turning = _beyond_jacobian(self._turn_from(at), self.rotation_tolerance) @ at.jacobian[3:]
+            return np.vstack((moving, turning))
         if self.pitch is not None:
-            return np.vstack((at.jacobian[:3], at.pitch_row))
-        return at.jacobian[:3]
+            return np.vstack((moving, at.pitch_row))
+        return moving
 
     def distances(self, at: Configuration) -> tuple[float, float]:
         """Position error [m] and angle error [rad] at a configuration, both 0 or more."""
@@ -106,19 +113,24 @@ class TipTarget:
         return np.asarray(at.tip_rotation @ pin.log3(at.tip_rotation.T @ self.rotation))
 
 
-def _beyond(turn: Vector, tolerance: float) -> Vector:
-    """(3,) a rotation vector shortened by `tolerance`, to no less than 0 [rad]."""
-    angle = float(np.linalg.norm(turn))
-    return turn * max(1.0 - tolerance / angle, 0.0) if angle > 0.0 else turn
+def _beyond(off: Vector, tolerance: float) -> Vector:
+    """(3,) a difference of positions [m], or a rotation vector [rad], shortened by `tolerance`, to no less than 0."""
+    length = float(np.linalg.norm(off))
+    return off * max(1.0 - tolerance / length, 0.0) if length > 0.0 else off
 
 
-def _beyond_jacobians(turns: Matrix, tolerance: Vector) -> Array:
-    """(B, 3, 3) derivatives of `_beyond` with respect to the rotation vectors (B, 3), each with its tolerance (B,)."""
-    angle = np.linalg.norm(turns, axis=1)
-    beyond = angle > tolerance
-    found = np.zeros((len(turns), 3, 3))
-    axis = turns[beyond] / angle[beyond, None]
-    part = (tolerance[beyond] / angle[beyond])[:, None, None]
+def _beyond_jacobian(off: Vector, tolerance: float) -> Matrix:
+    """(3, 3) derivative of `_beyond` with respect to the vector."""
+    return np.asarray(_beyond_jacobians(off[None], np.array([tolerance]))[0])
+
+
+def _beyond_jacobians(off: Matrix, tolerance: Vector) -> Array:
+    """(B, 3, 3) derivatives of `_beyond` with respect to the vectors (B, 3), each with its tolerance (B,)."""
+    length = np.linalg.norm(off, axis=1)
+    beyond = length > tolerance
+    found = np.zeros((len(off), 3, 3))
+    axis = off[beyond] / length[beyond, None]
+    part = (tolerance[beyond] / length[beyond])[:, None, None]
     found[beyond] = (1.0 - part) * np.eye(3) + part * (axis[:, :, None] * axis[:, None, :])
     return found
 
@@ -137,6 +149,7 @@ class TargetBatch:
     rotation: (B, 3, 3) R_world_tip; the identity where `has_rotation` is false.
     has_rotation: (B,) whether an orientation is required.
     rotation_tolerance: (B,) how far the tip may be turned from it [rad].
+    position_tolerance: (B,) how far the tip may be from the position [m].
     pitch_middle, pitch_half: (B,) middle and half width of the required range of the pitch [rad].
     has_pitch: (B,) whether a pitch is required.
     """
@@ -145,6 +158,7 @@ class TargetBatch:
     rotation: Array
     has_rotation: Flags
     rotation_tolerance: Array
+    position_tolerance: Array
     pitch_middle: Array
     pitch_half: Array
     has_pitch: Flags
@@ -159,6 +173,7 @@ class TargetBatch:
             rotation=np.array([np.eye(3) if t.rotation is None else t.rotation for t in targets]).reshape(-1, 3, 3),
             has_rotation=has_rotation,
             rotation_tolerance=np.array([target.rotation_tolerance for target in targets]),
+            position_tolerance=np.array([target.position_tolerance for target in targets]),
             pitch_middle=np.array([0.0 if r is None else 0.5 * (r[0] + r[1]) for r in ranges]),
             pitch_half=np.array([0.0 if r is None else 0.5 * (r[1] - r[0]) for r in ranges]),
             # if both are given, the orientation decides, as in `TipTarget`
@@ -181,10 +196,11 @@ class TargetBatch:
         """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not required."""
         found = np.zeros((len(self), 7))
         found[:, :3] = self.position - at.tip_position
+        if self.position_tolerance.any():
+            found[:, :3] *= _part_beyond(found[:, :3], self.position_tolerance)[:, None]
         if self.has_rotation.any():
             turn = self._turns_from(at)
-            angle = np.linalg.norm(turn, axis=1)
-            part = np.maximum(1.0 - self.rotation_tolerance / np.maximum(angle, _NO_TURN), 0.0)
+            part = _part_beyond(turn, self.rotation_tolerance)
             found[:, 3:6] = np.where(self.has_rotation[:, None], part[:, None] * turn, 0.0)
         if self.has_pitch.any():
             off = wrap_angle(at.pitch() - self.pitch_middle)
@@ -196,6 +212,10 @@ class TargetBatch:
         """(B, 7, n) of `errors`: to first order, a step dq reduces an error by jacobian @ dq."""
         found = np.zeros((7, at.q.shape[1], len(self))).transpose(2, 0, 1)  # the memory layout of what is copied in
         found[:, :3] = at.position_jacobian()
+        rows = np.flatnonzero(self.position_tolerance > 0.0)
+        if len(rows):
+            off = self.position[rows] - at.tip_position[rows]
+            found[rows, :3] = _beyond_jacobians(off, self.position_tolerance[rows]) @ found[rows, :3]
         if self.has_rotation.any():
             turning = at.rotation_jacobian()
             tolerant = np.flatnonzero(self.has_rotation & (self.rotation_tolerance > 0.0))
@@ -212,6 +232,12 @@ class TargetBatch:
         asked, tip = self.rotation.transpose(1, 2, 0), at.tip_rotation.transpose(1, 2, 0)
         turn = sum(asked[:, None, k] * tip[None, :, k] for k in range(3))
         return rotation_vectors(np.asarray(turn).transpose(2, 0, 1))
+
+
+def _part_beyond(off: Array, tolerance: Array) -> Array:
+    """(B,) the part of each vector (B, 3) by which it is longer than its `tolerance` (B,); 0 if it is not."""
+    length = np.linalg.norm(off, axis=1)
+    return np.asarray(np.maximum(1.0 - tolerance / np.maximum(length, _NO_TURN), 0.0))
 
 
 def rotation_vectors(rotation: Array) -> Array:
