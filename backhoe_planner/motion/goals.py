@@ -7,6 +7,7 @@ Jacobian), and either the fixed posture (`q`) or the tip pose to solve for (`sea
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from backhoe_planner.machine import Configuration, TipTarget
 GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a machine's control can do
 ANGLE_TOLERANCE = 1e-2  # rad at which a required angle is reached; chosen, half a degree
 JOINT_TOLERANCE = 1e-3  # rad or m at which a joint is at its goal; chosen, a centimetre at the end of a 10 m arm
-_SEARCHED = 0.9  # part of a rotation tolerance that a search uses; chosen, so that rounding never exceeds it
+_SEARCHED = 0.9  # part of a tolerance that a search uses; chosen, so that rounding never exceeds it
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +34,10 @@ class Goal:
     rotation_tolerance: how far the tip may be turned from the required orientation [rad]; None
         if the scene does not say. Then 0.01 rad is enough for a motion, and a search is exact.
     tolerance: how far the tip may be from the required position [m]; None if the scene does not say. Then 1 mm
-        is enough.
-    aim: (3,) the position at which a search aims exactly [m], world; None for the required one. It differs if that
-        is out of reach, and a position within the tolerance is not.
+        is enough for a motion, and a search is exact.
+    aim: (3,) the position at which a search aims exactly [m], world; None for the required one, or for any within
+        the tolerance if the scene gives one. It differs from the required one if that is out of reach, and a position
+        within the tolerance is not.
 
     Raises
     ------
@@ -68,13 +70,20 @@ class Goal:
 
     @property
     def search_target(self) -> TipTarget:
-        """The target for inverse kinematics: the pose, at `aim`, with most of its rotation tolerance free to use."""
+        """The target for inverse kinematics: the pose, with most of its tolerances free to use, or exactly at `aim`."""
         if self.q is not None:
             return self.target
         target = self.target if self.aim is None else replace(self.target, position=self.aim)
+        if self.tolerance is not None and self.aim is None:
+            target = replace(target, position_tolerance=_SEARCHED * self.tolerance)
         if self.rotation_tolerance is None:
             return target
         return replace(target, rotation_tolerance=_SEARCHED * self.rotation_tolerance)
+
+    @cached_property
+    def exactly(self) -> Goal:
+        """The same goal, for a search that does not use its tolerance of the position."""
+        return replace(self, aim=self.target.position) if self.search_target.position_tolerance else self
 
     def error(self, at: Configuration) -> Vector:
         """(m,) the difference between the goal and a configuration; all 0 on the goal.

@@ -37,6 +37,11 @@ _KEEP_STILL = 1e-3  # price of moving all control points by the whole box; chose
 _SOLUTIONS = 3  # of a program at most; measured: the third adds a fiftieth of the kinks of the second
 # parts of a step that are compared; chosen
 _PARTS = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02])
+# (26, 3) unit vectors to the faces, edges and corners of a cube: planes that touch a ball there bound a body in which
+# no point is further than 1.13 radii from the middle; a step that leaves the ball is corrected afterwards
+_DIRECTIONS = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
+_NO_LENGTH = 1e-12  # m: a shorter difference of positions has no direction
 _CLEARANCE = "clearance"  # the name of the rows that may be missed by the slack
 _SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for kept conditions [rad or m]; chosen
 
@@ -243,6 +248,12 @@ class LinearModel:
         """Add rows that keep the end of the curve, with the joints at `end`, on a goal."""
         error, J, target = goal.error(end), goal.jacobian(end), goal.search_target
         asked = movable_rows(J)
+        if target.position_tolerance:
+            asked[:3] = False
+            away = end.tip_position - target.position
+            outward = np.vstack((_DIRECTIONS, away / max(float(np.linalg.norm(away)), _NO_LENGTH)))
+            room = np.maximum(target.position_tolerance - outward @ away, 0.0)
+            self._add("position", self._of_end(outward @ end.jacobian[:3]), room)
         if target.rotation is not None:
             # within its tolerance the orientation is free; an excess is corrected after the step
             asked[3:] &= target.rotation_tolerance == 0.0 or bool(np.any(error[3:]))

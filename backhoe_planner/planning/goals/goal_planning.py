@@ -51,7 +51,7 @@ class ToGoal:
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
-        if self._is_there(world, stepper):  # within the tolerance of a goal out of reach
+        if self._is_there(world, stepper):  # near enough to a goal out of reach
             return Outcome(stepper.trajectory())
         too_short = self._too_short(world, stepper)
         if too_short is not None:
@@ -74,7 +74,10 @@ class ToGoal:
             reason: Reason = "budget" if ended else "blocked"
             message = f"{ended}; {sampled}" if ended else sampled
             return Outcome(stepper.trajectory(), reason, message, Findings(left_out=found.left_out))
-        outcome = self._attempts(world, stepper, found)
+        exact = self._found_exactly(world, stepper, found)
+        if isinstance(exact, Outcome):  # there are postures within a tolerance, but no position that the law can aim at
+            return Outcome(stepper.trajectory(), "blocked", sampled, Findings(left_out=found.left_out))
+        outcome = self._attempts(world, stepper, exact)
         if not outcome.reason and not world.keeps(outcome.trajectory):
             outcome = replace(outcome, reason="blocked", message="the law arrives, but does not satisfy `keep`")
         if not outcome.reason:
@@ -89,7 +92,7 @@ class ToGoal:
 
     def by_law(self, world: World, stepper: Stepper) -> Outcome:
         """A motion from rest by the completed law alone."""
-        found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
+        found = self._found_exactly(world, stepper)
         return found if isinstance(found, Outcome) else self._attempts(world, stepper, found)
 
     def by_paper(self, world: World, stepper: Stepper) -> Outcome:
@@ -102,11 +105,14 @@ class ToGoal:
     def _is_there(self, world: World, stepper: Stepper) -> bool:
         """Whether the machine is already on a goal, in a posture in which it may stand.
 
-        Within the tolerance is enough for a goal that is known to be out of reach: nowhere is the tip exactly on it.
+        Within a tolerance of the position is enough, and so is a millimetre for a goal without one that is known to be
+        out of reach: nowhere is the tip exactly on it.
         """
         here = world.kinematics.at(stepper.q)
 
         def is_on(goal: Goal) -> bool:
+            if goal.q is None and goal.tolerance is not None:
+                return not goal.shortfall(here) and goal.search_target.distances(here)[1] <= _STANDS_ON
             if goal.aim is not None:
                 return not goal.shortfall(here)
             return float(np.max(np.abs(goal.error(here)), initial=0.0)) <= _STANDS_ON
@@ -114,6 +120,15 @@ class ToGoal:
         if not any(is_on(goal) for goal in aimed(world, self.goals)):
             return False
         return bad_posture(world, stepper.q, "start", time=stepper.time) is None
+
+    def _found_exactly(
+        self, world: World, stepper: Stepper, known: GoalPostures | None = None
+    ) -> GoalPostures | Outcome:  # fmt: skip
+        """Postures for the law, which drives the tip to one position of each goal; the `known` ones if they will do."""
+        exact = [goal.exactly for goal in self.goals]
+        if known is not None and all(one is goal for one, goal in zip(exact, self.goals, strict=True)):
+            return known
+        return find_goal_postures(world, exact, near=stepper.q, time=stepper.time)
 
     def _too_short(self, world: World, stepper: Stepper) -> Outcome | None:
         """The failure where no motion can be as short as max_duration asks; None where one may be."""

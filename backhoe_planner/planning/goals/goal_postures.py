@@ -1,19 +1,28 @@
 """Postures in which a motion to a goal may end.
 
-A goal whose position is out of reach or too near to an obstacle, but not the whole of its tolerance, is replaced by the
-same goal with an `aim`: a position within the tolerance that the tip can reach. The certificate judges by the goal as
-it was given.
+A goal whose position is out of reach or too near to an obstacle, but not all that is near enough, is replaced by the
+same goal with an `aim`: a position that is near enough, and that the tip can reach. With a `tolerance`, the postures
+there are moved towards the start as far as it allows, and the end of a motion may move anywhere within it. The
+certificate judges by the goal as it was given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import InverseKinematics, TipTarget, solve_inverse_kinematics
+from backhoe_planner.machine import (
+    BatchKinematics,
+    InverseKinematics,
+    TargetBatch,
+    TipTarget,
+    solve_batch,
+    solve_inverse_kinematics,
+)
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
@@ -24,6 +33,7 @@ from backhoe_planner.site import ClearanceScreen
 
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is reported to be in collision; chosen
 _MOVED = 0.9  # part of a goal's tolerance by which its aim is moved at most; chosen: no rounding exceeds the rest
+_PLACES = 25  # on the way to a posture, where it is checked whether the tip is within the tolerance; chosen
 _ANGLES_FIRST = 30.0  # m per rad in the search for the nearest pose: chosen, its angles are then off by mrad at most
 # if several goals fail, the mildest reason is reported; the mildest first
 _MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
@@ -86,8 +96,9 @@ def find_goal_postures(
 
 
 def aimed(world: World, goals: Sequence[Goal]) -> list[Goal]:
-    """The `goals`, with an aim each whose position cannot be had."""
-    return [world.aims.get((goal, True)) or world.aims.get((goal, False)) or goal for goal in goals]
+    """The `goals`, each at one position: with an aim if the required one cannot be had."""
+    exact = [goal.exactly for goal in goals]
+    return [world.aims.get((goal, True)) or world.aims.get((goal, False)) or goal for goal in exact]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +146,17 @@ def _on_target(
     is_narrowed: bool = False,
 ) -> _OnGoal | Outcome:  # fmt: skip
     count = more * world.work.effort.starting_points
-    hurried = world.work.effort.is_hurried
+    look = partial(world.postures.at, near=near, count=count, time=time, hurried=world.work.effort.is_hurried)
+    if target.position_tolerance:
+        exact = replace(target, position_tolerance=0.0)
+        there = _on_target(world, exact, goal.exactly, near, time, more, travel, is_narrowed=is_narrowed)
+        if isinstance(there, _OnGoal):
+            return _OnGoal(goal, _sooner(world, target, there.clear, near, time))
+        anywhere = look(target, travel=travel).clear
+        return _OnGoal(goal, anywhere) if anywhere else there
 
     def at(target: TipTarget) -> PostureResult:
-        found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried, travel=travel)
+        found = look(target, travel=travel)
         if found.best.reached and not found.clear and travel is None:
             found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
         return found
@@ -159,6 +177,26 @@ def _on_target(
     if moved is not None:
         own = world.aims[goal, is_narrowed] = replace(goal, aim=moved.position)
     return no_posture(world, found, aim, "goal_in_collision", goal.name) or _OnGoal(own or goal, found.clear)
+
+
+def _sooner(world: World, target: TipTarget, clear: Sequence[Vector], near: Vector, time: float) -> tuple[Vector, ...]:
+    """The `clear` postures, each moved towards `near` (n,) to where the tip gets within the tolerance of the target.
+
+    A posture stays as it is if it would not be clear there, or would not keep what is to be kept.
+    """
+    kinematics, ends, keep = BatchKinematics(world.problem.robot), np.array(clear), world.problem.keep
+    part = np.linspace(1.0, 0.0, _PLACES)
+    lines = ends + (1.0 - part[:, None, None]) * (near - ends)  # (P, C, n)
+    tips = kinematics.at(lines.reshape(-1, ends.shape[1])).tip_position.reshape(*lines.shape[:2], 3)
+    within = np.linalg.norm(tips - target.position, axis=2) <= target.position_tolerance
+    last = np.maximum(np.cumprod(within, axis=0).sum(axis=0) - 1, 0)
+    guesses = lines[last, np.arange(len(ends))]
+    moved, reached = solve_batch(kinematics, TargetBatch.of([target] * len(ends)), guesses)
+    keeps = ClearanceScreen(world.proximity, time=time, spare=POSTURE_SPARE).keeps(moved) & reached
+    return tuple(
+        new if kept and (keep is None or keep.holds(new)) else old
+        for new, old, kept in zip(moved, ends, keeps, strict=True)
+    )
 
 
 def _within_reach(world: World, target: TipTarget, goal: Goal, best: InverseKinematics) -> TipTarget | None:

@@ -337,6 +337,8 @@ def holds_end(problem: Problem, goal: Goal) -> bool:
     """Whether a goal leaves the end of a motion no freedom."""
     if goal.q is not None:
         return True
+    if goal.search_target.position_tolerance:
+        return False
     pitch, turned = goal.target.pitch, goal.target.rotation is not None
     more = 3 if turned else int(pitch is not None and pitch[0] == pitch[1])
     return bool(problem.robot.n <= 3 + more)

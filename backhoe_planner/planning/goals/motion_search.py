@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Trajectory, motion_cost
+from backhoe_planner.motion import Goal, Trajectory, motion_cost
 from backhoe_planner.planning.descent.descent import NO_COST
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
@@ -241,10 +241,10 @@ class MotionSearch:
             search = self._search_fastest(effort, enough=fastest_with_room(bound))
             if search is None:
                 break
-            self._ends.take(search._ends.postures, search._ends.goals)
-            ended += search.ended
+            self._ends.take(search._ends.postures, [self._as_given(goal) for goal in search._ends.goals])
+            ended += [replace(one, goal=self._as_given(one.goal)) for one in search.ended]
             if search.best is not None:
-                ended.append(search.best)
+                ended.append(replace(search.best, goal=self._as_given(search.best.goal)))
                 fastest = search.best.motion
                 # of a motion for which max_duration is too short the certificate says so
                 if np.isfinite(most):
@@ -252,20 +252,32 @@ class MotionSearch:
                 else:
                     allowed = allowed_time(bound, fastest.duration)
                 self._descents.longest = min(self._descents.longest, allowed)
-                self._descents.offer(replace(search.best, cost=motion_cost(self._problem, fastest)))
+                self._descents.offer(replace(ended[-1], cost=motion_cost(self._problem, fastest)))
                 if has_room(bound, fastest.duration):
                     break
         return ended
 
     def _search_fastest(self, effort: Effort, *, enough: float) -> MotionSearch | None:
-        """A finished search for a motion as fast as `enough` [s]; None if it finds no posture on a goal."""
-        world = self._world.for_time(effort)
-        found = find_goal_postures(world, self._problem.goals, near=self._start, time=self._time)
+        """A finished search for a motion as fast as `enough` [s]; None if it finds no posture on a goal.
+
+        Unless the scene says how long a motion may take, the motion leads to the positions themselves, if possible:
+        because of a tolerance a motion need not be sooner at its end, and would cost more.
+        """
+        world, goals = self._world.for_time(effort), self._problem.goals
+        exact = [goal.exactly for goal in goals] if np.isinf(self._problem.max_duration) else goals
+        found = find_goal_postures(world, exact, near=self._start, time=self._time)
+        if isinstance(found, Outcome) and any(one is not goal for one, goal in zip(exact, goals, strict=True)):
+            found = find_goal_postures(world, goals, near=self._start, time=self._time)
         if isinstance(found, Outcome):
             return None
         search = MotionSearch(world, self._start, found, time=self._time, enough=enough)
         search.run()
         return search
+
+    def _as_given(self, goal: Goal) -> Goal:
+        """The goal of the problem with its tolerance, if `goal` is the same without one."""
+        given = next((one for one in self._problem.goals if one.name == goal.name), goal)
+        return goal if given.exactly is given else given
 
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, within a time [s] or anywhere; the indices of the new ones, the soonest first."""

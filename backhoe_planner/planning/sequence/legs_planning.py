@@ -83,12 +83,13 @@ def plan_legs(
     for index, name in enumerate(names):
         if name in names[:index]:
             raise InputError("is the name of two legs", key=f"legs[{index}]", found=name)
+    moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
+    legs = tuple(_ending_exactly(leg) if index in moving[:-1] else leg for index, leg in enumerate(legs))
     planner = LegPlanner(method, seed, effort, brake or Brake(), watch)
     done = _one_by_one(legs, planner)
     tried = 0
-    moving = sum(leg.problem.wait is None for leg in legs)
-    if ahead and moving > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
-        chain = Chain(legs, done, planner, most=(_CHAINS + effort.ways_at_once) * moving)
+    if ahead and len(moving) > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
+        chain = Chain(legs, done, planner, most=(_CHAINS + effort.ways_at_once) * len(moving))
         # an end that was chosen may be one posture: which goals are left out is known from the legs by themselves
         known = [leg.outcome.findings.left_out for leg in done]
         done, tried = chain.run(), chain.tried
@@ -97,6 +98,15 @@ def plan_legs(
             for index, leg in enumerate(done)
         ]
     return _outcome(legs, done, tried)
+
+
+def _ending_exactly(leg: Leg) -> Leg:
+    """A leg whose search does not use the tolerance of its goals, which is left for going on without a stop."""
+    goals = leg.problem.goals
+    exact = tuple(goal.exactly for goal in goals)
+    if all(one is goal for one, goal in zip(exact, goals, strict=True)):
+        return leg
+    return replace(leg, problem=replace(leg.problem, goals=exact))
 
 
 def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:

@@ -129,7 +129,8 @@ class Goal(Pose):
     rotation_tolerance: Angle | None = None
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
     tolerance: Length | None = None
-    """How far the tip may be off the position [m]; 0.001 by default. More lets a sequence go on without a stop."""
+    """How far the tip may be off the position [m]; 0.001 by default, and a search is exact. The last motion uses it to
+    end where it costs least, the others of a sequence to go on without a stop."""
     keep: Keep | None = None
     """Conditions along the whole motion there; the same as `keep` beside the goal, its only place for several goals."""
 
