@@ -124,7 +124,8 @@ class PlanFollower:
         self._proof = TrackProof(servo, plan, self._plan, self._track)
         self._proving = False  # whether the search under way is for a proof of the track
         self._enter_leg()
-        self._steps = 0
+        self._steps = 0  # until it was done
+        self._was_done = False
         self._slowest = float(servo.limits.velocity.min())
         self._progress = Progress(self._slowest)
         self._searches = Searches(executor)
@@ -161,7 +162,8 @@ class PlanFollower:
     def step(self) -> FollowerState:
         """Move on by the servo's dt."""
         servo = self.servo
-        self._steps += 1
+        if not self._was_done:
+            self._steps += 1
         self._enter_leg()
         self._look_around()
         self._take_answer()
@@ -180,7 +182,7 @@ class PlanFollower:
                 self._joins_until = servo.time + _JOINS
                 self._progress = Progress(self._slowest)
             state = self._follow(self._plan if self._round is None else self._round.reference)
-        done = self.done
+        done = self._was_done = self.done
         status, reason = self._status(state, done)
         return FollowerState(
             state=state,

@@ -26,7 +26,7 @@ class FollowerState:
     ----------
     state: of the servo.
     plan_time: how far the plan's clock has come [s].
-    behind: how much later than planned the machine is [s].
+    behind: how much later than planned the machine is [s]; once it is done, how much later it arrived.
     deviation: of the joint that is farthest from the plan at `plan_time` [rad or m].
     done: whether the machine rests at the end of the plan.
     status: ``following``; ``waiting``: no progress, and soon a detour is searched;

@@ -122,6 +122,15 @@ def test_a_digging_cycle_ends_with_its_plan(backhoe: Robot) -> None:
         assert float(np.min(proximity.distances(step.state.q) - proximity.clearance)) > -KEPT
 
 
+def test_a_machine_that_has_arrived_gets_no_later(past_wall: bp.Plan) -> None:
+    with PlanFollower(servo_of(past_wall), past_wall, executor=Never()) as follower:
+        arrived = followed(follower, 2.0 * past_wall.trajectory.duration)[-1]
+        assert arrived.done
+        later = [follower.step() for _ in range(100)][-1]
+    assert later.done
+    assert later.behind == arrived.behind
+
+
 # --- something new ---------------------------------------------------------------------
 
 
