@@ -27,7 +27,6 @@ from .legs import leg_parts as leg_parts
 from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import Nodes as Nodes
 from .path import TURN_LEVER as TURN_LEVER
-from .path import SmoothWay as SmoothWay
 from .path import TipPath as TipPath
 from .path import step_lengths as step_lengths
 from .path import targets_along as targets_along
@@ -36,6 +35,7 @@ from .problem import angles_in_degrees as angles_in_degrees
 from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
 from .problem import keep_of as keep_of
+from .smooth_way import SmoothWay as SmoothWay
 from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of

@@ -15,7 +15,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits, Robot
-from backhoe_planner.motion.path import SmoothWay, step_lengths
+from backhoe_planner.motion.path import step_lengths
+from backhoe_planner.motion.smooth_way import SmoothWay
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
