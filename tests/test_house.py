@@ -78,7 +78,7 @@ def test_imports_run_one_way() -> None:
 SUITES = {
     # rooms within a room; "" is the room's own files
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
-    "site": ["schema", "pairs", ""],
+    "site": ["surveys", "schema", "pairs", ""],
     "motion": ["", "timing", "following"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "world", "goals", "", "sequence"],
     "live": ["braking", "boxes", "planes", "clearance", "recovery", "servo", ""],

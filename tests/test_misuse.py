@@ -264,6 +264,7 @@ def calls() -> dict[str, Call]:
         "Keep.segment_holds": call(keep().segment_holds, q_a=q4, q_b=q4),
         "Keep.motion_holds": call(keep().motion_holds, q=(stepped, Kind(SAMPLES.bad[:-2]))),
         "Keep.corner_holds": call(keep().corner_holds, q_a=q4, corner=q4, q_b=q4, sagitta=q4),
+        "Keep.with_narrower_cone": call(lambda by: keep().with_narrower_cone(by), by=(0.01, Kind((*NUMBER.bad, -0.1)))),
         "Keep.widened": call(lambda q: len(keep().widened(q).conditions), q=q4),
         "Keep.project": call(
             keep().project, q=q4, lower=(the.limits.lower, vector(4)), upper=(the.limits.upper, vector(4))

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_vector
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import KEPT_TO, Condition, PitchBand, RotationCone
@@ -126,6 +126,7 @@ class Keep:
 
     def with_narrower_cone(self, by: float) -> Keep | None:
         """The same conditions, with a cone of orientations narrower by `by` [rad]; None if that is most of it."""
+        by = as_number(by, key="by", least=0.0)
         cones = [one for one in self.conditions if isinstance(one, RotationCone)]
         if not cones or any(2.0 * by > one.tolerance - one.room for one in cones):
             return None

@@ -47,9 +47,6 @@ from .schema.obstacle_shapes import terrain_body as terrain_body
 from .schema.quantities import Finite as Finite
 from .schema.quantities import Moment as Moment
 from .schema.quantities import Slope as Slope
-from .schema.survey_files import read_height_grid as read_height_grid
-from .schema.survey_files import read_heights as read_heights
-from .schema.survey_files import read_points as read_points
 from .schema.tasks import JointsGoal as JointsGoal
 from .schema.tasks import Pose as Pose
 from .schema.tasks import Waypoint as Waypoint
@@ -61,6 +58,9 @@ from .soil import blade_force as blade_force
 from .soil import bucket_width as bucket_width
 from .soil import failure_angle as failure_angle
 from .soil import soil_force as soil_force
+from .surveys.survey_files import read_height_grid as read_height_grid
+from .surveys.survey_files import read_heights as read_heights
+from .surveys.survey_files import read_points as read_points
 from .zones import Level as Level
 from .zones import Transgression as Transgression
 from .zones import ZoneLog as ZoneLog

@@ -10,7 +10,7 @@ from backhoe_planner.files.found_file import is_file
 from backhoe_planner.machine import SPLIT_FORMATS, Cluster
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.schema import obstacle_shapes
-from backhoe_planner.site.schema.geotiff import NOTED_BESIDE
+from backhoe_planner.site.surveys.geotiff import NOTED_BESIDE
 
 # keys of an obstacle's record on which its solid does not depend
 _BESIDE = {"name", "clearance", "links", "legs", "appears_at"}

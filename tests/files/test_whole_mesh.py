@@ -12,7 +12,7 @@ import trimesh
 
 import backhoe_planner as bp
 from backhoe_planner.machine.shape.convex import load_mesh
-from backhoe_planner.site.schema.survey_files import read_points
+from backhoe_planner.site.surveys.survey_files import read_points
 
 BOX = trimesh.creation.box((1.0, 2.0, 3.0))
 

@@ -475,7 +475,7 @@ def test_many_comments_quotes_and_texts_are_read_without_reading_line_by_line(
         "texts": "\n".join(["nr,x,y,z,code", *(f'p{number},{row},"grass, wet"' for number, row in enumerate(rows))]),
         "commas": "\n".join(["x;y;z", *(row.replace(",", ";").replace(".", ",") for row in rows)]),
     }
-    monkeypatch.setattr("backhoe_planner.site.schema.point_lists._line_by_line", None)
+    monkeypatch.setattr("backhoe_planner.site.surveys.point_lists._line_by_line", None)
     for name, text in texts.items():
         (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
         np.testing.assert_array_equal(read_points(tmp_path / f"{name}.csv"), points)

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from backhoe_planner.files.records import Record
-from backhoe_planner.site.schema.quantities import LARGEST, Finite, NonNegative, Positive, Slope
+from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Slope
+from backhoe_planner.site.surveys.extent import LARGEST
 
 _LIGHTEST = 100.0  # kg/m^3: peat has 300, and nobody digs in anything lighter than new snow
 

@@ -44,7 +44,7 @@ from backhoe_planner.site.schema.quantities import (
     rotation_matrix,
     unit_quaternion,
 )
-from backhoe_planner.site.schema.survey_files import check_near, read_heights, read_points
+from backhoe_planner.site.surveys.survey_files import check_near, read_heights, read_points
 
 if TYPE_CHECKING:
     import trimesh

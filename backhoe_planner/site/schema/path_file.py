@@ -15,8 +15,8 @@ from pydantic import ValidationError
 from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.files.records import describe
 from backhoe_planner.files.text_file import read_text
-from backhoe_planner.site.schema.number_tables import number_in
 from backhoe_planner.site.schema.tasks import Waypoint
+from backhoe_planner.site.surveys.number_tables import number_in
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 _COLUMNS = (*_POSITION, "pitch", *_QUATERNION)

@@ -10,8 +10,8 @@ import pinocchio as pin
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from backhoe_planner.arrays import Matrix
+from backhoe_planner.site.surveys.extent import FURTHEST, LARGEST
 
-LARGEST = 1e5  # m, kg, s, ...: no site is larger, and products of a few such numbers are finite
 # strict: neither true nor "0.3" is a number
 Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan=False)]
@@ -22,7 +22,6 @@ _SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is t
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
 Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
-FURTHEST = 1e7  # m or a file's units: map coordinates go no further
 _MapCoordinate = Annotated[float, Field(strict=True, ge=-FURTHEST, le=FURTHEST, allow_inf_nan=False)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
 Quaternion = tuple[Finite, Finite, Finite, Finite]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.site.schema.tiff_directory import Tags, TiffFile
+from backhoe_planner.site.surveys.tiff_directory import Tags, TiffFile
 
 # numbers of tags in the standard
 WIDTH, HEIGHT, BITS, COMPRESSION, SAMPLE_FORMAT = 256, 257, 258, 259, 339

@@ -13,8 +13,9 @@ from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.ply_faces import ply_of_triangles
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.whole_mesh import check_whole, has_single_precision
-from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
-from backhoe_planner.site.schema.number_tables import (
+from backhoe_planner.site.surveys.extent import FURTHEST, LARGEST
+from backhoe_planner.site.surveys.geotiff import HeightTable, read_geotiff
+from backhoe_planner.site.surveys.number_tables import (
     COMMENTS,
     are_missing,
     cells_of,
@@ -22,8 +23,7 @@ from backhoe_planner.site.schema.number_tables import (
     number_in,
     plain_table,
 )
-from backhoe_planner.site.schema.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
-from backhoe_planner.site.schema.quantities import FURTHEST, LARGEST
+from backhoe_planner.site.surveys.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
 
 _FEWEST = 2  # heights along x and along y, so that there is ground between them
 _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
-from backhoe_planner.site.schema.geo_keys import GeoKeys, numbers_of
-from backhoe_planner.site.schema.tiff_directory import Tags, TiffFile, read_tiff
-from backhoe_planner.site.schema.tiff_numbers import (
+from backhoe_planner.site.surveys.geo_keys import GeoKeys, numbers_of
+from backhoe_planner.site.surveys.tiff_directory import Tags, TiffFile, read_tiff
+from backhoe_planner.site.surveys.tiff_numbers import (
     BITS,
     COMPRESSION,
     HEIGHT,

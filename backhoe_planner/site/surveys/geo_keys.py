@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.site.schema.epsg_units import is_height_in_metres, is_projected_in_metres
-from backhoe_planner.site.schema.tiff_directory import Tags
+from backhoe_planner.site.surveys.epsg_units import is_height_in_metres, is_projected_in_metres
+from backhoe_planner.site.surveys.tiff_directory import Tags
 
 # numbers of tags and keys in the standard
 _KEYS, _NUMBERS, _WORDS = 34735, 34736, 34737

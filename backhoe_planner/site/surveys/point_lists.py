@@ -14,7 +14,7 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.obj_lines import obj_lines
 from backhoe_planner.files.text_file import read_text
-from backhoe_planner.site.schema.number_tables import (
+from backhoe_planner.site.surveys.number_tables import (
     COMMENTS,
     are_missing,
     cells_of,

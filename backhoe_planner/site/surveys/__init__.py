@@ -1,0 +1,1 @@
+"""Files of surveys: heights on grids, GeoTIFFs, lists of points."""

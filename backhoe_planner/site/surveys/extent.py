@@ -1,0 +1,4 @@
+"""How far the numbers of a site, and those of its surveys, may go."""
+
+LARGEST = 1e5  # m, kg, s, ...: no site is larger, and products of a few such numbers are finite
+FURTHEST = 1e7  # m or a file's units: map coordinates go no further
