@@ -43,6 +43,8 @@ WITH_A_SLIDE = (
     ("0 0 1", "0 0 1", 2.5), ("0.5 0 0.1", "0 0 1", 2.4), ("0.4 0 0.1", "0 0 1", 0.3), ("0 0 -0.3", "0 0 1", 2.9),
 )  # fmt: skip
 
+AXES = ("1 0 0", "0 1 0", "0 0 1")
+
 
 def light_arm(axes: Sequence[tuple[str, str, float]], folder: Path) -> bp.Robot:
     """An arm of small balls, one at each hinge."""
@@ -75,6 +77,26 @@ def robot(request: pytest.FixtureRequest, tmp_path: Path) -> bp.Robot:
     if request.param in ARMS:
         return light_arm(ARMS[request.param], tmp_path)
     return load_machine("telescope") if request.param == "telescope" else bp.load_robot(f"example:{request.param}")
+
+
+def gantry(folder: Path) -> bp.Robot:
+    """Three slides of 3 m either way and a continuous hinge: every position is reached at every angle of the hinge."""
+    parts, parent = ['<link name="base"/>'], "base"
+    for number, (kind, axis) in enumerate((*(("prismatic", axis) for axis in AXES), ("continuous", AXES[2]))):
+        link = f"link{number}"
+        parts.append(
+            f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
+            f'ixz="0" iyz="0"/></inertial></link><joint name="joint{number}" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="{link}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" velocity="1" effort="500"/></joint>'
+        )
+        parent = link
+    parts.append(
+        '<link name="tip"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
+        f'<joint name="tool" type="fixed"><origin xyz="0.2 0 0"/><parent link="{parent}"/><child link="tip"/></joint>'
+    )
+    file = folder / "gantry.urdf"
+    file.write_text(f'<robot name="gantry">{"".join(parts)}</robot>', encoding="utf-8")
+    return bp.load_robot(file, tip="tip")
 
 
 def known_path(robot: bp.Robot, seed: int, *, legs: int = 2) -> tuple[Matrix, Matrix, Rotation, float]:
@@ -191,6 +213,16 @@ def test_waypoints_with_their_own_pitch_are_followed_within_the_cone(robot: bp.R
     assert bp.Kinematics(robot).at(plan.trajectory.q[0]).pitch == pytest.approx(
         bp.Kinematics(robot).at(way[0]).pitch, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("cone", [0.001, 3.14])
+def test_a_machine_that_reaches_every_place_from_everywhere_keeps_a_cone(tmp_path: Path, cone: float) -> None:
+    """So no sample of a layer is left to be searched once more."""
+    robot, middle = gantry(tmp_path), Rotation.from_euler("z", 0.3)
+    points = np.array([[0.5, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.5]])
+    plan = bp.plan(robot, bp.scene_from_dict(scene_along(points, middle, cone)), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
 
 
 def test_a_path_past_a_ball_keeps_the_cone(backhoe: bp.Robot) -> None:

@@ -319,8 +319,8 @@ class PathLayers:
         return [self._distinct(q[reached & (rows == row)], within=min(_SAME, self._grid)) for row in range(len(batch))]
 
     def _solve_all(self, targets: TargetBatch, guesses: Matrix) -> tuple[Matrix, Mask]:
-        """`solve_batch` in portions, between which the brake is checked."""
-        ends, reached = [], []
+        """`solve_batch` in portions, between which the brake is checked; nothing is solved for no guesses."""
+        ends, reached = [guesses[:0]], [np.zeros(0, dtype=bool)]
         for first in range(0, len(guesses), _PORTION):
             self._brake.check()
             rows = np.arange(first, min(first + _PORTION, len(guesses)))
