@@ -99,10 +99,16 @@ def gantry(folder: Path) -> bp.Robot:
     return bp.load_robot(file, tip="tip")
 
 
-def known_path(robot: bp.Robot, seed: int, *, legs: int = 2) -> tuple[Matrix, Matrix, Rotation, float]:
+def known_path(
+    robot: bp.Robot, seed: int, *, legs: int = 2, half: tuple[float, float] = (2.0, 10.0)
+) -> tuple[Matrix, Matrix, Rotation, float]:
     """(W, 3) waypoints [m], (K, n) configurations along them, and the cone: its middle and its half-angle [rad].
 
     The middle is beside the first orientation, about any axis, so that the tip is nowhere in the middle exactly.
+
+    Parameters
+    ----------
+    half: range of the half-angle [deg].
     """
     rng = np.random.default_rng(seed)
     kinematics = BatchKinematics(robot)
@@ -110,7 +116,7 @@ def known_path(robot: bp.Robot, seed: int, *, legs: int = 2) -> tuple[Matrix, Ma
     while True:
         q = rng.uniform(0.8 * lower + 0.2 * upper, 0.2 * lower + 0.8 * upper)
         at = kinematics.at(q[None])
-        cone = np.radians(rng.uniform(2.0, 10.0))
+        cone = np.radians(rng.uniform(*half))
         turn = rng.normal(size=3)
         middle = Rotation.from_rotvec(0.3 * cone * turn / np.linalg.norm(turn)) * Rotation.from_matrix(
             at.tip_rotation[0]
@@ -223,6 +229,31 @@ def test_a_machine_that_reaches_every_place_from_everywhere_keeps_a_cone(tmp_pat
     plan = bp.plan(robot, bp.scene_from_dict(scene_along(points, middle, cone)), effort="quick")
     assert plan.verified, plan.message
     assert most_turned(plan, robot, middle) <= cone + 1e-6
+
+
+NARROW, NARROW_SEEDS = (0.1, 0.2), (0, 9)  # deg
+
+
+@pytest.mark.parametrize("seed", NARROW_SEEDS)
+def test_a_narrow_cone_is_used_up_to_a_tenth(backhoe: bp.Robot, seed: int) -> None:
+    """The known configurations use up to 0.9 of the cone."""
+    points, _, middle, cone = known_path(backhoe, seed, legs=1, half=NARROW)
+    plan = bp.plan(backhoe, bp.scene_from_dict(scene_along(points, middle, cone)), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, backhoe, middle) <= cone + 1e-6
+
+
+def test_a_place_that_is_reached_only_at_the_rim_of_the_cone_is_told_with_the_spare(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same path, with half of the cone spared."""
+    points, _, middle, cone = known_path(backhoe, NARROW_SEEDS[0], legs=1, half=NARROW)
+    monkeypatch.setattr(kept_cone, "_LEAST_PART", 0.5)
+    plan = bp.plan(backhoe, bp.scene_from_dict(scene_along(points, middle, cone)), effort="quick")
+    assert plan.reason == "goal_breaks_keep"
+    assert "at best the tip is turned by" in plan.message
+    spared = np.degrees(min(0.5 * cone, kept_cone.SPARE))
+    assert f"of which the last {spared:.2g} deg are spared for the curve between postures" in plan.message
 
 
 def test_a_path_past_a_ball_keeps_the_cone(backhoe: bp.Robot) -> None:

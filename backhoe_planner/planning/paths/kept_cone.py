@@ -17,7 +17,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, sol
 from backhoe_planner.motion import Keep, Problem, RotationCone, TipPath, targets_along
 
 SPARE = 1e-3  # rad kept inside the cone; chosen, ten times what rounded corners and curves were seen to use
-_LEAST_PART = 0.5  # part of a narrower cone that is not used up by `SPARE`; chosen
+_LEAST_PART = 0.9  # part of a narrow cone that is not used up by `SPARE`; chosen
 _STEPS = 16  # of the angle between the cone and the nearest configuration that is found beside it; chosen
 
 
@@ -87,7 +87,13 @@ class KeptCone:
         batch = self.narrowed(targets.take(np.zeros(len(tried), dtype=int)), tried)
         found, reached = solve_batch(kinematics, batch, np.tile(q[nearest], (len(tried), 1)))
         best = found[int(np.argmax(reached))] if reached.any() else q[nearest]
-        return self._keep.broken(best) or self._keep.broken(q[nearest])
+        return self._keep.broken(best) or self._spared(best)
+
+    def _spared(self, q: Vector) -> str:
+        """How far the tip is turned at the joints `q` (n,) that are within the cone, and what of that is spared."""
+        spare = np.degrees(max(self._cone.tolerance - self._cone.room, 0.0) - self.tolerance)
+        turned = self._cone.describe(float(self._cone.values(q[None])[0]))
+        return f"{turned}, of which the last {spare:.2g} deg are spared for the curve between postures"
 
 
 def open_cone(problem: Problem, path: TipPath) -> KeptCone | None:
