@@ -375,6 +375,10 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         ["site/trench.yaml: task.path.max_joint_step: input should be greater than 0; found 0"],
     ),
     "unknown gains": (scene(gains="automatic"), ["gains", "'auto'", "found 'automatic'"]),
+    "tolerance of an orientation to be kept in degrees": (
+        goal(keep={"rotation": {"rpy": [0, 1.5, 0], "tolerance": 5}}),
+        ["rotation.tolerance", "radians, below 3.142", "5 degrees are 0.08727 rad"],
+    ),
     "goal turned by degrees": (goal(rpy=[0, 90, 0]), ["task.goal.rpy", "[0.0, 90.0, 0.0] looks like degrees"]),
     "box turned by degrees": (
         shaped("box", size=[1, 1, 1], rpy=[0, 0, -45]),

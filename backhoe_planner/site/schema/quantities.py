@@ -20,7 +20,6 @@ NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_
 Moment = Annotated[float, Field(strict=True, ge=0.0, le=1e12, allow_inf_nan=False)]
 _SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too close to that
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
-Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 _MapCoordinate = Annotated[float, Field(strict=True, ge=-FURTHEST, le=FURTHEST, allow_inf_nan=False)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
@@ -52,6 +51,15 @@ def _slope(angle: Any) -> Any:
     return angle
 
 
+def _not_degrees(angle: Any) -> Any:
+    if isinstance(angle, (int, float)) and math.pi <= angle < 180.0:
+        raise ValueError(
+            f"the angle is in radians, below {math.pi:.4g}; {angle:g} degrees are {math.radians(angle):.4g} rad"
+        )
+    return angle
+
+
+Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False), BeforeValidator(_not_degrees)]
 Turn = Annotated[Finite, AfterValidator(_one_turn)]
 Slope = Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0, allow_inf_nan=False), BeforeValidator(_slope)]
 RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
