@@ -183,10 +183,8 @@ class TipPath:
                 continue
             (ax, ay, az), (dx, dy, dz), square = self._leg_numbers[leg]
             ax, ay, az = x - ax, y - ay, z - az
-            part = begin = (s0 - mark) / span if span > 0.0 else 0.0
-            if square > 0.0:
-                end = (s1 - mark) / span if span > 0.0 else 0.0
-                part = min(max((ax * dx + ay * dy + az * dz) / square, begin), end)
+            begin, end = ((s0 - mark) / span, (s1 - mark) / span) if span > 0.0 else (0.0, 0.0)
+            part = min(max((ax * dx + ay * dy + az * dz) / square, begin), end)
             off = math.hypot(ax - part * dx, ay - part * dy, az - part * dz)
             if off < distance - 1e-12:
                 best, distance = mark + part * span, off
@@ -329,9 +327,8 @@ class TipPath:
 
     @cached_property
     def _leg_numbers(self) -> list[tuple[list[float], list[float], float]]:
-        """Of each leg its begin [m], the vector to its end [m], and the square of that [m^2]."""
-        steps = np.diff(self.points, axis=0)
-        squares = np.einsum("ki,ki->k", steps, steps)
+        """Of each leg its begin [m], the vector to its end [m], and the square of that, not 0 [m^2]."""
+        steps, squares = self._leg_steps
         return list(zip(self.points[:-1].tolist(), steps.tolist(), squares.tolist(), strict=True))
 
     def _distances_to_legs(self, tip: Vector, first: int, behind: int) -> Vector:

@@ -123,10 +123,10 @@ class ToGoal:
 
     def _found_exactly(
         self, world: World, stepper: Stepper, known: GoalPostures | None = None
-    ) -> GoalPostures | Outcome:  # fmt: skip
+    ) -> GoalPostures | Outcome:
         """Postures for the law, which drives the tip to one position of each goal; the `known` ones if they will do."""
-        exact = [goal.exactly for goal in self.goals]
-        if known is not None and all(one is goal for one, goal in zip(exact, self.goals, strict=True)):
+        exact = tuple(goal.exactly for goal in self.goals)
+        if known is not None and exact == self.goals:
             return known
         return find_goal_postures(world, exact, near=stepper.q, time=stepper.time)
 

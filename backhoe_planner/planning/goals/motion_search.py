@@ -264,9 +264,9 @@ class MotionSearch:
         because of a tolerance a motion need not be sooner at its end, and would cost more.
         """
         world, goals = self._world.for_time(effort), self._problem.goals
-        exact = [goal.exactly for goal in goals] if np.isinf(self._problem.max_duration) else goals
+        exact = tuple(goal.exactly for goal in goals) if np.isinf(self._problem.max_duration) else goals
         found = find_goal_postures(world, exact, near=self._start, time=self._time)
-        if isinstance(found, Outcome) and any(one is not goal for one, goal in zip(exact, goals, strict=True)):
+        if isinstance(found, Outcome) and exact != goals:
             found = find_goal_postures(world, goals, near=self._start, time=self._time)
         if isinstance(found, Outcome):
             return None

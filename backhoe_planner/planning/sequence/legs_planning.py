@@ -104,9 +104,7 @@ def _ending_exactly(leg: Leg) -> Leg:
     """A leg whose search does not use the tolerance of its goals, which is left for going on without a stop."""
     goals = leg.problem.goals
     exact = tuple(goal.exactly for goal in goals)
-    if all(one is goal for one, goal in zip(exact, goals, strict=True)):
-        return leg
-    return replace(leg, problem=replace(leg.problem, goals=exact))
+    return leg if exact == goals else replace(leg, problem=replace(leg.problem, goals=exact))
 
 
 def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
