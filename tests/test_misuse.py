@@ -281,6 +281,7 @@ def calls() -> dict[str, Call]:
         "TipTarget.turn_to": call(target.turn_to, other=(target, THING)),
         "Hydraulics.lengths": call(oil.lengths, q=rq),
         "Hydraulics.moment_arms": call(oil.moment_arms, q=rq),
+        "Hydraulics.arm_slopes": call(oil.arm_slopes, q=rq),
         "Hydraulics.joints": call(
             oil.joints, lengths=(oil.lengths(Q), only(None, "text", {}, OBJECT, [], [0.1] * (count + 1), 3.0))
         ),
@@ -289,6 +290,9 @@ def calls() -> dict[str, Call]:
         "Hydraulics.flows": call(oil.flows, q=rq, v=rv),
         "Hydraulics.total_flow": call(oil.total_flow, q=rq, v=rv),
         "Hydraulics.velocity_limits": call(oil.velocity_limits, q=rq),
+        "Hydraulics.velocity_limit_slopes": call(oil.velocity_limit_slopes, q=rq),
+        "Hydraulics.flow_slopes": call(oil.flow_slopes, q=rq, v=rv),
+        "Hydraulics.torque_limit_slopes": call(oil.torque_limit_slopes, q=rq),
         "Hydraulics.joint_torques": call(
             oil.joint_torques, q=rq, force=(np.full(count, 1e3), only(*NO_NUMBER, [0.1] * (count + 1), 3.0))
         ),

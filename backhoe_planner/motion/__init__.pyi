@@ -42,6 +42,7 @@ from .timing.drive import drive_of as drive_of
 from .timing.drive import limit_usage as limit_usage
 from .timing.joining import overlap as overlap
 from .timing.joining import slow_where_needed as slow_where_needed
+from .timing.moment_slopes import moment_slopes as moment_slopes
 from .timing.time_optimal import Rows as Rows
 from .timing.time_optimal import fastest as fastest
 from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE

@@ -147,6 +147,22 @@ def test_in_a_parallelogram_the_rocker_turns_by_the_joint_angle() -> None:
     np.testing.assert_allclose(bar.arm(q), bar.drive.arm(q), atol=1e-9)
 
 
+def test_in_a_parallelogram_the_moment_arm_changes_as_that_of_its_triangle() -> None:
+    bar = parallelogram()
+    q = np.linspace(0.3, 2.8, 60)
+    np.testing.assert_allclose(bar.arm_slope(q), bar.drive.arm_slope(q), atol=1e-9)
+
+
+def test_slopes_of_moment_arms_equal_central_differences(hydraulics: Hydraulics, postures: Array) -> None:
+    step = 1e-6
+    differences = np.empty((len(postures), len(hydraulics.cylinders)))
+    for column, (cylinder, joint) in enumerate(zip(hydraulics.cylinders, hydraulics.joint_of, strict=True)):
+        angle = postures[:, joint]
+        sides = cylinder.linkage.arm(angle + step), cylinder.linkage.arm(angle - step)
+        differences[:, column] = (sides[0] - sides[1]) / (2.0 * step)
+    np.testing.assert_allclose(hydraulics.arm_slopes(postures), differences, rtol=1e-6, atol=1e-8)
+
+
 def bucket_bar(hydraulics: Hydraulics) -> FourBar:
     linkage = hydraulics.cylinders[-1].linkage
     assert isinstance(linkage, FourBar)

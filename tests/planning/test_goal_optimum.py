@@ -17,7 +17,6 @@ from backhoe_planner.planning.descent.curve import JointCurve, basis
 from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
 from backhoe_planner.planning.descent.looks import Looks
-from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.site import ClearanceScreen
 from validation.goal_runs import with_objective
@@ -320,19 +319,6 @@ def test_rows_of_the_linear_model_equal_the_change_of_the_limits_in_a_small_step
         assert most["drive"] == pytest.approx(drive_now - 1.0, abs=2e-5)
     assert most["clearance"] == pytest.approx(-after[5], abs=2e-5)
     assert before[5] != after[5]
-
-
-def test_exact_slopes_of_the_effort_equal_central_differences(panda: bp.Robot) -> None:
-    middle = {"joints": dict(zip(panda.joint_names, panda.middle.tolist(), strict=True))}
-    scene = bp.scene_from_dict({"version": 1, "start": middle, "task": {"goal": middle}, "payload": 2.0})
-    drive = drive_of(build_problem(panda, scene))
-    assert drive.has_rigid_torques_alone
-    rng = np.random.default_rng(4)
-    q, v, a = np.array([panda.random_q(rng) for _ in range(6)]), rng.normal(size=(6, 7)), rng.normal(size=(6, 7))
-    found, slopes = drive.rigid_effort_slopes(q, v, a)
-    by_differences = moment_slopes(lambda q, v, a: drive.use(q, v, a).effort, q, v, a)
-    np.testing.assert_allclose(found, by_differences[0], atol=1e-12)
-    np.testing.assert_allclose(slopes, by_differences[1], atol=2e-5)
 
 
 def test_a_thin_post_between_two_places_is_found(planar4: bp.Robot) -> None:

@@ -24,7 +24,7 @@ from backhoe_planner.arrays import Array, Flags, as_rows
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage
 
-_REMEMBERED = 8  # latest arrays of configurations whose moment arms are kept; chosen: four are in use at a time
+_REMEMBERED = 8  # latest arrays of moment arms and of their slopes that are kept; chosen: five are in use at a time
 SAME_LENGTH = 1e-7  # m: an angle whose length is further off belongs to another branch; chosen, far above rounding
 _BESIDE = SAME_LENGTH  # rad, at a lever of 1 m: this far beyond the end of the stroke still counts as the end
 
@@ -145,7 +145,7 @@ class Hydraulics:
         return np.array([cylinder.flow for cylinder in self.cylinders])
 
     @cached_property
-    def _has_cylinder(self) -> Flags:
+    def has_cylinder(self) -> Flags:
         """(n,) which joints a cylinder moves."""
         return np.isin(np.arange(len(self.joint_names)), self.joint_of)
 
@@ -162,6 +162,10 @@ class Hydraulics:
         matrix[..., np.arange(len(self.cylinders)), self.joint_of] = arms
         return matrix
 
+    def arm_slopes(self, q: Array) -> Array:
+        """(..., m) dr/dq of each cylinder's moment arm along its own joint [m/rad^2], at q (..., n)."""
+        return self._remembered("slopes", lambda linkage, angle: linkage.arm_slope(angle), q)
+
     def joints(self, lengths: Array) -> Array:
         """(..., n) the joint positions [rad] with these `lengths` (..., m) [m]; the inverse of the method `lengths`.
 
@@ -170,7 +174,7 @@ class Hydraulics:
         """
         lengths = as_rows(lengths, len(self.cylinders), key="lengths")
         q = np.full((*lengths.shape[:-1], len(self.joint_names)), np.nan)
-        for joint in np.flatnonzero(self._has_cylinder):
+        for joint in np.flatnonzero(self.has_cylinder):
             mine = np.flatnonzero(self.joint_of == joint)
             own = lengths[..., mine]
             found = np.concatenate([self.cylinders[i].linkage.angles(own[..., k]) for k, i in enumerate(mine)])
@@ -233,6 +237,36 @@ class Hydraulics:
             sides.append(limit)
         return BothWays(*sides)
 
+    def velocity_limit_slopes(self, q: Array) -> BothWays:
+        """(..., n) the derivatives of `velocity_limits` by each joint's own position, at q (..., n) [1/s].
+
+        They are 0 where there is no limit.
+        """
+        arms, arm_slopes, limits = self._arms(q), self.arm_slopes(q), self.velocity_limits(q)
+        sides = []
+        for sign, limit in ((1.0, limits.positive), (-1.0, limits.negative)):
+            area = np.where(sign * arms > 0.0, self._cap, self._annulus)
+            swept, swept_slopes = area * np.abs(arms), area * np.sign(arms) * arm_slopes
+            of_inverse = self._by_joint(swept_slopes) / self.pump_flow
+            with np.errstate(divide="ignore", invalid="ignore"):
+                for i, joint in enumerate(self.joint_of):
+                    by_valve = self._valve_flow[i] / swept[..., i] == limit[..., joint]
+                    of_valve = swept_slopes[..., i] / self._valve_flow[i]
+                    of_inverse[..., joint] = np.where(by_valve, of_valve, of_inverse[..., joint])
+                sides.append(np.where(np.isfinite(limit), -(limit**2) * of_inverse, 0.0))
+        return BothWays(*sides)
+
+    def flow_slopes(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """(..., n) each: the derivatives of `total_flow` by q [m^3/s/rad] and by v [m^3/rad], at q, v (..., n).
+
+        At rest they are those for a positive velocity.
+        """
+        arms, own = self._arms(q), as_rows(v, len(self.joint_names), key="v")[..., self.joint_of]
+        way = np.where(own < 0.0, -1.0, 1.0)
+        area = np.where(way * arms > 0.0, self._cap, self._annulus)
+        by_q = self._by_joint(np.abs(own) * area * np.sign(arms) * self.arm_slopes(q))
+        return by_q, self._by_joint(way * area * np.abs(arms))
+
     # --- force and pressure -----------------------------------------------------
 
     def joint_torques(self, q: Array, force: Array) -> Array:
@@ -271,7 +305,19 @@ class Hydraulics:
         sides = []
         for sign in (1.0, -1.0):
             limit = self._by_joint(np.abs(arms) * np.where(sign * arms > 0.0, push, pull))
-            sides.append(np.where(self._has_cylinder, limit, np.inf))
+            sides.append(np.where(self.has_cylinder, limit, np.inf))
+        return BothWays(*sides)
+
+    def torque_limit_slopes(self, q: Array) -> BothWays:
+        """(..., n) the derivatives of `torque_limits` by each joint's own position, at q (..., n) [N m/rad].
+
+        They are 0 where there is no limit.
+        """
+        arms, arm_slopes = self._arms(q), self.arm_slopes(q)
+        push, pull = self.force_limits.positive, self.force_limits.negative
+        sides = [
+            self._by_joint(np.sign(arms) * arm_slopes * np.where(sign * arms > 0.0, push, pull)) for sign in (1.0, -1.0)
+        ]
         return BothWays(*sides)
 
     # --- power ------------------------------------------------------------------
@@ -299,21 +345,25 @@ class Hydraulics:
 
     def _arms(self, q: Array) -> Array:
         """(..., m) dl/dq of each cylinder along its own joint [m/rad]."""
+        return self._remembered("arms", lambda linkage, angle: linkage.arm(angle), q)
+
+    def _remembered(self, what: str, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
+        """(..., m) the result of `_of_linkages`, which cannot be written to."""
         # speed, flow, force and power are computed one after another at the same q
         q = as_rows(q, len(self.joint_names), key="q")
-        key = (q.shape, q.tobytes())
-        arms = self._known_arms.get(key)
-        if arms is None:
-            arms = self._of_linkages(lambda linkage, angle: linkage.arm(angle), q)
-            arms.setflags(write=False)
-            if len(self._known_arms) >= _REMEMBERED:
-                self._known_arms.clear()
-            self._known_arms[key] = arms
-        return arms
+        key = (what, q.shape, q.tobytes())
+        found = self._known.get(key)
+        if found is None:
+            found = self._of_linkages(compute, q)
+            found.setflags(write=False)
+            if len(self._known) >= _REMEMBERED:
+                self._known.clear()
+            self._known[key] = found
+        return found
 
     @cached_property
-    def _known_arms(self) -> dict[tuple[tuple[int, ...], bytes], Array]:
-        """The latest results of `_arms`, by shape and content of q."""
+    def _known(self) -> dict[tuple[str, tuple[int, ...], bytes], Array]:
+        """The latest results of `_remembered`, by what they are, and by shape and content of q."""
         return {}
 
     def _of_linkages(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:

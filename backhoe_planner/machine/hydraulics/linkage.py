@@ -31,6 +31,9 @@ class Linkage(Protocol):
     def arm(self, angle: Array) -> Array:
         """Moment arm r = dl/dq [m/rad]; nan where the linkage does not close."""
 
+    def arm_slope(self, angle: Array) -> Array:
+        """dr/dq [m/rad^2]; nan where the linkage does not close."""
+
     def angles(self, length: Array) -> Array:
         """(k, ...) every angle q in (-pi, pi] that may have this length; nan if there is none."""
 
@@ -68,6 +71,11 @@ class Triangle:
     def arm(self, angle: Array) -> Array:
         """See `Linkage`."""
         return np.asarray(self.a * self.b * np.sin(angle + self.phi0) / self.length(angle))
+
+    def arm_slope(self, angle: Array) -> Array:
+        """See `Linkage`; from l r = a b sin(phi)."""
+        arm = self.arm(angle)
+        return np.asarray((self.a * self.b * np.cos(angle + self.phi0) - arm * arm) / self.length(angle))
 
     def angles(self, length: Array) -> Array:
         """See `Linkage`; k = 2."""
@@ -118,13 +126,22 @@ class FourBar:
 
     def arm(self, angle: Array) -> Array:
         """See `Linkage`."""
-        angle = np.asarray(angle)
-        theta = self.rocker_angle(angle)
-        B = self._pin(angle)
-        AR = _polar(self.rocker, theta)
+        theta, B, AR = self._pins(angle)
         link = AR + self._pivot - B
-        turned = np.sum(link * _crossed(B), axis=-1) / np.sum(link * _crossed(AR), axis=-1)
+        turned = _dot(link, _crossed(B)) / _dot(link, _crossed(AR))
         return np.asarray(self.drive.arm(theta) * turned)
+
+    def arm_slope(self, angle: Array) -> Array:
+        """See `Linkage`; by the product rule, with d(R - A)/dq = dtheta/dq k x (R - A) and dB/dq = k x B."""
+        theta, B, AR = self._pins(angle)
+        link, of_B, of_AR = AR + self._pivot - B, _crossed(B), _crossed(AR)
+        over, under = _dot(link, of_B), _dot(link, of_AR)
+        turned = over / under
+        of_link = of_AR * turned[..., None] - of_B
+        of_over = _dot(of_link, of_B) - _dot(link, B)
+        of_under = _dot(of_link, of_AR) - turned * _dot(link, AR)
+        of_turned = (of_over - turned * of_under) / under
+        return np.asarray(self.drive.arm_slope(theta) * turned**2 + self.drive.arm(theta) * of_turned)
 
     def rocker_angle(self, angle: Array) -> Array:
         """Angle theta of the rocker's pin about A [rad]; nan where the four-bar does not close."""
@@ -152,6 +169,12 @@ class FourBar:
         towards = np.arctan2(R[..., 1], R[..., 0])
         return _wrapped(np.concatenate((towards + spread, towards - spread)) - self.pin_angle)
 
+    def _pins(self, angle: Array) -> tuple[Array, Array, Array]:
+        """The rocker's angle theta (...), B (..., 2), and R - A (..., 2)."""
+        angle = np.asarray(angle)
+        theta = self.rocker_angle(angle)
+        return theta, self._pin(angle), _polar(self.rocker, theta)
+
     @property
     def _pivot(self) -> Array:
         return np.asarray(self.pivot, dtype=float)
@@ -162,6 +185,10 @@ class FourBar:
 
 def _polar(radius: float, angle: Array) -> Array:
     return np.asarray(radius * np.stack((np.cos(angle), np.sin(angle)), axis=-1))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.sum(a * b, axis=-1))
 
 
 def _crossed(vectors: Array) -> Array:

@@ -17,6 +17,7 @@ from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Kinematics, Robot
 from backhoe_planner.motion.legs import leg_parts
 from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.timing.moment_slopes import moment_slopes
 from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Ground, Soil, SoilReaction
 
@@ -112,6 +113,18 @@ class Drive:
         """(K, n) torques against the soil at q, v (K, n) [N m or N]."""
         return np.zeros(np.shape(q)) if self._soil is None else -self._soil.torques(q, v)
 
+    def torque_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """(K, n) torques against inertia, gravity and soil at q, v, a (K, n), and (K, n, 3 n) their derivatives.
+
+        Along the last axis, derivatives with respect to q come first, then those to v and to a. Those against the soil
+        are differences.
+        """
+        torque, slopes = self.rigid_torque_slopes(q, v, a)
+        if self._soil is None:
+            return torque, slopes
+        of_soil, soil_slopes = moment_slopes(lambda q, v, _: self.soil_torques(q, v), q, v, a)
+        return torque + of_soil, slopes + soil_slopes
+
     def soil_torques_towards(self, q: Array, direction: Array) -> Array:
         """(K, n) torques against the soil for a fast motion at q in `direction` dq/ds (K, n) [N m or N].
 
@@ -141,19 +154,6 @@ class Drive:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
-    @property
-    def has_rigid_torques_alone(self) -> bool:
-        """Whether the drive has only torques against inertia and gravity, with limits that are the same everywhere."""
-        return self.hydraulics is None and self._soil is None
-
-    def rigid_effort_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """(K, n) `effort_use` at q, v, a (K, n) if `has_rigid_torques_alone`, and (K, n, 3 n) its derivatives.
-
-        Along the last axis, derivatives with respect to q come first, then those to v and to a.
-        """
-        torque, slopes = self.rigid_torque_slopes(q, v, a)
-        return self.effort_use(q, torque), np.asarray((np.sign(torque) / self._effort)[:, :, None] * slopes)
-
     def power_use(self, q: Array, v: Array, torque: Array) -> Array:
         """(...) power in the oil over the engine's, at q, v (..., n) with `torque` (..., n) [N m or N]."""
         if self.hydraulics is None:
@@ -170,6 +170,61 @@ class Drive:
             flow=self.flow_use(q, v),
             power=self.power_use(q, v, torque),
         )
+
+    def ratios(self, q: Array, v: Array, a: Array) -> Array:
+        """(K, U) how much of each limit a motion uses at q, v, a (K, n).
+
+        The effort of each joint; with hydraulics, also the rod speed of each joint, the flow and the power.
+        """
+        found = self.use(q, v, a)
+        return found.effort if self.hydraulics is None else np.hstack((found.effort, found.speeds))
+
+    def ratio_slopes(self, q: Array, v: Array, a: Array) -> Array:
+        """(K, U, 3 n) the derivatives of `ratios` with respect to q, v and a, one after the other, at (K, n) each.
+
+        Where a joint is at rest, they are those for a positive velocity.
+        """
+        joints = np.arange(q.shape[1])
+        torque, of_torque = self.torque_slopes(q, v, a)
+        limit, of_limit = self._torque_limits_towards(q, torque)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(torque < 0.0, -1.0, 1.0) / limit
+            effort = part[:, :, None] * of_torque
+            effort[:, joints, joints] -= np.abs(torque) / limit**2 * of_limit
+        effort[np.abs(torque) >= _MOST * limit] = 0.0
+        if self.hydraulics is None:
+            return np.asarray(effort)
+        return np.concatenate((effort, self._speed_slopes(self.hydraulics, q, v, torque, of_torque)), axis=1)
+
+    def _torque_limits_towards(self, q: Array, torque: Array) -> tuple[Array, Array]:
+        """(K, n) the greatest torques in the direction of `torque`, and their derivatives by each joint's position."""
+        own = np.broadcast_to(self._effort, torque.shape)
+        if self.hydraulics is None:
+            return own, np.zeros_like(own)
+        oil, slopes, back = self.hydraulics.torque_limits(q), self.hydraulics.torque_limit_slopes(q), torque < 0.0
+        limit = np.where(back, oil.negative, oil.positive)
+        slope = np.where(back, slopes.negative, slopes.positive)
+        return np.minimum(own, limit), np.where(limit < own, slope, 0.0)
+
+    @staticmethod
+    def _speed_slopes(hydraulics: Hydraulics, q: Array, v: Array, torque: Array, of_torque: Array) -> Array:
+        """(K, n + 2, 3 n) the derivatives of `DriveUse.speeds` at q, v (K, n), where torques have derivatives."""
+        n = q.shape[1]
+        joints, back = np.arange(n), v < 0.0
+        limits, slopes = hydraulics.velocity_limits(q), hydraulics.velocity_limit_slopes(q)
+        limit = np.where(back, limits.negative, limits.positive)
+        found = np.zeros((len(q), n + 2, 3 * n))
+        of_limit = np.where(back, slopes.negative, slopes.positive)
+        found[:, joints, joints] = -np.abs(v) / limit**2 * of_limit
+        found[:, joints, n + joints] = np.where(back, -1.0, 1.0) / limit
+        for part, slope in enumerate(hydraulics.flow_slopes(q, v)):
+            found[:, n, part * n : (part + 1) * n] = slope / hydraulics.pump_flow
+        # of a joint that moves against its load, the cylinders take the power torque v together
+        against = hydraulics.has_cylinder & (np.where(back, -torque, torque) > 0.0)
+        power = np.sum(np.where(against, v, 0.0)[:, :, None] * of_torque, axis=1)
+        power[:, n : 2 * n] += np.where(against, torque, 0.0)
+        found[:, n + 1] = power / hydraulics.power_limit
+        return found
 
     def use_along(self, moments: Moments) -> DriveUse:
         """The use of the drive at `moments`.

@@ -20,7 +20,6 @@ from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import NearKinks, rounded
-from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.planning.descent.tight_ends import TightEnds
 from backhoe_planner.site import Proximity
@@ -157,38 +156,39 @@ class LinearModel:
     def keep_joint_limits(self) -> None:
         """Add rows for the joints' velocities and accelerations."""
         limits, T = self._problem.limits, self._T
-        rates = self._lift(self._weights[1])
-        self._both_ways("velocity", rates, self._at[1], np.tile(limits.velocity, self._places) * T, 1.0)
+        self._both_ways("velocity", self._weights[1], self._at[1], limits.velocity * T, 1.0)
         knots = slice(None, None, PLACES_PER_PIECE)
-        bends = self._lift(self._weights[2][knots])
-        most = np.tile(limits.acceleration, len(self._weights[2][knots])) * T * T
-        self._both_ways("acceleration", bends, self._at[2][knots], most, 2.0)
+        self._both_ways("acceleration", self._weights[2][knots], self._at[2][knots], limits.acceleration * T * T, 2.0)
 
-    def _both_ways(self, name: str, lifted: Matrix, values: Matrix, most: Vector, power: float) -> None:
-        """Add |value| <= most, where `most` grows with the duration to a power."""
+    def _both_ways(self, name: str, weights: Matrix, values: Matrix, most: Vector, power: float) -> None:
+        """Add |value| <= most at K places, where `most` (n,) grows with the duration to a power.
+
+        The values (K, n) change with the control points by `weights` (K, L + 1).
+        """
+        change = self._most_change(weights)
         for sign in (1.0, -1.0):
-            now = sign * values.ravel()
-            kept = now + np.abs(lifted) @ self._box > _NEAR_LIMIT * most
-            self._add(name, sign * lifted[kept], most[kept] - now[kept], by_duration=-power * most[kept] / self._T)
+            place, joint = np.nonzero(sign * values + change > _NEAR_LIMIT * most)
+            G = np.zeros((len(place), len(self._moving), self._n))
+            G[np.arange(len(place)), :, joint] = sign * weights[place][:, self._moving]
+            here = most[joint]
+            self._add(
+                name,
+                G.reshape(len(place), self._steps),
+                here - sign * values[place, joint],
+                by_duration=-power * here / self._T,
+            )
 
     def keep_drive_limits(self, drive: Drive) -> None:
         """Add rows for torque, rod speed, flow and power."""
         if not drive.limited:
             return
 
-        def use(q: Matrix, v: Matrix, a: Matrix) -> Matrix:
-            found = drive.use(q, v, a)
-            return np.column_stack((found.effort, found.speeds))
-
         moments = self._moments()
-        near = np.flatnonzero((use(*moments) > _FAR_FROM_LIMIT).any(axis=1))
+        ratios = drive.ratios(*moments)
+        near = np.flatnonzero((ratios > _FAR_FROM_LIMIT).any(axis=1))
         if not len(near):
             return
-        q, v, a = (each[near] for each in moments)
-        if drive.has_rigid_torques_alone:  # exactly, in a sixth of the time of differences
-            base, slopes = drive.rigid_effort_slopes(q, v, a)
-        else:
-            base, slopes = moment_slopes(use, q, v, a)
+        base, slopes = ratios[near], drive.ratio_slopes(*(each[near] for each in moments))
         place, limit = np.nonzero(base >= 0.0)
         G, by_duration = self._of_moments(near[place], slopes[place, limit])
         kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
@@ -212,19 +212,19 @@ class LinearModel:
         each = np.eye(n) * back[:, :, None]
         by_rate = drive.flow_use(np.broadcast_to(q[:, None, :], each.shape), each)  # (K, n) in that direction
         kink = by_rate - back * slopes[:, n : 2 * n]  # (K, n) the change of the slope at zero velocity
-        change = (np.abs(self._lift(self._weights[1][near])) @ self._box).reshape(-1, n) / self._T
+        change = self._most_change(self._weights[1][near]) / self._T
         more = kink * (change - np.abs(v))  # (K, n) most flow of a joint that a step reverses
         most = np.argsort(-more, axis=1)[:, :_MOST_TURNING]
-        for some in itertools.product((False, True), repeat=most.shape[1]):
-            turns = np.zeros_like(kink, dtype=bool)
-            turns[place, most] = some
-            asked = turns.any(axis=1) & np.all(~turns | (more > _LEAST_FLOW), axis=1)
-            turned = slopes[asked]
-            turned[:, n : 2 * n] += np.where(turns, back * kink, 0.0)[asked]
-            without = (flow - np.sum(np.where(turns, kink * np.abs(v), 0.0), axis=1))[asked]
-            G, by_duration = self._of_moments(near[asked], turned)
-            kept = without + np.abs(G) @ self._box > _NEAR_LIMIT
-            self._add("drive", G[kept], 1.0 - without[kept], by_duration=by_duration[kept])
+        some = np.array(list(itertools.product((False, True), repeat=most.shape[1]))[1:])  # who turns together
+        turns = np.zeros((len(some), *kink.shape), dtype=bool)
+        turns[:, place, most] = some[:, None, :]
+        which, row = np.nonzero(np.all(~turns | (more > _LEAST_FLOW), axis=2))
+        turning, turned = turns[which, row], slopes[row]
+        turned[:, n : 2 * n] += np.where(turning, (back * kink)[row], 0.0)
+        without = flow[row] - np.sum(np.where(turning, (kink * np.abs(v))[row], 0.0), axis=1)
+        G, by_duration = self._of_moments(near[row], turned)
+        kept = without + np.abs(G) @ self._box > _NEAR_LIMIT
+        self._add("drive", G[kept], 1.0 - without[kept], by_duration=by_duration[kept])
 
     def keep_clear(self, margins: list[Margin], places: int, *, after: Vector | None = None) -> None:
         """Add rows for margins at some of `places` equally spaced u; all may be missed by the slack.
@@ -368,9 +368,9 @@ class LinearModel:
 
     # --- dependence on the variables ------------------------------------------------------
 
-    def _lift(self, weights: Matrix) -> Matrix:
-        """(K n, steps) how the joints at K places change with the control points, by `weights` (K, L + 1)."""
-        return np.asarray(np.kron(weights[:, self._moving], np.eye(self._n)), dtype=float)
+    def _most_change(self, weights: Matrix) -> Matrix:
+        """(K, n) most change of the joints at K places within the box, by `weights` (K, L + 1) of control points."""
+        return np.asarray(np.abs(weights[:, self._moving]) @ self._box.reshape(-1, self._n))
 
     def _of_end(self, J: Matrix) -> Matrix:
         """(m, steps) rows J (m, n) applied to the end of the curve."""

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
-from backhoe_planner.motion import Drive, Problem, cost_rate
+from backhoe_planner.motion import Drive, Problem, cost_rate, moment_slopes
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
-from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.planning.descent.softening import soft_power
 
 # of the sum, for each piece; chosen. With 3, the true cost may be three times the sum; with 4, a tenth more than the
@@ -105,7 +104,7 @@ class OwnTime:
             slope = share @ change.of(slopes[:, 0])
             slope[-1] += share @ rate[:, 0] / duration
             return Slope(slope, np.zeros((len(slope), len(slope))), Kinks.none(len(slope)))
-        torque, slopes = self._torque_slopes(*moments)
+        torque, slopes = self.drive.torque_slopes(*moments)
         v, n = moments[1], curve.control.shape[1]
         of_torque = change.of(slopes.reshape(-1, 3 * n), each=n)
         of_v = change.of_velocities()
@@ -123,7 +122,7 @@ class OwnTime:
         self, change: _Change, share: Vector, moments: tuple[Matrix, Matrix, Matrix], duration: float
     ) -> Slope:
         """The slope if the rate is the sum of the squared torques; `share` (K,) of the places in the cost [s]."""
-        torque, slopes = self._torque_slopes(*moments)
+        torque, slopes = self.drive.torque_slopes(*moments)
         n = torque.shape[1]
         of_torque = change.of(slopes.reshape(-1, 3 * n), each=n)
         value, weight = torque.ravel(), 2.0 * np.repeat(share, n)
@@ -139,13 +138,6 @@ class OwnTime:
 
     def _torques(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
         return np.asarray(self.drive.rigid_torques(q, v, a) + self.drive.soil_torques(q, v))
-
-    def _torque_slopes(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, Array]:
-        torque, slopes = self.drive.rigid_torque_slopes(q, v, a)
-        if not self.drive.digs:
-            return torque, slopes
-        of_soil, soil_slopes = moment_slopes(lambda q, v, a: self.drive.soil_torques(q, v), q, v, a)
-        return torque + of_soil, slopes + soil_slopes
 
     def parts(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, bool]:
         """(K, U) the cost per second of moments at q, v, a (K, n); and whether only positive parts count."""
