@@ -13,6 +13,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.descent import Timed
 from backhoe_planner.planning.goals import searches as goal_searches
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
@@ -38,9 +39,9 @@ class Searches:
 
     def __init__(
         self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
-        rounds: int = 0, repeats: bool = False,
+        rounds: int = 0, repeats: bool = False, refining_paid: bool = False,
     ) -> None:  # fmt: skip
-        self._repeats = repeats
+        self._repeats, self.refining_paid = repeats, refining_paid
         self._goal, self._left, self.leads_round, self.is_for_time = goal, iter(found), leads_round, is_for_time
         self.rounds = rounds
         self.seeds: list[int] = []
@@ -80,12 +81,13 @@ class Searches:
 def way_of(
     robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
     effort: Effort | None = None, leads_round: bool = False, rounds: int = 0, repeats: bool = False,
+    refining_paid: bool = False,
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], begins_with="", restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
     searches = Searches(
         world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time",
-        rounds=rounds, repeats=repeats,
+        rounds=rounds, repeats=repeats, refining_paid=refining_paid,
     )  # fmt: skip
     patch.setattr(goal_searches, "MotionSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
@@ -209,6 +211,76 @@ def test_long_searches_for_least_work_are_repeated_until_two_costs_agree(
     assert (way, len(searches.seeds)) == (best, len(costs))
     assert searches.before == [None] * len(costs)
     assert searches.earlier == list(range(len(costs)))
+
+
+@pytest.mark.parametrize(("paid", "count"), [(False, 1), (True, 2)])
+def test_a_short_search_is_repeated_if_refining_took_much_from_its_best(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, paid: bool, count: int
+) -> None:
+    found = iter([(10.0, DURATION), (10.1, DURATION)])
+    _, searches = way_of(
+        planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=10, refining_paid=paid
+    )  # fmt: skip
+    assert len(searches.seeds) == count
+
+
+@pytest.mark.parametrize(
+    ("refined", "begun_with", "best"),
+    [
+        # the first gains 2 %, so the others are refined, and the next refinement continues from the cheapest of all
+        ({10.0: 9.8, 11.0: 7.0, 11.5: 9.0, 7.0: 6.9}, [10.0, 11.0, 11.5, 7.0], 6.9),
+        ({10.0: 9.8, 11.0: 10.9, 11.5: 11.4, 9.8: 9.7}, [10.0, 11.0, 11.5, 9.8], 9.7),
+        ({10.0: 9.95}, [10.0], 9.95),  # half a per cent: no more is tried
+        ({10.0: 10.1}, [10.0], 10.0),
+    ],
+)
+def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, refined: dict[float, float], begun_with: list[float],
+    best: float,
+) -> None:  # fmt: skip
+    """Motions of 12.5, a quarter above the best, and a fourth one, are not refined."""
+    world, _, search = ended_search(planar4)
+    descents, curve = search._descents, JointCurve.straight(START, END, 12)
+    motion = time_evenly(curve, DURATION)
+    ended = [
+        FoundMotion(motion, cost, world.problem.goals[0], "straight", curve) for cost in (12.5, 11.5, 10.0, 11.9, 11.0)
+    ]
+    descents.ended, descents.best = ended, ended[2]
+    begun: list[float] = []
+
+    def bend(*_: Any, **__: Any) -> Timed:
+        return Timed(curve, DURATION, motion, refined[begun[-1]], 0.0, [])
+
+    def finer(found: FoundMotion, pieces: int) -> bool:
+        begun.append(found.cost)
+        return refine(found, pieces)
+
+    def offer(found: FoundMotion) -> None:
+        if descents.best is None or found.cost < descents.best.cost:
+            descents.best = found
+
+    refine = descents._refine
+    for name, stub in (("_bend", bend), ("_refine", finer), ("offer", offer)):
+        monkeypatch.setattr(descents, name, stub)
+    descents.refine()
+    assert begun == begun_with
+    assert descents.best.cost == best
+    assert descents.gained_by_refining == pytest.approx(1.0 - best / 10.0)
+
+
+def test_what_an_earlier_search_has_refined_is_not_refined_again(planar4: bp.Robot) -> None:
+    """The same search with other random choices about its starts finds the same coarse motion."""
+    world, found, first = ended_search(planar4)
+    assert first.allowed_time is not None
+    again = MotionSearch(
+        world.anew(1, EFFORTS["normal"]), START, found, time=0.0, longest=first.allowed_time, earlier=[first]
+    )
+    again._tried = []  # so that it is not ended before its descents
+    assert again.run() == ""
+    assert again.repeats
+    assert again.best is not None
+    assert again.best.cost == pytest.approx(first._descents.unrefined_cost, rel=1e-6)
+    assert again.rounds > 0
 
 
 def test_a_search_that_would_only_repeat_another_one_counts_as_one_of_the_same_cost(

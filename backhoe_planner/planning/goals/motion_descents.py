@@ -39,9 +39,12 @@ _ROUNDS_IN_ONE = 3  # rounds for another cost that count as one for the time, as
 _SOFTENED = 2  # times more rounds for a cost that jumps, which is softened ever less in turn; measured
 _FEW_ROUNDS = 4  # of a descent that is continued
 FINE_ROUNDS = 6  # of the best curve at the end
-_MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)  # part of the cost that each refinement must gain for the next to follow; chosen
-_MUCH_GAIN_ROUGH = (0.035, *_MUCH_GAIN[1:])  # the same if `Effort.rough`; chosen: what the next gains is below 1 % then
+# part of the cost that each refinement must gain for the next to follow; chosen: if the first gains less, the next
+# mostly gain nothing, and if it gains more, they may gain a third
+_MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)
 _FINER = 8  # times more fine rounds for another cost than the time; chosen
+# other motions that are refined if refining pays, and up to how many times the cost of the best; chosen
+_OTHERS_REFINED, _NEARLY_AS_CHEAP = 2, 1.2
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same for a descent that is continued
 _TRIED = 4  # rounds after which a descent is judged
@@ -137,6 +140,11 @@ class MotionDescents:
         return np.inf if found is None else found.cost
 
     @property
+    def gained_by_refining(self) -> float:
+        """The part of its cost that refining took from the best; 0 if it was not refined."""
+        return 1.0 - self.best.cost / self.unrefined_cost if self.best is not None and self._unrefined else 0.0
+
+    @property
     def has_gained(self) -> bool:
         """Whether the best is better than that of the earlier search."""
         return self.best is not self._known_best
@@ -227,32 +235,50 @@ class MotionDescents:
         return True
 
     def refine(self) -> None:
-        """Refine the best motion on a curve of more pieces; for another cost on several in turn, unless hurried."""
+        """Refine the best motion on a curve of more pieces; for another cost on several in turn, unless hurried.
+
+        If the first of these makes it clearly cheaper, motions that cost little more are refined too: the costs before
+        say little about those after.
+        """
         self._reserved, self._unrefined, self._unrefined_after = 0, self.best, self._descent.rounds
-        is_time, limits = self._problem.objective.is_time, self._problem.limits
-        if not is_time and self._hurried:
+        is_time = self._problem.objective.is_time
+        if self.best is None or (not is_time and self._hurried):
             return
-        much = _MUCH_GAIN_ROUGH if self._world.work.effort.rough else _MUCH_GAIN
         finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
+        others = [] if is_time else self._nearly_as_cheap()
         for turn, pieces in enumerate((_FINE_PIECES,) if is_time else finer or _FINER_PIECES[:1]):
-            best = self.best
-            if best is None or self._rounds_left_of_cost() < FINE_ROUNDS:
+            before = self.best.cost
+            if not self._refine(self.best, pieces) or turn == len(_MUCH_GAIN):
                 return
-            curve, duration = best.curve, best.motion.duration
-            if curve is None:
-                curve = JointCurve.fitted(best.motion, _FINE_PIECES, limits)
-            if not is_time:
-                curve, duration = curve.finer(pieces, limits.velocity), min(duration, self.longest)
-            found = self._bend(
-                curve, duration, best.goal, FINE_ROUNDS * (1 if is_time else _FINER * self._more),
-                spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False, fine=True,
-            )  # fmt: skip
-            if found is not None and found.missed <= KEPT_PART * _SPARE:
-                self.offer(replace(best, motion=found.motion, cost=found.cost, curve=None if is_time else found.curve))
-            if self.best is None or turn == len(much):
+            if self.best.cost > (1.0 - _MUCH_GAIN[turn]) * before:
                 return
-            if self.best.cost > (1.0 - much[turn]) * best.cost:
+            if turn == 0 and not all(self._refine(other, pieces) for other in others):
                 return
+
+    def _nearly_as_cheap(self) -> list[FoundMotion]:
+        """The cheapest other motions at which descents ended, if they cost little more than the best."""
+        assert self.best is not None
+        best, most = self.best, _NEARLY_AS_CHEAP * self.best.cost
+        others = [one for one in self.ended if one is not best and one.curve is not None and one.cost <= most]
+        return sorted(others, key=lambda one: one.cost)[:_OTHERS_REFINED]
+
+    def _refine(self, found: FoundMotion, pieces: int) -> bool:
+        """Descend from a found motion on a curve of more pieces; false if too few rounds are left for that."""
+        is_time, limits = self._problem.objective.is_time, self._problem.limits
+        if self._rounds_left_of_cost() < FINE_ROUNDS:
+            return False
+        curve, duration = found.curve, found.motion.duration
+        if curve is None:
+            curve = JointCurve.fitted(found.motion, _FINE_PIECES, limits)
+        if not is_time:
+            curve, duration = curve.finer(pieces, limits.velocity), min(duration, self.longest)
+        fine = self._bend(
+            curve, duration, found.goal, FINE_ROUNDS * (1 if is_time else _FINER * self._more),
+            spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False, fine=True,
+        )  # fmt: skip
+        if fine is not None and fine.missed <= KEPT_PART * _SPARE:
+            self.offer(replace(found, motion=fine.motion, cost=fine.cost, curve=None if is_time else fine.curve))
+        return True
 
     def offer(self, found: FoundMotion) -> bool:
         """Keep a motion if it is better than the best; whether it is proven clear, or too dear to be checked."""

@@ -60,6 +60,8 @@ _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
 _LONGEST = 20.0  # times the fastest motion: chosen, more time costs samples and gains nothing
 # times the least cost that an earlier search had before refining, up to which a motion is refined; chosen
 _REFINED = 1.3
+_PAYS = 0.15  # part of the cost: gaining more by refining is much; chosen
+_THE_SAME = 1e-6  # part of the cost by which two searches differ that have found the same motion; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 # times the least time to any posture, from which another search may find a much shorter motion; chosen: on random
 # sites of backhoe, Panda and telescope one motion in fifty takes longer
@@ -87,7 +89,8 @@ class MotionSearch:
 
     Attributes
     ----------
-    repeats: whether the search would begin only where an earlier one began, and was ended therefore.
+    repeats: whether the search would begin only where an earlier one began, or refine what an earlier one refined, and
+        was ended therefore.
     """
 
     def __init__(
@@ -108,7 +111,7 @@ class MotionSearch:
         )
         # what a search found on its way round obstacles depends on its random choices, not on where it began
         self._tried = [curve for one in earlier if not one.leads_round for curve in one._descents.begun]
-        self._refined_below = _REFINED * min((one._descents.unrefined_cost for one in earlier), default=np.inf)
+        self._refined = [one._descents.unrefined_cost for one in earlier]
         self.repeats = False
         self._bound = 0.0  # lower bound of the duration [s]; computed if the best is not near the least time
         self._looked_within = np.inf  # s: the last search for further postures was for those within this time
@@ -147,7 +150,9 @@ class MotionSearch:
             if self.leads_round or self.best is None:
                 self._go_round()
             if not self._is_enough() and self._is_worth_refining:
-                self._descents.refine()
+                self.repeats = self._is_refined_already
+                if not self.repeats:
+                    self._descents.refine()
         except OutOfTime as ended:
             return str(ended)
         return ""
@@ -156,6 +161,11 @@ class MotionSearch:
     def rounds(self) -> int:
         """How many rounds its descents have made, without those for a fast motion and those that refine the best."""
         return self._descents.rounds_before_refining
+
+    @property
+    def refining_paid(self) -> bool:
+        """Whether refining took much of its cost from the best: then it may have taken more from another motion."""
+        return self._descents.gained_by_refining > _PAYS
 
     @property
     def allowed_time(self) -> float | None:
@@ -188,7 +198,13 @@ class MotionSearch:
     def _is_worth_refining(self) -> bool:
         """Whether the best was found by this search, costs something, and not much more than that of an earlier one."""
         has_gained = self._descents.has_gained and not self._costs_nothing
-        return has_gained and self._descents.unrefined_cost <= self._refined_below
+        return has_gained and self._descents.unrefined_cost <= _REFINED * min(self._refined, default=np.inf)
+
+    @property
+    def _is_refined_already(self) -> bool:
+        """Whether an earlier search found what this one has found, before refining."""
+        cost = self._descents.unrefined_cost
+        return any(abs(cost - one) <= _THE_SAME * cost for one in self._refined)
 
     def _bound_above(self, known: Trajectory) -> float:
         """A lower bound on the duration of any motion [s], from fewer boxes than the plan's; `known` is one motion."""

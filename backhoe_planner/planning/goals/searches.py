@@ -111,8 +111,9 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
     effort = world.work.effort
     if first.is_for_time:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
-    # a result that was found quickly is mostly found again
-    anew = effort.restarts if not effort.alike or first.rounds > _HARD else 0
+    # a result that was found quickly is mostly found again, unless much depended on refining it
+    is_easy = first.rounds <= _HARD and not first.refining_paid
+    anew = 0 if effort.alike and is_easy else effort.restarts
     goes_on = effort.restarts_round if first.leads_round else 0
     if world.problem.objective.jumps:
         anew, goes_on = -(-anew // _FEWER), -(-goes_on // _FEWER)
