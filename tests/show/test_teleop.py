@@ -71,14 +71,15 @@ LEFT: Data = {"type": "tip", "velocity": [0.0, 0.6, 0.0]}
 
 
 GROUND: Data = {"name": "ground", "shape": "halfspace", "point": [0, 0, -1.0], "normal": [0, 0, 1]}
+STEP = 0.02  # s, where the length of a step is not the point: a quarter of the work of the default
 
 
 class Stepped(Session):
     """A session whose clock advances with its steps."""
 
-    def __init__(self, robot: Robot, **more: Any) -> None:
+    def __init__(self, robot: Robot, *, dt: float = STEP, **more: Any) -> None:
         self.passed = 0.0
-        super().__init__(robot, bp.scene_from_dict({**SITE, **more}), now=lambda: self.passed)
+        super().__init__(robot, bp.scene_from_dict({**SITE, **more}), dt=dt, now=lambda: self.passed)
 
     def step(self) -> ServoState:
         self.passed += self.dt
@@ -100,8 +101,13 @@ def done(session: Session, page: int, **content: Any) -> None:
 
 def drive(session: Session, page: int, seconds: float, **wish: Any) -> None:
     for k in range(round(seconds / session.dt)):
-        if k % 20 == 0:
+        if k % 5 == 0:
             done(session, page, **wish)
+        session.step()
+
+
+def advance(session: Session, seconds: float) -> None:
+    for _ in range(round(seconds / session.dt)):
         session.step()
 
 
@@ -252,14 +258,13 @@ def test_an_obstacle_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
     scene = bp.scene_from_dict({**SITE, "obstacles": [*SITE["obstacles"], SCREEN]})
     proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
     near = False
-    for k in range(1200):
-        if k % 20 == 0:
+    for k in range(300):
+        if k % 5 == 0:
             done(session, page, **LEFT)
         state = session.step()
-        if k % 5 == 0:
-            margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
-            assert margin >= 0.0
-            near |= margin < 0.02
+        margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
+        assert margin >= 0.0
+        near |= margin < 0.02
     assert near
     assert state.status in (Status.SLIDING, Status.STOPPED)
     assert state.nearest is not None
@@ -376,15 +381,15 @@ def test_the_caption_says_held_only_during_a_refused_wish(backhoe: Robot) -> Non
         snapshot = session.snapshot()
         return wording.next(snapshot.state, has_wish=snapshot.has_wish)
 
-    for _ in range(200):  # no wish: the tip is 0.24 m from the ground's clearance
+    for _ in range(50):  # no wish: the tip is 0.24 m from the ground's clearance
         session.step()
         found = told()
         assert (found.kind, found.word) == ("rest", "At rest")
         assert found.more.startswith("near ground, 0.2")
 
     kinds = []
-    for k in range(400):
-        if k % 20 == 0:
+    for k in range(100):
+        if k % 5 == 0:
             done(session, page, type="tip", velocity=[0.0, 0.0, -0.3])
         session.step()
         kinds.append(told().kind)
@@ -395,7 +400,7 @@ def test_the_caption_says_held_only_during_a_refused_wish(backhoe: Robot) -> Non
     assert kinds[0] == "free"
 
     done(session, page, type="stop")
-    for _ in range(200):
+    for _ in range(50):
         session.step()
         assert told().kind == "rest"
     assert told() == Caption("rest", "At rest", "near ground, 0.00 m")
@@ -425,33 +430,29 @@ def test_a_better_caption_is_shown_only_once_it_has_lasted() -> None:
 def test_obstacles_that_move_wait_until_somebody_takes_the_controls(backhoe: Robot, tmp_path: Path) -> None:
     cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -9, 0.5], "velocity": [0.5, 0, 0]}
     late = {"name": "late", "shape": "sphere", "radius": 1, "position": [-3, 9, 0.5], "appears_at": 0.2}
-    for moving in (cart, late):
-        scene = bp.scene_from_dict({**SITE, "obstacles": [moving]})
-        with TeleopStation(backhoe, scene, port=0, output=tmp_path / "driven.json") as station:
-            session = station.session
-            assert any("wait until somebody takes the controls" in warning for warning in station.warnings)
-            begun = session.snapshot()
-            clock.sleep(0.3)
-            page = session.join()  # to watch is not to drive
-            clock.sleep(0.1)
-            there = session.snapshot()
-            assert there.waits
-            assert there.state.time == begun.state.time
-            assert Wording().next(there.state, has_wish=False, waits=True).word == "Nothing moves yet"
-            done(session, page, type="take")
-            deadline = clock.monotonic() + PATIENCE
-            while session.snapshot().state.time < begun.state.time + 0.3 and clock.monotonic() < deadline:
-                clock.sleep(0.01)
-            now = session.snapshot()
-            shift = now.shifts[str(moving["name"])]
-            assert shift is not None  # it has appeared
-            if moving is cart:
-                assert 0.1 < shift[0] <= 0.5 * now.state.time + 1e-9
-            session.leave(page)
-            assert not session.snapshot().waits  # what has begun goes on
-    with TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "driven.json") as station:
-        assert not station.session.waits
-        assert not any("wait" in warning for warning in station.warnings)
+    scene = bp.scene_from_dict({**SITE, "obstacles": [cart, late]})
+    with TeleopStation(backhoe, scene, port=0, output=tmp_path / "driven.json") as station:
+        session = station.session
+        assert any("wait until somebody takes the controls" in warning for warning in station.warnings)
+        begun = session.snapshot()
+        clock.sleep(0.1)
+        page = session.join()  # to watch is not to drive
+        clock.sleep(0.1)
+        there = session.snapshot()
+        assert there.waits
+        assert there.state.time == begun.state.time
+        assert Wording().next(there.state, has_wish=False, waits=True).word == "Nothing moves yet"
+        done(session, page, type="take")
+        wait(lambda: session.snapshot().state.time >= begun.state.time + 0.3)
+        now = session.snapshot()
+        assert now.shifts["late"] is not None  # it has appeared
+        shift = now.shifts["cart"]
+        assert shift is not None
+        assert 0.1 < shift[0] <= 0.5 * now.state.time + 1e-9
+        session.leave(page)
+        assert not session.snapshot().waits  # what has begun goes on
+    for obstacles, waits in (([cart], True), ([late], True), (SITE["obstacles"], False)):
+        assert make(backhoe, obstacles=obstacles).waits is waits
 
 
 # --- recording -----------------------------------------------------------------------------
@@ -459,14 +460,13 @@ def test_obstacles_that_move_wait_until_somebody_takes_the_controls(backhoe: Rob
 
 def test_a_recording_becomes_a_verified_plan(backhoe: Robot, tmp_path: Path) -> None:
     scene = bp.scene_from_dict(SITE)
-    session = Session(backhoe, scene)
+    session = Session(backhoe, scene, dt=STEP)
     page = session.join()
     done(session, page, type="take")
     drive(session, page, 0.7, **LEFT)  # it moves when the button is pressed
     done(session, page, type="record", on=True)
     assert session.snapshot().recording == "arming"
-    for _ in range(400):
-        session.step()
+    advance(session, 2.0)
     assert session.snapshot().recording == "on"
     begun = session.snapshot().state.time - session.snapshot().recorded
     drive(session, page, 0.5, **LEFT)
@@ -476,8 +476,7 @@ def test_a_recording_becomes_a_verified_plan(backhoe: Robot, tmp_path: Path) -> 
     drive(session, page, 3.0, **LEFT)
     done(session, page, type="record", on=False)
     assert session.take_recording() is None
-    for _ in range(500):
-        session.step()
+    advance(session, 2.5)
     recording = session.take_recording()
     assert recording is not None
     assert session.snapshot().recording == "idle"
@@ -504,13 +503,12 @@ def test_a_recording_states_that_it_was_driven_and_what_it_leaves_out(
     backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = bp.scene_from_dict(SITE)
-    session = Session(backhoe, scene)
+    session = Session(backhoe, scene, dt=STEP)
     page = session.join()
     done(session, page, type="take")
     done(session, page, type="add", obstacle={**BALL, "name": "{0} ball", "position": [4.7, 3.0, 2.0]})
     done(session, page, type="record", on=True)
-    for _ in range(100):
-        session.step()
+    advance(session, 0.5)
     assert session.snapshot().recording == "on"
     begun = session.snapshot().state.time - session.snapshot().recorded
     for content in ({"type": "remove", "name": "{0} ball"}, {"type": "remove", "name": "pole"}):
@@ -520,8 +518,7 @@ def test_a_recording_states_that_it_was_driven_and_what_it_leaves_out(
     done(session, page, type="put_back", name="pole")
     back = session.snapshot().state.time - begun
     done(session, page, type="record", on=False)
-    for _ in range(300):
-        session.step()
+    advance(session, 1.5)
     recording = session.take_recording()
     assert recording is not None
     notes = [
@@ -564,11 +561,9 @@ def test_no_obstacle_of_the_site_is_missing_in_a_recording(backhoe: Robot) -> No
     assert "pole" in session.snapshot().names  # it may be put back
     done(session, page, type="add", obstacle=BALL)
     done(session, page, type="record", on=True)
-    for _ in range(20):
-        session.step()
+    advance(session, 0.1)
     done(session, page, type="record", on=False)
-    for _ in range(20):
-        session.step()
+    advance(session, 0.1)
     recording = session.take_recording()
     assert recording is not None
     assert [record["name"] for record in recording.obstacles] == ["ball"]
@@ -582,15 +577,13 @@ def test_an_obstacle_moved_during_the_recording_is_noted(backhoe: Robot) -> None
     done(session, page, type="take")
     done(session, page, type="move", name="pole", to=[0.5, 0.0, 0.0])
     done(session, page, type="record", on=True)
-    for _ in range(20):
-        session.step()
+    advance(session, 0.1)
     begun = session.snapshot().state.time - session.snapshot().recorded
     done(session, page, type="move", name="pole", to=[0.0, 0.0, 0.0])
     done(session, page, type="add", obstacle={**BALL, "position": [4.7, 3.0, -0.6]})  # needs no note
     moved = session.snapshot().state.time - begun
     done(session, page, type="record", on=False)
-    for _ in range(20):
-        session.step()
+    advance(session, 0.1)
     recording = session.take_recording()
     assert recording is not None
     pole, ball = recording.obstacles
@@ -605,7 +598,7 @@ def test_every_change_of_the_site_is_in_the_recording_or_its_notes(seed: int, ba
     rng = np.random.default_rng(seed)
     cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -9, 0.5], "velocity": [0.5, 0, 0]}
     late = {"name": "late", "shape": "sphere", "radius": 1, "position": [-3, 9, 0.5], "appears_at": 0.2}
-    session = make(backhoe, obstacles=[*SITE["obstacles"], cart, late])
+    session = make(backhoe, dt=0.005, obstacles=[*SITE["obstacles"], cart, late])
     page = session.join()
     done(session, page, type="take")
     seen: list[tuple[float, dict[str, np.ndarray]]] = []
@@ -664,17 +657,15 @@ def test_only_a_recording_has_unrecorded_changes(backhoe: Robot) -> None:
 
 def test_moving_obstacles_are_recorded_where_they_were(backhoe: Robot) -> None:
     cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -7, 0.5], "velocity": [0.5, 0, 0]}
-    session = make(backhoe, obstacles=[cart, {**cart, "name": "late", "appears_at": 3.0}])
+    session = make(backhoe, dt=0.01, obstacles=[cart, {**cart, "name": "late", "appears_at": 3.0}])
     page = session.join()
     done(session, page, type="take")
-    for _ in range(399):
-        session.step()
+    advance(session, 2.0 - session.dt)
     done(session, page, type="record", on=True)
     session.step()
     begun = session.snapshot().state.time
     assert session.snapshot().shifts["late"] is None
-    for _ in range(400):
-        session.step()
+    advance(session, 2.0)
     done(session, page, type="record", on=False)
     session.step()
     recording = session.take_recording()
@@ -1099,8 +1090,9 @@ def test_every_allowed_obstacle_can_be_drawn(radius: float, at: list[float], len
 
 def test_a_station_runs_in_real_time_and_ends(backhoe: Robot, tmp_path: Path) -> None:
     with TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "driven.json") as station:
+        assert not any("wait" in warning for warning in station.warnings)  # no obstacle moves
         begun, first = clock.monotonic(), station.session.snapshot().state.time
-        clock.sleep(0.5)
+        clock.sleep(0.2)
         passed = station.session.snapshot().state.time - first
         assert 0.0 < passed < clock.monotonic() - begun + 0.2  # never ahead of the clock
         page = station.session.join()
