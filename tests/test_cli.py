@@ -611,7 +611,7 @@ def test_an_interrupted_plan_leaves_no_file(tmp_path: Path) -> None:
     ) as running:  # fmt: skip
         assert running.stdout is not None
         assert running.stdout.readline() == "ready\n"
-        clock.sleep(1.5)
+        clock.sleep(1.0)
         assert running.poll() is None, running.communicate()
         running.send_signal(signal.SIGINT)
         _, told = running.communicate(timeout=PATIENCE)  # not the ten minutes of its budget

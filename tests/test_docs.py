@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import time
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ def test_python_in_the_docs_runs(page: Path, tmp_path: Path, monkeypatch: pytest
     for folder in ("models", "scenes"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(time, "sleep", lambda _: None)  # a loop at the pace of the clock goes on at once
     namespace: dict[str, object] = {}
     for number, snippet in enumerate(snippets(page, "python")):
         exec(compile(snippet, f"{page.name}, snippet {number + 1}", "exec"), namespace)

@@ -280,7 +280,7 @@ def test_the_work_of_a_step_is_bounded_between_hundreds_of_obstacles(panda: Robo
     assert max(work.iterations for work in works) < 48  # two problems of 24 rows
 
 
-@pytest.mark.parametrize("clearance", [0.05, pytest.param(0.3, marks=pytest.mark.long), 0.5])
+@pytest.mark.parametrize("clearance", [0.05, *(pytest.param(c, marks=pytest.mark.long) for c in (0.3, 0.5))])
 def test_the_work_of_a_step_is_bounded_while_a_person_walks_into_the_machine(panda: Robot, clearance: float) -> None:
     """A person of 0.25 m radius walks through the arm at 0.4 m/s: no evasion is enough."""
     robot = panda.with_tip("panda_hand")

@@ -46,14 +46,18 @@ def on_track(plan: bp.Plan, steps: int, scene: bp.Scene | None = None) -> tuple[
     return servo, follower
 
 
-def moments(plan: bp.Plan) -> list[int]:
-    """The numbers of steps after which the machine is on its track, and moves at more than 0.2 rad/s."""
-    servo, follower = on_track(plan, 0)
-    found = []
-    for steps in range(1, int(plan.trajectory.duration / DT)):
+Moments = dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def moments(past_wall: bp.Plan) -> Moments:
+    """(q, v) by the number of steps after which the machine is on its track, and moves at more than 0.2 rad/s."""
+    servo, follower = on_track(past_wall, 0)
+    found = {}
+    for steps in range(1, int(past_wall.trajectory.duration / DT)):
         follower.step()
         if servo.on_track and np.abs(servo.v).max() > 0.2:
-            found.append(steps)
+            found[steps] = (servo.q, servo.v)
     assert found
     return found
 
@@ -68,63 +72,72 @@ def stopped(servo: Servo) -> list[np.ndarray]:
     return places
 
 
-def braked(servo: Servo) -> list[np.ndarray]:
+def braked(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray) -> list[np.ndarray]:
     """Where a machine is that brakes every joint as hard as it can."""
-    q, v, places = servo.q, servo.v, [servo.q]
+    places = [q]
     while v.any():
-        change = servo.limits.acceleration * DT
+        change = acceleration * DT
         v = v - np.clip(v, -change, change)
         q = q + DT * v
         places.append(q)
     return places
 
 
-def straight_on(servo: Servo) -> list[np.ndarray]:
+def straight_on(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray) -> list[np.ndarray]:
     """Where a machine is that brakes all joints in proportion, in the time that the slowest one needs."""
-    time = float(np.max(np.abs(servo.v) / servo.limits.acceleration))
-    return [servo.q + part * 0.5 * time * servo.v for part in np.linspace(0.0, 1.0, 40)]
+    time = float(np.max(np.abs(v) / acceleration))
+    return [q + part * 0.5 * time * v for part in np.linspace(0.0, 1.0, 40)]
 
 
 def least(proximity: Proximity, places: list[np.ndarray]) -> float:
-    return min(float(np.min(proximity.distances(q) - proximity.clearance)) for q in places)
+    different = {q.tobytes(): q for q in places}  # a machine at rest is measured once
+    return min(float(np.min(proximity.distances(q) - proximity.clearance)) for q in different.values())
 
 
-def balls_beside(plan: bp.Plan, seed: int, count: int) -> Iterator[tuple[int, dict[str, Any]]]:
+Ball = tuple[int, dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def balls(past_wall: bp.Plan, moments: Moments) -> list[Ball]:
     """Moments on the track, and balls beside which only a machine that brakes each joint as hard as it can stops.
 
     Along the track or straight on it runs into them.
     """
-    rng, kinematics, allowed = np.random.default_rng(seed), bp.Kinematics(plan.robot), moments(plan)
-    found = 0
-    for _ in range(40 * count):
+    plan, found = past_wall, []
+    rng, kinematics, allowed = np.random.default_rng(5), bp.Kinematics(plan.robot), list(moments)
+    acceleration = Servo(plan.robot, plan.scene, DT, q=plan.trajectory.q[0]).limits.acceleration
+    own = Proximity(plan.robot, plan.problem.obstacles)
+    for _ in range(120):
         steps = int(rng.choice(allowed))
-        servo, _ = on_track(plan, steps)
-        free, along = braked(servo), stopped(on_track(plan, steps)[0])
-        if least(Proximity(plan.robot, plan.problem.obstacles), free) < 0.005:
+        free = braked(*moments[steps], acceleration)
+        if least(own, free) < 0.005:
             continue
+        along, straight = stopped(on_track(plan, steps)[0]), straight_on(*moments[steps], acceleration)
         middle = kinematics.at(along[-1]).tip_position
         for _ in range(20):
             ball = {"name": "ball", "shape": "sphere", "radius": float(rng.uniform(0.05, 0.25)), "clearance": 0.02}
             ball |= {"position": (middle + rng.normal(0.0, 0.3, 3)).tolist()}
-            alone = ball_alone(plan, ball)
-            if max(least(alone, along[::4]), least(alone, straight_on(servo))) < -0.02 and least(alone, free) > 0.005:
-                yield steps, ball
-                found += 1
+            alone = balls_alone(plan, ball)
+            if max(least(alone, along[::4]), least(alone, straight)) < -0.02 and least(alone, free) > 0.005:
+                found.append((steps, ball))
                 break
-        if found == count:
-            return
-    raise AssertionError(f"only {found} balls")
+        if len(found) == 3:
+            return found
+    raise AssertionError(f"only {len(found)} balls")
 
 
-def ball_alone(plan: bp.Plan, ball: dict[str, Any]) -> Proximity:
-    built = build_obstacle(obstacle_from_dict(ball), folder=plan.scene.folder, clearance=plan.scene.clearance)
-    return Proximity(plan.robot, [built], self_collision=False)
+def balls_alone(plan: bp.Plan, *balls: dict[str, Any]) -> Proximity:
+    folder, clearance = plan.scene.folder, plan.scene.clearance
+    built = [build_obstacle(obstacle_from_dict(ball), folder=folder, clearance=clearance) for ball in balls]
+    return Proximity(plan.robot, built, self_collision=False)
 
 
-def test_a_ball_on_the_track_beside_which_braking_every_joint_stops_is_not_touched(past_wall: bp.Plan) -> None:
+def test_a_ball_on_the_track_beside_which_braking_every_joint_stops_is_not_touched(
+    past_wall: bp.Plan, balls: list[Ball]
+) -> None:
     plan = past_wall
     own = Proximity(plan.robot, plan.problem.obstacles)
-    for steps, ball in balls_beside(plan, 5, 3):
+    for steps, ball in balls:
         servo, follower = on_track(plan, steps)
         servo.add(ball)
         places, v = [], [servo.v]
@@ -132,15 +145,15 @@ def test_a_ball_on_the_track_beside_which_braking_every_joint_stops_is_not_touch
             state = follower.step().state
             places.append(state.q)
             v.append(state.v)
-        assert least(ball_alone(plan, ball), places) > -KEPT
+        assert least(balls_alone(plan, ball), places) > -KEPT
         assert least(own, places) > -KEPT
         assert (np.abs(np.diff(v, axis=0)) <= servo.limits.acceleration * DT * (1.0 + 2e-6)).all()
         assert servo.last_error is None
 
 
-def test_an_obstacle_that_the_track_stops_short_of_does_not_lead_off_it(past_wall: bp.Plan) -> None:
+def test_an_obstacle_that_the_track_stops_short_of_does_not_lead_off_it(past_wall: bp.Plan, moments: Moments) -> None:
     plan = past_wall
-    steps = moments(plan)[0]
+    steps = min(moments)
     alone, _ = on_track(plan, steps)
     expected = stopped(alone)
     servo, _ = on_track(plan, steps)
@@ -148,30 +161,33 @@ def test_an_obstacle_that_the_track_stops_short_of_does_not_lead_off_it(past_wal
     np.testing.assert_allclose(stopped(servo)[:20], expected[:20], atol=1e-9)
 
 
-def test_among_many_obstacles_beside_the_way_other_stops_are_looked_at_too(past_wall: bp.Plan) -> None:
+def test_among_many_obstacles_beside_the_way_other_stops_are_looked_at_too(
+    past_wall: bp.Plan, balls: list[Ball]
+) -> None:
     """More distances are near than may be measured for one comparison."""
     plan = past_wall
     rng, kinematics = np.random.default_rng(11), bp.Kinematics(plan.robot)
-    ((steps, ball),) = balls_beside(plan, 5, 1)
+    steps, ball = balls[0]
     servo, follower = on_track(plan, steps)
-    free, along = braked(servo), stopped(on_track(plan, steps)[0])
+    free = braked(servo.q, servo.v, servo.limits.acceleration)
+    along = stopped(on_track(plan, steps)[0])
     tip, crowd = kinematics.at(along[-1]).tip_position, [ball]
     while len(crowd) < 200:
         one = {"name": f"{len(crowd)}", "shape": "sphere", "radius": 0.05, "clearance": 0.02}
         one["position"] = (tip + rng.normal(0.0, 0.4, 3)).tolist()
-        if min(least(ball_alone(plan, one), free), least(ball_alone(plan, one), along[::4])) > 0.03:
+        if least(balls_alone(plan, one), [*free, *along[::4]]) > 0.03:
             crowd.append(one)
     for one in crowd:
         servo.add(one)
     places = [servo.q]
     while servo.v.any() and len(places) < 250:
         places.append(follower.step().state.q)
-    assert min(least(ball_alone(plan, one), places) for one in crowd) > -KEPT
+    assert least(balls_alone(plan, *crowd), places) > -KEPT
     assert servo.last_error is None
 
 
 def test_stops_are_not_compared_anew_for_each_move_of_an_obstacle(
-    past_wall: bp.Plan, monkeypatch: pytest.MonkeyPatch
+    past_wall: bp.Plan, balls: list[Ball], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A tracked obstacle is moved in each step; a comparison takes longer than many steps."""
     times: list[float] = []
@@ -182,7 +198,7 @@ def test_stops_are_not_compared_anew_for_each_move_of_an_obstacle(
         return compare(self, stop)
 
     monkeypatch.setattr(StopChoice, "compare", noted)
-    ((steps, ball),) = balls_beside(past_wall, 5, 1)
+    steps, ball = balls[0]
     servo, follower = on_track(past_wall, steps)
     begun = servo.time
     servo.add(ball)
@@ -194,7 +210,7 @@ def test_stops_are_not_compared_anew_for_each_move_of_an_obstacle(
 
 
 def test_no_step_measures_the_track_and_a_stop_off_it_one_after_the_other(
-    past_wall: bp.Plan, monkeypatch: pytest.MonkeyPatch
+    past_wall: bp.Plan, moments: Moments, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A step of 10 ms begins no stop once it has done the work of 50 distances; one stop takes at most 130."""
     work: list[int] = []
@@ -207,7 +223,7 @@ def test_no_step_measures_the_track_and_a_stop_off_it_one_after_the_other(
 
     monkeypatch.setattr(StopChoice, "look", noted)
     rng, kinematics = np.random.default_rng(0), bp.Kinematics(past_wall.robot)
-    for steps in moments(past_wall)[::5]:
+    for steps in list(moments)[::5]:
         servo, follower = on_track(past_wall, steps)
         tip = kinematics.at(past_wall.trajectory.at(np.array([DT * steps + 0.3]))[0]).tip_position
         for number in range(30):
@@ -219,9 +235,9 @@ def test_no_step_measures_the_track_and_a_stop_off_it_one_after_the_other(
     assert max(work) < 50 + 130
 
 
-@pytest.mark.parametrize("length", [0.4, 0.9])
+@pytest.mark.parametrize("length", [pytest.param(0.4, marks=pytest.mark.long), 0.9])
 def test_a_load_taken_up_in_motion_comes_no_nearer_than_braking_every_joint_would(
-    past_wall: bp.Plan, length: float
+    past_wall: bp.Plan, moments: Moments, length: float
 ) -> None:
     """A pipe hangs from the bucket that passes just above the wall; the choice may miss a tenth of the depth."""
     plan = past_wall
@@ -229,9 +245,9 @@ def test_a_load_taken_up_in_motion_comes_no_nearer_than_braking_every_joint_woul
     content = plan.scene.model_dump(by_alias=True, mode="json", exclude_none=True)
     content["task"] = {"sequence": [{"name": "laden", "carries": pipe, **content["task"]}]}
     scene = bp.scene_from_dict(content)
-    for steps in moments(plan)[::8]:
+    for steps in list(moments)[::8]:
         servo, follower = on_track(plan, steps, scene)
-        free = braked(servo)
+        free = braked(servo.q, servo.v, servo.limits.acceleration)
         servo.carry("laden")
         laden = Proximity(servo.robot, servo.snapshot())
         places = [servo.q]

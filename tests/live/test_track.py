@@ -263,7 +263,7 @@ def test_an_error_in_a_step_on_the_track_slows_the_machine_down_along_it(
 # --- the track itself -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("seed", [11, pytest.param(12, marks=pytest.mark.long)])
 def test_a_servo_follows_a_track_at_any_pace(past_wall: bp.Plan, seed: int) -> None:
     """A random pace for some steps, then another one; the last one leads to the end."""
     plan, rng = past_wall, np.random.default_rng(seed)
@@ -354,13 +354,16 @@ def test_the_reference_rests_where_the_motion_rests(backhoe: Robot) -> None:
 
 
 def run_beside(plan: bp.Plan, servo: Servo, *, seconds: float = 4.0, dt: float = DT) -> tuple[float, bool]:
-    """The least margin to what is there, between the steps too, and whether the machine was ever on its track."""
+    """The least margin to what is there, between the steps too, and whether the machine was ever on its track.
+
+    Nothing that is there moves.
+    """
     found, on_track, q = math.inf, False, servo.q
+    proximity = Proximity(servo.robot, servo.snapshot())
     with PlanFollower(servo, plan, executor=AtOnce()) as follower:
         for _ in range(round(seconds / dt)):
             step = follower.step()
             on_track |= servo.on_track
-            proximity = Proximity(servo.robot, servo.snapshot())
             for part in (0.5, 1.0):
                 between = q + part * (step.state.q - q)
                 found = min(found, float(np.min(proximity.distances(between) - proximity.clearance)))
@@ -394,7 +397,7 @@ def test_a_plan_is_not_proven_for_a_load_that_it_does_not_carry(backhoe: Robot, 
     assert not on_track
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("dt", [pytest.param(0.02, marks=pytest.mark.long), 0.1, 0.3])
 def test_clearances_are_kept_between_long_steps(past_wall: bp.Plan, dt: float) -> None:
     """A straight step of 0.3 s is up to 27 mm off the curve; the plan is 1.7 mm beyond the wall's clearance."""
     margin, _ = run_beside(past_wall, servo_of(past_wall, dt), seconds=8.0, dt=dt)

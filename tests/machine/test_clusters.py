@@ -259,7 +259,7 @@ def test_boxes_around_a_link_contain_all_cells_near_it(kind: str) -> None:
 
 @needs_native
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
-@pytest.mark.parametrize("most", [3, 16])
+@pytest.mark.parametrize("most", [pytest.param(3, marks=pytest.mark.long), 16])
 def test_compiled_boxes_equal_those_found_by_coal(kind: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For upright and turned solids and links that touch no cell; for links in contact coal finds the boxes."""
     rng = np.random.default_rng(14)

@@ -477,7 +477,7 @@ def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path
     assert load_plan(tmp_path / "plan.json").certificate.effort == found.certificate.effort
 
 
-@pytest.mark.parametrize("method", ["auto", "reactive"])
+@pytest.mark.parametrize("method", ["auto", pytest.param("reactive", marks=pytest.mark.long)])
 @pytest.mark.parametrize("moving", [{}, {"velocity": [0.1, 0.1, 0.0]}, {"appears_at": 1.0}], ids=str)
 def test_verified_motions_keep_the_limits_of_the_drive(backhoe: Robot, method: str, moving: dict[str, object]) -> None:
     """All joints at full rate at once would need more than twice the pump's flow."""

@@ -183,7 +183,9 @@ def test_the_motion_keeps_to_the_path_and_its_limits_and_is_nearly_always_at_a_l
 
 
 @pytest.mark.parametrize(
-    "any_robot", ["planar4", "backhoe", "panda", pytest.param("ur5", marks=pytest.mark.long)], indirect=True
+    "any_robot",
+    ["planar4", "backhoe", *(pytest.param(name, marks=pytest.mark.long) for name in ("panda", "ur5"))],
+    indirect=True,
 )
 def test_between_samples_the_motion_is_off_the_path_by_no_more_than_the_sagitta(any_robot: Robot) -> None:
     """The sagitta of a chord moves no link further than its travel bound."""

@@ -31,7 +31,7 @@ def arc(bend: float) -> bp.Scene:
     return bp.scene_from_dict({"version": 1, "task": {"path": path}})
 
 
-@pytest.mark.parametrize("bend", [0.07, 0.1, pytest.param(0.5, marks=pytest.mark.long), 1.5])
+@pytest.mark.parametrize("bend", [0.07, *(pytest.param(bend, marks=pytest.mark.long) for bend in (0.1, 0.5)), 1.5])
 def test_a_corner_is_cut_by_two_fifths_of_the_tolerance(backhoe: bp.Robot, bend: float) -> None:
     problem = build_problem(backhoe, arc(bend))
     assert problem.path is not None

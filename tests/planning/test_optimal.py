@@ -289,7 +289,9 @@ def test_joints_reverse_at_most_twice_in_a_cut_of_three_legs(trench: Callable[[s
     assert plan.metrics.asked_speed.kept_percent > 90.0
 
 
-@pytest.mark.parametrize("name", ["work", "hydraulic", "time"])
+@pytest.mark.parametrize(
+    "name", ["work", *(pytest.param(one, marks=pytest.mark.long) for one in ("hydraulic", "time"))]
+)
 @pytest.mark.parametrize("length", [pytest.param(1e-2, marks=pytest.mark.long), 1e-6])
 def test_the_plan_of_a_very_short_path_costs_no_more_than_the_law(backhoe: bp.Robot, name: str, length: float) -> None:
     """It is all acceleration and braking, which the search leaves out."""

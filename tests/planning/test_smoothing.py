@@ -62,7 +62,7 @@ def longest_step(stretch: Stretch) -> float:
 
 # seeds whose walk reaches the end of its line, and that tore before: to 0.37 rad, or by a little
 PANDA = [("panda", "panda_hand_tcp", 69, True)]
-FREE = [("panda", "panda_hand_tcp", 52, False)]
+FREE = [pytest.param("panda", "panda_hand_tcp", 52, False, marks=pytest.mark.long)]
 XARM = [("xarm7", "link_eef", 65, True)]
 MORE = [
     *(pytest.param("panda", "panda_hand_tcp", seed, True, marks=pytest.mark.long) for seed in (90, 103)),

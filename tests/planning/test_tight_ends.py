@@ -63,7 +63,9 @@ def test_the_spare_grows_with_the_way_from_a_tight_end(planar4: bp.Robot) -> Non
 
 # times what the motion costs without the wall; the rest is what quick searches differ by
 @pytest.mark.parametrize("leaves", [True, False], ids=["start", "end"])
-@pytest.mark.parametrize(("objective", "most"), [("time", 1.3), ("effort", 4.0), ("work", 2.0)])
+@pytest.mark.parametrize(
+    ("objective", "most"), [("time", 1.3), pytest.param("effort", 4.0, marks=pytest.mark.long), ("work", 2.0)]
+)
 def test_a_wall_that_a_motion_leaves_at_once_costs_little(
     planar4: bp.Robot, objective: str, most: float, leaves: bool
 ) -> None:

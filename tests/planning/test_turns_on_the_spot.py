@@ -43,7 +43,9 @@ ROW = (at(A, -1.6), at(A, TURNED), at(A, -1.8), at(B, -1.8), at(B, -2.4), at(B, 
     [START, pytest.param(MIDDLE, marks=pytest.mark.long), pytest.param(END, marks=pytest.mark.long), ROW],
     ids=["start", "middle", "end", "row"],
 )
-@pytest.mark.parametrize("keys", [{}, {"speed": 0.3, "detour": False}], ids=["fast", "slow"])
+@pytest.mark.parametrize(
+    "keys", [pytest.param({}, marks=pytest.mark.long), {"speed": 0.3, "detour": False}], ids=["fast", "slow"]
+)
 def test_a_turn_on_the_spot_is_followed(
     backhoe: bp.Robot, waypoints: tuple[dict[str, Any], ...], keys: dict[str, Any]
 ) -> None:

@@ -105,7 +105,9 @@ def hurried(problem: Problem, start: Vector, way: Vector, steps: int) -> Traject
     return Trajectory.from_steps(SAMPLE_PERIOD * np.arange(steps + 1.0), np.array(q))
 
 
-@pytest.mark.parametrize(("steps", "every"), [(1, 4), (4, 4), pytest.param(60, 1, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("steps", "every"), [(1, 4), *(pytest.param(*case, marks=pytest.mark.long) for case in ((4, 4), (60, 1)))]
+)
 def test_no_accepted_motion_of_cylinders_is_faster_than_the_least_time(
     backhoe: bp.Robot, steps: int, every: int
 ) -> None:

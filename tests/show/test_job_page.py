@@ -23,7 +23,8 @@ from backhoe_planner.show.job.section import section_content
 
 @pytest.fixture(scope="module")
 def plan() -> JobPlan:
-    made = plan_job(small_job(), effort="quick")
+    trench = {"from": [3.9, 0.0], "to": [3.2, 0.0], "width": 0.6, "depth": 0.3}
+    made = plan_job(small_job(dig={"trench": trench}), effort="quick")
     assert made.verified
     return made
 
@@ -67,7 +68,7 @@ def test_the_changes_in_order_lead_to_the_final_ground(plan: JobPlan) -> None:
 def test_the_section_runs_along_the_trench_and_contains_the_pipe(plan: JobPlan) -> None:
     """It begins 0.6 m before the nearer end, at x = 3.2: the pipe across x = 3.6 is 1 m along it."""
     section = section_content(plan, plan.cycles[0].legs[0].problem, job_frames(plan).timeline.q)
-    assert section["length"] == pytest.approx(1.2 + 2 * 0.6)
+    assert section["length"] == pytest.approx(0.7 + 2 * 0.6)
     assert section["axis"] == pytest.approx(-2.6)  # the machine swings about x = y = 0
     (pipe,) = section["crossings"]
     assert (pipe["name"], pipe["station"], pipe["z"]) == ("pipe", pytest.approx(1.0), pytest.approx(-1.0))

@@ -329,7 +329,7 @@ def test_addresses_of_one_owner_share_their_attempts() -> None:
 # --- the command line ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", pytest.param("::", marks=ipv6)])
+@pytest.mark.parametrize("host", ["0.0.0.0", pytest.param("::", marks=[ipv6, pytest.mark.long])])
 def test_teleop_needs_a_password_or_allow_anyone_on_the_network(
     host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

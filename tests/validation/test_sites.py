@@ -32,7 +32,9 @@ def least_margin(problem: Problem, q: np.ndarray) -> float:
     return float(np.min(proximity.distances(q) - proximity.clearance))
 
 
-@pytest.mark.parametrize(("machine", "kind", "task"), SOME + SURVEYS)
+@pytest.mark.parametrize(
+    ("machine", "kind", "task"), [*SOME, SURVEYS[0], pytest.param(*SURVEYS[1], marks=pytest.mark.long)]
+)
 def test_a_site_depends_only_on_its_name(machine: str, kind: str, task: str) -> None:
     first = drawn(machine, kind, task, 0)
     other = drawn(machine, kind, task, 1)
@@ -65,7 +67,9 @@ def test_start_and_goal_are_free_with_a_centimetre_to_spare(machine: str, kind: 
             assert np.array_equal(problem.start_q, site.start_q)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.long) if kind != "cluttered" else kind for kind in KINDS]
+)
 def test_a_path_of_full_poses_has_a_motion_that_follows_it_without_contact(kind: str) -> None:
     robot = load_machine("panda")
     for index in range(2):
@@ -93,7 +97,7 @@ def test_a_path_of_full_poses_has_a_motion_that_follows_it_without_contact(kind:
             assert angle < 1e-3
 
 
-FEW = [("planar4", "narrow"), ("backhoe", "cluttered")]
+FEW = [("planar4", "narrow")]
 OTHERS = [(machine, kind) for machine in ("planar4", "backhoe") for kind in KINDS if (machine, kind) not in FEW]
 
 
