@@ -63,7 +63,7 @@ def test_the_failure_angle_equals_that_of_brute_force(soil: Soil, depth: float) 
         widest = math.pi - rake - delta - soil.friction
         if rake > 0.9 * (math.pi - delta - soil.friction):
             continue  # no wedge can slide up so steep a blade
-        beta = np.linspace(0.0, widest, 400_001)[1:-1]
+        beta = np.linspace(0.0, widest, 40_001)[1:-1]
         force = terms(soil, depth, rake, beta, 0.6)
         best = int(np.argmin(force))
         found = float(blade_force(np.array(depth), np.array(rake), soil, width=0.6))
