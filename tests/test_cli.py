@@ -546,7 +546,7 @@ def test_a_page_that_cannot_be_written_does_not_lose_the_plan(
     assert bp.load_plan(plan_file).verified
 
 
-@pytest.mark.parametrize("command", [["inspect", PLANAR4], ["--help"]])
+@pytest.mark.parametrize("command", [pytest.param(["inspect", PLANAR4], marks=pytest.mark.long), ["--help"]])
 def test_a_closed_output_is_reported(command: list[str]) -> None:
     """A pipe whose other end is closed, as after `| head -1`."""
     reading, writing = os.pipe()

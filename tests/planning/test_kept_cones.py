@@ -228,7 +228,7 @@ def test_waypoints_with_their_own_pitch_are_followed_within_the_cone(robot: bp.R
     )
 
 
-@pytest.mark.parametrize("cone", [0.001, 3.14])
+@pytest.mark.parametrize("cone", [0.001, pytest.param(3.14, marks=pytest.mark.long)])
 def test_a_machine_that_reaches_every_place_from_everywhere_keeps_a_cone(tmp_path: Path, cone: float) -> None:
     """So no sample of a layer is left to be searched once more."""
     robot, middle = gantry(tmp_path), Rotation.from_euler("z", 0.3)

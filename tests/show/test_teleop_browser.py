@@ -438,8 +438,8 @@ def test_a_page_that_loses_its_connection_lets_go_and_comes_back_to_the_present(
         page.wait_for_function("backhoe.teleop.state.speed > 0.1")
 
         # a page that hangs while it drives has let go when it is back
-        monkeypatch.setattr(teleop_station, "_SILENT", 1.0)
-        page.evaluate("() => { const until = performance.now() + 2500; while (performance.now() < until); }")
+        monkeypatch.setattr(teleop_station, "_SILENT", 0.5)
+        page.evaluate("() => { const until = performance.now() + 1500; while (performance.now() < until); }")
         page.wait_for_function("backhoe.teleop.state.driver === null && backhoe.teleop.state.speed === 0")
         assert "silent for too long" in page.locator("#toast").inner_text()
         assert page.locator("#take").inner_text() == "Take the controls"

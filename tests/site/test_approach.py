@@ -28,7 +28,7 @@ def rows_that_count(proximity: Proximity, plain: Nearby, lead: dict[str, Any], m
 
 
 @pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
+@pytest.mark.parametrize("name", ["planar4", "backhoe", pytest.param("panda", marks=pytest.mark.long)])
 def test_rows_along_a_walk_equal_those_chosen_from_all_measured_pairs(
     name: str, moving: bool, request: pytest.FixtureRequest
 ) -> None:

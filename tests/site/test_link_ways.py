@@ -40,7 +40,7 @@ def crowd(robot: Robot, seed: int) -> Proximity:
     return Proximity(robot, build_obstacles(scene_from_dict(scene), robot))
 
 
-@pytest.fixture(params=["planar4", "backhoe", "panda", "slide"])
+@pytest.fixture(params=["planar4", "backhoe", pytest.param("panda", marks=pytest.mark.long), "slide"])
 def robot(request: pytest.FixtureRequest, tmp_path: Path) -> Robot:
     """Machines of hinges, with boxes and hulls, and one with a slide."""
     if request.param == "slide":

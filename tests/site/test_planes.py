@@ -18,7 +18,7 @@ SAMPLES = 15
 
 
 @pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
+@pytest.mark.parametrize("name", ["planar4", "backhoe", pytest.param("panda", marks=pytest.mark.long)])
 def test_pairs_proven_apart_by_a_plane_stay_apart_along_the_whole_motion(
     name: str, moving: bool, request: pytest.FixtureRequest
 ) -> None:
