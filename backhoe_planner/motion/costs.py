@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array
+from backhoe_planner.arrays import Array, Indices
 from backhoe_planner.machine import BatchKinematics, Dynamics, MotionEnergy, motion_energy
 from backhoe_planner.motion.legs import leg_parts
 from backhoe_planner.motion.objectives import (
@@ -91,7 +91,7 @@ class PathCost:
             robot.hydraulics,
         )
         self._kinematics = BatchKinematics(robot)
-        self._continuous = np.flatnonzero(robot.continuous)
+        self._continuous = robot.continuous.tolist()
         self._velocity, self._acceleration = (
             np.where(np.isfinite(limit), limit, _UNLIMITED)
             for limit in (problem.limits.velocity, problem.limits.acceleration)
@@ -119,19 +119,34 @@ class PathCost:
         # the tip is at the same place for all of a, and for all of b
         velocity = None if self._machine.soil is None else self._tip_velocity(np.vstack((a[:1], b[:1])))
         before, after = self.nodes(a, (None, velocity)), self.nodes(b, (velocity, None))
-        widest = np.zeros((len(a), len(b)))
-        for change in self._changes(a[:, None], b[None, :]):
-            np.maximum(widest, np.abs(change, out=change), out=widest)
-        near = widest <= WIDEST_STEP
-        cost = np.full(near.shape, np.inf)
-        if np.count_nonzero(near) > _MANY_NEAR * near.size:
-            cost[near] = self.between(before[:, None], after[None, :], np.asarray(span))[near]
+        cost = np.full((len(a), len(b)), np.inf)
+        near = self._near_pairs(a, b)
+        if near is None:
+            widest = np.zeros(cost.shape)
+            for change in self._changes(a[:, None], b[None, :]):
+                np.maximum(widest, np.abs(change, out=change), out=widest)
+            within = widest <= WIDEST_STEP
+            cost[within] = self.between(before[:, None], after[None, :], np.asarray(span))[within]
             return cost
-        first, second = np.nonzero(near)
+        first, second = near
         for begin in range(0, len(first), _PORTION):
             rows, columns = first[begin : begin + _PORTION], second[begin : begin + _PORTION]
             cost[rows, columns] = self.between(before[rows], after[columns], np.full(len(rows), span))
         return cost
+
+    def _near_pairs(self, a: Array, b: Array) -> tuple[Indices, Indices] | None:
+        """(K,), (K,) the rows of a (A, n) and b (B, n) between which no joint moves by more than `WIDEST_STEP`.
+
+        They are in the order of the rows of a, then b. None if they are more than `_MANY_NEAR` of all.
+        """
+        # each joint leaves few pairs to the next, the one with the widest range fewest
+        widest, *others = np.argsort(-np.ptp(b, axis=0), kind="stable").tolist()
+        apart = np.abs(self._change(widest, a[:, None, widest], b[None, :, widest]))
+        first, second = np.divmod(np.flatnonzero(apart <= WIDEST_STEP), len(b))
+        for joint in others:
+            near = np.flatnonzero(np.abs(self._change(joint, a[first, joint], b[second, joint])) <= WIDEST_STEP)
+            first, second = first[near], second[near]
+        return None if len(first) > _MANY_NEAR * len(a) * len(b) else (first, second)
 
     def of_steps(self, stations: Array, q: Array) -> float:
         """Cost of the steps through q (K, n) at `stations` (K,) [m], in rad."""
@@ -241,10 +256,14 @@ class PathCost:
 
     def _changes(self, a: Array, b: Array) -> list[Array]:
         """The n changes (...) of the joints from a to b (..., n) [rad or m]; continuous ones the shorter way round."""
-        dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
-        for joint in self._continuous:
-            dq[joint] -= 2.0 * np.pi * np.round(dq[joint] / (2.0 * np.pi))
-        return dq
+        return [self._change(joint, a[..., joint], b[..., joint]) for joint in range(a.shape[-1])]
+
+    def _change(self, joint: int, a: Array, b: Array) -> Array:
+        """(...) how far one joint moves from a to b (...) [rad or m]; a continuous one the shorter way round."""
+        change = np.asarray(b - a)
+        if self._continuous[joint]:
+            change -= 2.0 * np.pi * np.round(change / (2.0 * np.pi))
+        return change
 
     def rate_changes(self, before: Array, after: Array) -> Array:
         """(...) cost of the time in which `rates` change from `before` to `after` (n, ...), in rad."""

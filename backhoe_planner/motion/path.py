@@ -21,6 +21,7 @@ from backhoe_planner.site import Waypoint
 # than 4 rad for each metre, 23 deg in 10 cm, which bucket paths do not
 TURN_LEVER = 0.25
 _JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion advances while the tip stands still; chosen
+_SQUARE_ROUNDING = 1e-7  # root of the relative rounding of a square of a distance: 45 units in the last digit
 _NO_LENGTH = 1e-9  # m: a shorter leg counts as having no length
 _STANDING = 1e-6  # m: on a shorter leg the tip counts as standing still; chosen
 _EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more than this part is one angle
@@ -169,10 +170,19 @@ class TipPath:
         """
         point, low = as_vector(point, 3, key="point"), as_number(low, key="low")
         high = self.length if high is None else as_number(high, key="high")
+        return self.nearest_unchecked(point, low, high, None)
+
+    def nearest_unchecked(self, point: Vector, low: float, high: float, bounds: Vector | None) -> tuple[float, float]:
+        """`nearest` without checks of its arguments, for callers in a loop.
+
+        Parameters
+        ----------
+        bounds: (W - 1,) lower bounds of the distances of the point from all legs [m], as from `leg_bounds_unchecked`.
+        """
         marks = self._marks
         best, distance = low, math.dist(point.tolist(), self(low).tolist())
         first, behind = bisect_left(marks, low, 1) - 1, bisect_right(marks, high, 0, len(marks) - 1)
-        at_least = self._distances_to_legs(point, first, behind)
+        at_least = self._distances_to_legs(point, first, behind) if bounds is None else bounds[first:behind]
         x, y, z = point.tolist()
         # with plain numbers: arrays of three take ten times as long
         for row in np.flatnonzero(at_least < distance).tolist():
@@ -228,14 +238,18 @@ class TipPath:
         in a row about one axis are no corner, but a turn on the spot behind a straight leg is one.
         """
         angle = as_number(angle, key="angle", least=0.0)
+        return np.asarray(self.stations[1:-1][self._bend_cosines < np.cos(angle)])
+
+    @cached_property
+    def _bend_cosines(self) -> Vector:
+        """(W - 2,) cosine of the bend at each waypoint between the ends; -inf where a leg beside it has no length."""
         found = []
         for mark in self.stations[1:-1].tolist():
             before, after = self._travel(mark - _BESIDE), self._travel(mark + _BESIDE)
             if not self.turning[self._locate(mark - _BESIDE)[0]] and not self.turning[self._locate(mark + _BESIDE)[0]]:
                 before, after = before[:3], after[:3]
             size = float(np.linalg.norm(before) * np.linalg.norm(after))
-            if size < 1e-12 or float(before @ after) / size < np.cos(angle):
-                found.append(mark)
+            found.append(-np.inf if size < 1e-12 else float(before @ after) / size)
         return np.array(found)
 
     @property
@@ -330,6 +344,15 @@ class TipPath:
         """Of each leg its begin [m], the vector to its end [m], and the square of that, not 0 [m^2]."""
         steps, squares = self._leg_steps
         return list(zip(self.points[:-1].tolist(), steps.tolist(), squares.tolist(), strict=True))
+
+    def leg_bounds_unchecked(self, points: Matrix) -> Matrix:
+        """(T, W - 1) lower bounds of the distances of `points` (T, 3) from all legs [m], by balls around the legs."""
+        middles, halves = 0.5 * (self.points[1:] + self.points[:-1]), 0.5 * np.sqrt(self._leg_steps[1])
+        middles, points = middles - self.points[0], points - self.points[0]
+        at_points, at_middles = np.einsum("ti,ti->t", points, points), np.einsum("ki,ki->k", middles, middles)
+        square = at_points[:, None] + at_middles - 2.0 * (points @ middles.T)
+        rounding = _SQUARE_ROUNDING * float(np.sqrt(np.max(at_points)) + np.sqrt(np.max(at_middles)))
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)) - (halves + rounding))
 
     def _distances_to_legs(self, tip: Vector, first: int, behind: int) -> Vector:
         """(behind - first,) distance [m] of the tip (3,) from each of the legs from `first` to before `behind`."""

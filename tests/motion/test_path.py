@@ -78,6 +78,25 @@ def test_no_point_of_a_dense_raster_is_nearer_than_the_nearest_point() -> None:
         assert low - 1e-12 <= s <= high + 1e-12
 
 
+def test_the_nearest_point_is_the_same_with_bounds_of_the_distances() -> None:
+    """They are never above the distances, and let legs be left out."""
+    rng = np.random.default_rng(6)
+    corners = 50.0 + np.cumsum(0.1 * rng.normal(size=(40, 3)), axis=0)
+    path = TipPath([Waypoint(position=tuple(corner)) for corner in corners[rng.integers(0, 40, 60)].tolist()])
+    points = corners[rng.integers(0, 40, 50)] + 0.02 * rng.normal(size=(50, 3))
+    bounds = path.leg_bounds_unchecked(points)
+    left_out = 0
+    for point, own in zip(points, bounds, strict=True):
+        s, distance = path.nearest(point)
+        assert path.nearest_unchecked(point, 0.0, path.length, own) == (s, distance)
+        assert np.min(own) <= distance
+        for leg in range(len(own)):
+            low, high = path.stations[[leg, leg + 1]].tolist()
+            assert own[leg] <= path.nearest(point, low=low, high=high)[1]
+        left_out += int(np.sum(own > distance))
+    assert left_out > 0.4 * bounds.size
+
+
 def test_pitch_is_interpolated() -> None:
     path = TipPath(
         [Waypoint(position=(0.0, 0.0, 0.0), pitch=-1.0), Waypoint(position=(2.0, 0.0, 0.0), pitch=(-2.2, -1.8))]

@@ -97,3 +97,38 @@ def test_only_continuous_joints_are_reduced_by_whole_turns(crank: bp.Robot) -> N
     np.testing.assert_allclose(crank.reduce_unchecked(q), [[7.0 - 2.0 * np.pi, 7.0], [2.0 * np.pi - 3.5, -3.5]])
     near = crank.reduce_unchecked(q, near=np.array([20.0, 0.0]))
     np.testing.assert_allclose(near, [[7.0 + 4.0 * np.pi, 7.0], [8.0 * np.pi - 3.5, -3.5]])
+
+
+def test_costs_of_steps_are_infinite_exactly_where_a_joint_would_move_too_far(tmp_path: Path) -> None:
+    """With few pairs in reach, which are found joint by joint, and with all of them."""
+    robot = bp.load_robot(write_arm("gen3", tmp_path))
+    task = {"path": {"waypoints": circle(0.5)}}
+    cost = PathCost(build_problem(robot, bp.scene_from_dict({"version": 1, "task": task})))
+    rng = np.random.default_rng(3)
+    many = np.array([robot.random_q(rng) for _ in range(30)])
+    for a, b in ((many, many + 0.9 * rng.uniform(-1.0, 1.0, many.shape)), (many[:1], many[:1] + 0.01 * many)):
+        b[:, robot.continuous] += 2.0 * np.pi
+        change = b[None] - a[:, None]
+        change[..., robot.continuous] = (change[..., robot.continuous] + np.pi) % (2.0 * np.pi) - np.pi
+        near = np.max(np.abs(change), axis=2) <= 0.7
+        found = cost.step_costs(a, b, 0.05)
+        assert near.any()
+        np.testing.assert_array_equal(np.isfinite(found), near)
+        for row, column in np.argwhere(near)[::7].tolist():
+            alone = cost.step_costs(a[[row]], b[[column]], 0.05)
+            assert found[row, column] == pytest.approx(float(alone[0, 0]), rel=1e-12)
+
+
+def test_configurations_near_each_other_are_found_modulo_a_turn(tmp_path: Path) -> None:
+    """As by comparing each with each, whether along a joint or with a tree: the latter for many in one place."""
+    robot = bp.load_robot(write_arm("gen3", tmp_path))
+    layers, rng = PathLayers(robot, grid=0.1), np.random.default_rng(4)
+    few = np.array([robot.random_q(rng) for _ in range(60)])
+    for q in (np.vstack((few, few[:40] + rng.uniform(-0.06, 0.06, (40, 7)))), np.tile(few[:2], (400, 1))):
+        q[::2, robot.continuous] += 2.0 * np.pi
+        change = q[None] - q[:, None]
+        change[..., robot.continuous] -= 2.0 * np.pi * np.round(change[..., robot.continuous] / (2.0 * np.pi))
+        near = np.argwhere(np.triu(np.max(np.abs(change), axis=2) <= 0.05, 1))
+        found = layers._close_pairs(q, 0.05)
+        assert len(near) > 10
+        np.testing.assert_array_equal(found[np.lexsort(found.T[::-1])], near)

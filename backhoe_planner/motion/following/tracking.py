@@ -35,6 +35,7 @@ _PARTS = 8  # least number of parts of a segment that passes a waypoint, at whic
 _TURN_PART = 0.25  # part of the angle's tolerance that the tip turns at most between two of them; chosen
 _MOST_PARTS = 2000  # chosen to bound the work
 _MARKS = 33  # places of the path that a detour leaves out, besides waypoints, measured from the detour; chosen
+_AT_ONCE = 256  # samples whose distances from all legs of a path are bounded at once; chosen: a few megabytes
 _LOOK_AHEAD = 0.5  # m of path within which the tip is searched while it follows; chosen
 
 
@@ -294,7 +295,7 @@ def _follow(
     batch = BatchKinematics(kinematics.robot).at(trajectory.q)
     tips = np.ascontiguousarray(batch.tip_position)
     away = np.linalg.norm(tips - path.points[0], axis=1)
-    reached, begun = 0.0, False
+    reached, begun, bounds = 0.0, False, np.zeros((0, 0))
     beginning = _beginning(path, tolerance, angle_tolerance)
     slack = _BETTER * min(tolerance, TURN_LEVER * angle_tolerance)
 
@@ -303,12 +304,14 @@ def _follow(
         if path.turns:
             s, distance, off = path.place(at, low=low, high=high, slack=slack)
             return s, distance, distance <= tolerance and off <= angle_tolerance
-        s, distance = path.nearest(tips[row], low=low, high=high)
+        s, distance = path.nearest_unchecked(tips[row], low, high, bounds[row % _AT_ONCE])
         return s, distance, distance <= tolerance
 
     for row in range(count):
         if path.turns:
             at = kinematics.at(trajectory.q[row])
+        elif row % _AT_ONCE == 0:
+            bounds = path.leg_bounds_unchecked(tips[row : row + _AT_ONCE])
         from_begin = float(away[row])
         at_begin[row] = from_begin <= tolerance
         if path.turns:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.planning.paths.kept_cone import KeptCone
 from backhoe_planner.planning.search.effort import Brake
@@ -38,6 +38,9 @@ _FOLLOWED_STEPS = 1.2  # grid steps: the same on curves of self-motion; chosen: 
 _FOLLOWED_PART = 0.5  # part of the longest step, if steps are bounded: an upper bound for the same; chosen
 _CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times `_FOLLOWED`
 _MOST = 500  # nodes of a layer, above which none are carried to it; chosen: twice `_SAMPLES`; steps grow as the square
+_MOST_PACKED = 2**62  # different values of one integer: fewer than it has
+_MANY_CLOSE = 300  # pairs for each configuration; chosen: a tree takes as long
+_ROUNDING = 1e-9  # part of a distance
 _SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given start; chosen: near, further and far
 _AROUND = 16  # guesses for each of `_SPREADS`; chosen
 _ROOT_ROUNDS = 60  # iterations: each more than halves the error of the root of g^(n + 1) = g + 1
@@ -339,12 +342,9 @@ class PathLayers:
         q = self._robot.reduce_unchecked(q)
         if len(q) < 2:
             return q
-        cells = np.round(q / within).astype(np.int64)
-        _, first = np.unique(cells, axis=0, return_index=True)
-        q = q[np.sort(first)]
+        q = q[_first_rows(np.round(q / within).astype(np.int64))]
         repeated = np.zeros(len(q), dtype=bool)
-        pairs = self._tree(q).query_pairs(within, p=np.inf, output_type="ndarray")
-        repeated[pairs[:, 1]] = True
+        repeated[self._close_pairs(q, within)[:, 1]] = True
         q = q[~repeated]
         return np.asarray(q[np.lexsort(q.T[::-1])])
 
@@ -361,20 +361,44 @@ class PathLayers:
         """Those of `q` (N, n) that are further than `within` [rad or m] from all kept before them, in order."""
         if len(q) < 2:
             return q
-        pairs = self._tree(q).query_pairs(within, p=np.inf, output_type="ndarray")
+        pairs = self._close_pairs(q, within)
         pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
-        ends = np.searchsorted(pairs[:, 0], np.arange(len(q) + 1))
-        kept = np.ones(len(q), dtype=bool)
-        for row in range(len(q)):
+        kept = [True] * len(q)
+        for row, beside in pairs.tolist():  # a pair's first row is before its second
             if kept[row]:
-                kept[pairs[ends[row] : ends[row + 1], 1]] = False
-        return q[kept]
+                kept[beside] = False
+        return np.asarray(q[np.array(kept)])
 
     def _away(self, q: Matrix, others: Matrix, far: float) -> Mask:
         """(N,) whether each of `q` (N, n) is further than `far` [rad or m] from all `others` (M, n)."""
         if not len(q) or not len(others):
             return np.ones(len(q), dtype=bool)
         return np.asarray(self._tree(others).query(self._in_box(q), p=np.inf)[0] > far)
+
+    def _close_pairs(self, q: Matrix, within: float) -> Indices:
+        """(K, 2) the rows of `q` (N, n), the earlier one first, that are `within` [rad or m] of each other.
+
+        They are found along the limited joint with the widest range, which takes a fifth of the time of a tree that is
+        periodic. If too many are near each other along it, or no joint is limited, a tree finds them.
+        """
+        q, continuous = self._in_box(q), self._robot.continuous
+        range_ = np.where(continuous, 0.0, np.ptp(q, axis=0))
+        joint = int(np.argmax(range_))
+        order = np.argsort(q[:, joint], kind="stable")
+        along = q[order, joint]
+        ahead = np.searchsorted(along, along + (1.0 + _ROUNDING) * within, side="right") - np.arange(1, len(q) + 1)
+        if range_[joint] == 0.0 or np.sum(ahead) > _MANY_CLOSE * len(q):
+            return np.asarray(self._tree(q).query_pairs(within, p=np.inf, output_type="ndarray"))
+        begins = np.cumsum(ahead) - ahead
+        rows = np.repeat(np.arange(len(q)), ahead)
+        first, second = order[rows], order[rows + 1 + np.arange(len(rows)) - np.repeat(begins, ahead)]
+        for other in np.argsort(-np.ptp(q, axis=0), kind="stable").tolist():
+            apart = np.abs(q[first, other] - q[second, other])
+            if continuous[other]:
+                apart = np.where(apart > np.pi, np.abs(apart - 2.0 * np.pi), apart)
+            near = np.flatnonzero(apart <= within)
+            first, second = first[near], second[near]
+        return np.column_stack((np.minimum(first, second), np.maximum(first, second)))
 
     def _tree(self, q: Matrix) -> cKDTree:
         """The tree of `q` (N, n), periodic in continuous joints; queried with `_in_box`."""
@@ -392,6 +416,24 @@ class PathLayers:
         turned = np.mod(q[:, continuous], 2.0 * np.pi)
         q[:, continuous] = np.where(turned < 2.0 * np.pi, turned, 0.0)  # rounding
         return q
+
+
+def _first_rows(cells: Indices) -> Indices:
+    """(K,) the first of equal rows of `cells` (N, n), in order.
+
+    The columns are packed into few integers, because numpy takes ten times as long to sort rows.
+    """
+    cells = cells - np.min(cells, axis=0)
+    keys, size = [np.zeros(len(cells), dtype=np.int64)], 1
+    for column, count in zip(cells.T, (np.max(cells, axis=0) + 1).tolist(), strict=True):
+        size *= count
+        if size > _MOST_PACKED:
+            keys, size = [*keys, column], count
+        else:
+            keys[-1] = keys[-1] * count + column
+    order = np.lexsort(keys)  # stable, so that the first of equal rows stays in front
+    differs = np.any([np.diff(key[order], prepend=-1) != 0 for key in keys], axis=0)
+    return np.sort(order[differs])
 
 
 def freest(robot: Robot, targets: Sequence[TipTarget]) -> TipTarget:
