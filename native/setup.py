@@ -6,6 +6,7 @@ from setuptools import Extension, setup
 SOURCES = (
     "arrays",
     "kinematics",
+    "poses",
     "pairs",
     "clusters",
     "distance",

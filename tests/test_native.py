@@ -21,6 +21,7 @@ from backhoe_planner.law.completed import LawSettings
 from backhoe_planner.live import Feedback, Servo  # noqa: F401  loads all marked functions
 from backhoe_planner.live.servo.feedback import HandSettings
 from backhoe_planner.machine import Kinematics
+from backhoe_planner.machine.kinematics.kinematics import place_chain
 from backhoe_planner.motion import Rows  # noqa: F401  the same
 from backhoe_planner.native import find_compiled, native_version, plain_versions
 from backhoe_planner.planning import Stepper  # noqa: F401  the same
@@ -725,6 +726,22 @@ def chain_placements(rng: Rng) -> Arguments:
     return q, np.sin(q), 1.0 - np.cos(q), factors, slides, np.vstack((rotation(rng), rng.normal(size=3)))
 
 
+def solve_poses(rng: Rng) -> Arguments:
+    """Poses, or positions alone, that most searches reach within the limits, and some that are out of reach."""
+    n, count = joints(rng), some(rng)
+    factors, slides = chain(rng, n)
+    tip = np.vstack((rotation(rng), rng.normal(size=3)))
+    q = rng.uniform(-1.0, 1.0, (count, n))
+    at = place_chain(q, factors, slides, tip, prismatic=slides != 0.0, sense=0.0, pin=None)
+    position, turned = at.tip_position.copy(), np.ascontiguousarray(at.tip_rotation)
+    position[:: rng.integers(2, 9)] *= rng.choice([1.0, 30.0])
+    settings = (1e-8, 0.98, 8.0, 0.1, 1e-2, 1e-12, 0.6, 1e-9, 1e-12, -0.9)
+    return (
+        q + rng.choice([0.05, 0.2]) * rng.normal(size=q.shape), position, turned[: count * int(rng.integers(2))],
+        factors, slides, tip, np.full(n, -1.0), np.full(n, rng.choice([1.0, 4.0])), settings, int(rng.integers(0, 5)),
+    )  # fmt: skip
+
+
 def nearest_on_ground(rng: Rng) -> Arguments:
     rows, columns = rng.integers(2, 9, 2)
     x, y = (np.sort(rng.uniform(-2.0, 2.0, count)) for count in (columns, rows))
@@ -775,7 +792,7 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground,
     nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_not_apart,
     pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead,
-    reachable_velocities, read_over_ground, read_results, rows_by_velocity, rows_of_path, soft_solution,
+    reachable_velocities, read_over_ground, read_results, rows_by_velocity, rows_of_path, soft_solution, solve_poses,
     split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
     unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip

@@ -88,10 +88,10 @@ void solve_cholesky(const double *L, int n, double *b);
 /* symmetric A (n, n): its eigenvalues on the diagonal and its eigenvectors as columns of U, by Jacobi's rotations; or -1 */
 int eigenvectors(double *A, int n, double *U);
 
-/* All functions that Python sees, by the files that they stand in: kinematics, pairs, clusters, law, shield, servo,
+/* All functions that Python sees, by the files that they stand in: kinematics, poses, pairs, clusters, law, shield, servo,
  * boxes, rows, odometers, screen, near, timing, programs, held, ground, rings. */
 #define FUNCTIONS(F) \
-    F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) \
+    F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) F(solve_poses) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
     F(unproven_of_near) \
     F(off_turned_box) F(cells_of_tiles) F(split_by_plane) F(extent_along) \

@@ -10,14 +10,22 @@ the nearest pose if the target is out of reach.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Vector, as_count, as_number
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_count, as_number
 from backhoe_planner.errors import check_kind
-from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinematics
-from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
+from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, ConfigurationBatch, Kinematics, place_chain
+from backhoe_planner.machine.kinematics.target import (
+    IMMOVABLE,
+    NEAR_HALF_TURN,
+    NO_SINE,
+    TargetBatch,
+    TipTarget,
+    movable_rows,
+)
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.native import compiled
 
@@ -29,6 +37,11 @@ _MOST_STALLED = 8  # such steps in a row; fewer would end searches that slide al
 _DAMPING = 0.1  # times the squared error (Sugihara's weight)
 _MOST_DAMPED_ERROR = 1e-2  # squared error beyond which the damping does not grow; chosen, an error of 0.1 m
 _LEAST_DAMPING = 1e-12  # keeps the equations solvable if no joint can move a row
+# what a compiled search has to know, in the order of its record
+_SETTINGS = (
+    _STALLED_AT, float(_MOST_STALLED), _DAMPING, _MOST_DAMPED_ERROR, _LEAST_DAMPING, _LARGEST_STEP, IMMOVABLE, NO_SINE,
+    NEAR_HALF_TURN,
+)  # fmt: skip
 _SETTLED = 6  # if no attempt arrives, this many of the best are refined to the nearest pose; chosen
 
 
@@ -163,7 +176,54 @@ def solve_batch(
     (B, n) where each search ended [rad or m], and (B,) whether it arrived.
     """
     limits = kinematics.robot.limits
-    q = np.clip(np.array(guesses, dtype=float), limits.lower, limits.upper)
+    guesses = np.array(guesses, dtype=float)
+    turned = bool(targets.has_rotation.any())
+    partly = turned and not targets.has_rotation.all()
+    tolerant = targets.position_tolerance.any() or (turned and targets.rotation_tolerance.any())
+    if not (partly or tolerant or targets.has_pitch.any()):
+        rotation = np.ascontiguousarray(targets.rotation if turned else targets.rotation[:0])
+        return solve_poses(
+            guesses, targets.position, rotation, *kinematics.chain, limits.lower, limits.upper,
+            (tolerance, *_SETTINGS), iterations,
+        )  # fmt: skip
+    return _search(kinematics.at, targets, guesses, limits.lower, limits.upper, tolerance, iterations)
+
+
+@compiled
+def solve_poses(
+    guesses: Matrix, position: Matrix, rotation: Array, factors: Matrix, slides: Vector, tip: Matrix, lower: Vector,
+    upper: Vector, settings: tuple[float, ...], iterations: int, /,
+) -> tuple[Array, Flags]:  # fmt: skip
+    """`solve_batch` of exact poses, or of positions alone: (B, n) where each search ends, (B,) whether it arrives.
+
+    Parameters
+    ----------
+    guesses: (B, n); they are clipped to the limits.
+    position: (B, 3) [m].
+    rotation: (B, 3, 3), or (0, 3, 3) if only positions are asked.
+    factors, slides, tip: of the chain, as for `chain_placements`.
+    lower, upper: (n,) limits [rad or m].
+    settings: the tolerance, then `_SETTINGS`.
+    """
+    count, turned = len(guesses), len(rotation) > 0
+    nothing, none = np.zeros(count), np.zeros(count, dtype=bool)
+    targets = TargetBatch(
+        position, rotation if turned else np.tile(np.eye(3), (count, 1, 1)), np.full(count, turned), nothing, nothing,
+        nothing, nothing, none,
+    )  # fmt: skip
+
+    def place(q: Array) -> ConfigurationBatch:
+        return place_chain(q, factors, slides, tip, prismatic=slides != 0.0, sense=0.0, pin=None)
+
+    return _search(place, targets, guesses, lower, upper, settings[0], iterations)
+
+
+def _search(
+    place: Callable[[Array], ConfigurationBatch], targets: TargetBatch, guesses: Array, lower: Vector, upper: Vector,
+    tolerance: float, iterations: int,
+) -> tuple[Array, Flags]:  # fmt: skip
+    """`solve_batch`, with the function that places the machine and the limits (n,)."""
+    q = np.clip(guesses, lower, upper)
     reached = np.zeros(len(q), dtype=bool)
     # the searches that go on: their numbers, configurations and targets, and below their progress
     going, x, here = np.arange(len(q)), q, targets
@@ -171,7 +231,7 @@ def solve_batch(
     for iteration in range(iterations + 1):
         if not len(going):
             break
-        at = kinematics.at(x)
+        at = place(x)
         error = here.errors(at)
         cost = np.einsum("bi,bi->b", error, error)
         arrived = np.sqrt(cost) <= tolerance
@@ -186,8 +246,8 @@ def solve_batch(
             going, x, here, error, J = going[left], x[left], here.take(left), error[left], J.compress(left, axis=2)
             cost_before, stalled = cost_before[left], stalled[left]
         rows = movable_rows(J.reshape(len(J), -1))
-        step = _limited_step(J[rows], error[:, rows], x, limits.lower, limits.upper)
-        q[going] = x = np.clip(x + step, limits.lower, limits.upper)
+        step = _limited_step(J[rows], error[:, rows], x, lower, upper)
+        q[going] = x = np.clip(x + step, lower, upper)
     return q, reached
 
 

@@ -262,21 +262,39 @@ class BatchKinematics:
     def at(self, q: Array) -> ConfigurationBatch:
         """The configurations `q` (B, n)."""
         q = np.asarray(q, dtype=float)
-        joints = np.ascontiguousarray(q.T)  # the configurations run along the last axis, along which numpy is fast
-        axes, origins, rotations, tip_position, tip_rotation = chain_placements(
-            joints, np.sin(joints), 1.0 - np.cos(joints), self._factors, self._slides, self._tip
-        )
-        return ConfigurationBatch(
-            q=q,
-            tip_position=tip_position.T,
-            tip_rotation=tip_rotation.transpose(2, 1, 0),
-            axes=axes.transpose(2, 0, 1),
-            origins=origins.transpose(2, 0, 1),
-            rotations=rotations.transpose(3, 0, 2, 1),
-            prismatic=self.robot.prismatic,
-            pitch_sense=self._sense,
-            pitch_pin=self.robot.pitch_pin,
-        )
+        return place_chain(q, *self.chain, prismatic=self.robot.prismatic, sense=self._sense, pin=self.robot.pitch_pin)
+
+    @property
+    def chain(self) -> tuple[Matrix, Vector, Matrix]:
+        """The constants of the chain for `chain_placements`: factors (33, n), slides (n,) and tip (4, 3)."""
+        return self._factors, self._slides, self._tip
+
+
+def place_chain(
+    q: Array, factors: Matrix, slides: Vector, tip: Matrix, *, prismatic: Flags, sense: float, pin: Vector | None
+) -> ConfigurationBatch:
+    """The configurations `q` (B, n) of a chain.
+
+    Parameters
+    ----------
+    factors, slides, tip: as for `chain_placements`.
+    prismatic: (n,) which joints slide; sense, pin: see `ConfigurationBatch`.
+    """
+    joints = np.ascontiguousarray(q.T)  # the configurations run along the last axis, along which numpy is fast
+    axes, origins, rotations, tip_position, tip_rotation = chain_placements(
+        joints, np.sin(joints), 1.0 - np.cos(joints), factors, slides, tip
+    )
+    return ConfigurationBatch(
+        q=q,
+        tip_position=tip_position.T,
+        tip_rotation=tip_rotation.transpose(2, 1, 0),
+        axes=axes.transpose(2, 0, 1),
+        origins=origins.transpose(2, 0, 1),
+        rotations=rotations.transpose(3, 0, 2, 1),
+        prismatic=prismatic,
+        pitch_sense=sense,
+        pitch_pin=pin,
+    )
 
 
 @compiled

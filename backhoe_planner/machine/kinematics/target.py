@@ -13,10 +13,10 @@ from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_arr
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
-_NO_SINE = 1e-12  # sine of an angle so small that it equals its sine
-_NEAR_HALF_TURN = -0.9  # cosine below which the symmetric part gives the rotation vector; chosen, 154 degrees
+NO_SINE = 1e-12  # sine of an angle so small that it equals its sine
+NEAR_HALF_TURN = -0.9  # cosine below which the symmetric part gives the rotation vector; chosen, 154 degrees
 _NO_TURN = 1e-12  # rad: a smaller rotation has no axis, and is within any tolerance
-_IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
+IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
 
 @dataclass(frozen=True)
@@ -247,9 +247,9 @@ def rotation_vectors(rotation: Array) -> Array:
     twice = np.array([rotation[:, i, j] - rotation[:, j, i] for i, j in pairs])
     sine = 0.5 * np.sqrt(twice[0] ** 2 + twice[1] ** 2 + twice[2] ** 2)
     cosine = 0.5 * (rotation[:, 0, 0] + rotation[:, 1, 1] + rotation[:, 2, 2] - 1.0)
-    ratio = np.where(sine > _NO_SINE, np.arctan2(sine, cosine) / np.maximum(sine, _NO_SINE), 1.0)
+    ratio = np.where(sine > NO_SINE, np.arctan2(sine, cosine) / np.maximum(sine, NO_SINE), 1.0)
     found = (0.5 * ratio * twice).T
-    half_turn = np.flatnonzero(cosine < _NEAR_HALF_TURN)
+    half_turn = np.flatnonzero(cosine < NEAR_HALF_TURN)
     if len(half_turn):  # there the sine is too small to give the axis
         found[half_turn] = _near_half_turn(rotation[half_turn], twice[:, half_turn])
     return np.asarray(found)
@@ -284,4 +284,4 @@ def rotation_matrices(turns: Matrix) -> Array:
 
 def movable_rows(jacobian: Matrix) -> Flags:
     """(..., m) which rows of a task Jacobian (..., m, n) any joint can move; the z of a planar arm is not one."""
-    return np.asarray(np.max(np.abs(jacobian), axis=-1) > _IMMOVABLE)
+    return np.asarray(np.max(np.abs(jacobian), axis=-1) > IMMOVABLE)
