@@ -23,12 +23,12 @@ from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengt
 from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.kept_cone import kept_targets
 from backhoe_planner.planning.paths.monotone_curve import monotone_curve
-from backhoe_planner.planning.paths.smoothing import ENOUGH, margins_to_keep, null_bases, strict_targets
+from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, margins_to_keep, null_bases, strict_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import ClearanceScreen, Proximity
 
 Mask = NDArray[np.bool_]
 
@@ -126,6 +126,7 @@ class _Descent:
         self._lower = np.array([self._distances(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
         self._floor = margins_to_keep(margin)
+        self._screen = ClearanceScreen(proximity, time=time, spare=ROOM)
 
     def tie(self, spacing: float, *, added: bool, free_start: bool, free_end: bool) -> None:
         """Choose the knots, `spacing` [m] apart, and which of them move.
@@ -217,7 +218,10 @@ class _Descent:
         unsure[near] = (lower[near][:, None, :] - moved[near] @ travel < asked[near][:, None, :]).any(axis=2)
         unsure &= usable
         unsure[:, _WIDTH] = False
-        for k, c in np.argwhere(unsure).tolist():
+        rows = np.argwhere(unsure)
+        # no knot keeps a larger margin than the screen, which decides nearly all without measuring a distance
+        rows = rows[~self._screen.keeps(found[unsure])] if len(rows) else rows
+        for k, c in rows.tolist():
             usable[k, c] = bool(np.all(self._distances(found[k, c], asked[k]) >= asked[k]))
 
     def _nodes(self, neighbours: NDArray[np.float64]) -> Nodes:
