@@ -33,3 +33,7 @@ from .servo.servo_state import Command as Command
 from .servo.servo_state import ServoState as ServoState
 from .servo.servo_state import Status as Status
 from .servo.surroundings import shifted as shifted
+from .stop_ahead import Approach as Approach
+from .stop_ahead import first_rest as first_rest
+from .stop_ahead import stop_before as stop_before
+from .track_proof import Blockage as Blockage

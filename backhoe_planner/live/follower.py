@@ -27,18 +27,20 @@ import numpy as np
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
+from backhoe_planner.live.detour_ahead import DetourAhead
 from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.plan_fit import check_fits
 from backhoe_planner.live.progress import ARRIVED, Progress
-from backhoe_planner.live.reference import Reference
+from backhoe_planner.live.reference import Clocked, Reference
 from backhoe_planner.live.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
 from backhoe_planner.live.searches import Searches
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.live.track_proof import TrackProof, rest_is_clear
+from backhoe_planner.live.stop_ahead import pace_along, stop_before
+from backhoe_planner.live.track_proof import Blockage, RestProof, TrackProof, prove_rest
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Keep, Trajectory, keep_of
 from backhoe_planner.planning import Plan
@@ -57,6 +59,7 @@ _FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck, af
 _ATTEMPTS = 4  # failed searches in a row after which the status says that the machine is blocked
 _LONGEST_BREAK = 16.0  # s, longest break between two failed searches; it doubles from 1 s on
 _JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
+_AHEAD_AGAIN = 0.5  # s between two searches ahead of the machine, while obstacles on the plan change
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
 
@@ -122,13 +125,15 @@ class PlanFollower:
         self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
         self._track = Track(self._plan, servo.limits, servo.dt)
         self._proof = TrackProof(servo, plan, self._plan, self._track)
-        self._proving = False  # whether the search under way is for a proof of the track
         self._enter_leg()
         self._steps = 0  # until it was done
         self._was_done = False
         self._slowest = float(servo.limits.velocity.min())
         self._progress = Progress(self._slowest)
-        self._searches = Searches(executor)
+        self._searches, self._proofs = Searches(executor), Searches(executor)
+        self._blockage: Blockage | None = None  # that a detour is searched for before the machine is held back by it
+        self._ahead: DetourAhead | None = None
+        self._ahead_from = -np.inf  # s: from then on the next detour may be searched ahead of the machine
         self._seed = seed
         self._failed = 0  # searches in a row that found nothing, or a detour that led nowhere
         self._stuck_at = -np.inf  # s of the plan
@@ -137,6 +142,7 @@ class PlanFollower:
         self._may_succeed = True  # another search, with more effort
         self._seen, self._seen_at = servo.revision, -np.inf  # revision of the surroundings, and s, of the last change
         self._was_holding = False
+        self._was_proven = False
         self._holding = False
         self._blocked = ""
         self._retrying = False
@@ -151,6 +157,7 @@ class PlanFollower:
     def close(self) -> None:
         """End the searches. Later steps follow the plan, but no longer find detours around new obstacles."""
         self._searches.close()
+        self._proofs.close()
 
     @property
     def done(self) -> bool:
@@ -167,9 +174,10 @@ class PlanFollower:
         self._enter_leg()
         self._look_around()
         self._take_answer()
+        self._go_round_ahead()
         if self._must_hold():
             self._was_holding = True
-            state = servo.step(joint_velocity=np.zeros(servo.robot.n))
+            state = servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
             if not self._searches.under_way and float(np.abs(state.v).max()) < _STILL:
                 if self._holding:
                     self._search()
@@ -181,7 +189,7 @@ class PlanFollower:
                 self._was_holding = False
                 self._joins_until = servo.time + _JOINS
                 self._progress = Progress(self._slowest)
-            state = self._follow(self._plan if self._round is None else self._round.reference)
+            state = self._follow()
         done = self._was_done = self.done
         status, reason = self._status(state, done)
         return FollowerState(
@@ -211,11 +219,14 @@ class PlanFollower:
             if servo.time > self._seen_at + _PATIENCE_CROSSING:
                 self._progress.waited = 0.0
             self._seen, self._seen_at = servo.revision, servo.time
-        busy = self._holding or self._blocked or self._round or self._searches.under_way
-        query = None if busy else self._proof.query()
+        query = None if self._round or self._proofs.under_way else self._proof.query()
         if query is not None:
-            self._proving = True
-            self._searches.begin(servo.revision, servo.time, rest_is_clear, query)
+            self._proofs.begin(servo.revision, servo.time, prove_rest, query)
+        self._take_proof()
+        proven = servo.is_proven_along_unchecked(self._track)
+        if proven and not self._was_proven and self._round is None:
+            self._resume()
+        self._was_proven = proven
 
     def _must_hold(self) -> bool:
         """Whether to hold still: while a detour is searched, and, if none was found, until something changes."""
@@ -228,27 +239,39 @@ class PlanFollower:
 
     # --- along a reference -------------------------------------------------------------
 
-    def _follow(self, reference: Reference) -> ServoState:
-        servo = self.servo
+    def _follow(self) -> ServoState:
+        """One step along the detour, or the plan, all of it or up to where a detour begins."""
+        servo, reference, track = self.servo, *self._followed()
         deviation = float(np.abs(reference.q - servo.q).max())
-        on_track = reference is self._plan and servo.is_proven_along_unchecked(self._track)
-        if on_track and self._track.is_joined_by(servo.q, servo.v):
+        on_track = track is not None and servo.is_proven_along_unchecked(track)
+        if track is not None and on_track and track.is_joined_by(servo.q, servo.v):
             self._joins_until = -np.inf
-            state = servo.step_along_unchecked(self._track)
+            state = servo.step_along_unchecked(track)
         else:
-            state = self._step_towards(reference)
+            state = self._step_towards(reference, waits=track is not None and self._waits_to_join(proven=on_track))
         if self._progress.made(reference, deviation, servo.dt):
             self._got_on()
         elif self._progress.waited > _PATIENCE and not (
-            reference is self._plan and reference.ended and deviation < ARRIVED
+            reference.ended and deviation < ARRIVED and self._round is None
         ):
             self._lose_patience(state)
         if self._round is not None:
             self._watch_round(deviation)
         return state
 
-    def _step_towards(self, reference: Reference) -> ServoState:
-        """One step towards where the reference is, and along with it, as far as the servo allows."""
+    def _followed(self) -> tuple[Clocked, Track | None]:
+        """What the machine follows now, and the track along it if it is to be proven."""
+        if self._round is not None:
+            return self._round.reference, None
+        if self._ahead is not None:
+            return self._ahead.approach, self._ahead.track
+        return self._plan, self._track
+
+    def _step_towards(self, reference: Clocked, *, waits: bool) -> ServoState:
+        """One step towards where the reference is, and along with it, as far as the servo allows.
+
+        waits: whether the reference's clock stands still.
+        """
         servo, clock = self.servo, reference.clock
         off, rates = reference.q - servo.q, reference.rates(servo.dt)
         pace = min(max((_TOLERANCE - _late(off, rates)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
@@ -258,27 +281,25 @@ class PlanFollower:
         kept = self._kept.pace(servo.q, servo.v, reference, rates, time=servo.time)
         if kept is None:
             return servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
-        pace = min(pace, kept, self._paces.at(reference.clock) if reference is self._plan else 1.0)
-        pace = 0.0 if reference is self._plan and self._joins_track() else pace
+        pace = min(pace, kept, self._paces.at(self._plan.clock) if self._round is None else 1.0)
+        pace = 0.0 if waits else pace
         state = servo.step(joint_velocity=pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
             reference.advance(pace * servo.dt)
         return state
 
-    def _joins_track(self) -> bool:
+    def _waits_to_join(self, *, proven: bool) -> bool:
         """Whether a machine that was held, or comes from a detour, is to come exactly onto the plan at its clock.
 
-        There it can go on along the track. Beside it, it would have to gather speed among obstacles and conditions that
-        leave room for the plan alone.
+        There it can go on along the track, if that is proven or being proven. Beside it, it would have to gather speed
+        among obstacles and conditions that leave room for the plan alone.
         """
-        servo = self.servo
-        if servo.time >= self._joins_until:
-            return False
-        return servo.is_proven_along_unchecked(self._track) or (self._proving and self._searches.under_way)
+        return self.servo.time < self._joins_until and (proven or self._proofs.under_way)
 
     def _got_on(self) -> None:
         if self._holding:  # what was in the way has gone meanwhile
             self._searches.drop()
+            self._blockage = None
         self._holding = self._retrying = False
         self._blocked = ""
         if self._round is None and self._plan.clock > self._stuck_at + _FURTHER:
@@ -292,14 +313,18 @@ class PlanFollower:
             return
         changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
         if changed or servo.time >= self._again_at:
-            if self._searches.under_way and self._proving:
-                self._proof.ask_again()
-            self._searches.drop()
-            self._stuck_at = self._plan.clock
-            self._holding, self._retrying = True, False
+            self._blockage = None
+            self._hold()
             if self._round is not None:  # it led nowhere: search another one
                 self._round = None
                 self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
+
+    def _hold(self) -> None:
+        """Come to rest, and search a detour from there."""
+        self._ahead = None
+        self._searches.drop()
+        self._stuck_at = self._plan.clock
+        self._holding, self._retrying = True, False
 
     def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
         """Count a search that failed. After several, or if no effort helps (`final`), pause the searches."""
@@ -319,15 +344,16 @@ class PlanFollower:
             self._round = None
             self._searches.drop()
             self._plan.clock = found.rejoins_at
+            self._proofs.drop()
+            self._proof.ask_again()
             self._joins_until = servo.time + _JOINS
             self._progress = Progress(self._slowest)
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
             found.checked, found.check_at = servo.revision, servo.time + _RECHECK
             rest = np.vstack((servo.q[None], found.reference.rest()))
-            self._proving = False
             self._searches.begin(servo.revision, servo.time, is_still_clear, servo.robot, servo.snapshot(), rest)
 
-    def _ahead(self) -> Trajectory:
+    def _ahead_motion(self) -> Trajectory:
         """The motion that a detour may rejoin: for a sequence, up to the end of the leg."""
         if self._legs is None:
             return self._trajectory
@@ -336,46 +362,109 @@ class PlanFollower:
 
     # --- searches beside the loop --------------------------------------------------------
 
-    def _search(self) -> None:
-        servo = self.servo
+    def _search(self, ahead: DetourAhead | None = None) -> None:
+        """Begin to search a detour from where the machine is, or from a place `ahead`."""
+        servo, around = self.servo, self._blockage
+        since = self._plan.clock if ahead is None else ahead.approach.place
         query = RejoiningQuery(
             robot=servo.robot,
             scene=servo.scene if self._legs is None else self._legs.leg.problem.scene,
             limits=servo.limits,
             obstacles=servo.snapshot(),
-            q=servo.q,
-            motion=self._ahead(),
-            since=self._plan.clock,
+            q=servo.q if ahead is None else self._plan.at(since),
+            motion=self._ahead_motion(),
+            since=since,
             seed=self._seed,
-            attempt=self._failed,
+            attempt=self._failed if around is None else 0,
+            beyond=around is not None,
         )
-        self._proving = False
         self._searches.begin(servo.revision, servo.time, find_rejoining, query)
+
+    def _take_proof(self) -> None:
+        """Take the answer whether the rest of the plan is clear: go along it, or search a detour ahead."""
+        answer, servo = self._proofs.answer(self.servo.time), self.servo
+        if not isinstance(answer, RestProof):
+            return
+        holds = self._proof.take(answer, revision=self._proofs.revision)
+        if answer.blockage is None:
+            self._resume()
+        elif holds and not servo.is_moving():
+            self._look_ahead(answer.blockage)
+
+    def _look_ahead(self, blockage: Blockage) -> None:
+        """Search a detour around a blockage from a place before it, if there is one on the present leg."""
+        if self._holding or self._blocked or self._round is not None:
+            return
+        if self._ahead is not None:
+            if self._ahead.is_around(blockage):
+                return
+            self._resume()
+        servo, plan = self.servo, self._plan
+        if not blockage.ends or blockage.begins > self._ahead_motion().time[-1]:
+            return
+        if servo.time < self._ahead_from:
+            self._proof.ask_again()
+            return
+        self._blockage = blockage
+        approach = stop_before(plan, servo.limits, pace_along(plan, servo.v, servo.dt), blockage)
+        if approach is not None:
+            track = Track(approach, servo.limits, servo.dt)
+            track.revision, track.carried = servo.revision, servo.robot.carried  # proven up to the blockage
+            self._ahead, self._ahead_from = DetourAhead(approach, track, blockage), servo.time + _AHEAD_AGAIN
+            self._search(self._ahead)
+        else:  # the sooner the machine rests, the more room it has
+            self._hold()
+
+    def _resume(self) -> None:
+        """Go on along the plan, without waiting for a detour."""
+        if self._holding or self._ahead is not None:
+            self._searches.drop()
+        self._ahead = self._blockage = None
+        self._holding = self._retrying = False
+        self._progress = Progress(self._slowest)
+
+    def _go_round_ahead(self) -> None:
+        """Begin the detour ahead once the machine is there; leave it if there is none, or something moves."""
+        ahead, servo = self._ahead, self.servo
+        if ahead is None:
+            return
+        if servo.is_moving() or (ahead.failed and (ahead.approach.ended or servo.revision != ahead.track.revision)):
+            self._resume()
+        elif ahead.found is not None and ahead.approach.ended and np.abs(self._plan.q - servo.q).max() < _ON_PLAN:
+            self._ahead = None
+            self._stuck_at = self._plan.clock
+            self._go_round(ahead.found)
+
+    def _go_round(self, found: Rejoining) -> None:
+        self._round = _Round(
+            Reference(found.motion, self.servo.limits),
+            found.rejoins_at,
+            found.around,
+            checked=self._searches.revision,
+        )
+        self._progress = Progress(self._slowest)
+        self._blocked, self._blockage = "", None
 
     def _take_answer(self) -> None:
         answer = self._searches.answer(self.servo.time)
         if answer is None:
             return
-        servo = self.servo
-        proving, self._proving = self._proving, False
-        if proving:
-            self._proof.take(clear=answer is True, revision=self._searches.revision)
-            return
-        if answer is False and self._round is not None:  # the detour is no longer clear
+        if self._ahead is not None and isinstance(answer, Rejoining):
+            self._ahead.found = answer
+        elif self._blockage is not None and not isinstance(answer, Rejoining | bool):
+            # the machine goes on as far as the plan leads, and searches with more effort there
+            self._failed, self._stuck_at = max(self._failed, 1), self._blockage.begins
+            if self._ahead is None:
+                self._resume()
+            else:
+                self._ahead.failed = True
+        elif answer is False and self._round is not None:  # the detour is no longer clear
             self._round = None
             self._holding = True
         elif isinstance(answer, Rejoining):
             self._holding = False
-            if float(np.abs(answer.motion.q[0] - servo.q).max()) > _OFF:
-                return
-            self._round = _Round(
-                Reference(answer.motion, servo.limits),
-                answer.rejoins_at,
-                answer.around,
-                checked=self._searches.revision,
-            )
-            self._progress = Progress(self._slowest)
-            self._blocked = ""
+            if float(np.abs(answer.motion.q[0] - self.servo.q).max()) <= _OFF:
+                self._go_round(answer)
         elif not isinstance(answer, bool):
             final = isinstance(answer, NoRejoining) and not answer.searched
             reason = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer!s:.200}"
@@ -388,7 +477,10 @@ class PlanFollower:
             return FollowerStatus.ARRIVED, ""
         if self._blocked:
             return FollowerStatus.BLOCKED, self._blocked
-        if self._holding or self._progress.waited > _NOTICED:
+        waits = self._progress.waited > _NOTICED
+        if self._ahead is not None and (self._ahead.approach.ended or not waits):
+            return FollowerStatus.WAITING if waits else FollowerStatus.FOLLOWING, self._ahead.reason
+        if self._holding or waits:
             kept = f"; {self._kept.lost}" if self._kept.lost else ""
             sought = "; a way round is searched for" if self._holding else ""
             return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"

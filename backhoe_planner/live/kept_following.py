@@ -13,7 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.live.braking.joint_bounds import BRAKING
-from backhoe_planner.live.reference import Reference
+from backhoe_planner.live.reference import Clocked
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 
@@ -49,7 +49,7 @@ class KeptFollowing:
         """(n,) the velocity to be commanded when the machine has to stop, see `held_velocity`."""
         return np.zeros_like(v) if self._keep is None else held_velocity(self._keep, self._limits, q, v, dt)
 
-    def pace(self, q: Vector, v: Vector, reference: Reference, rates: Vector, *, time: float) -> float | None:
+    def pace(self, q: Vector, v: Vector, reference: Clocked, rates: Vector, *, time: float) -> float | None:
         """The part of its speed at which the plan may go on, 0 to 1; None if the machine at `q` (n,) has to stop.
 
         Parameters

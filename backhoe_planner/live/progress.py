@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.live.reference import Reference
+from backhoe_planner.live.reference import Clocked
 
 # The numbers are chosen; validation/placements.py drives machines with them.
 ARRIVED = 1e-3  # rad or m from the end of the plan
@@ -34,7 +34,7 @@ class Progress:
         self._clock = self._nearest = np.inf
         self._looked = 0.0
 
-    def made(self, reference: Reference, deviation: float, dt: float) -> bool:
+    def made(self, reference: Clocked, deviation: float, dt: float) -> bool:
         """Whether this step completes some progress."""
         clock = reference.clock
         if deviation > self._nearest + _PUSHED or self._clock == np.inf:

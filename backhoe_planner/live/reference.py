@@ -11,6 +11,7 @@ far apart for that, the straight lines are followed.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -45,7 +46,47 @@ class _Pieces(NamedTuple):
         return np.asarray(self.q[row] + since * (self.v[row] + 0.5 * since * self.a[row]))
 
 
-class Reference:
+class Clocked(ABC):
+    """A motion with a clock.
+
+    Attributes
+    ----------
+    clock: the time along the motion that has been reached [s]; may be set.
+    end: of the motion [s].
+    """
+
+    clock: float
+    end: float
+
+    @property
+    def ended(self) -> bool:
+        """Whether the clock has reached the end."""
+        return self.clock >= self.end
+
+    @property
+    def q(self) -> Vector:
+        """(n,) joint positions at the clock's time [rad or m]."""
+        return self.at(self.clock)
+
+    @property
+    @abstractmethod
+    def last_q(self) -> Vector:
+        """(n,) joint positions at the end [rad or m]."""
+
+    def rates(self, dt: float) -> Vector:
+        """(n,) mean rates over the next `dt` [rad/s or m/s]."""
+        return (self.at(self.clock + dt) - self.at(self.clock)) / dt
+
+    def advance(self, by: float) -> None:
+        """Advance the clock `by` [s], to the end at most."""
+        self.clock = min(self.clock + by, self.end)
+
+    @abstractmethod
+    def at(self, time: float) -> Vector:
+        """(n,) joint positions at `time` [s] of the motion [rad or m]; those at the end from there on."""
+
+
+class Reference(Clocked):
     """A motion with a clock, from rest to rest.
 
     Parameters
@@ -72,27 +113,20 @@ class Reference:
         self.keeps_limits = self._pieces is not straight and bool((np.abs(self._pieces.a) <= most).all())
 
     @property
-    def ended(self) -> bool:
-        """Whether the clock has reached the end."""
-        return self.clock >= self.end
-
-    @property
-    def q(self) -> Vector:
-        """(n,) joint positions at the clock's time [rad or m]."""
-        return self.at(self.clock)
-
-    @property
     def last_q(self) -> Vector:
         """(n,) joint positions at the end [rad or m]."""
         return np.asarray(self._motion.q[-1])
 
-    def rates(self, dt: float) -> Vector:
-        """(n,) mean rates over the next `dt` [rad/s or m/s]."""
-        return (self.at(self.clock + dt) - self.at(self.clock)) / dt
+    @property
+    def knots(self) -> Vector:
+        """(K,) the times [s] between which the accelerations are constant, rising."""
+        return self._pieces.time
 
-    def advance(self, by: float) -> None:
-        """Advance the clock `by` [s], to the end at most."""
-        self.clock = min(self.clock + by, self.end)
+    def changes_at(self, time: float) -> tuple[Vector, Vector]:
+        """(n,) rates [rad/s or m/s] and (n,) accelerations [per s^2] at `time` [s], not before the first knot."""
+        row = int(self._pieces.time.searchsorted(time, side="right")) - 1
+        a = self._pieces.a[row]
+        return self._pieces.v[row] + (time - float(self._pieces.time[row])) * a, a
 
     def rest(self) -> Matrix:
         """(K, n) the samples after the clock's time."""

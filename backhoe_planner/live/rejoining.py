@@ -56,11 +56,13 @@ class RejoiningQuery:
     ----------
     robot, scene, limits: the machine, the site and payload, and the joint limits.
     obstacles: each where it is now; moving ones count as standing still there.
-    q: (n,) configuration of the machine, at rest [rad or m].
+    q: (n,) configuration of the machine, at rest, or in which it will be at rest [rad or m].
     motion: the motion to be rejoined.
     since: the time along the motion that was reached [s].
     seed: of the sampling, not negative.
     attempt: number of the attempt, from 0. The first three grow more thorough; each samples anew.
+    beyond: whether the detour must lead behind the first obstacle on the rest of the motion; otherwise it may also lead
+        back to the motion before it.
     """
 
     robot: Robot
@@ -72,6 +74,7 @@ class RejoiningQuery:
     since: float
     seed: int
     attempt: int = 0
+    beyond: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +183,8 @@ class _Search:
         last = len(self._q) - 1
         yielded = -1
         for first, end in self._stretches():
+            if self._query.beyond and first == 0 and end < last:
+                continue
             if first == 0 and here:
                 ahead = np.abs(self._q[: end + 1] - self._query.q).max(axis=1) > _HERE
                 if not ahead.any():

@@ -30,12 +30,13 @@ from backhoe_planner.site import Obstacle, Obstruction, Proximity
 _PARTS = 4  # of the time between two samples, in which the reference is proven; a piece is 1/16 as far off its line
 _WITHIN = 2.0 * TOUCH  # m below its clearance at which a motion still counts as keeping it, as in a certificate
 _DEPTH = 9  # halvings of a piece in a proof
+ROOM = 0.1  # m beyond every clearance that is enough for a detour to begin with; measured: more changes little
 _BREAK = 0.2  # s between two proofs while the surroundings change; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class RestQuery:
-    """The input of `rest_is_clear`; it can be sent to another process.
+    """The input of `prove_rest`; it can be sent to another process.
 
     Attributes
     ----------
@@ -51,15 +52,64 @@ class RestQuery:
     dt: float
 
 
-def rest_is_clear(query: RestQuery) -> bool:
-    """Whether the rest of a reference is proven clear of obstacles; of the machine itself nothing is proven."""
-    return all(
-        _pieces_are_clear(
-            robot, Proximity(robot, query.obstacles, self_collision=False), query.reference, time, query.dt
-        )
-        for robot, time in query.legs
-        if time[-1] > query.reference.clock
-    )
+@dataclass(frozen=True, eq=False)
+class Blockage:
+    """Where the rest of a reference is not proven clear of an obstacle, and how much room there is before.
+
+    Attributes
+    ----------
+    begins: the first time on the reference's clock from which it is not proven clear [s].
+    name: of the obstacle that is nearest there.
+    ends: whether there is a clear place behind it on the same leg.
+    time: (K,) of places before, as far back as there is less than `ROOM` and the first with so much, rising [s].
+    margin: (K,) the distance beyond the obstacles' clearances at these places [m].
+    """
+
+    begins: float
+    name: str
+    ends: bool
+    time: Vector
+    margin: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class RestProof:
+    """The answer to a `RestQuery`: the rest is proven clear if there is no blockage."""
+
+    blockage: Blockage | None
+
+
+def prove_rest(query: RestQuery) -> RestProof:
+    """Prove the rest of a reference clear of obstacles; of the machine itself nothing is proven."""
+    for robot, time in query.legs:
+        if time[-1] > query.reference.clock:
+            proximity = Proximity(robot, query.obstacles, self_collision=False)
+            begins = _clear_until(robot, proximity, query.reference, time, query.dt)
+            if begins is not None:
+                return RestProof(_blockage(proximity, query.reference, time, begins))
+    return RestProof(None)
+
+
+def _blockage(proximity: Proximity, reference: Reference, time: Vector, begins: float) -> Blockage:
+    """The blockage of a leg with samples at `time` (K,) [s] that is proven clear until `begins` [s]."""
+
+    def tightest(moment: float) -> Obstruction:
+        found = proximity.tightest(reference.at(moment))
+        assert found is not None  # without obstacles there is no blockage
+        return found
+
+    places: list[tuple[float, float]] = []
+    first = max(reference.clock, float(time[0]))
+    before = time[(time > first) & (time < begins)]
+    for moment in (begins, *before[::-1].tolist(), *([first] if first < begins else [])):
+        places.append((moment, tightest(moment).margin))
+        if places[-1][1] >= ROOM:
+            break
+    following = time[time > begins].tolist()
+    inside = min((tightest(moment) for moment in (begins, *following[:1])), key=lambda found: found.margin)
+    ends = any(tightest(moment).margin >= 0.0 for moment in following[1:])
+    rising = np.array(places[::-1])
+    return Blockage(begins, inside.name, ends, rising[:, 0], rising[:, 1])
 
 
 class TrackProof:
@@ -105,10 +155,15 @@ class TrackProof:
         legs = legs or [(plan.problem.robot, plan.trajectory.time)]
         return RestQuery(copy(self._reference), tuple(legs), new, servo.dt)
 
-    def take(self, *, clear: bool, revision: int) -> None:
-        """Take the answer to a query that was asked at a `revision` of the surroundings, unless a leg began since."""
-        if clear and revision == self._servo.revision == self._asked and self._carries_the_same():
+    def take(self, answer: RestProof, *, revision: int) -> bool:
+        """Take the answer to a query that was asked at a `revision` of the surroundings; return whether it still holds.
+
+        It does not if the surroundings have changed since, or a leg began.
+        """
+        holds = revision == self._servo.revision == self._asked and self._carries_the_same()
+        if holds and answer.blockage is None:
             self._prove(revision)
+        return holds
 
     def ask_again(self) -> None:
         """Note that the last query will not be answered, so that it is asked once more."""
@@ -209,7 +264,7 @@ def _is_clear(
     if not clearances or float(taken.max(initial=0.0)) <= clearances[0].margin:
         return True
     proximity = Proximity(problem.robot, problem.obstacles)
-    return _pieces_are_clear(problem.robot, proximity, reference, begins + motion.time, dt)
+    return _clear_until(problem.robot, proximity, reference, begins + motion.time, dt) is None
 
 
 def _off_in_a_step(robot: Robot, dt: float) -> Vector:
@@ -217,8 +272,10 @@ def _off_in_a_step(robot: Robot, dt: float) -> Vector:
     return np.asarray(robot.limits.acceleration * dt**2 / 8.0)
 
 
-def _pieces_are_clear(robot: Robot, proximity: Proximity, reference: Reference, time: Vector, dt: float) -> bool:
-    """Whether the rest of a reference between the samples at `time` (K,) [s] on its clock is proven clear.
+def _clear_until(robot: Robot, proximity: Proximity, reference: Reference, time: Vector, dt: float) -> float | None:
+    """Until when the rest of a reference between the samples at `time` (K,) is proven clear, on its clock [s].
+
+    None if all of it is.
 
     dt: length of the straight steps along it [s].
     """
@@ -227,4 +284,7 @@ def _pieces_are_clear(robot: Robot, proximity: Proximity, reference: Reference, 
     places: Matrix = np.array([reference.at(moment) for moment in fine.tolist()])
     off = travel_bounds(robot) @ (chord_sagitta(robot.limits) / _PARTS**2 + _off_in_a_step(robot, dt))
     spare = float(off.max(initial=0.0)) - _WITHIN
-    return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=spare) for a, b in pairwise(places))
+    for moment, (a, b) in zip(fine.tolist(), pairwise(places), strict=False):
+        if not segment_is_clear(proximity, a, b, depth=_DEPTH, spare=spare):
+            return float(moment)
+    return None

@@ -155,7 +155,7 @@ class FirstProofNever(AtOnce):
 
     def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
         self.asked.append(function.__name__)
-        unanswered = self.asked == ["rest_is_clear"]
+        unanswered = self.asked == ["prove_rest"]
         return Future() if unanswered else super().submit(function, *args, **keys)
 
 
@@ -167,7 +167,7 @@ def test_a_proof_that_was_given_up_for_a_search_is_asked_for_again(past_wall: bp
         followed(follower, 0.2 * past_wall.trajectory.duration)
         servo.add(BALL | {"position": [-6.0, 0.0, 4.0]})
         assert followed(follower, 5.0 * past_wall.trajectory.duration)[-1].done
-    assert executor.asked[:3] == ["rest_is_clear", "find_rejoining", "rest_is_clear"]
+    assert executor.asked[:3] == ["prove_rest", "find_rejoining", "prove_rest"]
 
 
 def test_after_a_detour_the_machine_comes_exactly_onto_the_plan_and_stays_there(past_wall: bp.Plan) -> None:

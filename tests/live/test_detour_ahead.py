@@ -1,0 +1,310 @@
+"""An obstacle on the rest of a plan: a detour from a place ahead is searched while the machine drives there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.live import (
+    FollowerState,
+    FollowerStatus,
+    NoRejoining,
+    PlanFollower,
+    Rejoining,
+    RejoiningQuery,
+    Servo,
+    find_rejoining,
+    stop_ahead,
+)
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Proximity, build_obstacles
+
+DT = 0.01
+START = {"swing": -0.6, "boom": 0.3, "stick": -0.9, "bucket": -0.5}
+FAR = {"name": "far", "shape": "sphere", "radius": 0.2, "position": [-4.0, 0.0, 3.0]}
+
+
+class Desk(Executor):
+    """Answers proofs at once, and each search for a detour when the test says so."""
+
+    def __init__(self) -> None:
+        self.queries: list[RejoiningQuery] = []
+        self.awaited: Future[Any] = Future()
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keys: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        if function is find_rejoining:
+            self.queries.append(args[0])
+            self.awaited = future
+        else:
+            future.set_result(function(*args, **keys))
+        return future
+
+
+def scene_of(*obstacles: dict[str, Any], task: dict[str, Any] | None = None) -> bp.Scene:
+    goal = {"goal": {"joints": {"swing": 0.9, "boom": 0.1, "stick": -0.7, "bucket": -0.6}}}
+    return bp.scene_from_dict(
+        {"version": 1, "start": {"joints": START}, "task": task or goal, "obstacles": list(obstacles)}
+    )
+
+
+@pytest.fixture(scope="module")
+def swing(backhoe: Robot) -> bp.Plan:
+    found = bp.plan(backhoe, scene_of(), effort="quick")
+    assert found.verified, found.message
+    return found
+
+
+def on_plan(plan: bp.Plan, part: float) -> dict[str, Any]:
+    """A crate at the tip's place at a part of the plan's time."""
+    q = plan.trajectory.at(part * plan.trajectory.duration)
+    place = bp.Kinematics(plan.robot).at(q).tip_position
+    return {"name": "crate", "shape": "box", "size": [0.4, 0.4, 0.4], "position": place.tolist()}
+
+
+def margin(plan: bp.Plan, postures: Any, *obstacles: dict[str, Any]) -> float:
+    """The least distance beyond the clearance from obstacles in postures (K, n) [m]."""
+    proximity = Proximity(plan.robot, build_obstacles(scene_of(*obstacles), plan.robot), self_collision=False)
+    return min(float(np.min(proximity.distances(np.array(q)) - proximity.clearance)) for q in postures)
+
+
+class Run:
+    """A machine that follows a plan, onto which a crate is put once the plan's clock has come to a moment."""
+
+    def __init__(self, plan: bp.Plan, crate: dict[str, Any], *, at: float) -> None:
+        self.desk, self.plan = Desk(), plan
+        self.servo = Servo(plan.robot, plan.scene, DT, q=plan.trajectory.q[0])
+        self.follower = PlanFollower(self.servo, plan, executor=self.desk)
+        self.steps: list[FollowerState] = []
+        self.go(until=lambda step: step.plan_time >= at * plan.trajectory.duration)
+        self.servo.add(crate)
+        self.put_at = len(self.steps)
+
+    def go(self, seconds: float = 30.0, *, until: Callable[[FollowerState], bool] | None = None) -> FollowerState:
+        for _ in range(round(seconds / DT)):
+            self.steps.append(self.follower.step())
+            if self.steps[-1].done or (until is not None and until(self.steps[-1])):
+                break
+        return self.steps[-1]
+
+    def rests(self) -> bool:
+        return bool((np.abs(self.servo.v) < 1e-6).all())
+
+
+@pytest.fixture(scope="module")
+def first_query(swing: bp.Plan) -> RejoiningQuery:
+    """What is asked when the crate of most of these tests turns up; the same in each of them."""
+    run = Run(swing, on_plan(swing, 0.7), at=0.2)
+    run.go(3.0 * DT)
+    (query,) = run.desk.queries
+    return query
+
+
+@pytest.fixture(scope="module")
+def detour(first_query: RejoiningQuery) -> Rejoining:
+    found = find_rejoining(first_query)
+    assert isinstance(found, Rejoining)
+    return found
+
+
+def test_the_detour_begins_on_the_plan_ahead_and_leads_behind_the_crate(
+    swing: bp.Plan, first_query: RejoiningQuery, detour: Rejoining
+) -> None:
+    crate, motion = on_plan(swing, 0.7), swing.trajectory
+    taken = [moment for moment in motion.time.tolist() if margin(swing, [motion.at(moment)], crate) < 0.0]
+    assert 0.2 * motion.duration < first_query.since < taken[0]
+    np.testing.assert_allclose(first_query.q, motion.at(first_query.since), atol=1e-3)
+    assert 0.1 <= margin(swing, [first_query.q], crate) < 0.2  # with room, but not much before the crate
+    np.testing.assert_allclose(detour.motion.q[0], first_query.q, atol=1e-9)
+    assert detour.rejoins_at > taken[-1]
+    assert detour.around == "crate"
+
+
+def test_a_detour_that_is_found_in_time_is_begun_at_once(swing: bp.Plan, detour: Rejoining) -> None:
+    """The answer comes after 0.3 s; the machine is at rest in one step only, where the detour begins."""
+    crate = on_plan(swing, 0.7)
+    run = Run(swing, crate, at=0.2)
+    run.go(0.3)
+    assert run.steps[-1].status is FollowerStatus.FOLLOWING
+    assert run.steps[-1].reason == "crate is on the rest of the plan; a way round is searched for"
+    run.desk.awaited.set_result(detour)
+    assert "a way round begins at" in run.go(DT).reason
+    step = run.go(until=lambda step: step.status is FollowerStatus.GOING_ROUND)
+    assert step.plan_time == pytest.approx(run.desk.queries[0].since, abs=1e-9)
+    assert max(step.deviation for step in run.steps[:-1]) < 1e-3
+    assert run.go().done
+    assert len(run.desk.queries) == 1
+    assert {step.status.value for step in run.steps} == {"following", "going_round", "arrived"}
+    assert sum(not step.state.v.any() for step in run.steps[1:-1]) <= 3
+    assert margin(swing, [step.state.q for step in run.steps[::3]], crate) > 0.0
+    changes = np.abs(np.diff([step.state.v for step in run.steps], axis=0))
+    assert (changes <= run.servo.limits.acceleration * DT * (1.0 + 2e-6)).all()
+
+
+def test_a_machine_rests_on_the_plan_until_the_detour_is_found(swing: bp.Plan, detour: Rejoining) -> None:
+    """For 3 s, longer than its patience; it stands still there, searches nothing else, and goes on with the answer."""
+    run = Run(swing, on_plan(swing, 0.7), at=0.2)
+    held = run.go(3.0)
+    assert held.status is FollowerStatus.WAITING
+    assert held.reason == "crate is on the rest of the plan; a way round is searched for"
+    assert run.rests()
+    np.testing.assert_allclose(run.servo.q, run.desk.queries[0].q, atol=1e-5)
+    assert len(run.desk.queries) == 1
+    run.desk.awaited.set_result(detour)
+    assert run.go(3.0 * DT).status is FollowerStatus.GOING_ROUND
+    assert not run.rests()
+    assert run.go().done
+
+
+def test_a_crate_that_is_taken_away_at_once_costs_little(swing: bp.Plan) -> None:
+    """Before the machine has to slow down for it: the plan ends as planned."""
+    run = Run(swing, on_plan(swing, 0.75), at=0.1)
+    run.go(0.3)
+    run.servo.remove("crate")
+    last = run.go()
+    assert last.done
+    assert last.behind < 0.05
+    assert run.desk.awaited.cancelled()
+
+
+@pytest.mark.parametrize("after", [0.8, 3.0])
+def test_a_crate_that_is_taken_away_later_lets_the_machine_go_on_along_the_plan(swing: bp.Plan, after: float) -> None:
+    """It goes on at once, and from rest it needs no more than the plan from its start on; nothing else is searched."""
+    run = Run(swing, on_plan(swing, 0.7), at=0.2)
+    left = swing.trajectory.duration - run.go(after).plan_time
+    run.servo.remove("crate")
+    before = len(run.steps)
+    run.go(5.0 * DT)
+    assert run.steps[-1].plan_time > run.steps[before - 1].plan_time
+    assert run.go().done
+    assert (len(run.steps) - before) * DT < left + 0.6
+    assert len(run.desk.queries) == 1
+    assert {step.status.value for step in run.steps[before + 50 :]} <= {"following", "arrived"}
+
+
+def test_without_a_detour_the_machine_goes_as_near_as_the_plan_leads(swing: bp.Plan) -> None:
+    """As it did before detours were searched ahead: then it searches more thoroughly, and from there."""
+    crate = on_plan(swing, 0.7)
+    run = Run(swing, crate, at=0.2)
+    run.go(0.5)
+    run.desk.awaited.set_result(NoRejoining("there is none", searched=True))
+    run.go(until=lambda _: len(run.desk.queries) == 2)
+    again = run.desk.queries[1]
+    assert again.attempt == 1
+    assert not again.beyond
+    assert run.rests()
+    assert 0.0 <= margin(swing, [run.servo.q], crate) < 0.02
+    for _ in range(3):
+        run.desk.awaited.set_result(NoRejoining("there is none", searched=True))
+        step = run.go(0.1)
+    assert step.status is FollowerStatus.BLOCKED
+    assert step.reason == "there is none"
+    run.servo.remove("crate")
+    assert run.go().done
+
+
+def test_a_crate_at_the_end_of_the_plan_is_told_from_as_near_as_the_plan_leads(swing: bp.Plan) -> None:
+    """No place is behind it: the machine drives on, and searches only where it stands; then the crate is taken away."""
+    crate = on_plan(swing, 1.0)
+    run = Run(swing, crate, at=0.3)
+    run.go(until=lambda _: bool(run.desk.queries))
+    found = find_rejoining(run.desk.queries[0])
+    assert isinstance(found, NoRejoining)
+    run.desk.awaited.set_result(found)
+    step = run.go(0.05)
+    assert step.status is FollowerStatus.BLOCKED
+    assert step.reason == "crate blocks the end of the plan"
+    assert len(run.desk.queries) == 1
+    assert 0.0 <= margin(swing, [run.servo.q], crate) < 0.02
+    run.servo.remove("crate")
+    gone = len(run.steps)
+    assert run.go().done
+    assert {step.status.value for step in run.steps[gone + 40 :]} <= {"following", "arrived"}
+
+
+def test_without_room_ahead_the_machine_stops_and_searches_from_where_it_rests(
+    swing: bp.Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No place is given the room for a detour to begin: the sooner the machine rests, the more there is."""
+    monkeypatch.setattr(stop_ahead, "_ROOMS", (100.0,))
+    crate = on_plan(swing, 0.7)
+    run = Run(swing, crate, at=0.2)
+    step = run.go(until=lambda _: bool(run.desk.queries))
+    speeds = [float(np.linalg.norm(step.state.v)) for step in run.steps[run.put_at + 1 :]]
+    assert all(after < before for before, after in pairwise(speeds))
+    assert run.rests()
+    assert "a way round is searched for" in step.reason
+    (query,) = run.desk.queries
+    assert query.beyond
+    np.testing.assert_array_equal(query.q, run.servo.q)
+    assert margin(swing, [run.servo.q], crate) > 0.1
+
+
+def test_another_obstacle_before_the_place_changes_it(swing: bp.Plan) -> None:
+    """The new one is nearer: the first search is given up, and a detour from a place before it is searched."""
+    run = Run(swing, on_plan(swing, 0.75), at=0.05)
+    run.go(0.2)
+    (first,) = run.desk.queries
+    nearer = on_plan(swing, 0.55) | {"name": "nearer"}
+    run.servo.add(nearer)
+    run.go(0.8)
+    second = run.desk.queries[-1]
+    assert second is not first
+    assert second.since < first.since
+    assert {one.name for one in second.obstacles} == {"crate", "nearer"}
+    run.go(2.0)
+    assert margin(swing, [step.state.q for step in run.steps[::3]], nearer) >= 0.0
+
+
+def test_an_obstacle_elsewhere_changes_nothing(swing: bp.Plan, detour: Rejoining) -> None:
+    run = Run(swing, on_plan(swing, 0.7), at=0.2)
+    run.go(0.3)
+    run.servo.add(FAR)
+    run.go(1.0)
+    assert not run.desk.awaited.cancelled()
+    run.desk.awaited.set_result(detour)
+    assert run.go().done
+    assert len(run.desk.queries) == 1
+
+
+def test_a_crate_that_begins_to_move_is_waited_for_as_before(swing: bp.Plan) -> None:
+    """It sinks into the ground, off the plan: the machine goes on, without the detour."""
+    crate = on_plan(swing, 0.7)
+    run = Run(swing, crate, at=0.2)
+    run.go(0.3)
+    run.servo.set_velocity("crate", [0.0, 0.0, -1.0])
+    run.go(DT)
+    assert run.desk.awaited.cancelled()
+    assert run.go().done
+    assert len(run.desk.queries) == 1
+
+
+def test_a_crate_that_is_moved_all_the_time_does_not_begin_searches_without_end(swing: bp.Plan) -> None:
+    """Tracked at 10 Hz along the plan, for 3 s: at most one search in half a second."""
+    run = Run(swing, on_plan(swing, 0.7), at=0.2)
+    for turn in range(30):
+        run.go(0.1)
+        run.servo.move("crate", [0.0, 0.15 * (-1) ** turn, 0.0])
+    assert 1 <= len(run.desk.queries) <= 7
+
+
+def test_a_crate_on_a_later_leg_is_gone_round_on_that_leg(backhoe: Robot) -> None:
+    """A detour may rejoin the plan on its own leg only: it is searched once that leg has begun, and begins there."""
+    legs = [
+        {"name": "up", "goal": {"joints": START | {"boom": 0.5}}},
+        {"name": "swing", "goal": {"joints": {"swing": 0.9, "boom": 0.1, "stick": -0.7, "bucket": -0.6}}},
+    ]
+    plan = bp.plan(backhoe, scene_of(task={"sequence": legs}), effort="quick")
+    assert plan.verified, plan.message
+    begins = plan.legs[1].begins
+    run = Run(plan, on_plan(plan, 0.75), at=0.5 * begins / plan.trajectory.duration)
+    run.go(until=lambda _: bool(run.desk.queries))
+    assert run.steps[-1].plan_time == pytest.approx(begins, abs=0.3)
+    assert run.steps[-1].behind < 0.3
+    assert run.desk.queries[0].since > begins
