@@ -61,7 +61,7 @@ class LegSite:
         self._index = index
         name, servo = self._legs[index].name, self._servo
         here = {one.name: name in (one.spec.legs or ()) for one in self._some.values()}
-        present = {one.name: one.spec for one in servo.snapshot()} if self._some else {}
+        present = {one.name: one.spec for one in (*servo.snapshot(), *servo.waiting)} if self._some else {}
         for obstacle in [one for one in self._some if not here[one] and one not in self._away]:
             called = self._called.get(obstacle, obstacle)
             if present.get(called) == self._some[obstacle].spec:  # otherwise another one has that name
@@ -71,15 +71,16 @@ class LegSite:
             servo.carry(name)
         for obstacle in [one for one in self._some if here[one] and one in self._away]:
             self._away.discard(obstacle)
-            self._called[obstacle] = self._add(self._some[obstacle])
+            self._called[obstacle] = self._add(self._some[obstacle], clock)
         return True
 
-    def _add(self, obstacle: Obstacle) -> str:
-        """Add an obstacle to the servo, and return the name under which it is there."""
+    def _add(self, obstacle: Obstacle, clock: float) -> str:
+        """Add an obstacle to the servo at `clock` of the plan [s], and return the name under which it is there."""
+        left = max(obstacle.appears_at - clock, 0.0)  # appears_at counts from the beginning of the plan
         for number in count(1):
             name = obstacle.name if number == 1 else f"{obstacle.name} ({number})"
             with contextlib.suppress(InputError):  # the name is in use: the obstacle itself is the plan's
-                self._servo.add(replace(obstacle, name=name))
+                self._servo.add(replace(obstacle, name=name, appears_at=left))
                 return name
         raise AssertionError
 

@@ -89,3 +89,35 @@ def test_another_obstacle_in_place_of_one_removed_by_hand_is_not_taken_away(
     servo.remove("first")
     servo.add({"name": "first", **FAR})
     assert all("first" in names for names in in_legs(servo, there_and_back))
+
+
+def test_an_obstacle_that_appears_later_appears_in_its_own_leg_at_its_own_time(
+    backhoe: Robot, there_and_back: bp.Plan
+) -> None:
+    """One would appear after its leg has ended, one before its leg begins, one 0.5 s after its leg has begun."""
+    begins = [leg.begins for leg in there_and_back.legs]
+    times = {
+        "too late": (begins[1] + 0.3, "there"),
+        "before": (0.5 * begins[2], "back"),
+        "in": (begins[2] + 0.5, "back"),
+    }
+    content = there_and_back.scene.model_dump(by_alias=True, exclude_none=True)
+    content["obstacles"] = [
+        {"name": name, "legs": [leg], "appears_at": time, **FAR} for name, (time, leg) in times.items()
+    ]
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    servo = Servo(backhoe, plan.scene, DT)
+    seen: dict[str, float] = {}
+    with PlanFollower(servo, plan, executor=Never()) as follower:
+        for _ in range(int((plan.trajectory.duration + 3.0) / DT)):
+            state = follower.step()
+            for name in servo.obstacles:
+                seen.setdefault(name, state.plan_time)
+            if state.done:
+                break
+    assert state.done
+    assert sorted(seen) == ["before", "in"]
+    assert seen["before"] == pytest.approx(plan.legs[2].begins, abs=3.0 * DT)
+    assert seen["in"] == pytest.approx(times["in"][0], abs=3.0 * DT)
+    assert servo.waiting == ()

@@ -192,6 +192,11 @@ class Servo:
         """The obstacles present now, each at its present position and velocity. Takes some 10 us each."""
         return self._site.snapshot()
 
+    @property
+    def waiting(self) -> tuple[Obstacle, ...]:
+        """The obstacles that have not appeared yet; their `appears_at` counts from the start of the servo [s]."""
+        return self._site.waiting
+
     def is_moving(self, name: str | None = None) -> bool:
         """Whether the obstacle of that name, or any if `name` is None, has a velocity now."""
         return self._site.is_moving(name)

@@ -81,6 +81,11 @@ class Surroundings:
             for placed in self._placed.values()
         )
 
+    @property
+    def waiting(self) -> tuple[Obstacle, ...]:
+        """The obstacles that have not appeared yet; `appears_at` is the servo's time."""
+        return tuple(self._waiting)
+
     def is_moving(self, name: str | None) -> bool:
         """Whether the obstacle of that name, or any if `name` is None, has a velocity."""
         return any(name is None or placed.obstacle.name == name for placed in self._movers)
