@@ -13,7 +13,8 @@ from there to the earliest clear place on the rest of the plan is searched in th
 plan stays as it was. Whatever is planned, the servo alone decides what is safe.
 
 Where the rest of the plan is proven clear of what is there, and the machine is on it, the plan is a track (`track`):
-the machine keeps to it exactly, also where it cannot brake straight ahead.
+the machine keeps to it exactly, also where it cannot brake straight ahead. If the proof says where the rest is not
+clear, a detour is searched from a place before that, while the machine drives there (`detour_ahead`, `stop_ahead`).
 """
 
 from __future__ import annotations
@@ -72,9 +73,9 @@ class PlanFollower:
     servo: of the plan's own machine and scene. If the machine is not at the beginning of the plan, it goes there
         first.
     plan: a plan, or a trajectory alone, of which only the number of joints is checked.
-    executor: runs the searches for detours (0.1 to 8 s each). The default is one thread of
-        the follower's own, which shares the interpreter with the loop: steps may come some
-        milliseconds late while the machine holds still. A `ProcessPoolExecutor` avoids that.
+    executor: runs the searches for detours (0.1 to 8 s each) and the proofs. The default is threads of the follower's
+        own, which share the interpreter with the loop: during a search, also while the machine drives, steps may come
+        some milliseconds late, single ones up to 0.1 s. A `ProcessPoolExecutor` avoids that.
     seed: of the searches, not negative.
     allow_failed: whether a plan whose verdict is ``failed`` is followed as well, to the end of the
         motion that it has. That is not the end of its task, and the motion may violate limits and
@@ -89,8 +90,8 @@ class PlanFollower:
     Along the plan of a sequence, obstacles that are present in some legs only are added and removed with
     these legs, and the load and the conditions to be kept are those of the leg.
 
-    `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own thread
-    once a running search is over.
+    `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own threads
+    once what they run is over.
     """
 
     def __init__(
@@ -209,10 +210,10 @@ class PlanFollower:
             self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
 
     def _look_around(self) -> None:
-        """Restart the patience when the site has changed: what was in the way may be gone.
+        """Restart the patience when the site has changed, as what was in the way may be gone, and prove the rest anew.
 
-        This does not apply to a site that changes all the time, such as one with a tracked obstacle, because then no
-        search would ever begin.
+        The patience of a site that changes all the time, such as one with a tracked obstacle, is restarted only if the
+        rest is proven clear, because otherwise no search would ever begin.
         """
         servo = self.servo
         if servo.revision != self._seen:
@@ -224,8 +225,9 @@ class PlanFollower:
             self._proofs.begin(servo.revision, servo.time, prove_rest, query)
         self._take_proof()
         proven = servo.is_proven_along_unchecked(self._track)
-        if proven and not self._was_proven and self._round is None:
-            self._resume()
+        off = float(np.abs(self._plan.q - servo.q).max())
+        if proven and not self._was_proven and self._round is None and off < _TOLERANCE:
+            self._resume()  # one that is further off may need a way back
         self._was_proven = proven
 
     def _must_hold(self) -> bool:
@@ -387,7 +389,8 @@ class PlanFollower:
             return
         holds = self._proof.take(answer, revision=self._proofs.revision)
         if answer.blockage is None:
-            self._resume()
+            if self._ahead is not None:
+                self._resume()
         elif holds and not servo.is_moving():
             self._look_ahead(answer.blockage)
 

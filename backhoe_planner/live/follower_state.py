@@ -29,11 +29,11 @@ class FollowerState:
     behind: how much later than planned the machine is [s]; once it is done, how much later it arrived.
     deviation: of the joint that is farthest from the plan at `plan_time` [rad or m].
     done: whether the machine rests at the end of the plan.
-    status: ``following``; ``waiting``: no progress, and soon a detour is searched;
+    status: ``following``; ``waiting``: no progress, and a detour is searched, or soon will be;
         ``going_round``: on a detour that rejoins the plan; ``blocked``: no detour was found, and
         further searches follow; ``arrived``.
-    reason: what the machine waits for, goes around, or is blocked by, in words, and whether a way round is searched
-        for; otherwise empty.
+    reason: what the machine waits for, goes around, or is blocked by, or what is on the rest of the plan, in words, and
+        whether a way round is searched for; otherwise empty.
     """
 
     state: ServoState

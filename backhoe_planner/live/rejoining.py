@@ -1,4 +1,4 @@
-"""A detour from where the machine is back onto the rest of a motion, around what is in its way now.
+"""A detour from where the machine is, or will rest, back onto the rest of a motion, around what is in its way now.
 
 The rest of the motion consists of stretches that are proven clear and parts that are not.
 The machine is brought to the earliest place from which it can go on: the first clear one

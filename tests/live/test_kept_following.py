@@ -208,3 +208,26 @@ def test_the_machine_stops_before_a_slow_joint_carries_it_out_of_the_band(
     assert keep.holds(q)
     pace = KeptFollowing(keep, backhoe.limits).pace(q, v, reference, rates, time=0.0)
     assert (pace is None) is stops
+
+
+def test_a_machine_that_stops_for_a_crate_close_by_tips_its_bucket_little(backhoe: bp.Robot) -> None:
+    """The crate leaves no room to stop along the plan; if all joints braked in proportion, it would tip by 10 deg."""
+    plan = bp.plan(backhoe, bp.load_scene(SCENES / "level_bucket.yaml"), effort="quick")
+    keep = plan.problem.keep
+    assert keep is not None
+    crate = {
+        "name": "crate", "shape": "box", "size": [0.41, 0.36, 0.39], "rpy": [-0.39, -0.27, -0.52],
+        "position": [1.19, 2.01, 1.58],
+    }  # fmt: skip
+    servo, margins = bp.Servo(backhoe, plan.scene, 0.01, q=plan.trajectory.q[0]), []
+    with bp.PlanFollower(servo, plan, executor=AtOnce()) as follower:
+        while follower.step().plan_time < 1.72:
+            pass
+        servo.add(crate)
+        for _ in range(150):
+            step = follower.step()
+            margins.append(float(keep.margins(servo.q).min()))
+            if not servo.v.any():
+                break
+    assert step.reason.endswith("a way round is searched for")
+    assert min(margins) > -0.02
