@@ -27,6 +27,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
+from backhoe_planner.live.attempts import Attempts
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.detour_ahead import DetourAhead
 from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
@@ -56,9 +57,6 @@ _STILL = 1e-6  # rad/s or m/s: the machine must be slower when a detour is searc
 _NOTICED = 0.3  # s without progress after which the status says that the machine waits
 _PATIENCE = 1.0  # s without progress after which a detour is searched
 _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it may pass
-_FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck, after which it is free again
-_ATTEMPTS = 4  # failed searches in a row after which the status says that the machine is blocked
-_LONGEST_BREAK = 16.0  # s, longest break between two failed searches; it doubles from 1 s on
 _JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
 _AHEAD_AGAIN = 0.5  # s between two searches ahead of the machine, while obstacles on the plan change
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
@@ -136,17 +134,11 @@ class PlanFollower:
         self._ahead: DetourAhead | None = None
         self._ahead_from = -np.inf  # s: from then on the next detour may be searched ahead of the machine
         self._seed = seed
-        self._failed = 0  # searches in a row that found nothing, or a detour that led nowhere
-        self._stuck_at = -np.inf  # s of the plan
-        self._again_at = 0.0  # s: when to search again
-        self._failed_at, self._failed_for = 0.0, -1  # s, and revision of the surroundings, of the last failure
-        self._may_succeed = True  # another search, with more effort
+        self._attempts = Attempts()
         self._seen, self._seen_at = servo.revision, -np.inf  # revision of the surroundings, and s, of the last change
         self._was_holding = False
         self._was_proven = False
         self._holding = False
-        self._blocked = ""
-        self._retrying = False
         self._joins_until = -np.inf  # s
 
     def __enter__(self) -> PlanFollower:
@@ -182,9 +174,8 @@ class PlanFollower:
             if not self._searches.under_way and float(np.abs(state.v).max()) < _STILL:
                 if self._holding:
                     self._search()
-                elif self._may_succeed and servo.time >= self._again_at:
-                    # try the plan once more; search again only if that still leads nowhere
-                    self._retrying = True
+                elif self._attempts.may_retry(servo.time):
+                    self._attempts.retrying = True
         else:
             if self._was_holding:
                 self._was_holding = False
@@ -235,9 +226,9 @@ class PlanFollower:
         servo = self.servo
         if self._holding:
             return not self._searches.under_way or servo.revision == self._searches.revision
-        return (
-            bool(self._blocked) and not self._retrying and servo.revision == self._failed_for and not servo.is_moving()
-        )
+        attempts = self._attempts
+        same = bool(attempts.blocked) and servo.revision == attempts.revision
+        return same and not attempts.retrying and not servo.is_moving()
 
     # --- along a reference -------------------------------------------------------------
 
@@ -302,19 +293,17 @@ class PlanFollower:
         if self._holding:  # what was in the way has gone meanwhile
             self._searches.drop()
             self._blockage = None
-        self._holding = self._retrying = False
-        self._blocked = ""
-        if self._round is None and self._plan.clock > self._stuck_at + _FURTHER:
-            self._failed = 0
-            self._again_at = 0.0
+        self._holding = False
+        self._attempts.go_on()
+        if self._round is None:
+            self._attempts.get_past(self._plan.clock)
 
     def _lose_patience(self, state: ServoState) -> None:
         servo = self.servo
         crossing = state.nearest is not None and servo.is_moving(state.nearest.name)
         if self._holding or (crossing and self._progress.waited < _PATIENCE_CROSSING):
             return
-        changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
-        if changed or servo.time >= self._again_at:
+        if self._attempts.may_search(servo.revision, servo.time):
             self._blockage = None
             self._hold()
             if self._round is not None:  # it led nowhere: search another one
@@ -325,18 +314,14 @@ class PlanFollower:
         """Come to rest, and search a detour from there."""
         self._ahead = None
         self._searches.drop()
-        self._stuck_at = self._plan.clock
-        self._holding, self._retrying = True, False
+        self._attempts.begin(self._plan.clock)
+        self._holding, self._attempts.retrying = True, False
 
     def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
         """Count a search that failed. After several, or if no effort helps (`final`), pause the searches."""
-        self._failed = max(self._failed + 1, _ATTEMPTS if final else 0)
-        self._retrying = False
-        self._failed_at, self._failed_for, self._may_succeed = self.servo.time, revision, not final
-        if self._failed >= _ATTEMPTS:
-            self._blocked = reason
+        self._attempts.note(reason, revision, self.servo.time, final=final)
+        if self._attempts.blocked:
             self._holding = False
-            self._again_at = self.servo.time + min(2.0 ** (self._failed - _ATTEMPTS), _LONGEST_BREAK)
 
     def _watch_round(self, deviation: float) -> None:
         """Go back to the plan at the end of the detour, and check that the detour is still clear."""
@@ -377,7 +362,7 @@ class PlanFollower:
             motion=self._ahead_motion(),
             since=since,
             seed=self._seed,
-            attempt=self._failed if around is None else 0,
+            attempt=self._attempts.failed if around is None else 0,
             beyond=around is not None,
         )
         self._searches.begin(servo.revision, servo.time, find_rejoining, query)
@@ -396,7 +381,7 @@ class PlanFollower:
 
     def _look_ahead(self, blockage: Blockage) -> None:
         """Search a detour around a blockage from a place before it, if there is one on the present leg."""
-        if self._holding or self._blocked or self._round is not None:
+        if self._holding or self._attempts.blocked or self._round is not None:
             return
         if self._ahead is not None:
             if self._ahead.is_around(blockage):
@@ -423,7 +408,7 @@ class PlanFollower:
         if self._holding or self._ahead is not None:
             self._searches.drop()
         self._ahead = self._blockage = None
-        self._holding = self._retrying = False
+        self._holding = self._attempts.retrying = False
         self._progress = Progress(self._slowest)
 
     def _go_round_ahead(self) -> None:
@@ -435,7 +420,7 @@ class PlanFollower:
             self._resume()
         elif ahead.found is not None and ahead.approach.ended and np.abs(self._plan.q - servo.q).max() < _ON_PLAN:
             self._ahead = None
-            self._stuck_at = self._plan.clock
+            self._attempts.begin(self._plan.clock)
             self._go_round(ahead.found)
 
     def _go_round(self, found: Rejoining) -> None:
@@ -446,7 +431,7 @@ class PlanFollower:
             checked=self._searches.revision,
         )
         self._progress = Progress(self._slowest)
-        self._blocked, self._blockage = "", None
+        self._attempts.blocked, self._blockage = "", None
 
     def _take_answer(self) -> None:
         answer = self._searches.answer(self.servo.time)
@@ -456,7 +441,7 @@ class PlanFollower:
             self._ahead.found = answer
         elif self._blockage is not None and not isinstance(answer, Rejoining | bool):
             # the machine goes on as far as the plan leads, and searches with more effort there
-            self._failed, self._stuck_at = max(self._failed, 1), self._blockage.begins
+            self._attempts.note_ahead(self._blockage.begins)
             if self._ahead is None:
                 self._resume()
             else:
@@ -478,8 +463,8 @@ class PlanFollower:
     def _status(self, state: ServoState, done: bool) -> tuple[FollowerStatus, str]:
         if done:
             return FollowerStatus.ARRIVED, ""
-        if self._blocked:
-            return FollowerStatus.BLOCKED, self._blocked
+        if self._attempts.blocked:
+            return FollowerStatus.BLOCKED, self._attempts.blocked
         waits = self._progress.waited > _NOTICED
         if self._ahead is not None and (self._ahead.approach.ended or not waits):
             return FollowerStatus.WAITING if waits else FollowerStatus.FOLLOWING, self._ahead.reason
