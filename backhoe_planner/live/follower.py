@@ -51,6 +51,7 @@ from backhoe_planner.site import ClearanceScreen, Obstacle, Proximity
 # The numbers are chosen; validation/placements.py drives machines with them.
 _PART = 0.5  # part of the acceleration for braking on the return to the plan; the rest is for following it
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
+_NEAR = 2.0 * _TOLERANCE  # rad or m: a machine that is held back beside its plan is just beyond the tolerance; chosen
 _ON_PLAN = ARRIVED  # rad or m off the plan within which its clock does not wait
 _RESTS_AT_END = 2e-3  # rad/s or m/s: a slower machine counts as at rest at the end of the plan
 _STILL = 1e-6  # rad/s or m/s: the machine must be slower when a detour is searched, which is planned from rest
@@ -217,7 +218,7 @@ class PlanFollower:
         self._take_proof()
         proven = servo.is_proven_along_unchecked(self._track)
         off = float(np.abs(self._plan.q - servo.q).max())
-        if proven and not self._was_proven and self._round is None and off < _TOLERANCE:
+        if proven and not self._was_proven and self._round is None and off < _NEAR:
             self._resume()  # one that is further off may need a way back
         self._was_proven = proven
 
@@ -225,7 +226,9 @@ class PlanFollower:
         """Whether to hold still: while a detour is searched, and, if none was found, until something changes."""
         servo = self.servo
         if self._holding:
-            return not self._searches.under_way or servo.revision == self._searches.revision
+            # if what it stopped for before it was held back has gone, it tries the plan while the search goes on
+            gone = servo.revision != self._searches.revision or (self._blockage is not None and self._was_proven)
+            return not (self._searches.under_way and gone)
         attempts = self._attempts
         same = bool(attempts.blocked) and servo.revision == attempts.revision
         return same and not attempts.retrying and not servo.is_moving()
@@ -416,6 +419,8 @@ class PlanFollower:
         ahead, servo = self._ahead, self.servo
         if ahead is None:
             return
+        if ahead.found is None and not self._searches.under_way:  # dropped, as the follower is closed
+            ahead.failed = True
         if servo.is_moving() or (ahead.failed and (ahead.approach.ended or servo.revision != ahead.track.revision)):
             self._resume()
         elif ahead.found is not None and ahead.approach.ended and np.abs(self._plan.q - servo.q).max() < _ON_PLAN:

@@ -308,3 +308,38 @@ def test_a_crate_on_a_later_leg_is_gone_round_on_that_leg(backhoe: Robot) -> Non
     assert run.steps[-1].plan_time == pytest.approx(begins, abs=0.3)
     assert run.steps[-1].behind < 0.3
     assert run.desk.queries[0].since > begins
+
+
+def test_a_crate_that_is_taken_away_while_the_machine_stops_for_it_is_not_waited_for(
+    swing: bp.Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes to rest beyond its place on the plan, and goes back there while the search is never answered."""
+    monkeypatch.setattr(stop_ahead, "_ROOMS", (100.0,))
+    run = Run(swing, on_plan(swing, 0.7), at=0.2)
+    assert run.go(0.3).deviation > 0.03
+    run.servo.remove("crate")
+    assert run.go(2.0 + swing.trajectory.duration).done
+
+
+def test_a_crate_that_is_taken_away_as_the_machine_begins_to_hold_is_not_waited_for(swing: bp.Plan) -> None:
+    """Held back by a crate, it is as far off the plan as the clock allows, 0.03 rad, to 1e-5 rad less or more."""
+    run = Run(swing, on_plan(swing, 0.85), at=0.3)
+    held = run.go(until=lambda step: step.reason.endswith("searched for"))
+    assert held.deviation == pytest.approx(0.03, abs=1e-3)
+    run.servo.remove("crate")
+    assert not run.desk.queries
+    assert run.go(3.0).done
+
+
+def test_a_follower_that_is_closed_goes_as_near_as_the_plan_leads(swing: bp.Plan) -> None:
+    """It finds no detours any more, and does not wait for one: it drives on to the crate and says so."""
+    crate = on_plan(swing, 0.7)
+    run = Run(swing, crate, at=0.2)
+    run.go(0.3)
+    (query,) = run.desk.queries
+    run.follower.close()
+    step = run.go(8.0)
+    assert step.plan_time > query.since + 0.05
+    assert step.status is FollowerStatus.BLOCKED
+    assert "closed" in step.reason
+    assert 0.0 <= margin(swing, [run.servo.q], crate) < 0.02
