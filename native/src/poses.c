@@ -167,7 +167,7 @@ static int search(const Chain *chain, const Settings *of, npy_intp iterations, c
             return 1;
         stalled = cost > of->stalled_at * before ? stalled + 1.0 : 0.0;
         before = cost;
-        if (stalled > of->most_stalled || iteration == iterations)
+        if (stalled > of->most_stalled || iteration >= iterations || !(cost < INFINITY)) /* a NaN leads nowhere */
             return 0;
         for (int a = 0; a < (rotation ? 6 : 3); a++) {
             double largest = 0.0;
@@ -230,8 +230,10 @@ PyObject *solve_poses(PyObject *self, PyObject *const *args, Py_ssize_t count)
     for (npy_intp b = 0; b < B; b++) {
         const double target[3] = {AT2(position, b, 0), AT2(position, b, 1), AT2(position, b, 2)};
         double *own = x + chain.n * b;
-        for (npy_intp j = 0; j < chain.n; j++)
-            own[j] = fmin(fmax(AT2(guesses, b, j), chain.lower[j]), chain.upper[j]);
+        for (npy_intp j = 0; j < chain.n; j++) {
+            own[j] = AT2(guesses, b, j); /* one that is not a number stays so */
+            own[j] = own[j] < chain.lower[j] ? chain.lower[j] : own[j] > chain.upper[j] ? chain.upper[j] : own[j];
+        }
         reached[b] = (npy_bool)search(&chain, &of, iterations, target, shape[0] ? rotation + 9 * b : NULL, own);
     }
     return Py_BuildValue("NN", found, flags);

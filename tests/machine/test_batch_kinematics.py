@@ -149,3 +149,20 @@ def test_orientation_errors_are_the_remaining_rotation_vectors(panda: bp.Robot, 
     ]
     turns = TargetBatch.of(asked).errors(at)[:, 3:6]
     np.testing.assert_allclose(turns, angle * axes, atol=1e-7 if angle > 3.0 else 1e-12)
+
+
+def test_a_guess_that_is_not_a_number_fails_alone(panda: bp.Robot) -> None:
+    """The searches beside it end as they do without it."""
+    kinematics, rng = BatchKinematics(panda), np.random.default_rng(8)
+    q = np.array([panda.random_q(rng) for _ in range(6)])
+    at = [bp.Kinematics(panda).at(one) for one in q]
+    targets = TargetBatch.of([TipTarget(one.tip_position, rotation=one.tip_rotation) for one in at])
+    guesses = q + 0.02 * rng.normal(size=q.shape)
+    others = np.arange(6) != 2
+    alone, arrived = solve_batch(kinematics, targets.take(others), guesses[others])
+    assert arrived.all()
+    guesses[2, 3] = np.nan
+    found, reached = solve_batch(kinematics, targets, guesses)
+    np.testing.assert_array_equal(reached, others)
+    assert np.isnan(found[2, 3])
+    np.testing.assert_allclose(found[others], alone, atol=1e-9)

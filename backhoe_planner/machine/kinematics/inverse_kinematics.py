@@ -238,7 +238,8 @@ def _search(
         reached[going[arrived]] = True
         stalled = np.where(cost > _STALLED_AT * cost_before, stalled + 1, 0)
         cost_before = cost
-        left = ~arrived & (stalled <= _MOST_STALLED)
+        # one that is not at numbers ends too: it would drop rows of the other searches' Jacobians
+        left = ~arrived & (stalled <= _MOST_STALLED) & (cost < np.inf)
         if iteration == iterations or not left.any():
             break
         J = here.jacobians(at).transpose(1, 2, 0)  # the searches run along the last axis, along which numpy is fast
