@@ -217,8 +217,7 @@ class PlanFollower:
             self._proofs.begin(servo.revision, servo.time, prove_rest, query)
         self._take_proof()
         proven = servo.is_proven_along_unchecked(self._track)
-        off = float(np.abs(self._plan.q - servo.q).max())
-        if proven and not self._was_proven and self._round is None and off < _NEAR:
+        if proven and not self._was_proven and self._round is None and np.abs(self._plan.q - servo.q).max() < _NEAR:
             self._resume()  # one that is further off may need a way back
         self._was_proven = proven
 

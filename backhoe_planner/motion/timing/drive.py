@@ -149,8 +149,7 @@ class Drive:
 
     def effort_use(self, q: Array, torque: Array) -> Array:
         """(..., n) `torque` (..., n) [N m or N] over the greatest of each joint in that direction, at q (..., n)."""
-        limits = self.torque_limits(q)
-        there = np.where(torque > 0.0, limits.positive, limits.negative)
+        there = self._torque_limits_towards(q, torque)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
@@ -186,7 +185,8 @@ class Drive:
         """
         joints = np.arange(q.shape[1])
         torque, of_torque = self.torque_slopes(q, v, a)
-        limit, of_limit = self._torque_limits_towards(q, torque)
+        limit = self._torque_limits_towards(q, torque)
+        of_limit = self._limit_slopes_towards(q, torque, limit)
         with np.errstate(divide="ignore", invalid="ignore"):
             part = np.where(torque < 0.0, -1.0, 1.0) / limit
             effort = part[:, :, None] * of_torque
@@ -196,15 +196,17 @@ class Drive:
             return np.asarray(effort)
         return np.concatenate((effort, self._speed_slopes(self.hydraulics, q, v, torque, of_torque)), axis=1)
 
-    def _torque_limits_towards(self, q: Array, torque: Array) -> tuple[Array, Array]:
-        """(K, n) the greatest torques in the direction of `torque`, and their derivatives by each joint's position."""
-        own = np.broadcast_to(self._effort, torque.shape)
+    def _torque_limits_towards(self, q: Array, torque: Array) -> Array:
+        """(..., n) the greatest torques in the direction of `torque` (..., n), at q (..., n) [N m or N]."""
+        limits = self.torque_limits(q)
+        return np.where(torque < 0.0, limits.negative, limits.positive)
+
+    def _limit_slopes_towards(self, q: Array, torque: Array, limit: Array) -> Array:
+        """(K, n) the derivatives of these limits, which are `limit` (K, n), by each joint's own position."""
         if self.hydraulics is None:
-            return own, np.zeros_like(own)
-        oil, slopes, back = self.hydraulics.torque_limits(q), self.hydraulics.torque_limit_slopes(q), torque < 0.0
-        limit = np.where(back, oil.negative, oil.positive)
-        slope = np.where(back, slopes.negative, slopes.positive)
-        return np.minimum(own, limit), np.where(limit < own, slope, 0.0)
+            return np.zeros_like(limit)
+        slopes = self.hydraulics.torque_limit_slopes(q)
+        return np.where(limit < self._effort, np.where(torque < 0.0, slopes.negative, slopes.positive), 0.0)
 
     @staticmethod
     def _speed_slopes(hydraulics: Hydraulics, q: Array, v: Array, torque: Array, of_torque: Array) -> Array:
