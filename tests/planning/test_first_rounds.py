@@ -10,7 +10,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import OBJECTIVES, build_problem, time_evenly
+from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.starts import Start
@@ -39,7 +39,7 @@ class Rounds:
         known = (self.out if clear_first else self.first)[start.way]
         if known is None:
             return None
-        return Timed(start.curve, 1.0, time_evenly(start.curve, 1.0), *known, margins=[])
+        return Timed(start.curve, 1.0, *known, margins=[])
 
 
 def test_much_cheaper_starts_in_an_obstacle_are_pushed_out_and_ranked_by_their_new_cost() -> None:

@@ -249,7 +249,7 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
     begun: list[float] = []
 
     def bend(*_: Any, **__: Any) -> Timed:
-        return Timed(curve, DURATION, motion, refined[begun[-1]], 0.0, [])
+        return Timed(curve, DURATION, refined[begun[-1]], 0.0, [], within_limits=motion)
 
     def finer(found: FoundMotion, pieces: int) -> bool:
         begun.append(found.cost)

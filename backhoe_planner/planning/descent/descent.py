@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -97,27 +97,33 @@ _LEAST_PART = 0.25  # least part of a failed step, to which the box shrinks; cho
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """A curve with its fastest motion.
+    """A curve with a motion along it.
 
     Attributes
     ----------
     curve: over s.
     duration: T of the time t = T s in which limits are linearised [s]; that of the motion may be shorter.
-    motion: along the curve: the fastest if the cost is the time, otherwise over t.
     cost: of the motion, by the problem's objective.
     missed: the largest miss of a clearance with its spare at the checked places [m]; 0 or more.
     margins: at all checked places.
     own_cost: the cost of the curve in its own time, for comparison with curves of other descents; mostly less than
         `cost`, if that is the cost of a sampled motion; None if both are the same.
+    within_limits: the motion along the curve that keeps all limits, the fastest if the cost is the time; None if it was
+        not computed.
     """
 
     curve: JointCurve
     duration: float
-    motion: Trajectory
     cost: float
     missed: float
     margins: list[Margin]
     own_cost: float | None = None
+    within_limits: Trajectory | None = None
+
+    @cached_property
+    def motion(self) -> Trajectory:
+        """The motion within limits if there is one, otherwise over t; sampled when it is first asked for."""
+        return time_evenly(self.curve, self.duration) if self.within_limits is None else self.within_limits
 
 
 class Descent:
@@ -373,7 +379,7 @@ class Descent:
         """The same curve with its motion within all limits, and the cost of that."""
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
         own_cost = self._own_cost(found.curve, found.duration)  # that of `found` may be of a softer cost
-        return replace(found, motion=motion, cost=motion_cost(self._problem, motion), own_cost=own_cost)
+        return replace(found, within_limits=motion, cost=motion_cost(self._problem, motion), own_cost=own_cost)
 
     def _shortened(
         self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, slope: Vector, price: float
@@ -504,21 +510,21 @@ class Descent:
 
         If that does not cost less than `below`, its clearances are not checked.
         """
-        motion: Trajectory | None
+        fastest: Trajectory | None = None
         if self._own_time is None:
             grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
-            motion = time_curve(curve, grid, self._problem.limits, drive=self._drive)
-            cost = np.inf if motion is None else motion.duration
+            fastest = time_curve(curve, grid, self._problem.limits, drive=self._drive)
+            if fastest is None:
+                return None
+            cost = fastest.duration
         else:
             duration = self._own_time.least_duration(curve, duration)
             cost = self._own_cost(curve, duration)
-            motion = time_evenly(curve, duration)
-        if motion is None:
-            return None
+        timed = Timed(curve, duration, cost, 0.0, [], within_limits=fastest)
         if cost >= below:
-            return Timed(curve, duration, motion, cost, 0.0, [])
+            return timed
         least, margins = looks.find_margins(curve)
-        return Timed(curve, duration, motion, cost, max(-least, 0.0), margins)
+        return replace(timed, missed=max(-least, 0.0), margins=margins)
 
     def _looks(self, curve: JointCurve, spare: float, density: int, goal: Goal | None) -> Looks:
         if spare not in self._screens:
