@@ -25,6 +25,7 @@ SOURCES = (
     "timing",
     "programs",
     "held",
+    "rods",
     "module",
 )
 

@@ -719,6 +719,44 @@ def fastest_run(rng: Rng) -> Arguments:
     return grid, rng.uniform(0.5, 4.0, count + 1), *ends, bool(rng.integers(2))
 
 
+def rods(rng: Rng) -> tuple[Any, Any, tuple[Any, Any]]:
+    """Moment arms of cylinders, some at a dead centre, the joints that they move, and their areas."""
+    n = joints(rng)
+    joint_of = np.sort(rng.integers(0, n, int(rng.integers(1, n + 2)))).astype(np.intp)
+    arms = rng.normal(size=(some(rng), len(joint_of)))
+    arms[rng.random(arms.shape) < 0.1] = 0.0
+    return arms, joint_of, (rng.uniform(1e-3, 1e-2, len(joint_of)), rng.uniform(1e-3, 1e-2, len(joint_of)))
+
+
+def rod_limits(rng: Rng) -> Arguments:
+    arms, joint_of, areas = rods(rng)
+    joints_there = int(joint_of.max()) + 2
+    return arms, joint_of, *areas, rng.uniform(1e-4, 1e-2, len(joint_of)), 2.5e7, 4e-3, joints_there
+
+
+def rod_limit_slopes(rng: Rng) -> Arguments:
+    arms, *others = rod_limits(rng)
+    return arms, rng.normal(size=arms.shape), *others
+
+
+def rod_forces(rng: Rng) -> Arguments:
+    arms, joint_of, _ = rods(rng)
+    return arms, joint_of, 1e4 * rng.normal(size=(len(arms), int(joint_of.max()) + 1))
+
+
+def oil_taken(rng: Rng) -> Arguments:
+    arms, joint_of, torques = rod_forces(rng)
+    areas = rng.uniform(1e-3, 1e-2, (2, len(joint_of)))
+    return arms, joint_of, *areas, rng.normal(size=torques.shape), torques
+
+
+def rod_flow_slopes(rng: Rng) -> Arguments:
+    arms, joint_of, areas = rods(rng)
+    v = rng.normal(size=(len(arms), int(joint_of.max()) + 1))
+    v[rng.random(v.shape) < 0.1] = 0.0
+    return arms, rng.normal(size=arms.shape), joint_of, *areas, v
+
+
 def chain_placements(rng: Rng) -> Arguments:
     n, count = joints(rng), some(rng)
     q = rng.normal(size=(n, count))
@@ -790,11 +828,12 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows,
     kept_over_ground, known_apart, largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid,
     lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground,
-    nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, pairs_not_apart,
-    pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead,
-    reachable_velocities, read_over_ground, read_results, rows_by_velocity, rows_of_path, soft_solution, solve_poses,
-    split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
-    unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
+    nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken,
+    pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms,
+    reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces,
+    rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses, split_by_plane,
+    stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near,
+    velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
 

@@ -664,3 +664,12 @@ def test_a_load_sensing_pump_delivers_all_oil_at_the_highest_pressure(backhoe: b
     assert hydraulics.power(q, v, tau) == pytest.approx(tau @ v)
     pressures, flows = hydraulics.pressures(q, tau), hydraulics.flows(q, v)
     assert hydraulics.load_sensing_power(q, v, tau) == pytest.approx(np.max(pressures) * np.sum(flows))
+
+
+def test_limits_and_flows_of_no_configuration_are_empty(backhoe: bp.Robot) -> None:
+    hydraulics, none = backhoe.hydraulics, np.zeros((0, 4))
+    assert hydraulics is not None
+    assert hydraulics.torque_limits(none).positive.shape == hydraulics.flow_slopes(none, none)[1].shape == (0, 4)
+    assert hydraulics.velocity_limit_slopes(none).negative.shape == (0, 4)
+    assert hydraulics.cylinder_forces(none, none).shape == (0, len(hydraulics.cylinders))
+    assert hydraulics.power(none, none, none).shape == (0,)

@@ -16,17 +16,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Flags, as_rows
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.hydraulics.linkage import Linkage
+from backhoe_planner.machine.hydraulics.linkage import Linkage, Triangle
+from backhoe_planner.machine.hydraulics.rods import (
+    oil_taken,
+    rod_flow_slopes,
+    rod_forces,
+    rod_limit_slopes,
+    rod_limits,
+    sum_by_joint,
+)
 
-_REMEMBERED = 8  # latest arrays of moment arms and of their slopes that are kept; chosen: five are in use at a time
+_REMEMBERED = 12  # latest results at some q that are kept; chosen: about eight are in use at a time
 SAME_LENGTH = 1e-7  # m: an angle whose length is further off belongs to another branch; chosen, far above rounding
 _BESIDE = SAME_LENGTH  # rad, at a lever of 1 m: this far beyond the end of the stroke still counts as the end
+
+_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
@@ -164,7 +175,9 @@ class Hydraulics:
 
     def arm_slopes(self, q: Array) -> Array:
         """(..., m) dr/dq of each cylinder's moment arm along its own joint [m/rad^2], at q (..., n)."""
-        return self._remembered("slopes", lambda linkage, angle: linkage.arm_slope(angle), q)
+        return self._remembered(
+            "slopes", lambda q: self._read_only(lambda linkage, angle: linkage.arm_slope(angle), q), q
+        )
 
     def joints(self, lengths: Array) -> Array:
         """(..., n) the joint positions [rad] with these `lengths` (..., m) [m]; the inverse of the method `lengths`.
@@ -223,49 +236,25 @@ class Hydraulics:
         It is limited by the valves of the joint's cylinders and by the pump that these share. It is infinite
         if no cylinder moves the joint or all of them are at a dead centre.
         """
-        arms = self._arms(q)
-        sides = []
-        for sign in (1.0, -1.0):
-            area = np.where(sign * arms > 0.0, self._cap, self._annulus)
-            swept = area * np.abs(arms)  # m^3/rad
-            share = self._by_joint(swept)
-            with np.errstate(divide="ignore"):
-                limit = np.where(share > 0.0, self.pump_flow / share, np.inf)
-                for i, joint in enumerate(self.joint_of):
-                    own = np.where(swept[..., i] > 0.0, self._valve_flow[i] / swept[..., i], np.inf)
-                    limit[..., joint] = np.minimum(limit[..., joint], own)
-            sides.append(limit)
-        return BothWays(*sides)
+        return self._limits(q)[1]
 
     def velocity_limit_slopes(self, q: Array) -> BothWays:
         """(..., n) the derivatives of `velocity_limits` by each joint's own position, at q (..., n) [1/s].
 
         They are 0 where there is no limit.
         """
-        arms, arm_slopes, limits = self._arms(q), self.arm_slopes(q), self.velocity_limits(q)
-        sides = []
-        for sign, limit in ((1.0, limits.positive), (-1.0, limits.negative)):
-            area = np.where(sign * arms > 0.0, self._cap, self._annulus)
-            swept, swept_slopes = area * np.abs(arms), area * np.sign(arms) * arm_slopes
-            of_inverse = self._by_joint(swept_slopes) / self.pump_flow
-            with np.errstate(divide="ignore", invalid="ignore"):
-                for i, joint in enumerate(self.joint_of):
-                    by_valve = self._valve_flow[i] / swept[..., i] == limit[..., joint]
-                    of_valve = swept_slopes[..., i] / self._valve_flow[i]
-                    of_inverse[..., joint] = np.where(by_valve, of_valve, of_inverse[..., joint])
-                sides.append(np.where(np.isfinite(limit), -(limit**2) * of_inverse, 0.0))
-        return BothWays(*sides)
+        return self._limit_slopes(q)[1]
 
     def flow_slopes(self, q: Array, v: Array) -> tuple[Array, Array]:
         """(..., n) each: the derivatives of `total_flow` by q [m^3/s/rad] and by v [m^3/rad], at q, v (..., n).
 
         At rest they are those for a positive velocity.
         """
-        arms, own = self._arms(q), as_rows(v, len(self.joint_names), key="v")[..., self.joint_of]
-        way = np.where(own < 0.0, -1.0, 1.0)
-        area = np.where(way * arms > 0.0, self._cap, self._annulus)
-        by_q = self._by_joint(np.abs(own) * area * np.sign(arms) * self.arm_slopes(q))
-        return by_q, self._by_joint(way * area * np.abs(arms))
+        arms, v = self._arms(q), as_rows(v, len(self.joint_names), key="v")
+        shape = np.broadcast_shapes(arms.shape[:-1], v.shape[:-1])
+        slopes, areas = self.arm_slopes(q), (self._cap, self._annulus)
+        by_q, by_v = rod_flow_slopes(_rows(arms, shape), _rows(slopes, shape), self.joint_of, *areas, _rows(v, shape))
+        return by_q.reshape(*shape, len(self.joint_names)), by_v.reshape(*shape, len(self.joint_names))
 
     # --- force and pressure -----------------------------------------------------
 
@@ -282,9 +271,8 @@ class Hydraulics:
         """
         arms = self._arms(q)
         tau = as_rows(tau, len(self.joint_names), key="tau", beside=arms)
-        share = self._by_joint(arms * arms)[..., self.joint_of]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(arms * tau[..., self.joint_of] / share)
+        shape = np.broadcast_shapes(arms.shape[:-1], tau.shape[:-1])
+        return rod_forces(_rows(arms, shape), self.joint_of, _rows(tau, shape)).reshape(*shape, arms.shape[-1])
 
     def pressures(self, q: Array, tau: Array) -> Array:
         """(..., m) pressure [Pa] in the chamber that bears the torques tau (..., n) [N m] at q (..., n).
@@ -300,25 +288,14 @@ class Hydraulics:
         All cylinders of a joint act together, each pushing or pulling according to its lever.
         The limit is infinite if no cylinder moves the joint.
         """
-        arms = self._arms(q)
-        push, pull = self.force_limits.positive, self.force_limits.negative
-        sides = []
-        for sign in (1.0, -1.0):
-            limit = self._by_joint(np.abs(arms) * np.where(sign * arms > 0.0, push, pull))
-            sides.append(np.where(self.has_cylinder, limit, np.inf))
-        return BothWays(*sides)
+        return self._limits(q)[0]
 
     def torque_limit_slopes(self, q: Array) -> BothWays:
         """(..., n) the derivatives of `torque_limits` by each joint's own position, at q (..., n) [N m/rad].
 
         They are 0 where there is no limit.
         """
-        arms, arm_slopes = self._arms(q), self.arm_slopes(q)
-        push, pull = self.force_limits.positive, self.force_limits.negative
-        sides = [
-            self._by_joint(np.sign(arms) * arm_slopes * np.where(sign * arms > 0.0, push, pull)) for sign in (1.0, -1.0)
-        ]
-        return BothWays(*sides)
+        return self._limit_slopes(q)[0]
 
     # --- power ------------------------------------------------------------------
 
@@ -327,7 +304,7 @@ class Hydraulics:
 
         It is for q, v (..., n) with the torques tau (..., n) [N m], and must stay within `power_limit`.
         """
-        return np.asarray(np.sum(self._driving_pressures(q, v, tau) * self.flows(q, v), axis=-1))
+        return self._oil(q, v, tau)[1]
 
     def load_sensing_power(self, q: Array, v: Array, tau: Array) -> Array:
         """(...) power of a load-sensing pump: the highest pressure that is needed, times the whole flow [W].
@@ -335,48 +312,97 @@ class Hydraulics:
         It is for q, v (..., n) with the torques tau (..., n) [N m]. The flow to the lighter loads is
         throttled down from that pressure, so the result is never less than `power`.
         """
-        highest = np.max(self._driving_pressures(q, v, tau), axis=-1, initial=0.0)
-        return np.asarray(highest * self.total_flow(q, v))
+        flow, _, highest = self._oil(q, v, tau)
+        return np.asarray(highest * flow)
 
-    def _driving_pressures(self, q: Array, v: Array, tau: Array) -> Array:
-        """(..., m) pressures of the cylinders that move against their load, 0 for the others [Pa]."""
-        against = self.cylinder_forces(q, tau) * self.rod_speeds(q, v) > 0.0
-        return np.where(against, self.pressures(q, tau), 0.0)
+    def _oil(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array, Array]:
+        """(...) each: see `oil_taken`."""
+        arms = self._arms(q)
+        v, tau = (as_rows(each, len(self.joint_names), key=key, beside=arms) for each, key in ((v, "v"), (tau, "tau")))
+        shape = np.broadcast_shapes(arms.shape[:-1], v.shape[:-1], tau.shape[:-1])
+        rows = [_rows(each, shape) for each in (arms, v, tau)]
+        found = oil_taken(rows[0], self.joint_of, self._cap, self._annulus, *rows[1:])
+        flow, power, highest = (each.reshape(shape) for each in found)
+        return flow, power, highest
+
+    def _limits(self, q: Array) -> tuple[BothWays, BothWays]:
+        """(..., n) the greatest torques and speeds of the joints, read-only."""
+        return self._remembered("limits", lambda q: self._both_ways(rod_limits, self._arms(q)), q)
+
+    def _limit_slopes(self, q: Array) -> tuple[BothWays, BothWays]:
+        """(..., n) the derivatives of `_limits` by each joint's own position, read-only."""
+        return self._remembered(
+            "limit slopes", lambda q: self._both_ways(rod_limit_slopes, self._arms(q), self.arm_slopes(q)), q
+        )
+
+    def _both_ways(self, compute: Callable[..., tuple[Array, ...]], *of_arms: Array) -> tuple[BothWays, BothWays]:
+        shape = of_arms[0].shape[:-1]
+        found = compute(
+            *(_rows(each, shape) for each in of_arms), self.joint_of, self._cap, self._annulus, self._valve_flow,
+            self.pressure, self.pump_flow, len(self.joint_names),
+        )  # fmt: skip
+        for each in found:
+            each.setflags(write=False)
+        torque, back_torque, speed, back_speed = (each.reshape(*shape, len(self.joint_names)) for each in found)
+        return BothWays(torque, back_torque), BothWays(speed, back_speed)
 
     def _arms(self, q: Array) -> Array:
-        """(..., m) dl/dq of each cylinder along its own joint [m/rad]."""
-        return self._remembered("arms", lambda linkage, angle: linkage.arm(angle), q)
+        """(..., m) dl/dq of each cylinder along its own joint [m/rad], read-only."""
+        return self._remembered("arms", lambda q: self._read_only(lambda linkage, angle: linkage.arm(angle), q), q)
 
-    def _remembered(self, what: str, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
-        """(..., m) the result of `_of_linkages`, which cannot be written to."""
+    def _remembered(self, what: str, compute: Callable[[Array], _Found], q: Array) -> _Found:
+        """The result of `compute` at q (..., n), or that of an earlier call at the same q."""
         # speed, flow, force and power are computed one after another at the same q
         q = as_rows(q, len(self.joint_names), key="q")
         key = (what, q.shape, q.tobytes())
-        found = self._known.get(key)
+        found: _Found | None = self._known.get(key)
         if found is None:
-            found = self._of_linkages(compute, q)
-            found.setflags(write=False)
+            found = compute(q)
             if len(self._known) >= _REMEMBERED:
                 self._known.clear()
             self._known[key] = found
         return found
 
     @cached_property
-    def _known(self) -> dict[tuple[str, tuple[int, ...], bytes], Array]:
+    def _known(self) -> dict[tuple[str, tuple[int, ...], bytes], Any]:
         """The latest results of `_remembered`, by what they are, and by shape and content of q."""
         return {}
+
+    @cached_property
+    def _together(self) -> tuple[tuple[Linkage, int | list[int], int | list[int]], ...]:
+        """Linkages that are computed at once: with their columns, and the joints that they move."""
+        each = [(cylinder.linkage, column) for column, cylinder in enumerate(self.cylinders)]
+        triangles = [(linkage, column) for linkage, column in each if isinstance(linkage, Triangle)]
+        joint_of = self.joint_of.tolist()
+        found: list[tuple[Linkage, int | list[int], int | list[int]]] = [
+            (linkage, column, joint_of[column]) for linkage, column in each if not isinstance(linkage, Triangle)
+        ]
+        if triangles:
+            columns = [column for _, column in triangles]
+            found.append((Triangle.all_of([one for one, _ in triangles]), columns, [joint_of[k] for k in columns]))
+        return tuple(found)
 
     def _of_linkages(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
         """(..., m) the result of `compute` for each cylinder's linkage and its joint's angle, at q (..., n)."""
         q = as_rows(q, len(self.joint_names), key="q")
         found = np.empty((*q.shape[:-1], len(self.cylinders)))
-        for column, (cylinder, joint) in enumerate(zip(self.cylinders, self.joint_of, strict=True)):
-            found[..., column] = compute(cylinder.linkage, q[..., joint])
+        for linkage, columns, joints in self._together:
+            found[..., columns] = compute(linkage, q[..., joints])
+        return found
+
+    def _read_only(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
+        found = self._of_linkages(compute, q)
+        found.setflags(write=False)
         return found
 
     def _by_joint(self, values: Array) -> Array:
         """(..., n) sums of (..., m) over the cylinders of each joint."""
-        total = np.zeros((*values.shape[:-1], len(self.joint_names)))
-        for i, joint in enumerate(self.joint_of):
-            total[..., joint] += values[..., i]
-        return total
+        total = sum_by_joint(values.reshape(-1, values.shape[-1]), self.joint_of, len(self.joint_names))
+        return total.reshape(*values.shape[:-1], len(self.joint_names))
+
+
+def _rows(values: Array, shape: tuple[int, ...]) -> Array:
+    """(K, m) the rows of values (..., m), broadcast to the leading axes `shape`."""
+    if values.shape[:-1] != shape:
+        values = np.broadcast_to(values, (*shape, values.shape[-1]))
+    return values.reshape(-1, values.shape[-1])

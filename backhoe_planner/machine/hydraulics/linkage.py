@@ -8,12 +8,15 @@ bucket. Both give the length for an angle and the angles for a length, for array
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
 
 from backhoe_planner.arrays import Array
+
+_Plane = tuple[Array, Array]  # (...) each: vectors in the plane across the axis
 
 _ROUNDING = 1e-9  # a cosine this far beyond 1 is 1 but for rounding; chosen, well above that of some ten operations
 
@@ -50,12 +53,19 @@ class Triangle:
     b: distance of the joint's axis from the moving pin [m].
     phi0: angle from the first pin to the second at q = 0 [rad].
     offset: h, distance of the pins along the axis [m].
+
+    Each is (k,) for k cylinders at once (`all_of`), whose angles are (..., k).
     """
 
-    a: float
-    b: float
-    phi0: float
-    offset: float = 0.0
+    a: float | Array
+    b: float | Array
+    phi0: float | Array
+    offset: float | Array = 0.0
+
+    @classmethod
+    def all_of(cls, each: Sequence[Triangle]) -> Triangle:
+        """All of k cylinders at once."""
+        return cls(*(np.array([getattr(one, field.name) for one in each], dtype=float) for field in fields(cls)))
 
     @property
     def length_range(self) -> tuple[float, float]:
@@ -126,74 +136,70 @@ class FourBar:
 
     def arm(self, angle: Array) -> Array:
         """See `Linkage`."""
-        theta, B, AR = self._pins(angle)
-        link = AR + self._pivot - B
-        turned = _dot(link, _crossed(B)) / _dot(link, _crossed(AR))
-        return np.asarray(self.drive.arm(theta) * turned)
+        theta, B, AR, link = self._pins(angle)
+        return np.asarray(self.drive.arm(theta) * (_turn(link, B) / _turn(link, AR)))
 
     def arm_slope(self, angle: Array) -> Array:
         """See `Linkage`; by the product rule, with d(R - A)/dq = dtheta/dq k x (R - A) and dB/dq = k x B."""
-        theta, B, AR = self._pins(angle)
-        link, of_B, of_AR = AR + self._pivot - B, _crossed(B), _crossed(AR)
-        over, under = _dot(link, of_B), _dot(link, of_AR)
+        theta, B, AR, link = self._pins(angle)
+        over, under = _turn(link, B), _turn(link, AR)
         turned = over / under
-        of_link = of_AR * turned[..., None] - of_B
-        of_over = _dot(of_link, of_B) - _dot(link, B)
-        of_under = _dot(of_link, of_AR) - turned * _dot(link, AR)
+        of_link = -AR[1] * turned + B[1], AR[0] * turned - B[0]
+        of_over = _turn(of_link, B) - _dot(link, B)
+        of_under = _turn(of_link, AR) - turned * _dot(link, AR)
         of_turned = (of_over - turned * of_under) / under
         return np.asarray(self.drive.arm_slope(theta) * turned**2 + self.drive.arm(theta) * of_turned)
 
     def rocker_angle(self, angle: Array) -> Array:
         """Angle theta of the rocker's pin about A [rad]; nan where the four-bar does not close."""
-        AB = self._pin(np.asarray(angle)) - self._pivot
-        d = np.hypot(AB[..., 0], AB[..., 1])
-        cosine = (self.rocker**2 + d**2 - self.link**2) / (2.0 * self.rocker * d)
-        return np.asarray(np.arctan2(AB[..., 1], AB[..., 0]) + self.side * np.arccos(_within(cosine, -1.0, 1.0)))
+        return self._rocker_angle(_polar(self.pin, np.asarray(angle) + self.pin_angle))
 
     def joint_pin(self, angle: Array) -> Array:
         """(..., 2) the pin B [m]."""
-        return self._pin(np.asarray(angle))
+        return np.stack(_polar(self.pin, np.asarray(angle) + self.pin_angle), axis=-1)
 
     def rocker_pin(self, angle: Array) -> Array:
         """(..., 2) the pin R [m]."""
-        return np.asarray(_polar(self.rocker, self.rocker_angle(angle)) + self._pivot)
+        x, y = _polar(self.rocker, self.rocker_angle(angle))
+        return np.stack((x + self.pivot[0], y + self.pivot[1]), axis=-1)
 
     def angles(self, length: Array) -> Array:
         """See `Linkage`; k = 4."""
-        R = _polar(self.rocker, self.drive.angles(length)) + self._pivot
-        e = np.hypot(R[..., 0], R[..., 1])
+        x, y = _polar(self.rocker, self.drive.angles(length))
+        x, y = x + self.pivot[0], y + self.pivot[1]
+        e = np.hypot(x, y)
         cosine = (self.pin**2 + e**2 - self.link**2) / (2.0 * self.pin * e)
         # a rocker angle from which the link does not reach the pin is not possible
         beyond = np.abs(cosine) > 1.0 + _ROUNDING
         spread = np.arccos(_within(np.where(beyond, np.nan, cosine), -1.0, 1.0))
-        towards = np.arctan2(R[..., 1], R[..., 0])
+        towards = np.arctan2(y, x)
         return _wrapped(np.concatenate((towards + spread, towards - spread)) - self.pin_angle)
 
-    def _pins(self, angle: Array) -> tuple[Array, Array, Array]:
-        """The rocker's angle theta (...), B (..., 2), and R - A (..., 2)."""
-        angle = np.asarray(angle)
-        theta = self.rocker_angle(angle)
-        return theta, self._pin(angle), _polar(self.rocker, theta)
+    def _pins(self, angle: Array) -> tuple[Array, _Plane, _Plane, _Plane]:
+        """The rocker's angle theta (...), B, R - A, and the link R - B."""
+        B = _polar(self.pin, np.asarray(angle) + self.pin_angle)
+        theta = self._rocker_angle(B)
+        AR = _polar(self.rocker, theta)
+        return theta, B, AR, (AR[0] + self.pivot[0] - B[0], AR[1] + self.pivot[1] - B[1])
 
-    @property
-    def _pivot(self) -> Array:
-        return np.asarray(self.pivot, dtype=float)
-
-    def _pin(self, angle: Array) -> Array:
-        return _polar(self.pin, angle + self.pin_angle)
-
-
-def _polar(radius: float, angle: Array) -> Array:
-    return np.asarray(radius * np.stack((np.cos(angle), np.sin(angle)), axis=-1))
+    def _rocker_angle(self, B: _Plane) -> Array:
+        x, y = B[0] - self.pivot[0], B[1] - self.pivot[1]
+        d = np.hypot(x, y)
+        cosine = (self.rocker**2 + d**2 - self.link**2) / (2.0 * self.rocker * d)
+        return np.asarray(np.arctan2(y, x) + self.side * np.arccos(_within(cosine, -1.0, 1.0)))
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.sum(a * b, axis=-1))
+def _polar(radius: float, angle: Array) -> _Plane:
+    return np.asarray(radius * np.cos(angle)), np.asarray(radius * np.sin(angle))
 
 
-def _crossed(vectors: Array) -> Array:
-    """The product k x vector: a quarter turn about the axis."""
-    return np.stack((-vectors[..., 1], vectors[..., 0]), axis=-1)
+def _dot(a: _Plane, b: _Plane) -> Array:
+    return np.asarray(a[0] * b[0] + a[1] * b[1])
+
+
+def _turn(a: _Plane, b: _Plane) -> Array:
+    """The inner product of a and k x b, a quarter turn of b about the axis."""
+    return np.asarray(a[0] * -b[1] + a[1] * b[0])
 
 
 def _within(values: Array, low: float, high: float) -> Array:
