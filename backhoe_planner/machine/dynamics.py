@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 GRAVITY = 9.81  # m/s^2
@@ -76,7 +77,7 @@ class Dynamics:
             derive(model, data, *moment)
             found[row] = data.tau
             slopes[row, :, :n], slopes[row, :, n : 2 * n], slopes[row, :, 2 * n :] = data.dtau_dq, data.dtau_dv, data.M
-        slopes[:, :, 2 * n :] = _symmetric(slopes[:, :, 2 * n :])
+        _mirror(slopes[:, :, 2 * n :])
         return found, slopes
 
     def gravity_torques(self, q: Matrix) -> Matrix:
@@ -89,7 +90,8 @@ class Dynamics:
         found = np.empty((*q.shape, q.shape[-1]))
         for row, joints in enumerate(q):
             found[row] = pin.crba(self._model, self._data, joints)
-        return _symmetric(found)
+        _mirror(found)
+        return found
 
     def bodies(self) -> tuple[Vector, Matrix]:
         """(n,) the mass of the body on each joint [kg], and (n, 3) the centres of mass in the joints' frames [m]."""
@@ -133,9 +135,16 @@ class MotionEnergy:
     hydraulic: Vector | None
 
 
-def _symmetric(M: Array) -> Array:
-    """(..., n, n) whole mass matrices M: Pinocchio fills only the upper triangle, so the lower one is mirrored."""
-    return np.asarray(np.triu(M) + np.triu(M, 1).swapaxes(-1, -2))
+def _mirror(M: Array) -> None:
+    """Complete mass matrices M (..., n, n): Pinocchio fills only the upper triangle, which the lower one repeats."""
+    rows, columns = _below_diagonal(M.shape[-1])
+    M[..., rows, columns] = M[..., columns, rows]
+
+
+@lru_cache(maxsize=32)
+def _below_diagonal(n: int) -> tuple[Indices, Indices]:
+    rows, columns = np.tril_indices(n, -1)
+    return rows, columns
 
 
 def motion_energy(
