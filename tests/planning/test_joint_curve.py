@@ -7,7 +7,8 @@ import pytest
 from scipy.interpolate import BSpline
 
 import backhoe_planner as bp
-from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.arrays import Vector
+from backhoe_planner.planning.descent.curve import JointCurve, basis, moment_changes, spread
 
 
 @pytest.mark.parametrize("pieces", [1, 2, 3, 5, 24])
@@ -94,3 +95,32 @@ def test_a_motion_along_a_curve_is_fitted_by_that_curve(planar4: bp.Robot) -> No
     motion = bp.Trajectory.from_steps(time, curve(time / 2.0))
     fitted = JointCurve.fitted(motion, 7, planar4.limits, knots=UNEVEN)
     np.testing.assert_allclose(fitted.control, control, atol=1e-4)
+
+
+@pytest.mark.parametrize("pieces", [1, 2, 3, 8])
+def test_the_acting_control_points_have_all_weights(pieces: int) -> None:
+    """Four at most, equal to the rows of `basis`, which are zero elsewhere; also with pieces of different lengths."""
+    knots = tuple((np.linspace(0.0, 1.0, pieces + 1) ** 1.5).tolist())
+    for curve in (JointCurve(np.zeros((pieces + 1, 2))), JointCurve(np.zeros((pieces + 1, 2)), knots)):
+        acting, weights = curve.support(31)
+        assert acting.shape[1] == min(4, pieces + 1)
+        for derivative in range(3):
+            whole = np.zeros((31, pieces + 1))
+            np.put_along_axis(whole, acting, weights[derivative], axis=1)
+            np.testing.assert_array_equal(whole, curve.weights(31, derivative))
+
+
+def test_changes_of_moments_are_the_differences_of_a_linear_function_of_them() -> None:
+    """A value that is linear in q, v, a changes with a step of the moving control points by its slopes exactly."""
+    rng = np.random.default_rng(3)
+    curve, moving, step = JointCurve(rng.normal(size=(9, 2))), slice(1, 8), rng.normal(size=(7, 2))
+    control = curve.control.copy()
+    control[moving] += step
+    slopes = rng.normal(size=(25, 6))
+
+    def values(one: JointCurve) -> Vector:
+        return np.asarray(np.sum(slopes * np.hstack([one.weights(25, k) @ one.control for k in range(3)]), axis=1))
+
+    acting, weights = curve.support(25)
+    changes = spread(acting, moment_changes(acting, weights, slopes, 2), moving, 8)
+    np.testing.assert_allclose(changes @ step.ravel(), values(curve.moved_to(control)) - values(curve), atol=1e-10)

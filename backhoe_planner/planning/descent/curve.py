@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Trajectory
 
@@ -54,6 +54,10 @@ class JointCurve:
     def weights(self, places: int, derivative: int = 0) -> Matrix:
         """(places, L + 1) weights of the control points at equally spaced u, or their derivatives by s."""
         return basis(self.pieces, places, derivative, self.knots)
+
+    def support(self, places: int) -> tuple[Indices, Array]:
+        """The control points that act at equally spaced u, and their weights, see the function `support`."""
+        return support(self.pieces, places, self.knots)
 
     def shares(self, places: int) -> Vector:
         """(places,) weights of a sum over equally spaced u that approximates an integral over s (trapezium rule)."""
@@ -126,6 +130,28 @@ def from_rest_to_rest(part: Array) -> Array:
     return np.asarray(part * part * (3.0 - 2.0 * part))
 
 
+def moment_changes(acting: Indices, weights: Array, slopes: Matrix, n: int) -> Array:
+    """(R, k, n) derivatives, by the k control points `acting` (R, k), of R values with `slopes` (R, 3 n) by q, v, a.
+
+    Parameters
+    ----------
+    weights: (3, R, k) of these control points in q, v and a.
+    """
+    found = weights[0][:, :, None] * slopes[:, None, :n]
+    found += weights[1][:, :, None] * slopes[:, None, n : 2 * n]
+    found += weights[2][:, :, None] * slopes[:, None, 2 * n :]
+    return np.asarray(found)
+
+
+def spread(acting: Indices, changes: Array, moving: slice, pieces: int) -> Matrix:
+    """(R, m) the same by all control points that are `moving`, one after the other, from `changes` (R, k, n)."""
+    count, _, n = changes.shape
+    found = np.zeros((count, pieces + 1, n))
+    found[np.arange(count)[:, None], acting] = changes
+    found = found[:, moving]
+    return found.reshape(count, found.shape[1] * n)
+
+
 def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:
     """(pieces + 1, n) control points of the curve nearest to q (K, n) at equally spaced u, with the same ends."""
     weights = basis(pieces, len(q), 0, knots)
@@ -147,6 +173,22 @@ def basis(pieces: int, places: int, derivative: int, knots: tuple[float, ...] = 
     found[:, -1] += weights[:, -1]
     found.setflags(write=False)
     return found
+
+
+@lru_cache(maxsize=64)
+def support(pieces: int, places: int, knots: tuple[float, ...] = ()) -> tuple[Indices, Array]:
+    """(places, k) the k control points that act at equally spaced u, at most four, and (3, places, k) their weights.
+
+    The weights are those of `basis`, then their first and second derivatives by s.
+    """
+    dense = np.array([basis(pieces, places, derivative, knots) for derivative in range(3)])
+    count = min(_DEGREE + 1, pieces + 1)
+    first = np.clip(_piece_of(np.linspace(0.0, 1.0, places), pieces) - 1, 0, pieces + 1 - count)
+    acting = first[:, None] + np.arange(count)
+    weights = dense[:, np.arange(places)[:, None], acting]
+    acting.setflags(write=False)
+    weights.setflags(write=False)
+    return acting, weights
 
 
 def _place(u: Vector, knots: tuple[float, ...]) -> Vector:

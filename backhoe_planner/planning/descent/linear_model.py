@@ -18,7 +18,7 @@ from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_w
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
-from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
 from backhoe_planner.planning.descent.kinks import NearKinks, rounded
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.planning.descent.tight_ends import TightEnds
@@ -149,6 +149,8 @@ class LinearModel:
         self._places = PLACES_PER_PIECE * curve.pieces + 1
         self._weights = [curve.weights(self._places, derivative) for derivative in range(3)]
         self._at = [weights @ curve.control for weights in self._weights]  # q, q', q''
+        self._acting, weights = curve.support(self._places)
+        self._of_acting = weights * ((self._acting >= 1) & (self._acting < last))  # without what does not move
         self._rows: list[Rows] = []
 
     # --- constraints -----------------------------------------------------------------
@@ -190,9 +192,7 @@ class LinearModel:
             return
         base, slopes = ratios[near], drive.ratio_slopes(*(each[near] for each in moments))
         place, limit = np.nonzero(base >= 0.0)
-        G, by_duration = self._of_moments(near[place], slopes[place, limit])
-        kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
-        self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
+        self._add_drive(near[place], base[place, limit], slopes[place, limit])
         if drive.hydraulics is not None:
             flow = 2 * self._n  # its column comes after efforts and rod speeds
             self._keep_flow_where_joints_turn(drive, near, base[:, flow], slopes[:, flow])
@@ -222,9 +222,21 @@ class LinearModel:
         turning, turned = turns[which, row], slopes[row]
         turned[:, n : 2 * n] += np.where(turning, (back * kink)[row], 0.0)
         without = flow[row] - np.sum(np.where(turning, (kink * np.abs(v))[row], 0.0), axis=1)
-        G, by_duration = self._of_moments(near[row], turned)
-        kept = without + np.abs(G) @ self._box > _NEAR_LIMIT
-        self._add("drive", G[kept], 1.0 - without[kept], by_duration=by_duration[kept])
+        self._add_drive(near[row], without, turned)
+
+    def _add_drive(self, place: Indices, use: Vector, slopes: Matrix) -> None:
+        """Add rows for uses of the drive (R,) at `place` (R,), with `slopes` (R, 3 n) by q, v and a."""
+        T, n = self._T, self._n
+        scaled = np.hstack((slopes[:, :n], slopes[:, n : 2 * n] / T, slopes[:, 2 * n :] / T**2))
+        acting, weights = self._acting[place], self._of_acting[:, place]
+        changes = moment_changes(acting, weights, scaled, n)
+        kept = use + np.abs(changes).sum(axis=1) @ self._box[:n] > _NEAR_LIMIT
+        place, scaled = place[kept], scaled[kept]
+        slower = np.sum(scaled[:, n : 2 * n] * self._at[1][place], axis=1)
+        slower += 2.0 * np.sum(scaled[:, 2 * n :] * self._at[2][place], axis=1)
+        moving = slice(self._moving[0], self._moving[-1] + 1)
+        G = spread(acting[kept], changes[kept], moving, self._curve.pieces)
+        self._add("drive", G, 1.0 - use[kept], by_duration=-slower / T)
 
     def keep_clear(self, margins: list[Margin], places: int, *, after: Vector | None = None) -> None:
         """Add rows for margins at some of `places` equally spaced u; all may be missed by the slack.
@@ -387,14 +399,3 @@ class LinearModel:
         """(K, n) each: q, v and a at all places."""
         q, first, second = self._at
         return q, first / self._T, second / self._T**2
-
-    def _of_moments(self, place: Indices, slopes: Matrix) -> tuple[Matrix, Vector]:
-        """(R, steps), (R,) derivatives by steps and duration, of values at `place` (R,) with `slopes` (R, 3 n)."""
-        T, n = self._T, self._n
-        of_q, of_v, of_a = slopes[:, :n], slopes[:, n : 2 * n] / T, slopes[:, 2 * n :] / T**2
-        G = sum(
-            weights[place][:, self._moving, None] * of[:, None, :]
-            for weights, of in zip(self._weights, (of_q, of_v, of_a), strict=True)
-        )
-        slower = np.sum(of_v * self._at[1][place], axis=1) + 2.0 * np.sum(of_a * self._at[2][place], axis=1)
-        return np.asarray(G).reshape(len(place), self._steps), -slower / T

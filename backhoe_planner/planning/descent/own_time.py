@@ -14,7 +14,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.motion import Drive, Problem, cost_rate, moment_slopes
-from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
 from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
 from backhoe_planner.planning.descent.softening import soft_power
@@ -115,7 +115,7 @@ class OwnTime:
         slope = kinks.share * kinks.rising() @ kinks.G
         slope[-1] += kinks.share @ rounded(value, width) / duration
         # (torque v)'' = torque' v' + v' torque' + v torque''; the last term is left out
-        crossed = of_v.T @ ((kinks.share * kinks.rising())[:, None] * of_torque)
+        crossed = change.velocities_times((kinks.share * kinks.rising())[:, None] * of_torque)
         return Slope(slope, _convex(crossed + crossed.T), kinks)
 
     def _slope_of_squares(
@@ -213,23 +213,32 @@ class _Change:
     def __init__(
         self, curve: JointCurve, duration: float, moving: slice, moments: tuple[Matrix, Matrix, Matrix]
     ) -> None:
-        self._T, self._v, self._a = duration, moments[1], moments[2]
-        self._weights = [curve.weights(len(self._v), k)[:, moving] / duration**k for k in range(3)]
+        self._T, self._v, self._a, self._moving, self._pieces = duration, moments[1], moments[2], moving, curve.pieces
+        self._acting, weights = curve.support(len(self._v))
+        self._of_acting = weights / np.array([1.0, duration, duration**2])[:, None, None]
+        self._of_velocity = curve.weights(len(self._v), 1)[:, moving] / duration
 
     def of(self, slopes: Matrix, each: int = 1) -> Matrix:
         """(K each, m) for values with derivatives `slopes` (K each, 3 n) by q, v, a; `each` values at each moment."""
         place, n = np.repeat(np.arange(len(self._v)), each), self._v.shape[1]
-        steps = sum(
-            (self._weights[k][place][:, :, None] * slopes[:, None, k * n : (k + 1) * n] for k in range(3)),
-            np.zeros((len(place), self._weights[0].shape[1], n)),
-        )
+        acting = self._acting[place]
+        changes = moment_changes(acting, self._of_acting[:, place], slopes, n)
         of_T = np.sum(slopes[:, n : 2 * n] * self._v[place] + 2.0 * slopes[:, 2 * n :] * self._a[place], axis=1)
-        return np.column_stack((steps.reshape(len(place), -1), -of_T / self._T))
+        return np.column_stack((spread(acting, changes, self._moving, self._pieces), -of_T / self._T))
 
     def of_velocities(self) -> Matrix:
         """(K n, m) for all velocities."""
-        steps = np.kron(self._weights[1], np.eye(self._v.shape[1]))
-        return np.column_stack((steps, -self._v.ravel() / self._T))
+        (count, points), n = self._of_velocity.shape, self._v.shape[1]
+        steps = np.zeros((count, n, points, n))
+        joints = np.arange(n)
+        steps[:, joints, :, joints] = self._of_velocity
+        return np.column_stack((steps.reshape(count * n, points * n), -self._v.ravel() / self._T))
+
+    def velocities_times(self, values: Matrix) -> Matrix:
+        """(m, m) `of_velocities`, transposed, times values (K n, m)."""
+        n, width = self._v.shape[1], values.shape[1]
+        each = self._of_velocity.T @ values.reshape(-1, n, width).transpose(1, 0, 2)  # (n, points, m)
+        return np.vstack((each.transpose(1, 0, 2).reshape(-1, width), -self._v.ravel() @ values / self._T))
 
 
 def _convex(H: Matrix) -> Matrix:
