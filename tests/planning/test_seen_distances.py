@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import find_margins
+from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
+from backhoe_planner.site import ClearanceScreen
 from validation.habitats import load_machine
 from validation.sites import SiteKey, random_site
 
@@ -62,3 +65,39 @@ def test_margins_are_the_same_without_known_distances(
             np.testing.assert_allclose(one.gradient, other.gradient, atol=1e-6)
         measured += np.array([with_it.measured, without.measured]) - before
     assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to save
+
+
+def test_collisions_between_checked_places_are_noticed_the_same_without_known_distances(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As if every place between were screened; known distances leave fewer than half of them to the screen."""
+    robot = load_machine("backhoe")
+    problem = build_problem(robot, random_site(robot, SiteKey("backhoe", "narrow", "goal", 1, 5)).scene)
+    start, limits = problem.start_q, robot.limits
+    assert start is not None
+    proximity = bp.Proximity(robot, problem.obstacles)
+    screen = ClearanceScreen(proximity, spare=0.0015)
+    screened: list[int] = []
+    first = screen.first_not_kept_unchecked
+
+    def counting(q: Matrix) -> int:
+        screened.append(len(q))
+        return first(q)
+
+    monkeypatch.setattr(screen, "first_not_kept_unchecked", counting)
+    noticed, asked = [], []
+    for known in (True, False):
+        looks = Looks(proximity, screen, problem.keep, steps=8, spare=0.003, time=0.0)
+        if not known:
+            monkeypatch.setattr(looks, "_not_known_clear", lambda curve, between, before, q: between)
+        screened.clear()
+        rng, found = np.random.default_rng(4), list[tuple[float, list[int]]]()
+        for _ in range(6):
+            end = np.clip(start + rng.uniform(-0.9, 0.9, robot.n), limits.lower, limits.upper)
+            least, margins = looks.find_margins(JointCurve.straight(start, end, 8))
+            found.append((round(least, 8), [one.place for one in margins]))
+        noticed.append((found, looks.known))
+        asked.append(sum(screened))
+    assert noticed[0] == noticed[1]
+    assert noticed[0][1][0] > 9
+    assert asked[0] < 0.5 * asked[1]

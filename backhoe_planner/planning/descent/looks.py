@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import Margin, find_margins
@@ -25,6 +25,7 @@ _APART = 0.04  # m between two queries of the screen, for the point that moves m
 _NEAR = 0.08  # m: larger margins are not linearised, however far a step moves a link; chosen: 0.25 takes twice as long
 _NEAR_HURRIED = 0.05  # m: the same for a descent in a hurry; chosen: saves a twentieth of a quick plan, and is no worse
 _FAR = 0.4  # m: the same at places where a step has gone into an obstacle; chosen: a link moves as far in a step
+_ROUNDING = 1e-5  # m: a distance beyond a clearance by more is seen by the screen too; coal's are right to some 1e-6
 _MUCH = 0.01  # m that must be missed at such a place; chosen
 
 
@@ -60,13 +61,14 @@ class Looks:
         self._looked_at = np.arange(0, self.places, _FINER)
         self._near = _NEAR_HURRIED if hurried else _NEAR
         self._reach = np.full(self.places, self._near)
+        self._widened = 0  # places with the larger reach
         self._seen = SeenDistances()
         self._ends = TightEnds(proximity, fixed, spare=spare, time=time)
 
     @property
     def known(self) -> tuple[int, int]:
         """How many places are checked, and at how many the larger reach is used; neither number decreases."""
-        return len(self._looked_at), int(np.count_nonzero(self._reach > self._near))
+        return len(self._looked_at), self._widened
 
     def find_margins(self, curve: JointCurve) -> tuple[float, list[Margin]]:
         """The least margin of a curve, infinite if nothing is near, and all small margins."""
@@ -82,6 +84,7 @@ class Looks:
         """Use a larger reach from now on where a curve with these margins goes into an obstacle."""
         for found in margins:
             if found.margin.min() < -_MUCH:
+                self._widened += self._reach[found.place] < _FAR
                 self._reach[found.place] = _FAR
 
     def _margins_at(self, curve: JointCurve, places: Indices) -> tuple[float, list[Margin]]:
@@ -104,10 +107,14 @@ class Looks:
         self._proximity.cover_unchecked(q)
         way = np.abs(np.diff(q, axis=0)) @ travel.max(axis=0)
         between: list[range] = []
+        before: list[int] = []  # the checked place before each of them
         for interval in np.flatnonzero(least[:-1] + least[1:] < way).tolist():  # otherwise no link collides between
             a, b = int(at[interval]), int(at[interval + 1])
             step = math.ceil((b - a) / (min(int(way[interval] / _APART), b - a - 1) + 1))
-            between.append(range(a + step, b, step))
+            if a + step < b:
+                between.append(range(a + step, b, step))
+                before.append(interval)
+        between = self._not_known_clear(curve, between, np.array(before, dtype=np.intp), q)
         asked = [place for places in between for place in places]
         if not asked:
             return np.zeros(0, dtype=np.intp)
@@ -115,9 +122,35 @@ class Looks:
         if self._screen.has_clusters:  # many are checked together nearly as fast as one
             kept = dict(zip(asked, self._screen.keeps(found_at).tolist(), strict=True))
             noticed = [next((k for k in places if not kept[k]), -1) for places in between]
-        elif self._screen.keeps_all_unchecked(found_at):
-            return np.zeros(0, dtype=np.intp)
-        else:
-            q_at = dict(zip(asked, found_at, strict=True))
-            noticed = [next((k for k in places if not self._screen.keeps_unchecked(q_at[k])), -1) for places in between]
-        return np.array([place for place in noticed if place >= 0], dtype=np.intp)
+            return np.array([place for place in noticed if place >= 0], dtype=np.intp)
+        after = np.cumsum([len(places) for places in between])  # rows of `found_at`
+        first, row = [], self._screen.first_not_kept_unchecked(found_at)
+        while row < len(asked):
+            first.append(asked[row])
+            row = int(after[np.searchsorted(after, row, side="right")])
+            row += self._screen.first_not_kept_unchecked(found_at[row:])
+        return np.array(first, dtype=np.intp)
+
+    def _not_known_clear(self, curve: JointCurve, between: list[range], before: Indices, q: Matrix) -> list[range]:
+        """Those of the places `between` checked ones, which are at q (K, n), where known distances leave it open.
+
+        With the ways w_a and w_b of its link from both checked places, a pair keeps at least the mean of d_a - w_a and
+        d_b - w_b.
+
+        Parameters
+        ----------
+        before: the checked place before each of `between`.
+        """
+        if not between:
+            return between
+        count = [len(places) for places in between]
+        at = np.repeat(before, count)
+        there = curve.at(self._u[[place for places in between for place in places]])
+        moved = np.abs(there - q[at]) + np.abs(there - q[at + 1])
+        most = np.maximum.reduceat(moved, np.cumsum([0, *count[:-1]]))
+        travel, ends = self._proximity.travel, np.union1d(before, before + 1)
+        known = self._seen.bounds(self._looked_at[ends], q[ends], travel)
+        row = np.searchsorted(ends, before)
+        least = 0.5 * (known[row] + known[row + 1] - most @ travel.T)
+        clear = (least > self._proximity.clearance + self.allowed + _ROUNDING).all(axis=1)
+        return [places for places, is_clear in zip(between, clear.tolist(), strict=True) if not is_clear]
