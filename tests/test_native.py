@@ -25,6 +25,7 @@ from backhoe_planner.machine.kinematics.kinematics import place_chain
 from backhoe_planner.motion import Rows  # noqa: F401  the same
 from backhoe_planner.native import find_compiled, native_version, plain_versions
 from backhoe_planner.planning import Stepper  # noqa: F401  the same
+from backhoe_planner.proof import least_duration  # noqa: F401  the same
 from backhoe_planner.site import ClearanceScreen  # noqa: F401  the same
 
 Rng: TypeAlias = np.random.Generator
@@ -744,6 +745,12 @@ def rod_forces(rng: Rng) -> Arguments:
     return arms, joint_of, 1e4 * rng.normal(size=(len(arms), int(joint_of.max()) + 1))
 
 
+def least_supplied(rng: Rng) -> Arguments:
+    n, boxes = min(joints(rng), 4) if joints(rng) < 40 else 9, some(rng)
+    amounts = np.cumsum(rng.uniform(0.1, 1.0, (3**n, 7)), axis=1) - 0.1
+    return rng.uniform(0.0, 3.0, (boxes, n)), rng.integers(0, 3, (boxes, n)), amounts, np.linspace(0.0, 1.0, 7)
+
+
 def oil_taken(rng: Rng) -> Arguments:
     arms, joint_of, torques = rod_forces(rng)
     areas = rng.uniform(1e-3, 1e-2, (2, len(joint_of)))
@@ -826,11 +833,11 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
     cost_of_tip, count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart,
     force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows,
-    kept_over_ground, known_apart, largest_part, least_over_path, left_over_path, line_ahead, lower_on_grid,
-    lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground,
-    nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken,
-    pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms,
-    reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces,
+    kept_over_ground, known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead,
+    lower_on_grid, lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows,
+    nearest_on_ground, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box,
+    oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
+    quick_terms, reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces,
     rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses, split_by_plane,
     stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near,
     velocity_held_as_before, velocity_within_rows, ways_of_links,

@@ -28,6 +28,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import Hydraulics
 from backhoe_planner.motion import DRIVE_TOLERANCE, SAMPLE_PERIOD, Problem
+from backhoe_planner.native import compiled
 from backhoe_planner.proof.limits import JOINTS_WITHIN
 
 _LATE = 1.5 * SAMPLE_PERIOD  # s by which a sampled motion may be ahead of its ramps
@@ -111,6 +112,9 @@ class LeastTimes:
             self._flow = self._hydraulics.pump_flow * (1.0 + DRIVE_TOLERANCE)
             for joint in sorted(set(self._hydraulics.joint_of.tolist())):
                 self._oil[joint], self._slow[joint] = self._tables(self._hydraulics, joint)
+        self._halves = np.linspace(0.0, 0.5 * longest, _MOMENTS + 1)
+        self._all_amounts = np.zeros((3 ** len(self._oil) if len(self._oil) <= _MOST_TOGETHER else 0, _MOMENTS + 1))
+        self._known_ways: set[int] = set()  # of boxes, whose supplies are in the table
 
     def to_boxes(self, lower: Matrix, upper: Matrix) -> Vector:
         """(B,) lower bound of the time from the start to rest in the box `lower` .. `upper` (B, n) [s]."""
@@ -136,23 +140,38 @@ class LeastTimes:
             joint: np.where(side[:, joint] == 0, up.at(gap[:, joint]), down.at(gap[:, joint]))
             for joint, (up, down) in self._oil.items()
         }
-        for joints, all_move in self._together(side):
-            ways = side[:, joints]
-            need = np.sum([needs[joint] for joint in joints], axis=0)
-            code = ways @ (1 << np.arange(len(joints)))
-            for some in np.unique(code[all_move]).tolist():
-                rows = np.flatnonzero(all_move & (code == some))
-                supply = self._supply(joints, tuple(ways[rows[0]].tolist()))
+        joints = list(self._oil)
+        if len(joints) <= _MOST_TOGETHER:
+            way = np.ascontiguousarray(np.where(side[:, joints] < 2, side[:, joints] + 1, 0))
+            need = np.column_stack([needs[joint] for joint in joints])
+            np.maximum(found, least_supplied(need, way, self._amounts(way), self._halves), out=found)
+            return
+        for some, all_move in self._together(side):
+            ways = side[:, some]
+            need = np.sum([needs[joint] for joint in some], axis=0)
+            code = ways @ (1 << np.arange(len(some)))
+            for one in np.unique(code[all_move]).tolist():
+                rows = np.flatnonzero(all_move & (code == one))
+                supply = self._supply(some, tuple(ways[rows[0]].tolist()))
                 found[rows] = np.maximum(found[rows], supply.duration(need[rows]))
 
+    def _amounts(self, way: Indices) -> Matrix:
+        """(3^J, K) the amounts of all supplies that occur with the ways of boxes (B, J), see `least_supplied`."""
+        joints, power = list(self._oil), 3 ** np.arange(way.shape[1])
+        for pattern in set(np.unique(way @ power).tolist()) - self._known_ways:
+            self._known_ways.add(pattern)
+            digits = pattern // power % 3
+            for some in _combinations(np.flatnonzero(digits).tolist()):
+                row = int(digits[list(some)] @ power[list(some)])
+                if not self._all_amounts[row, -1]:
+                    ways = tuple((digits[list(some)] - 1).tolist())
+                    self._all_amounts[row] = self._supply(tuple(joints[k] for k in some), ways).amount
+        return self._all_amounts
+
     def _together(self, side: Indices) -> Iterator[tuple[tuple[int, ...], Flags]]:
-        """The joints that are considered together, and (B,) the boxes for which all of these move."""
+        """Many joints that are considered together, and (B,) the boxes for which all of these move."""
         joints = list(self._oil)
         moves = side[:, joints] < 2
-        if len(joints) <= _MOST_TOGETHER:
-            for some in _combinations(joints):
-                yield some, np.asarray((side[:, some] < 2).all(axis=1))
-            return
         for mask in np.unique(moves, axis=0):
             rows = (moves == mask).all(axis=1)
             moving = [joint for joint, asked in zip(joints, mask.tolist(), strict=True) if asked]
@@ -228,13 +247,39 @@ class LeastTimes:
         return self._valves[joint, way]
 
     def _table_of(self, limit: float, joints: list[int], most: list[float]) -> _Supply:
-        time = np.linspace(0.0, 0.5 * self.longest, _MOMENTS + 1)
+        time = self._halves
         rate = np.zeros(len(time))
         for joint, per_joint in zip(joints, most, strict=True):
             rate += per_joint * np.minimum(self._v[joint], self._a[joint] * (time + _LATE))
         rate = np.minimum(rate, limit)
         # the rate grows, so that the later of two neighbouring rates is never too low
         return _Supply(time, np.append(0.0, np.cumsum(rate[1:] * np.diff(time))))
+
+
+@compiled
+def least_supplied(need: Matrix, way: Indices, amounts: Matrix, time: Vector, /) -> Vector:
+    """(B,) the least durations in which J joints get what they need from one supply, by all sets of joints that move.
+
+    Parameters
+    ----------
+    need: (B, J) of each joint.
+    way: (B, J) 1 for upwards, 2 for downwards, 0 for a joint that need not move.
+    amounts: (3^J, K) what each set of joints can have by a `time` in the first half of a motion, never decreasing; the
+        set with `way` has the row sum_j way_j 3^j, with 0 for those that are not in it.
+    time: (K,) [s].
+    """
+    found = np.zeros(len(need))
+    power = 3 ** np.arange(way.shape[1])
+    for count in range(1, way.shape[1] + 1):
+        for some in combinations(range(way.shape[1]), count):
+            columns = list(some)
+            moving = np.flatnonzero((way[:, columns] > 0).all(axis=1))
+            rows = way[moving][:, columns] @ power[columns]
+            for row in np.unique(rows).tolist():
+                here = moving[rows == row]
+                asked = np.sum([need[here, joint] for joint in columns], axis=0)
+                found[here] = np.maximum(found[here], 2.0 * np.interp(0.5 * asked, amounts[row], time))
+    return found
 
 
 def _integral(x: Vector, density: Vector) -> Vector:

@@ -109,7 +109,7 @@ int eigenvectors(double *A, int n, double *U);
     F(most_urgent_boxes) F(lower_on_grid) F(velocity_held_as_before) \
     F(nearest_on_ground) F(kept_over_ground) F(read_over_ground) F(distances_within) \
     F(lower_over_heights) \
-    F(rod_limits) F(rod_limit_slopes) F(rod_forces) F(oil_taken) F(rod_flow_slopes)
+    F(rod_limits) F(rod_limit_slopes) F(rod_forces) F(oil_taken) F(rod_flow_slopes) F(least_supplied)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);
 FUNCTIONS(DECLARED)
 

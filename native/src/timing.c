@@ -1,10 +1,11 @@
-/* The fastest run along a path. */
+/* The fastest run along a path, and the least durations in which joints get what they need: proof/least_times.py. */
 #include "arrays.h"
 
 #include <math.h>
 
 #define STEPS 60
 #define ROUNDING 1e-10
+#define MOST_SUPPLIED 8 /* joints of which all sets are looked at */
 
 /* u <= level + slope x, or u >= it, of one interval */
 typedef struct {
@@ -126,4 +127,80 @@ PyObject *fastest_run(PyObject *self, PyObject *const *args, Py_ssize_t count)
         Py_RETURN_NONE;
     }
     return Py_BuildValue("NN", xs, times);
+}
+
+/* `y` at x, linear between the points of `at`, which does not decrease; constant beyond its ends. As numpy's interp. */
+static double read_line(double x, const Mat *at, npy_intp row, const Vec *y)
+{
+    npy_intp low = 0, high = y->n - 1;
+    if (x > AT2(*at, row, high))
+        return AT(*y, high);
+    if (x < AT2(*at, row, 0))
+        return AT(*y, 0);
+    while (high - low > 1) {
+        const npy_intp middle = low + (high - low) / 2;
+        if (x >= AT2(*at, row, middle))
+            low = middle;
+        else
+            high = middle;
+    }
+    if (x >= AT2(*at, row, high))
+        return AT(*y, high);
+    const double begin = AT2(*at, row, low);
+    const double slope = (AT(*y, high) - AT(*y, low)) / (AT2(*at, row, high) - begin);
+    return slope * (x - begin) + AT(*y, low);
+}
+
+PyObject *least_supplied(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Mat need, amounts;
+    Vec time;
+    npy_intp shape[2], sets = 1, power[MOST_SUPPLIED];
+    double *found;
+    const npy_intp *way;
+    if (count_is(count, 4, "least_supplied") < 0 || as_mat(args[0], "need", -1, -1, &need) < 0 ||
+        some_joints(need.columns) < 0 || !(way = index_block(args[1], "way", 2, shape)) ||
+        has_length(shape[0], need.rows, "way") < 0 || has_length(shape[1], need.columns, "way") < 0 ||
+        as_vec(args[3], "time", -1, &time) < 0)
+        return NULL;
+    if (need.columns > MOST_SUPPLIED) {
+        PyErr_SetString(joints_beyond, "need: too many joints");
+        return NULL;
+    }
+    for (npy_intp j = 0; j < need.columns; j++, sets *= 3)
+        power[j] = sets;
+    if (as_mat(args[2], "amounts", sets, time.n, &amounts) < 0)
+        return NULL;
+    if (time.n < 1) {
+        PyErr_SetString(PyExc_ValueError, "time: is empty");
+        return NULL;
+    }
+    for (npy_intp k = 0; k < need.rows * need.columns; k++)
+        if (way[k] < 0 || way[k] > 2) {
+            PyErr_SetString(PyExc_IndexError, "way: is not 0, 1 or 2");
+            return NULL;
+        }
+    PyObject *durations = new_vec(need.rows, &found);
+    if (!durations)
+        return NULL;
+    for (npy_intp k = 0; k < need.rows; k++) {
+        const npy_intp *own = way + k * need.columns;
+        found[k] = 0.0;
+        for (int set = 1; set < 1 << need.columns; set++) {
+            double asked = 0.0;
+            npy_intp row = 0, moves = 1;
+            for (npy_intp j = 0; j < need.columns && moves; j++)
+                if (set >> j & 1) {
+                    asked += AT2(need, k, j);
+                    row += own[j] * power[j];
+                    moves = own[j] > 0;
+                }
+            if (!moves)
+                continue;
+            const double least = 2.0 * read_line(0.5 * asked, &amounts, row, &time);
+            if (least > found[k])
+                found[k] = least;
+        }
+    }
+    return durations;
 }
