@@ -81,3 +81,15 @@ def test_at_rest_the_slopes_of_speeds_and_flow_are_those_of_a_joint_that_begins_
         use = drive.use(q, v, still)
         assert 0.1 * slopes[n + joint, n + joint] == pytest.approx(use.rod_speed[0, joint])
         assert 0.1 * slopes[2 * n, n + joint] == pytest.approx(use.flow[0])
+
+
+def test_the_use_of_the_drive_is_that_of_the_moments_given_last(backhoe: bp.Robot) -> None:
+    """A use is kept for a second call with equal moments, not for others, and cannot be written to."""
+    drive, here, there = Drive(backhoe), moments(backhoe, 5, 1), moments(backhoe, 5, 2)
+    first = drive.use(*here)
+    for other in (there, (here[0], here[1], there[2]), (here[0], there[1], here[2])):
+        np.testing.assert_array_equal(drive.use(*other).effort, Drive(backhoe).use(*other).effort)
+    again = drive.use(*(each.copy() for each in here))
+    assert again is first
+    with pytest.raises(ValueError, match="read-only"):
+        again.power[0] = 1.0

@@ -22,6 +22,7 @@ from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Ground, Soil, SoilReaction
 
 _BRISK = 1.0  # rad/s or m/s of the fastest joint; chosen: fast enough for the soil's full force
+_REMEMBERED = 4  # latest uses that are kept; chosen: two curves are in use at a time
 _MOST = 1e6  # ratio to a limit: greater ones count as this, so that none is infinite
 
 
@@ -82,6 +83,7 @@ class Drive:
         self._effort = robot.limits.effort if effort is None else effort
         self._dynamics = Dynamics(robot, payload=payload, payload_at=payload_at)
         self._soil = None if soil is None else SoilReaction(robot, soil, ground)
+        self._known: dict[tuple[bytes, ...], DriveUse] = {}  # the latest uses, by the moments
 
     @property
     def limited(self) -> bool:
@@ -160,7 +162,20 @@ class Drive:
         return np.asarray(self.hydraulics.power(q, v, torque) / self.hydraulics.power_limit)
 
     def use(self, q: Array, v: Array, a: Array) -> DriveUse:
-        """The use of the drive by a motion at q, v, a (K, n)."""
+        """The use of the drive by a motion at q, v, a (K, n); its arrays are read-only."""
+        # a descent needs it of a curve twice: for the duration, and for the limits of the next step
+        key = q.tobytes(), v.tobytes(), a.tobytes()
+        found = self._known.get(key)
+        if found is None:
+            found = self._use(q, v, a)
+            for field in fields(found):
+                getattr(found, field.name).setflags(write=False)
+            if len(self._known) >= _REMEMBERED:
+                self._known.clear()
+            self._known[key] = found
+        return found
+
+    def _use(self, q: Array, v: Array, a: Array) -> DriveUse:
         torque = self.rigid_torques(q, v, a) + self.soil_torques(q, v)
         return DriveUse(
             torque=torque,
