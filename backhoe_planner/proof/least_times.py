@@ -19,7 +19,7 @@ two such moments; the error of the midpoint rule is at most f'' d^3 / 24, and is
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -68,6 +68,10 @@ class _Side:
         return np.asarray(np.where(need >= self.need[-1], np.inf, found))
 
 
+_Needs = tuple[tuple[_Side, _Side], tuple[_Side, _Side]]
+Tables = dict[tuple[float, ...], _Needs]  # by the joint, and how far they reach up and down [rad or m]
+
+
 @dataclass(frozen=True, eq=False)
 class _Supply:
     """The most of a resource that a motion can use by time t in its first half: H(t); so 2 H(T / 2) in a duration T.
@@ -96,14 +100,15 @@ class LeastTimes:
     ----------
     start: (n,) the configuration at rest at the start [rad or m].
     longest: the longest time that is considered [s]; it is the result if a motion needs more.
+    tables: of the joints' needs, known from other times with the same problem and start; new ones are added.
     """
 
-    def __init__(self, problem: Problem, start: Vector, *, longest: float) -> None:
+    def __init__(self, problem: Problem, start: Vector, *, longest: float, tables: Tables | None = None) -> None:
         limits = problem.limits
         self.start, self.longest = start, longest
         self._v, self._a = limits.velocity * (1.0 + JOINTS_WITHIN), limits.acceleration * (1.0 + JOINTS_WITHIN)
         self.lower, self.upper = limits.lower - _BESIDE, limits.upper + _BESIDE
-        self._hydraulics = problem.robot.hydraulics
+        self._hydraulics, self._tables = problem.robot.hydraulics, {} if tables is None else tables
         self._oil: dict[int, tuple[_Side, _Side]] = {}  # for every joint with a cylinder: upwards, downwards
         self._slow: dict[int, tuple[_Side, _Side]] = {}
         self._supplies: dict[tuple[tuple[int, ...], tuple[int, ...]], _Supply] = {}
@@ -111,7 +116,7 @@ class LeastTimes:
         if self._hydraulics is not None:
             self._flow = self._hydraulics.pump_flow * (1.0 + DRIVE_TOLERANCE)
             for joint in sorted(set(self._hydraulics.joint_of.tolist())):
-                self._oil[joint], self._slow[joint] = self._tables(self._hydraulics, joint)
+                self._oil[joint], self._slow[joint] = self._needs(self._hydraulics, joint)
         self._halves = np.linspace(0.0, 0.5 * longest, _MOMENTS + 1)
         self._all_amounts = np.zeros((3 ** len(self._oil) if len(self._oil) <= _MOST_TOGETHER else 0, _MOMENTS + 1))
         self._known_ways: set[int] = set()  # of boxes, whose supplies are in the table
@@ -204,11 +209,18 @@ class LeastTimes:
             found = np.where(way * self._a <= self._v**2, short, way / self._v + self._v / self._a)
         return np.asarray(np.where(way > 0.0, np.maximum(found - SAMPLE_PERIOD, 0.0), 0.0))
 
-    def _tables(self, hydraulics: Hydraulics, joint: int) -> tuple[tuple[_Side, _Side], tuple[_Side, _Side]]:
+    def _needs(self, hydraulics: Hydraulics, joint: int) -> _Needs:
         """A joint's need of oil, and of time at the valves' greatest speed, each upwards and downwards."""
         most = (self._v[joint] + 1e-3) * (self.longest + SAMPLE_PERIOD)
         ends = [min(most, max(room, 0.0)) for room in (self.upper[joint] - self.start[joint],
                                                       self.start[joint] - self.lower[joint])]  # fmt: skip
+        key = joint, *ends
+        if key not in self._tables:
+            self._tables[key] = self._table(hydraulics, joint, ends)
+        return self._tables[key]
+
+    def _table(self, hydraulics: Hydraulics, joint: int, ends: Sequence[float]) -> _Needs:
+        """The same over the distances `ends` up and down [rad or m]."""
         offsets = [np.linspace(0.0, end, int(np.ceil(end / _GRID)) + 2) for end in ends]
         below, above = self.start[joint] - offsets[1][::-1], self.start[joint] + offsets[0]
         swept: tuple[list[Vector], list[Vector]] = ([], [])

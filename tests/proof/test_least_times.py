@@ -11,7 +11,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem, drive_of
 from backhoe_planner.proof import Certificate, certify_problem
-from backhoe_planner.proof.least_times import LeastTimes
+from backhoe_planner.proof.least_times import LeastTimes, Tables, least_supplied
 
 TOLERATED = 1.0099  # times a limit of the drive, of which the certificate accepts 1 % more
 
@@ -146,3 +146,29 @@ def test_the_least_oil_of_a_stroke_is_that_of_its_cylinders(backhoe: bp.Robot, s
             exact = float(np.sum(np.abs(rods) * np.where(rods > 0.0, cylinder.cap_area, cylinder.annulus_area)))
             found = float(times._oil[joint][side].at(np.array(0.7 * room)))
             assert 0.97 * exact <= found <= exact * (1.0 + 1e-9)
+
+
+def test_shared_tables_and_all_boxes_at_once_change_no_least_time(backhoe: bp.Robot) -> None:
+    """Each box by itself, with tables of its own; the boxes are up, down and around the start in every joint."""
+    rng, start = np.random.default_rng(6), backhoe.middle
+    problem = problem_at(backhoe, start)
+    middle = start + rng.uniform(-0.5, 0.5, (60, 4))
+    half = rng.uniform(0.0, 0.3, (60, 4))
+    tables = Tables()
+    for longest in (3.0, 50.0, 60.0):
+        found = LeastTimes(problem, start, longest=longest, tables=tables).to_boxes(middle - half, middle + half)
+        for row in range(0, 60, 7):
+            alone = LeastTimes(problem, start, longest=longest)
+            box = middle[row : row + 1] - half[row : row + 1], middle[row : row + 1] + half[row : row + 1]
+            assert alone.to_boxes(*box)[0] == found[row]
+    assert len(tables) <= 2 * 4
+    assert found.min() < found.max() < 60.0
+
+
+def test_joints_that_share_a_supply_need_the_time_of_their_dearest_set() -> None:
+    """Up to half of a motion the joints can have t, 2 t and both 2.5 t: needs of 2 and 4 take 2, 2 and both 2.4 s."""
+    time = np.linspace(0.0, 10.0, 11)
+    amounts = np.zeros((9, 11))
+    amounts[1], amounts[3], amounts[4] = time, 2.0 * time, 2.5 * time
+    need, way = np.array([[2.0, 4.0], [4.0, 0.0], [9.0, 9.0]]), np.array([[1, 1], [1, 0], [0, 0]])
+    np.testing.assert_allclose(least_supplied(need, way, amounts, time), [2.4, 4.0, 0.0])
