@@ -245,16 +245,18 @@ class LinearModel:
         ----------
         after: a step (steps,) of the control points after which these are the margins; None if they are the curve's.
         """
+        if not margins:
+            self._add(_CLEARANCE, np.zeros((0, self._steps)), np.zeros(0), slack=True)
+            return
         weights = self._curve.weights(places)[:, self._moving]
-        box = self._box[: self._n]
-        blocks, rest = [np.zeros((0, self._steps))], [np.zeros(0)]
-        for found in margins:
-            own = weights[found.place]
-            near = found.margin < _CURVED * np.abs(own).sum() * (np.abs(found.gradient) @ box)
-            G = (found.gradient[near, None, :] * own[None, :, None]).reshape(-1, self._steps)
-            blocks.append(-G)
-            rest.append(found.margin[near] if after is None else found.margin[near] - G @ after)
-        self._add(_CLEARANCE, np.vstack(blocks), np.concatenate(rest), slack=True)
+        place = np.repeat([found.place for found in margins], [len(found.margin) for found in margins])
+        margin, gradient = (
+            np.concatenate(each) for each in zip(*((m.margin, m.gradient) for m in margins), strict=True)
+        )
+        reach = np.abs(weights).sum(axis=1)[place]
+        near = np.flatnonzero(margin < _CURVED * reach * (np.abs(gradient) @ self._box[: self._n]))
+        G = (gradient[near, None, :] * weights[place[near], :, None]).reshape(len(near), self._steps)
+        self._add(_CLEARANCE, -G, margin[near] if after is None else margin[near] - G @ after, slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
         """Add rows that keep the end of the curve, with the joints at `end`, on a goal."""
@@ -364,8 +366,9 @@ class LinearModel:
         H[: count - 1, : count - 1] += bend.curvature + bend.known + kinks.curvature()
         more = np.arange(count, len(f))
         H[more, more] = crossed.share / crossed.width
-        rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), len(more)))))) for row in plain.rows]
+        rows = list(plain.rows)
         if len(more):
+            rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), len(more)))))) for row in rows]
             G = np.zeros((len(more), len(f)))
             G[:, : count - 1] = crossed.G
             G[np.arange(len(more)), more] = -1.0
