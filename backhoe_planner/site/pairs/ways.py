@@ -22,7 +22,6 @@ from backhoe_planner.machine import Robot, bend_weights
 from backhoe_planner.site.pairs.ball_bounds import TOGETHER, balls_of
 
 _ROUNDING = 1e-12  # m: chosen above the rounding of sums of a few products
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def link_ways(robot: Robot, travel: Matrix, first: Indices, around: Flags, q: Matrix) -> Iterator[Vector]:
@@ -61,4 +60,7 @@ def _ways(robot: Robot, travel: Matrix, first: Indices, around: Flags, q: Matrix
 
 def _cross(a: Matrix, b: Matrix) -> Matrix:
     """(..., 3) the cross products of vectors (..., 3)."""
-    return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT])
+    found = np.empty(a.shape)
+    for k in range(3):  # by components: an index array would copy each factor first
+        found[..., k] = a[..., k - 2] * b[..., k - 1] - a[..., k - 1] * b[..., k - 2]
+    return found
