@@ -54,7 +54,7 @@ _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _NEAR = 2.0 * _TOLERANCE  # rad or m: a machine that is held back beside its plan is just beyond the tolerance; chosen
 _ON_PLAN = ARRIVED  # rad or m off the plan within which its clock does not wait
 _RESTS_AT_END = 2e-3  # rad/s or m/s: a slower machine counts as at rest at the end of the plan
-_STILL = 1e-6  # rad/s or m/s: the machine must be slower when a detour is searched, which is planned from rest
+_STILL = 1e-4  # rad/s or m/s below which a detour is searched, which is planned from rest; it creeps from obstacles
 _NOTICED = 0.3  # s without progress after which the status says that the machine waits
 _PATIENCE = 1.0  # s without progress after which a detour is searched
 _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it may pass
@@ -140,6 +140,7 @@ class PlanFollower:
         self._was_holding = False
         self._was_proven = False
         self._holding = False
+        self._held_at, self._held_on_proven = -1, False  # revision, and whether the plan was proven, as holding began
         self._joins_until = -np.inf  # s
 
     def __enter__(self) -> PlanFollower:
@@ -212,7 +213,7 @@ class PlanFollower:
             if servo.time > self._seen_at + _PATIENCE_CROSSING:
                 self._progress.waited = 0.0
             self._seen, self._seen_at = servo.revision, servo.time
-        query = None if self._round or self._proofs.under_way else self._proof.query()
+        query = None if self._round else self._proof.query(may_ask=not self._proofs.under_way)
         if query is not None:
             self._proofs.begin(servo.revision, servo.time, prove_rest, query)
         self._take_proof()
@@ -225,8 +226,8 @@ class PlanFollower:
         """Whether to hold still: while a detour is searched, and, if none was found, until something changes."""
         servo = self.servo
         if self._holding:
-            # if what it stopped for before it was held back has gone, it tries the plan while the search goes on
-            gone = servo.revision != self._searches.revision or (self._blockage is not None and self._was_proven)
+            # if what it stopped for may have gone since, it tries the plan while the search goes on
+            gone = servo.revision != self._held_at or (self._was_proven and not self._held_on_proven)
             return not (self._searches.under_way and gone)
         attempts = self._attempts
         same = bool(attempts.blocked) and servo.revision == attempts.revision
@@ -317,7 +318,11 @@ class PlanFollower:
         self._ahead = None
         self._searches.drop()
         self._attempts.begin(self._plan.clock)
-        self._holding, self._attempts.retrying = True, False
+        self._attempts.retrying = False
+        self._begin_holding()
+
+    def _begin_holding(self) -> None:
+        self._holding, self._held_at, self._held_on_proven = True, self.servo.revision, self._was_proven
 
     def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
         """Count a search that failed. After several, or if no effort helps (`final`), pause the searches."""
@@ -452,7 +457,7 @@ class PlanFollower:
                 self._ahead.failed = True
         elif answer is False and self._round is not None:  # the detour is no longer clear
             self._round = None
-            self._holding = True
+            self._begin_holding()
         elif isinstance(answer, Rejoining):
             self._holding = False
             if float(np.abs(answer.motion.q[0] - self.servo.q).max()) <= _OFF:

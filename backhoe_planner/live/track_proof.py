@@ -137,8 +137,13 @@ class TrackProof:
         self._leg = leg
         self._look_again()
 
-    def query(self) -> RestQuery | None:
-        """What is to be proven now, because the surroundings have changed; None if nothing is."""
+    def query(self, *, may_ask: bool) -> RestQuery | None:
+        """What is to be proven now, because the surroundings have changed; None if nothing is.
+
+        If all that is there now is the plan's own, nothing is to be proven: then the track counts as proven at once.
+
+        may_ask: whether a query can be answered; otherwise it is put off.
+        """
         servo, plan = self._servo, self._plan
         revision = servo.revision
         if plan is None or revision in (self._track.revision, self._asked) or servo.is_moving():
@@ -149,6 +154,8 @@ class TrackProof:
         new = self._new_obstacles()
         if not new:
             self._prove(revision)
+            return None
+        if not may_ask:
             return None
         self._asked = revision
         legs = [(leg.problem.robot, leg.begins + leg.trajectory.time) for leg in plan.legs]
