@@ -37,6 +37,7 @@ from backhoe_planner.live.plan_fit import check_fits
 from backhoe_planner.live.progress import ARRIVED, Progress
 from backhoe_planner.live.reference import Clocked, Reference
 from backhoe_planner.live.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
+from backhoe_planner.live.return_ahead import ReturnAhead, ReturnChoice
 from backhoe_planner.live.searches import Searches
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
@@ -170,6 +171,7 @@ class PlanFollower:
         self._look_around()
         self._take_answer()
         self._go_round_ahead()
+        self._go_back()
         if self._must_hold():
             self._was_holding = True
             state = servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
@@ -213,7 +215,7 @@ class PlanFollower:
             if servo.time > self._seen_at + _PATIENCE_CROSSING:
                 self._progress.waited = 0.0
             self._seen, self._seen_at = servo.revision, servo.time
-        query = None if self._round else self._proof.query(may_ask=not self._proofs.under_way)
+        query = self._proof.query(may_ask=not self._proofs.under_way)
         if query is not None:
             self._proofs.begin(servo.revision, servo.time, prove_rest, query)
         self._take_proof()
@@ -258,7 +260,8 @@ class PlanFollower:
     def _followed(self) -> tuple[Clocked, Track | None]:
         """What the machine follows now, and the track along it if it is to be proven."""
         if self._round is not None:
-            return self._round.reference, None
+            back = self._round.back
+            return self._round.reference if back is None or back.found is None else back.approach, None
         if self._ahead is not None:
             return self._ahead.approach, self._ahead.track
         return self._plan, self._track
@@ -356,18 +359,17 @@ class PlanFollower:
 
     # --- searches beside the loop --------------------------------------------------------
 
-    def _search(self, ahead: DetourAhead | None = None) -> None:
-        """Begin to search a detour from where the machine is, or from a place `ahead`."""
+    def _search(self, start: Vector | None = None, since: float | None = None) -> None:
+        """Begin to search a way from where the machine is, or from a `start` (n,), to the plan from `since` [s] on."""
         servo, around = self.servo, self._blockage
-        since = self._plan.clock if ahead is None else ahead.approach.place
         query = RejoiningQuery(
             robot=servo.robot,
             scene=servo.scene if self._legs is None else self._legs.leg.problem.scene,
             limits=servo.limits,
             obstacles=servo.snapshot(),
-            q=servo.q if ahead is None else self._plan.at(since),
+            q=servo.q if start is None else start,
             motion=self._ahead_motion(),
-            since=since,
+            since=self._plan.clock if since is None else since,
             seed=self._seed,
             attempt=self._attempts.failed if around is None else 0,
             beyond=around is not None,
@@ -406,7 +408,7 @@ class PlanFollower:
             track = Track(approach, servo.limits, servo.dt)
             track.revision, track.carried = servo.revision, servo.robot.carried  # proven up to the blockage
             self._ahead, self._ahead_from = DetourAhead(approach, track, blockage), servo.time + _AHEAD_AGAIN
-            self._search(self._ahead)
+            self._search(approach.last_q, approach.place)
         else:  # the sooner the machine rests, the more room it has
             self._hold()
 
@@ -430,15 +432,36 @@ class PlanFollower:
         elif ahead.found is not None and ahead.approach.ended and np.abs(self._plan.q - servo.q).max() < _ON_PLAN:
             self._ahead = None
             self._attempts.begin(self._plan.clock)
-            self._go_round(ahead.found)
+            self._go_round(ahead.found, self._searches.revision)
 
-    def _go_round(self, found: Rejoining) -> None:
-        self._round = _Round(
-            Reference(found.motion, self.servo.limits),
-            found.rejoins_at,
-            found.around,
-            checked=self._searches.revision,
-        )
+    def _go_back(self) -> None:
+        """Search a way back from a detour once the plan is clear without it, and begin it where it begins."""
+        found, servo = self._round, self.servo
+        if found is None:
+            return
+        back = found.back
+        if back is not None and back.found is not None:
+            if not self._was_proven:  # something is in the way again
+                found.back = None
+            elif back.approach.ended and np.abs(back.approach.last_q - servo.q).max() < _ON_PLAN:
+                self._searches.drop()
+                self._go_round(back.found, back.revision)
+        elif back is not None:
+            if servo.revision != back.revision or back.is_late or not self._searches.under_way:
+                found.back = None
+                self._searches.drop()
+                found.choice.search_longer()
+        elif self._was_proven and not self._searches.under_way and servo.revision != found.best_at:
+            found.back = found.choice.begin(self._plan, servo.revision)
+            if found.back is None:
+                found.best_at = servo.revision
+            else:
+                self._search(found.back.approach.last_q, found.back.since)
+
+    def _go_round(self, found: Rejoining, revision: int) -> None:
+        reference = Reference(found.motion, self.servo.limits)
+        choice = ReturnChoice(reference, self.servo.limits, found.rejoins_at)
+        self._round = _Round(reference, found.rejoins_at, found.around, choice, checked=revision)
         self._progress = Progress(self._slowest)
         self._attempts.blocked, self._blockage = "", None
 
@@ -455,13 +478,18 @@ class PlanFollower:
                 self._resume()
             else:
                 self._ahead.failed = True
+        elif self._round is not None and self._round.back is not None and self._round.back.found is None:
+            if isinstance(answer, Rejoining):
+                self._round.choice.take(self._round.back, answer)
+            if self._round.back.found is None:
+                self._round.back, self._round.best_at = None, self.servo.revision
         elif answer is False and self._round is not None:  # the detour is no longer clear
             self._round = None
             self._begin_holding()
         elif isinstance(answer, Rejoining):
             self._holding = False
             if float(np.abs(answer.motion.q[0] - self.servo.q).max()) <= _OFF:
-                self._go_round(answer)
+                self._go_round(answer, self._searches.revision)
         elif not isinstance(answer, bool):
             final = isinstance(answer, NoRejoining) and not answer.searched
             reason = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer!s:.200}"
@@ -514,8 +542,11 @@ class _Round:
     reference: Reference
     rejoins_at: float
     around: str | None
+    choice: ReturnChoice
     checked: int  # revision of the surroundings for which it is known to be clear
     check_at: float = 0.0
+    back: ReturnAhead | None = None
+    best_at: int = -1  # revision of the surroundings for which no way back is better
 
 
 def _parts(servo: Servo, plan: Plan | Trajectory, keep: Keep | None) -> list[PlanPart]:

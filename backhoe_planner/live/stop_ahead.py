@@ -82,6 +82,11 @@ class Approach(Clocked):
         self._reference.clock = self.place_at(time)
 
     @property
+    def slows_at(self) -> float:
+        """The time from which on it is slower than the reference [s]."""
+        return float(self._times[0])
+
+    @property
     def last_q(self) -> Vector:
         """(n,) joint positions at the place where it rests [rad or m]."""
         return self._reference.at(self.place)

@@ -379,3 +379,133 @@ def test_a_plan_is_free_at_once_when_all_that_was_new_is_gone(swing: bp.Plan) ->
     run.servo.remove("crate")
     run.servo.remove("far")
     assert run.go(swing.trajectory.duration - run.steps[-1].plan_time + 1.0).done
+
+
+class Returning(Run):
+    """A machine that begins a detour around a high crate, which is taken away after 0.2 s on it."""
+
+    def __init__(self, plan: bp.Plan, around: Rejoining, *, searches: bool = True) -> None:
+        super().__init__(plan, high(plan), at=0.2)
+        self.go(0.1)
+        self.desk.awaited.set_result(around)
+        self.go(until=lambda step: step.status is FollowerStatus.GOING_ROUND)
+        self.began = len(self.steps)
+        self.go(0.2)
+        if not searches:
+            self.follower.close()
+        self.servo.remove("crate")
+        self.go(5.0 * DT)
+
+    def arrives_after(self) -> float:
+        """After what time on the detour the machine is at the end of the plan [s]."""
+        assert self.go().done
+        return (len(self.steps) - self.began) * DT
+
+
+def high(plan: bp.Plan) -> dict[str, Any]:
+    return on_plan(plan, 0.7) | {"size": [0.4, 0.4, 1.6]}
+
+
+@pytest.fixture(scope="module")
+def around(swing: bp.Plan) -> Rejoining:
+    """The detour around the high crate."""
+    run = Run(swing, high(swing), at=0.2)
+    run.go(0.1)
+    found = find_rejoining(run.desk.queries[0])
+    assert isinstance(found, Rejoining)
+    return found
+
+
+@pytest.fixture(scope="module")
+def without_return(swing: bp.Plan, around: Rejoining) -> float:
+    """The time from where the detour begins to the end of the plan, if no way back is searched [s]."""
+    run = Returning(swing, around, searches=False)
+    took = run.arrives_after()
+    assert len(run.desk.queries) == 1
+    return took
+
+
+@pytest.fixture(scope="module")
+def back(swing: bp.Plan, around: Rejoining) -> Rejoining:
+    """The way back to the plan once the crate is gone."""
+    found = find_rejoining(Returning(swing, around).desk.queries[1])
+    assert isinstance(found, Rejoining)
+    return found
+
+
+def test_the_way_back_from_a_detour_is_searched_from_a_place_ahead_on_it(swing: bp.Plan, around: Rejoining) -> None:
+    run = Returning(swing, around)
+    assert run.steps[-1].status is FollowerStatus.GOING_ROUND
+    _, query = run.desk.queries
+    assert not query.obstacles
+    ahead = np.arange(0.2, around.motion.duration, 1e-3)
+    assert min(float(np.abs(around.motion.at(time) - query.q).max()) for time in ahead.tolist()) < 2e-3
+    assert run.steps[-1].plan_time <= query.since <= around.rejoins_at
+
+
+def test_a_machine_leaves_its_detour_for_a_sooner_way_back(
+    swing: bp.Plan, around: Rejoining, back: Rejoining, without_return: float
+) -> None:
+    """It is on the plan again later than its joints could go straight there, and sooner than by the detour."""
+    run = Returning(swing, around)
+    gone, here = len(run.steps), run.servo.q
+    run.desk.awaited.set_result(back)
+    assert back.around is None
+    assert back.rejoins_at <= around.rejoins_at
+    run.go(until=lambda step: step.reason == "back to the plan")
+    np.testing.assert_allclose(run.servo.q, back.motion.q[0], atol=2e-3)
+    run.go(until=lambda step: step.status is FollowerStatus.FOLLOWING)
+    straight = np.abs(swing.trajectory.at(back.rejoins_at) - here) / run.servo.limits.velocity
+    assert (len(run.steps) - gone) * DT > float(straight.max())
+    assert run.arrives_after() < without_return - 0.2
+    changes = np.abs(np.diff([step.state.v for step in run.steps], axis=0))
+    assert (changes <= run.servo.limits.acceleration * DT * (1.0 + 2e-6)).all()
+    assert len(run.desk.queries) == 2
+
+
+@pytest.mark.parametrize("answer", ["none", "slow", "error", "late"])
+def test_without_a_sooner_way_back_nothing_is_lost(
+    swing: bp.Plan, around: Rejoining, back: Rejoining, without_return: float, answer: str
+) -> None:
+    """The detour is followed to its end as if no way back had been searched, and the machine never waits."""
+    run = Returning(swing, around)
+    if answer == "late":
+        run.go(1.0)
+        assert run.desk.awaited.cancelled()
+    elif answer == "error":
+        run.desk.awaited.set_exception(MemoryError("no room"))
+    elif answer == "none":
+        run.desk.awaited.set_result(NoRejoining("there is none", searched=True))
+    else:
+        slow = bp.Trajectory.from_steps(5.0 * back.motion.time, back.motion.q)
+        run.desk.awaited.set_result(Rejoining(slow, back.rejoins_at, None))
+    assert run.arrives_after() == pytest.approx(without_return, abs=1.5 * DT)
+    assert {step.status.value for step in run.steps} == {"following", "going_round", "arrived"}
+    assert len(run.desk.queries) == 2
+
+
+def test_a_crate_that_comes_back_ends_the_search_for_a_way_back(
+    swing: bp.Plan, around: Rejoining, without_return: float
+) -> None:
+    """The detour still leads around it, beside which the machine is a little slower."""
+    run = Returning(swing, around)
+    run.servo.add(high(swing))
+    run.go(2.0 * DT)
+    assert run.desk.awaited.cancelled()
+    assert run.arrives_after() < without_return + 0.5
+    assert margin(swing, [step.state.q for step in run.steps[run.began :: 3]], high(swing)) > 0.0
+
+
+def test_a_crate_that_comes_back_ends_the_way_back(
+    swing: bp.Plan, around: Rejoining, back: Rejoining, without_return: float
+) -> None:
+    """The machine already slows down for the way back: it goes on along its detour."""
+    run = Returning(swing, around)
+    run.desk.awaited.set_result(back)
+    speed = float(np.abs(run.servo.v).max())
+    run.go(until=lambda step: float(np.abs(step.state.v).max()) < 0.7 * speed)
+    assert run.steps[-1].reason == "round crate"
+    run.servo.add(high(swing))
+    assert run.arrives_after() < without_return + 1.0
+    assert margin(swing, [step.state.q for step in run.steps[run.began :: 3]], high(swing)) > 0.0
+    assert {step.status.value for step in run.steps} == {"following", "going_round", "arrived"}
