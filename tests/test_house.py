@@ -81,7 +81,7 @@ SUITES = {
     "site": ["surveys", "schema", "pairs", ""],
     "motion": ["", "timing", "following"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "world", "goals", "", "sequence"],
-    "live": ["braking", "boxes", "planes", "clearance", "recovery", "servo", ""],
+    "live": ["braking", "boxes", "planes", "clearance", "recovery", "servo", "detours", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
     "studies": ["schema", "rows", "results", "work", ""],
     "show": ["drawing", "plots", "page", "job", "standing", "study", "viewer", "teleop"],

@@ -4,6 +4,16 @@ from .braking.joint_bounds import VelocityRange as VelocityRange
 from .braking.step_work import MOST_DISTANCES as MOST_DISTANCES
 from .braking.step_work import MOST_NEAR as MOST_NEAR
 from .braking.step_work import StepWork as StepWork
+from .detours.reference import Reference as Reference
+from .detours.rejoining import NoRejoining as NoRejoining
+from .detours.rejoining import Rejoining as Rejoining
+from .detours.rejoining import RejoiningQuery as RejoiningQuery
+from .detours.rejoining import find_rejoining as find_rejoining
+from .detours.rejoining import is_still_clear as is_still_clear
+from .detours.stop_ahead import Approach as Approach
+from .detours.stop_ahead import first_rest as first_rest
+from .detours.stop_ahead import stop_before as stop_before
+from .detours.track_proof import Blockage as Blockage
 from .follower import PlanFollower as PlanFollower
 from .follower_state import FollowerState as FollowerState
 from .follower_state import FollowerStatus as FollowerStatus
@@ -17,12 +27,6 @@ from .recovery.escape import EscapeRoute as EscapeRoute
 from .recovery.escape import EscapeSearch as EscapeSearch
 from .recovery.escape import RouteSearch as RouteSearch
 from .recovery.violation_descent import way_back as way_back
-from .reference import Reference as Reference
-from .rejoining import NoRejoining as NoRejoining
-from .rejoining import Rejoining as Rejoining
-from .rejoining import RejoiningQuery as RejoiningQuery
-from .rejoining import find_rejoining as find_rejoining
-from .rejoining import is_still_clear as is_still_clear
 from .servo.feedback import Feedback as Feedback
 from .servo.feedback import refused_part as refused_part
 from .servo.safe_velocity import VelocityWish as VelocityWish
@@ -33,7 +37,3 @@ from .servo.servo_state import Command as Command
 from .servo.servo_state import ServoState as ServoState
 from .servo.servo_state import Status as Status
 from .servo.surroundings import shifted as shifted
-from .stop_ahead import Approach as Approach
-from .stop_ahead import first_rest as first_rest
-from .stop_ahead import stop_before as stop_before
-from .track_proof import Blockage as Blockage

@@ -15,7 +15,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.joint_bounds import BRAKING
-from backhoe_planner.live.reference import Reference
+from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 from backhoe_planner.site import ClearanceScreen

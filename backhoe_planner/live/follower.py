@@ -27,23 +27,29 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.live.attempts import Attempts
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
-from backhoe_planner.live.detour_ahead import DetourAhead
+from backhoe_planner.live.detours.attempts import Attempts
+from backhoe_planner.live.detours.detour_ahead import DetourAhead
+from backhoe_planner.live.detours.reference import Clocked, Reference
+from backhoe_planner.live.detours.rejoining import (
+    NoRejoining,
+    Rejoining,
+    RejoiningQuery,
+    find_rejoining,
+    is_still_clear,
+)
+from backhoe_planner.live.detours.return_ahead import ReturnAhead, ReturnChoice
+from backhoe_planner.live.detours.searches import Searches
+from backhoe_planner.live.detours.stop_ahead import pace_along, stop_before
+from backhoe_planner.live.detours.track_proof import Blockage, RestProof, TrackProof, prove_rest
 from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.plan_fit import check_fits
 from backhoe_planner.live.progress import ARRIVED, Progress
-from backhoe_planner.live.reference import Clocked, Reference
-from backhoe_planner.live.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
-from backhoe_planner.live.return_ahead import ReturnAhead, ReturnChoice
-from backhoe_planner.live.searches import Searches
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.live.stop_ahead import pace_along, stop_before
-from backhoe_planner.live.track_proof import Blockage, RestProof, TrackProof, prove_rest
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Keep, Trajectory, keep_of
 from backhoe_planner.planning import Plan

@@ -13,7 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.live.braking.joint_bounds import BRAKING
-from backhoe_planner.live.reference import Clocked
+from backhoe_planner.live.detours.reference import Clocked
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.live.reference import Clocked
+from backhoe_planner.live.detours.reference import Clocked
 
 # The numbers are chosen; validation/placements.py drives machines with them.
 ARRIVED = 1e-3  # rad or m from the end of the plan

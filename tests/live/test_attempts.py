@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from backhoe_planner.live.attempts import Attempts
+from backhoe_planner.live.detours.attempts import Attempts
 
 
 def failed(times: int, *, final: bool = False) -> Attempts:

@@ -20,8 +20,8 @@ from backhoe_planner.live import (
     RejoiningQuery,
     Servo,
     find_rejoining,
-    stop_ahead,
 )
+from backhoe_planner.live.detours import stop_ahead
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacles
 

@@ -24,9 +24,8 @@ from backhoe_planner.live import (
     Servo,
     find_rejoining,
     is_still_clear,
-    rejoining,
-    searches,
 )
+from backhoe_planner.live.detours import rejoining, searches
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import EFFORTS
 from backhoe_planner.proof import certify_problem

@@ -12,8 +12,8 @@ import backhoe_planner as bp
 from backhoe_planner.live import Rejoining, RejoiningQuery, find_rejoining
 from backhoe_planner.live.braking.joint_bounds import BRAKING
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
+from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.live.kept_following import KeptFollowing, held_velocity
-from backhoe_planner.live.reference import Reference
 from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import Keep, keep_of
 from backhoe_planner.site import ClearanceScreen

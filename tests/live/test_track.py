@@ -13,7 +13,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.live import FollowerState, PlanFollower, Servo
-from backhoe_planner.live.reference import Reference
+from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Robot, shipped_folder
 from backhoe_planner.site import Proximity

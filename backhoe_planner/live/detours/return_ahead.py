@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.live.reference import Clocked, Reference
-from backhoe_planner.live.rejoining import Rejoining
-from backhoe_planner.live.stop_ahead import Approach, first_rest
+from backhoe_planner.live.detours.reference import Clocked, Reference
+from backhoe_planner.live.detours.rejoining import Rejoining
+from backhoe_planner.live.detours.stop_ahead import Approach, first_rest
 from backhoe_planner.machine import JointLimits
 
 _LEAD = 0.3  # s for the first search; each one whose answer comes too late doubles it for the next; chosen

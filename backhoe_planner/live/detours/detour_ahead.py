@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from backhoe_planner.live.rejoining import Rejoining
+from backhoe_planner.live.detours.rejoining import Rejoining
+from backhoe_planner.live.detours.stop_ahead import Approach
+from backhoe_planner.live.detours.track_proof import Blockage
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.live.stop_ahead import Approach
-from backhoe_planner.live.track_proof import Blockage
 
 _SAME = 0.1  # s by which the beginning of a blockage may differ and still be that of the same one; chosen
 

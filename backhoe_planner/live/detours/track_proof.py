@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.live.reference import Reference
+from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Cluster, Piece, Robot, travel_bounds

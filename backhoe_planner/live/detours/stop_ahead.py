@@ -21,8 +21,8 @@ from copy import copy
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.live.reference import Clocked, Reference
-from backhoe_planner.live.track_proof import ROOM, Blockage
+from backhoe_planner.live.detours.reference import Clocked, Reference
+from backhoe_planner.live.detours.track_proof import ROOM, Blockage
 from backhoe_planner.machine import JointLimits
 
 _STEP = 0.01  # s of the plan between two places at which the pace is computed, at most; chosen, as samples are apart

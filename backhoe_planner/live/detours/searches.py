@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from typing import Any
 
-from backhoe_planner.live.rejoining import LONGEST
+from backhoe_planner.live.detours.rejoining import LONGEST
 
 _LONGEST_SEARCH = LONGEST + 5.0  # s after which an answer is no longer awaited: the search has ended by itself before
 
