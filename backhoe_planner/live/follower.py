@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.detours.attempts import Attempts
+from backhoe_planner.live.detours.detour import Detour
 from backhoe_planner.live.detours.detour_ahead import DetourAhead
 from backhoe_planner.live.detours.reference import Clocked, Reference
 from backhoe_planner.live.detours.rejoining import (
@@ -38,7 +38,6 @@ from backhoe_planner.live.detours.rejoining import (
     find_rejoining,
     is_still_clear,
 )
-from backhoe_planner.live.detours.return_ahead import ReturnAhead, ReturnChoice
 from backhoe_planner.live.detours.searches import Searches
 from backhoe_planner.live.detours.stop_ahead import pace_along, stop_before
 from backhoe_planner.live.detours.track_proof import Blockage, RestProof, TrackProof, prove_rest
@@ -125,7 +124,7 @@ class PlanFollower:
         self.servo = servo
         self._trajectory = trajectory
         self._plan = Reference(trajectory, servo.limits)
-        self._round: _Round | None = None
+        self._detour: Detour | None = None
         keep = plan.problem.keep if isinstance(plan, Plan) else keep_of(robot, servo.scene)
         self._kept = KeptFollowing(keep, servo.limits)
         self._paces = BrakingPace(self._plan, servo.limits, _parts(servo, plan, keep))
@@ -185,7 +184,7 @@ class PlanFollower:
                 if self._holding:
                     self._search()
                 elif self._attempts.may_retry(servo.time):
-                    self._attempts.retrying = True
+                    self._attempts.retry()
         else:
             if self._was_holding:
                 self._was_holding = False
@@ -226,7 +225,7 @@ class PlanFollower:
             self._proofs.begin(servo.revision, servo.time, prove_rest, query)
         self._take_proof()
         proven = servo.is_proven_along_unchecked(self._track)
-        if proven and not self._was_proven and self._round is None and np.abs(self._plan.q - servo.q).max() < _NEAR:
+        if proven and not self._was_proven and self._detour is None and np.abs(self._plan.q - servo.q).max() < _NEAR:
             self._resume()  # one that is further off may need a way back
         self._was_proven = proven
 
@@ -237,9 +236,7 @@ class PlanFollower:
             # if what it stopped for may have gone since, it tries the plan while the search goes on
             gone = servo.revision != self._held_at or (self._was_proven and not self._held_on_proven)
             return not (self._searches.under_way and gone)
-        attempts = self._attempts
-        same = bool(attempts.blocked) and servo.revision == attempts.revision
-        return same and not attempts.retrying and not servo.is_moving()
+        return self._attempts.blocks(servo.revision) and not servo.is_moving()
 
     # --- along a reference -------------------------------------------------------------
 
@@ -256,18 +253,17 @@ class PlanFollower:
         if self._progress.made(reference, deviation, servo.dt):
             self._got_on()
         elif self._progress.waited > _PATIENCE and not (
-            reference.ended and deviation < ARRIVED and self._round is None
+            reference.ended and deviation < ARRIVED and self._detour is None
         ):
             self._lose_patience(state)
-        if self._round is not None:
-            self._watch_round(deviation)
+        if self._detour is not None:
+            self._watch_detour(deviation)
         return state
 
     def _followed(self) -> tuple[Clocked, Track | None]:
         """What the machine follows now, and the track along it if it is to be proven."""
-        if self._round is not None:
-            back = self._round.back
-            return self._round.reference if back is None or back.found is None else back.approach, None
+        if self._detour is not None:
+            return self._detour.followed, None
         if self._ahead is not None:
             return self._ahead.approach, self._ahead.track
         return self._plan, self._track
@@ -286,7 +282,7 @@ class PlanFollower:
         kept = self._kept.pace(servo.q, servo.v, reference, rates, time=servo.time)
         if kept is None:
             return servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
-        pace = min(pace, kept, self._paces.at(self._plan.clock) if self._round is None else 1.0)
+        pace = min(pace, kept, self._paces.at(self._plan.clock) if self._detour is None else 1.0)
         pace = 0.0 if waits else pace
         state = servo.step(joint_velocity=pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
@@ -307,7 +303,7 @@ class PlanFollower:
             self._blockage = None
         self._holding = False
         self._attempts.go_on()
-        if self._round is None:
+        if self._detour is None:
             self._attempts.get_past(self._plan.clock)
 
     def _lose_patience(self, state: ServoState) -> None:
@@ -318,8 +314,8 @@ class PlanFollower:
         if self._attempts.may_search(servo.revision, servo.time):
             self._blockage = None
             self._hold()
-            if self._round is not None:  # it led nowhere: search another one
-                self._round = None
+            if self._detour is not None:  # it led nowhere: search another one
+                self._detour = None
                 self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
 
     def _hold(self) -> None:
@@ -327,7 +323,6 @@ class PlanFollower:
         self._ahead = None
         self._searches.drop()
         self._attempts.begin(self._plan.clock)
-        self._attempts.retrying = False
         self._begin_holding()
 
     def _begin_holding(self) -> None:
@@ -339,12 +334,12 @@ class PlanFollower:
         if self._attempts.blocked:
             self._holding = False
 
-    def _watch_round(self, deviation: float) -> None:
+    def _watch_detour(self, deviation: float) -> None:
         """Go back to the plan at the end of the detour, and check that the detour is still clear."""
-        found, servo = self._round, self.servo
+        found, servo = self._detour, self.servo
         assert found is not None
         if found.reference.ended and deviation < _TOLERANCE:
-            self._round = None
+            self._detour = None
             self._searches.drop()
             self._plan.clock = found.rejoins_at
             self._proofs.drop()
@@ -396,7 +391,7 @@ class PlanFollower:
 
     def _look_ahead(self, blockage: Blockage) -> None:
         """Search a detour around a blockage from a place before it, if there is one on the present leg."""
-        if self._holding or self._attempts.blocked or self._round is not None:
+        if self._holding or self._attempts.blocked or self._detour is not None:
             return
         if self._ahead is not None:
             if self._ahead.is_around(blockage):
@@ -423,7 +418,8 @@ class PlanFollower:
         if self._holding or self._ahead is not None:
             self._searches.drop()
         self._ahead = self._blockage = None
-        self._holding = self._attempts.retrying = False
+        self._holding = False
+        self._attempts.go_on()
         self._progress = Progress(self._slowest)
 
     def _go_round_ahead(self) -> None:
@@ -442,34 +438,31 @@ class PlanFollower:
 
     def _go_back(self) -> None:
         """Search a way back from a detour once the plan is clear without it, and begin it where it begins."""
-        found, servo = self._round, self.servo
-        if found is None:
+        detour, servo = self._detour, self.servo
+        if detour is None:
             return
-        back = found.back
-        if back is not None and back.found is not None:
-            if not self._was_proven:  # something is in the way again
-                found.back = None
-            elif back.approach.ended and np.abs(back.approach.last_q - servo.q).max() < _ON_PLAN:
-                self._searches.drop()
-                self._go_round(back.found, back.revision)
-        elif back is not None:
+        back = detour.back
+        if back is None:
+            if self._was_proven and not self._searches.under_way:
+                back = detour.look_back(self._plan, servo.revision)
+                if back is not None:
+                    self._search(back.approach.last_q, back.since)
+        elif back.found is None:
             if servo.revision != back.revision or back.is_late or not self._searches.under_way:
-                found.back = None
                 self._searches.drop()
-                found.choice.search_longer()
-        elif self._was_proven and not self._searches.under_way and servo.revision != found.best_at:
-            found.back = found.choice.begin(self._plan, servo.revision)
-            if found.back is None:
-                found.best_at = servo.revision
-            else:
-                self._search(found.back.approach.last_q, found.back.since)
+                detour.go_on()
+        elif not self._was_proven:  # something is in the way again
+            detour.go_on()
+        elif back.approach.ended and np.abs(back.approach.last_q - servo.q).max() < _ON_PLAN:
+            self._searches.drop()
+            self._go_round(back.found, back.revision)
 
     def _go_round(self, found: Rejoining, revision: int) -> None:
-        reference = Reference(found.motion, self.servo.limits)
-        choice = ReturnChoice(reference, self.servo.limits, found.rejoins_at)
-        self._round = _Round(reference, found.rejoins_at, found.around, choice, checked=revision)
+        """Begin a detour that is clear at a `revision` of the surroundings."""
+        self._detour = Detour(found, self.servo.limits, revision)
         self._progress = Progress(self._slowest)
-        self._attempts.blocked, self._blockage = "", None
+        self._attempts.go_on()
+        self._blockage = None
 
     def _take_answer(self) -> None:
         answer = self._searches.answer(self.servo.time)
@@ -484,13 +477,10 @@ class PlanFollower:
                 self._resume()
             else:
                 self._ahead.failed = True
-        elif self._round is not None and self._round.back is not None and self._round.back.found is None:
-            if isinstance(answer, Rejoining):
-                self._round.choice.take(self._round.back, answer)
-            if self._round.back.found is None:
-                self._round.back, self._round.best_at = None, self.servo.revision
-        elif answer is False and self._round is not None:  # the detour is no longer clear
-            self._round = None
+        elif self._detour is not None and self._detour.back is not None and self._detour.back.found is None:
+            self._detour.take(answer)
+        elif answer is False and self._detour is not None:  # the detour is no longer clear
+            self._detour = None
             self._begin_holding()
         elif isinstance(answer, Rejoining):
             self._holding = False
@@ -515,11 +505,8 @@ class PlanFollower:
             kept = f"; {self._kept.lost}" if self._kept.lost else ""
             sought = "; a way round is searched for" if self._holding else ""
             return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"
-        if self._round is not None:
-            return (
-                FollowerStatus.GOING_ROUND,
-                "back to the plan" if self._round.around is None else f"round {self._round.around}",
-            )
+        if self._detour is not None:
+            return FollowerStatus.GOING_ROUND, self._detour.reason
         return FollowerStatus.FOLLOWING, ""
 
     @staticmethod
@@ -539,20 +526,6 @@ def _refuse_failed(plan: Plan, *, allowed: bool) -> None:
         )  # fmt: skip
     if len(plan.trajectory) < 2:
         raise InputError("the plan failed and has no motion", key="plan", found=why)
-
-
-@dataclass
-class _Round:
-    """A detour that is being followed."""
-
-    reference: Reference
-    rejoins_at: float
-    around: str | None
-    choice: ReturnChoice
-    checked: int  # revision of the surroundings for which it is known to be clear
-    check_at: float = 0.0
-    back: ReturnAhead | None = None
-    best_at: int = -1  # revision of the surroundings for which no way back is better
 
 
 def _parts(servo: Servo, plan: Plan | Trajectory, keep: Keep | None) -> list[PlanPart]:

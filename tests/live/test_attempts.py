@@ -57,3 +57,16 @@ def test_a_failure_ahead_leaves_the_first_attempt_out() -> None:
     assert not attempts.blocked
     attempts.note_ahead(3.0)
     assert attempts.failed == 1
+
+
+def test_a_machine_is_blocked_until_the_surroundings_change_or_the_plan_is_tried_again() -> None:
+    assert not failed(3).blocks(7)
+    attempts = failed(4)
+    assert attempts.blocks(7)
+    assert not attempts.blocks(8)
+    attempts.retry()
+    assert not attempts.blocks(7)
+    attempts.begin(2.0)  # it leads nowhere: another search begins
+    assert attempts.blocks(7)
+    attempts.go_on()
+    assert not attempts.blocks(7)

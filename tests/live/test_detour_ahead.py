@@ -22,6 +22,7 @@ from backhoe_planner.live import (
     find_rejoining,
 )
 from backhoe_planner.live.detours import stop_ahead
+from backhoe_planner.live.detours.track_proof import RestProof
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacles
 
@@ -36,6 +37,7 @@ class Desk(Executor):
     def __init__(self, *, proves: bool = True) -> None:
         self.queries: list[RejoiningQuery] = []
         self.awaited: Future[Any] = Future()
+        self.proof: Future[Any] = Future()
         self.proves = proves
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keys: Any) -> Future[Any]:
@@ -45,6 +47,8 @@ class Desk(Executor):
             self.awaited = future
         elif self.proves:
             future.set_result(function(*args, **keys))
+        else:
+            self.proof = future
         return future
 
 
@@ -379,6 +383,18 @@ def test_a_plan_is_free_at_once_when_all_that_was_new_is_gone(swing: bp.Plan) ->
     run.servo.remove("crate")
     run.servo.remove("far")
     assert run.go(swing.trajectory.duration - run.steps[-1].plan_time + 1.0).done
+
+
+def test_a_blocked_machine_tries_its_plan_when_a_late_proof_says_that_it_is_free(swing: bp.Plan) -> None:
+    """Not after the break between two searches, which all failed; how the proof came about does not matter here."""
+    run = Run(swing, on_plan(swing, 0.7), at=0.2, proves=False)
+    run.go(until=lambda _: bool(run.desk.queries))
+    run.desk.awaited.set_result(NoRejoining("there is none", searched=False))
+    assert run.go(0.5).status is FollowerStatus.BLOCKED
+    here = run.servo.q
+    run.desk.proof.set_result(RestProof(None))
+    assert run.go(2.0 * DT).status is not FollowerStatus.BLOCKED
+    assert float(np.abs(run.servo.q - here).max()) > 1e-6
 
 
 class Returning(Run):

@@ -19,11 +19,11 @@ class Attempts:
     failed: how many in a row found nothing, or found a detour that led nowhere.
     blocked: why there is no detour, in words, once several searches failed; otherwise empty.
     revision: of the surroundings for which the last one failed.
-    retrying: whether the plan is tried once more, although no detour was found.
     """
 
     def __init__(self) -> None:
-        self.failed, self.blocked, self.revision, self.retrying = 0, "", -1, False
+        self.failed, self.blocked, self.revision = 0, "", -1
+        self._retrying = False  # the plan is tried once more, although no detour was found
         self._stuck_at = -np.inf  # s of the plan
         self._failed_at = self._again_at = 0.0  # s: of the last failure, and when to search again
         self._may_succeed = True  # another search, with more effort
@@ -31,7 +31,7 @@ class Attempts:
     def note(self, reason: str, revision: int, now: float, *, final: bool = False) -> None:
         """Count a search that failed `now` [s]. After several, or if no effort helps (`final`), there is a break."""
         self.failed = max(self.failed + 1, _MOST if final else 0)
-        self._failed_at, self.revision, self._may_succeed, self.retrying = now, revision, not final, False
+        self._failed_at, self.revision, self._may_succeed, self._retrying = now, revision, not final, False
         if self.failed >= _MOST:
             self.blocked = reason
             self._again_at = now + min(2.0 ** (self.failed - _MOST), _LONGEST_BREAK)
@@ -42,16 +42,24 @@ class Attempts:
 
     def begin(self, place: float) -> None:
         """Note that the machine leaves the plan, or waits for a detour, at `place` [s of the plan]."""
-        self._stuck_at = place
+        self._stuck_at, self._retrying = place, False
+
+    def retry(self) -> None:
+        """Note that the plan is tried once more, although no detour was found."""
+        self._retrying = True
 
     def go_on(self) -> None:
         """Note that the machine goes on along its plan or a detour."""
-        self.blocked, self.retrying = "", False
+        self.blocked, self._retrying = "", False
 
     def get_past(self, clock: float) -> None:
         """Begin anew if the plan's `clock` [s] is beyond the place where the machine was stuck."""
         if clock > self._stuck_at + _FURTHER:
             self.failed, self._again_at = 0, 0.0
+
+    def blocks(self, revision: int) -> bool:
+        """Whether nothing is to be tried now: no detour was found for this `revision` of the surroundings."""
+        return bool(self.blocked) and revision == self.revision and not self._retrying
 
     def may_search(self, revision: int, now: float) -> bool:
         """Whether to search again `now` [s]: after the break, or for other surroundings."""
