@@ -503,8 +503,8 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
     "unknown key of a rocker": (at("cylinders.5.rocker.pivto", 1), ["cylinders[5].rocker.pivto", "'pivot'"]),
     "no pump": (lambda data: data.pop("pump"), ["pump: is missing"]),
     "no cylinders": (at("cylinders", []), ["cylinders", "at least 1"]),
-    "zero flow": (at("pump.flow", 0), ["pump.flow", "greater than 0", "found 0"]),
-    "negative bore": (cylinder(4, bore=-0.1), ["cylinders[4].bore", "greater than 0", "found -0.1"]),
+    "zero flow": (at("pump.flow", 0), ["pump.flow", "greater than or equal to 0.000000000001", "found 0"]),
+    "negative bore": (cylinder(4, bore=-0.1), ["cylinders[4].bore", "greater than or equal to 0.000001", "found -0.1"]),
     "text for a number": (cylinder(4, bore="0.1"), ["cylinders[4].bore", "number", "found '0.1'"]),
     "not finite": (cylinder(4, open=math.inf), ["cylinders[4].open", "finite|less than"]),
     "efficiency over 1": (at("engine.efficiency", 1.2), ["engine.efficiency", "less than or equal to 1", "1.2"]),
@@ -558,6 +558,11 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
         both(cylinder(2, child=[0.4, 0.062, -1.1]), cylinder(3, child=[0.4, -0.062, -1.1])),
         ["cylinders[2] (boom left)", "dead centre near"],
     ),
+    "bore whose area is 0 in floating-point numbers": (
+        cylinder(4, bore=1e-200, rod=1e-201),
+        ["cylinders[4].bore", "1e-200"],
+    ),
+    "flow that no motion is slow enough for": (at("pump.flow", 1e-300), ["pump.flow", "found 1e-300"]),
     "later version": (at("version", 2), ["version", "found 2", "allowed: 1"]),
 }
 

@@ -25,14 +25,17 @@ from backhoe_planner.machine.hydraulics.hydraulics import SAME_LENGTH, Cylinder,
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
 
 _LARGEST = 1e9  # Pa, W or m^3/s: no oil line bears such a pressure, no machine has such a power or flow
+# the same units: smaller ones are mistakes, and from 1e-100 on areas, forces and ratios to limits overflow; chosen
+_SMALLEST = 1e-12
 _SAMPLES = 1441  # angles at which a linkage is checked: every quarter of a degree of a whole turn
 _ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever; chosen, far below any dimension in a drawing
 _NO_LEVER = 2e-3  # part of the longest lever; from one sample to the next a lever falls by less
 _SAME_END = 1e-9  # m, rad: ends of strokes and of ranges that differ by less are equal but for rounding
 
-Length = Annotated[float, Field(strict=True, gt=0.0, le=1e3, allow_inf_nan=False)]
+# the shortest is far below any diameter in a drawing
+Length = Annotated[float, Field(strict=True, ge=1e-6, le=1e3, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e3, le=1e3, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
 Part = Annotated[float, Field(strict=True, gt=0.0, le=1.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 
