@@ -211,6 +211,8 @@ class MotionDescents:
                 curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=is_over,
                 rough=self._world.work.effort.rough,
             )  # fmt: skip
+            if self._hurried and not is_time:
+                self._reserved = 0  # a curve that is not quite clear may use them: in a hurry no descent follows
             if found is None or found.missed > (_NEARLY if self._rounds_left_of_cost() > 0 else KEPT_PART * spare):
                 return False
             if self._goes_where_another_ended(found):
