@@ -9,15 +9,18 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import (
     SAMPLE_PERIOD,
     PathCost,
     TipPath,
     Trajectory,
     WaypointStep,
+    drive_of,
     longest_step,
     motion_cost,
     progress,
+    slow_tip,
 )
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
@@ -318,7 +321,7 @@ class _Along:
         world, problem = self._world, self._world.problem
         for piece in pieces:
             if isinstance(piece, Bypass):
-                play(world, stepper, JointPath(piece.q))
+                play(world, stepper, JointPath(piece.q), slowed=self._at_asked_speed)
             elif len(piece.q) > 1:
                 timed = self._timed.get(piece)
                 if timed is None or problem.is_dynamic:  # later, moving obstacles are elsewhere
@@ -328,6 +331,19 @@ class _Along:
                     timed = TimedStretch(piece, self._path.corners(SHARP))
                 for motion in self._clear_motions(timed, stepper.time):
                     stepper.play(motion)
+
+    def _at_asked_speed(self, detour: Trajectory) -> Trajectory:
+        """The motion of a detour, slowed to the speed of the path if it exceeds that within the path's tolerance."""
+        problem, task = self._world.problem, self._world.problem.scene.task.path
+        assert task is not None
+        if task.speed is None or len(detour) < 2:
+            return detour
+        tips = BatchKinematics(problem.robot).tip_positions(detour.q)
+        fast = np.linalg.norm(np.diff(tips, axis=0), axis=1) > task.speed * np.diff(detour.time)
+        on_path = np.array([self._path.nearest(tip)[1] <= task.tolerance for tip in tips])
+        if not np.any(fast & (on_path[1:] | on_path[:-1])):
+            return detour
+        return slow_tip(detour, problem.limits, speed=task.speed, robot=problem.robot, drive=drive_of(problem))
 
     def _clear_motions(self, timed: TimedStretch, time: float) -> Sequence[Trajectory]:
         """The motions along a stretch, each from rest to rest.

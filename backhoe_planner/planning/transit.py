@@ -8,7 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics
-from backhoe_planner.motion import TipPath, drive_of, time_way
+from backhoe_planner.motion import TipPath, Trajectory, drive_of, time_way
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.motion_check import MotionCheck
@@ -49,7 +49,7 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector]) -> Ste
         path = sample_path(check, stepper.q, goals, seed=world.seed, work=work)
         if path is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
-            _play_checked(check, branch, shorten(check, path, seed=world.seed))
+            branch.play(_timed(check, shorten(check, path, seed=world.seed)))
             return branch
     return f"none of the {before - work.motions:,} motions that were sampled leads there"
 
@@ -85,15 +85,23 @@ def find_detour(
     return None
 
 
-def play(world: World, stepper: Stepper, path: JointPath) -> None:
-    """Append to a motion a joint path that begins where the motion ends, with rounded corners."""
+def play(
+    world: World, stepper: Stepper, path: JointPath, *, slowed: Callable[[Trajectory], Trajectory] | None = None
+) -> None:
+    """Append to a motion a joint path that begins where the motion ends, with rounded corners.
+
+    Parameters
+    ----------
+    slowed: gives the motion in place of the fastest one along the joint path.
+    """
     ends = [path.q[0], path.q[-1]]
-    _play_checked(MotionCheck(world.problem, world.proximity, ends, spare=_SPARES[1], time=stepper.time), stepper, path)
+    motion = _timed(MotionCheck(world.problem, world.proximity, ends, spare=_SPARES[1], time=stepper.time), path)
+    stepper.play(motion if slowed is None else slowed(motion))
 
 
-def _play_checked(check: MotionCheck, stepper: Stepper, path: JointPath) -> None:
-    problem = check.problem
-    stepper.play(time_way(blend(check, path), problem.limits, drive=drive_of(problem)))
+def _timed(check: MotionCheck, path: JointPath) -> Trajectory:
+    """The fastest motion along a joint path with rounded corners."""
+    return time_way(blend(check, path), check.problem.limits, drive=drive_of(check.problem))
 
 
 def _near(world: World, path: TipPath, low: float, high: float, reach: float) -> Callable[[Matrix], bool]:

@@ -238,7 +238,7 @@ def _tip_speeds(kinematics: BatchKinematics, trajectory: Trajectory) -> Vector:
 
 def slow_tip(trajectory: Trajectory, limits: JointLimits, *, speed: float, robot: Robot, drive: Drive) -> Trajectory:
     """The motion, slowed where its tip is faster than `speed` [m/s], within the limits of joints and drive."""
-    return retime(_slow_to_speed(trajectory, limits, speed, BatchKinematics(robot)), limits, drive=drive)
+    return _slow_to_limits(_slow_to_speed(trajectory, limits, speed, BatchKinematics(robot)), limits, drive)
 
 
 def _slow_to_speed(
