@@ -8,7 +8,7 @@ from .paths.local_resolution import resolve_along as resolve_along
 from .paths.path_layers import PathLayers as PathLayers
 from .paths.path_layers import redundancy_of as redundancy_of
 from .paths.path_resolution import PathResolver as PathResolver
-from .paths.path_resolution import Resolution as Resolution
+from .paths.resolution import Resolution as Resolution
 from .paths.smoothing import smooth_stretch as smooth_stretch
 from .paths.stretch import Stretch as Stretch
 from .paths.timed_stretch import join_motions as join_motions

@@ -27,12 +27,14 @@ from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_st
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.kept_cone import open_cone
 from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
-from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
+from backhoe_planner.planning.paths.path_resolution import PathResolver
+from backhoe_planner.planning.paths.resolution import Bypass, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.paths.stretch import LawWay, Stretch
 from backhoe_planner.planning.paths.timed_stretch import TimedStretch, time_rounded
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
+from backhoe_planner.planning.search.effort import OutOfTime
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world.outcome import (
@@ -53,6 +55,7 @@ _GRID = np.radians(2.5)  # of the free parameter, if there is only one: half the
 _LAYER = 0.1  # m of path between layers in that case: twice the usual, so that a route can turn slowly
 _MOST_DENSER = 3  # times that samples are inserted into a stretch; chosen: a curve then swings out by an eighth
 _STEP_SPARE = 1e-3  # part of the allowed joint step between waypoints that is kept for chords and round corners; chosen
+_TO_THE_END = 2  # of the other ways, roughly made cheaper, that are made cheaper to the end; chosen
 _ON_PATH = 1e-4  # m and rad; chosen: within this the tip counts as being on the path
 
 
@@ -95,7 +98,8 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     cost = PathCost(world.problem)
     robot = world.problem.robot
     # with one free parameter the grid can be dense; layers far apart let a route turn slowly
-    one_free = redundancy_of(robot, freest(robot, [path.target(station) for station in path.stations])) == 1
+    freest_target = freest(robot, [path.target(station) for station in path.stations])
+    redundancy = redundancy_of(robot, freest_target)
     begin = stepper.q if stepper is not None and on_path else None
 
     def resolver_within(joint_steps: Vector | None) -> PathResolver:
@@ -109,7 +113,7 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
             time=time,
             work=world.work,
             cost=cost.step_costs,
-            **({"grid": _GRID, "layer": _LAYER} if one_free else {}),
+            **({"grid": _GRID, "layer": _LAYER} if redundancy == 1 else {}),
             joint_steps=joint_steps,
             apart=np.array([world.apart.get((pair.link, pair.name), 0.0) for pair in world.proximity.pairs]),
             find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
@@ -129,7 +133,9 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
         failure = no_posture(world, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    along = _Along(world, path, resolver, cost, stepper, resolver_within)
+    # full poses leave so little free that the graph decides well
+    other_ways = world.work.effort.other_ways if redundancy > 1 and freest_target.rotation is None else 0
+    along = _Along(world, path, resolver, cost, stepper, resolver_within, other_ways)
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
@@ -153,6 +159,7 @@ class _Along:
         cost: PathCost,
         stepper: Stepper | None,
         resolver_within: Callable[[Vector | None], PathResolver],
+        other_ways: int,
     ) -> None:
         self._world = world
         self._path = path
@@ -160,6 +167,7 @@ class _Along:
         self._cost = cost
         self._stepper = stepper
         self._resolver_within = resolver_within
+        self._other_ways = other_ways
         self._steps, self._cone = world.problem.joint_steps, open_cone(world.problem, path)
         task = world.problem.scene.task.path
         assert task is not None
@@ -262,7 +270,9 @@ class _Along:
         if isinstance(transit, str):
             message = f"no motion was found to the beginning of the path: {failure}"
             return Outcome(stepper.trajectory(), "blocked", message)
-        along = _Along(self._world, self._path, self._resolver, self._cost, transit, self._resolver_within)
+        along = _Along(
+            self._world, self._path, self._resolver, self._cost, transit, self._resolver_within, self._other_ways
+        )
         return along.plan(transit.q)
 
     def _improve(self, resolved: Resolution, begin: Vector | None) -> tuple[list[Stretch | Bypass], LawWay | None]:
@@ -277,13 +287,14 @@ class _Along:
                     low = float(cheap.stations[0])
                     way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
                     if not self._world.apart:  # the law does not know these extra clearances
-                        pieces[index] = self._cheaper_than_law(cheap, way, free_start=free_start)
+                        cheap = self._cheaper_than_law(cheap, way, free_start=free_start)
                     if low == 0.0 and not self._world.problem.is_dynamic:
                         timed = self._timed.get(way)
                         law = LawWay(self._path, way, None if timed is None else timed.motion)
+                    pieces[index] = self._cheaper_than_others(cheap, piece, free_start=free_start)
         return pieces, law
 
-    def _cheapen(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
+    def _cheapen(self, piece: Stretch, *, free_start: bool, free_end: bool, roughly: bool = False) -> Stretch:
         world = self._world
         setting: dict[str, Any] = {
             "proximity": world.proximity,
@@ -293,7 +304,9 @@ class _Along:
         }
         if self._cost.objective.is_quadratic:  # its cost is close to that which smoothing lowers
             piece = smooth_stretch(world.problem, self._path, piece, brake=world.work.brake, **setting)
-        return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
+        return cheapen_stretch(
+            world.problem, self._path, piece, cost=self._cost, work=world.work, roughly=roughly, **setting
+        )
 
     def _cheaper_than_law(self, piece: Stretch, law: Stretch, *, free_start: bool) -> Stretch:
         """The cheapest of `piece`, the whole path, and the law's resolution from the same joints, also made cheaper.
@@ -311,10 +324,35 @@ class _Along:
                 costs[other] = self._motion_cost(other)
         return min(costs, key=costs.__getitem__, default=piece)
 
+    def _cheaper_than_others(self, best: Stretch, found: Stretch, *, free_start: bool) -> Stretch:
+        """The cheapest of `best` and of other ways along the whole path, away from the one `found` by the graph.
+
+        If several dimensions are free, the cost has minima that are far apart, and its value on the coarse graph says
+        little about them. So several ways are made cheaper roughly, and the cheapest of these to the end.
+        """
+        others: list[Stretch] = []
+        for _ in range(self._other_ways):
+            try:
+                way = self._resolver.another(others[-1] if others else found, begins_there=not free_start)
+            except OutOfTime:
+                break
+            if way is None:
+                break
+            # from the same beginning, in the same turn of its continuous joints
+            others.append(way if free_start else Stretch(way.stations, way.q + (found.q[0] - way.q[0])))
+        rough = [self._cheapen(way, free_start=free_start, free_end=True, roughly=True) for way in others]
+        rough.sort(key=lambda way: self._cost.of_run(way.stations, way.q))
+        ways = [self._cheapen(way, free_start=free_start, free_end=True) for way in rough[:_TO_THE_END]]
+        costs = {way: self._motion_cost(way) for way in (best, *ways) if self._keeps_steps([way])} if ways else {}
+        return min(costs, key=costs.__getitem__, default=best)
+
     def _motion_cost(self, way: Stretch) -> float:
         """The cost of the fastest motion along a stretch, by the objective and in its unit."""
         world, problem = self._world, self._world.problem
-        self._timed[way] = timed = time_rounded(problem, self._path, way, proximity=world.proximity, time=self._time)
+        timed = self._timed.get(way)
+        if timed is None:
+            timed = time_rounded(problem, self._path, way, proximity=world.proximity, time=self._time)
+            self._timed[way] = timed
         return motion_cost(problem, timed.motion)
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Bypass]) -> None:

@@ -8,16 +8,23 @@ around the result with a smaller delta. The method is iterative dynamic programm
 size, Int. J. Control 51, 1990). It needs no gradients, which an objective like the
 integral of max(tau v, 0) does not have where it matters: at the kinks, where a joint rests.
 
+A null space of more dimensions gets a grid of neighbours in up to three directions at once, since one direction
+after the other stops at any kink that is oblique to them. The directions are turned at random from sweep to
+sweep. Frames of the null spaces that turn as little as possible from knot to knot make a direction the same all
+along the stretch, so that the whole stretch can slide along it.
+
 Between knots the joints follow a smooth curve that is projected onto the path sample by sample.
 A new stretch is accepted only if it is cheaper over all samples, clear, and within the limits.
 """
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
@@ -25,22 +32,28 @@ from backhoe_planner.planning.paths.kept_cone import kept_targets
 from backhoe_planner.planning.paths.monotone_curve import monotone_curve
 from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, margins_to_keep, null_bases, strict_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.paths.stretch import NEARER, Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Proximity
 
 Mask = NDArray[np.bool_]
 
-_WIDTH = 3  # neighbours on either side of a knot; chosen: with turns the work grows by its cube
+# neighbours on either side of a knot, for each number of directions at once; chosen: with turns the work grows by
+# the cube of all of them
+_WIDTHS = {1: 3, 2: 2, 3: 1}
+_FURTHEST = 3.0  # times the distance of neighbours in one direction: how far off the last is, in any number of them
 # levels, one after the other: rad or m between neighbours, and m of path between knots; chosen, each about
 # half of the one before. First for the curve through the knots, then for a curve that is added to the stretch
 _LEVELS = (
     ((0.12, 0.2), (0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (1.6e-3, 0.025)),
     ((0.03, 0.2), (0.012, 0.1), (5e-3, 0.05), (2e-3, 0.025), (6e-4, 0.025)),
 )
+_ROUGH = 2  # of these for a rough search; chosen
 _KNOT_TURN = 3.0  # rad or m of a joint that count like 1 m of path between knots; chosen
 _ROUNDS = 15  # at one distance of the neighbours; chosen: ends iterations that do not converge
+_MORE_ROUNDS = 40  # the same with more than one direction; chosen
+_DULL = 3  # sweeps in a row that gain too little, with differently turned directions, end a distance; chosen
 _TRIES = 3  # to find a clear stretch in one sweep; chosen
 _STRAY = 0.3  # rad or m between a neighbour and its guess, at most; chosen: further off is another posture
 _ROUNDING = 1e-9  # m; far above the rounding of two sums for the same bound
@@ -57,6 +70,7 @@ def cheapen_stretch(
     time: float = 0.0,
     free_start: bool = False,
     free_end: bool = False,
+    roughly: bool = False,
     work: Work | None = None,
 ) -> Stretch:
     """A stretch with the same tip positions whose cost is not higher.
@@ -67,6 +81,7 @@ def cheapen_stretch(
     cost: of motions along the path.
     time: at which the positions of the obstacles are taken [s].
     free_start, free_end: whether the joints may change at the first and at the last sample too.
+    roughly: whether only the largest distances are searched, to tell a cheap stretch from a dear one.
     work: every sweep over the knots is subtracted from it; if no sweep or no time is left,
         the best so far is kept.
     """
@@ -74,19 +89,17 @@ def cheapen_stretch(
     if len(stretch.q) < 3:
         return stretch
     descent = _Descent(problem, path, stretch, cost=cost, proximity=proximity, time=time)
-    for added, (delta, spacing) in [(bool(turn), level) for turn, levels in enumerate(_LEVELS) for level in levels]:
+    levels = [(bool(turn), level) for turn, levels in enumerate(_LEVELS) for level in levels]
+    for added, (delta, spacing) in levels[:_ROUGH] if roughly else levels:
         descent.tie(spacing, added=added, free_start=free_start, free_end=free_end)
-        directions = descent.directions()
-        for _ in range(_ROUNDS if len(directions) > 1 else min(1, len(directions))):
-            before = descent.least
-            for direction in directions:
-                for _ in range(_ROUNDS):
-                    if work.sweeps <= 0 or work.brake.is_used_up():
-                        return Stretch(stretch.stations, descent.q)
-                    work.sweeps -= 1
-                    if descent.step(delta, direction) <= ENOUGH * abs(descent.least):
-                        break
-            if before - descent.least <= 5.0 * ENOUGH * abs(descent.least):
+        several, dull = descent.free > 1, 0
+        for _ in range(0 if not descent.free else _MORE_ROUNDS if several else _ROUNDS):
+            if work.sweeps <= 0 or work.brake.is_used_up():
+                return Stretch(stretch.stations, descent.q)
+            work.sweeps -= 1
+            gained = descent.step(delta * (0.5 if dull % 2 else 1.0))
+            dull = dull + 1 if gained <= ENOUGH * abs(descent.least) else 0
+            if dull == (_DULL if several else 1):
                 break
     return Stretch(stretch.stations, descent.q)
 
@@ -98,6 +111,7 @@ class _Descent:
     ----------
     q: (K, n) the best joint positions so far [rad or m].
     least: their cost [rad].
+    free: the dimensions of the null spaces at the knots.
     """
 
     def __init__(
@@ -127,6 +141,8 @@ class _Descent:
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
         self._floor = margins_to_keep(margin)
         self._screen = ClearanceScreen(proximity, time=time, spare=ROOM)
+        self._rng = np.random.default_rng(0)
+        self.free = 0
 
     def tie(self, spacing: float, *, added: bool, free_start: bool, free_end: bool) -> None:
         """Choose the knots, `spacing` [m] apart, and which of them move.
@@ -144,28 +160,33 @@ class _Descent:
         self._held = np.zeros(len(self._knots), dtype=bool)
         self._held[0], self._held[-1] = not free_start, not free_end
         self._tip = self._cost.tip_velocities(self.q[self._knots])
+        self.free = null_bases(self._kinematics, self._strict, self.q[self._knots]).shape[2]
 
-    def directions(self) -> list[Vector | None]:
-        """Directions in joint space, (n,) each, to search one by one; [None] if the null space is one-dimensional."""
-        free = null_bases(self._kinematics, self._strict, self.q[self._knots]).shape[2]
-        return [] if free == 0 else [None] if free == 1 else list(np.eye(self.q.shape[1]))
+    def step(self, delta: float) -> float:
+        """Search once among neighbours of the knots; returns how much the cost fell [rad].
 
-    def step(self, delta: float, direction: Vector | None) -> float:
-        """Search once among neighbours of the knots, `delta` [rad or m] apart; returns how much the cost fell [rad]."""
+        Parameters
+        ----------
+        delta: between neighbours in one direction [rad or m]; in several they are as much further apart as they are
+            fewer.
+        """
         here = self.q[self._knots]
-        neighbours, usable = self._neighbours(here, delta, direction)
+        neighbours, usable = self._neighbours(here, delta)
+        same = neighbours.shape[1] // 2
         nodes = self._nodes(neighbours)
         spans = np.diff(self._stations[self._knots])[:, None, None]
         steps = self._cost.between(nodes[:-1, :, None], nodes[1:, None, :], spans)
         turns = None
         if self._cost.counts_rate_changes and len(here) > 2:
             rates = self._cost.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
-            turns = self._cost.rate_changes(rates[:, :-1, :, :, None], rates[:, 1:, None])
+            # row by row, so that the arrays of a row stay in the processor's cache
+            before, after = rates[:, :-1, :, :, None], rates[:, 1:, None]
+            turns = np.array([self._cost.rate_changes(before[:, k], after[:, k]) for k in range(len(here) - 2)])
             for end in (0, -1):  # the motion begins and ends at rest
                 steps[end] += self._cost.rate_changes(np.zeros_like(rates[:, end]), rates[:, end])
         for _ in range(_TRIES):
             chosen = _cheapest(steps, usable) if turns is None else _cheapest_with_turns(steps, turns, usable)
-            if np.all(chosen == _WIDTH):
+            if np.all(chosen == same):
                 return 0.0
             moved = self._between_knots(neighbours[np.arange(len(here)), chosen])
             if moved is None:
@@ -179,36 +200,39 @@ class _Descent:
                 self.q, self.least, self._lower = moved, cost, lower
                 return fallen
             usable[bad] = False
-            usable[:, _WIDTH] = True
+            usable[:, same] = True
         return 0.0
 
     # --- neighbours -----------------------------------------------------------------
 
-    def _neighbours(self, here: Matrix, delta: float, direction: Vector | None) -> tuple[NDArray[np.float64], Mask]:
+    def _neighbours(self, here: Matrix, delta: float) -> tuple[Array, Mask]:
         """(M, C, n) neighbours of each knot in its null space, the knot in the middle; (M, C) which are usable."""
-        N = null_bases(self._kinematics, self._strict, here)
-        if direction is None:
-            d = N[:, :, 0]
-        else:
-            d = np.einsum("mnr,mkr,k->mn", N, N, direction)
-            size = np.linalg.norm(d, axis=1, keepdims=True)
-            d = np.where(size > 0.05, d / np.maximum(size, 1e-9), 0.0)
-        offsets = delta * np.arange(-_WIDTH, _WIDTH + 1)
-        guesses = here[:, None, :] + offsets[None, :, None] * d[:, None, :]
+        frames = null_bases(self._kinematics, self._strict, here)
+        if self.free > 1:
+            frames = _aligned(frames) @ self._any_directions()
+        width = _WIDTHS[frames.shape[2]]
+        one = delta * (_FURTHEST / width) * np.arange(-width, width + 1)
+        offsets = np.array(list(itertools.product(one, repeat=frames.shape[2])))
+        guesses = here[:, None, :] + np.einsum("mnc,oc->mon", frames, offsets)
         count, width, n = guesses.shape
         rows = np.repeat(np.arange(count), width)
         found, reached = solve_batch(
             self._kinematics, self._knot_targets.take(rows), guesses.reshape(-1, n), iterations=6
         )
         found, usable = found.reshape(guesses.shape), reached.reshape(count, width)
-        usable &= np.max(np.abs(found - guesses), axis=2) < min(_STRAY, 4.0 * _WIDTH * delta)
+        usable &= np.max(np.abs(found - guesses), axis=2) < min(_STRAY, 4.0 * _FURTHEST * delta)
         usable[self._held] = False
-        found[:, _WIDTH], usable[:, _WIDTH] = here, True
+        found[:, width // 2], usable[:, width // 2] = here, True
         if self._proximity.pairs:
             self._keep_clear(here, found, usable)
         return found, usable
 
-    def _keep_clear(self, here: Matrix, found: NDArray[np.float64], usable: Mask) -> None:
+    def _any_directions(self) -> Matrix:
+        """(r, c) up to three directions at right angles in a null space of r dimensions, turned at random."""
+        Q, _ = np.linalg.qr(self._rng.normal(size=(self.free, self.free)))
+        return np.asarray(Q[:, : max(_WIDTHS)])
+
+    def _keep_clear(self, here: Matrix, found: Array, usable: Mask) -> None:
         """Remove the neighbours that are too near to something."""
         asked = self._proximity.clearance + self._floor[self._knots][:, None]
         moved, lower, travel = np.abs(found - here[:, None, :]), self._lower[self._knots], self._proximity.travel.T
@@ -217,10 +241,13 @@ class _Descent:
         unsure = np.zeros_like(usable)
         unsure[near] = (lower[near][:, None, :] - moved[near] @ travel < asked[near][:, None, :]).any(axis=2)
         unsure &= usable
-        unsure[:, _WIDTH] = False
+        unsure[:, unsure.shape[1] // 2] = False
         rows = np.argwhere(unsure)
         # no knot keeps a larger margin than the screen, which decides nearly all without measuring a distance
         rows = rows[~self._screen.keeps(found[unsure])] if len(rows) else rows
+        hardly = self._floor[self._knots][rows[:, 0]] > ROOM - 2.0 * NEARER  # these keep as much as the screen
+        usable[tuple(rows[hardly].T)] = False
+        rows = rows[~hardly]
         for k, c in rows.tolist():
             usable[k, c] = bool(np.all(self._distances(found[k, c], asked[k]) >= asked[k]))
 
@@ -268,6 +295,19 @@ class _Descent:
         """(P,) lower bounds of the distances at q (n,), exact if they are below `floor` (P,) [m]."""
         lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
         return lower if self._there is None else np.where(self._there, lower, np.inf)
+
+
+def _aligned(bases: Array) -> Array:
+    """(M, n, r) orthonormal bases of the same null spaces (M, n, r), each turned to be nearest to the one before.
+
+    The turn that is nearest in the sense of least squares is the polar factor of their products (the orthogonal
+    problem of Procrustes).
+    """
+    found = bases.copy()
+    for k in range(1, len(bases)):
+        U, _, V = np.linalg.svd(bases[k].T @ found[k - 1])
+        found[k] = bases[k] @ (U @ V)
+    return found
 
 
 def _knots(stations: Vector, q: Matrix, corners: Mask, spacing: float) -> NDArray[np.intp]:

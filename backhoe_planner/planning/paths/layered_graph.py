@@ -27,7 +27,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.planning.search.effort import Brake
 
 StepCost = Callable[[Matrix, Matrix, float], Matrix]
@@ -158,6 +158,7 @@ class LayeredGraph:
         self._steps: dict[int, _Edges] = {}
         self._turns: dict[int, _Edges] = {}
         self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
+        self._closed: dict[int, Flags] = {}
         self._refused: set[tuple[int, int]] = set()
         self._only: tuple[Edge, ...] | None = None
         self.looked_at = 0
@@ -177,6 +178,22 @@ class LayeredGraph:
             self._turn_edges(layer_a).forbid(a, b)
         else:
             self._forbidden.setdefault((layer_a, layer_b), set()).add((a, b))
+
+    def close_near(self, q: Matrix, within: float, *, first: int = 0) -> None:
+        """Remove the nodes of every layer that are near a configuration, except where no other node would be left.
+
+        Parameters
+        ----------
+        q: (L, n) one configuration for each layer.
+        within: a node is near it if no joint differs by more than this [rad or m].
+        first: the layer from which nodes are removed.
+        """
+        self._forget_from(first)
+        for layer in range(first, len(self.layers)):
+            away = np.max(np.abs(self._reduce(self.layers[layer] - q[layer])), axis=1, initial=0.0) > within
+            away &= ~self._closed.get(layer, np.zeros(len(away), dtype=bool))
+            if away.any():
+                self._closed[layer] = ~away
 
     def forbid_detours(self, start: int, end: int) -> None:
         """Forbid all detours from layer `start` to layer `end`."""
@@ -280,9 +297,11 @@ class LayeredGraph:
                 value[ends] = least
                 source[ends, 0], source[ends, 1], source[ends, 2] = EdgeKind.STEP, layer - 1, best
             self._turn(layer, value, source)
+            value[self._closed.get(layer, slice(0))] = np.inf
             if self._detours and len(nodes):
                 self._detour(layer, value, source, values, leaving)
                 self._turn(layer, value, source)
+                value[self._closed.get(layer, slice(0))] = np.inf
             values.append(value)
             sources.append(source)
             cheapest = float(np.min(value)) if len(value) else np.inf
@@ -370,6 +389,17 @@ class LayeredGraph:
             np.fill_diagonal(costs, np.inf)
             self._turns[layer] = _Edges(costs)
         return self._turns[layer]
+
+
+def squared_steps(a: Matrix, b: Matrix, *, reduce: Callable[[Array], Array]) -> Matrix:
+    """(A, B) the squared steps from each of a (A, n) to each of b (B, n): a cost for which routes have short steps.
+
+    If the configurations are on several self-motion curves, the cheapest route may cross from one curve to another
+    wherever they come near each other. No such step can be driven, and there are as many as pairs of nodes. Short
+    steps stay on a curve, and away from obstacles between two nodes.
+    """
+    change = reduce(b[None, :, :] - a[:, None, :])
+    return np.asarray(np.sum(change * change, axis=2))
 
 
 def step_ratios(a: Matrix, b: Matrix, longest: Vector, *, reduce: Callable[[Array], Array]) -> Matrix:

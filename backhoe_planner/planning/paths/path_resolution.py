@@ -8,7 +8,7 @@ is exactly on the path, and detours between them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,8 +19,17 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step
 from backhoe_planner.planning.paths.kept_cone import kept_targets, open_cone
 from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
-from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost, step_ratios
+from backhoe_planner.planning.paths.layered_graph import (
+    Edge,
+    EdgeKind,
+    LayeredGraph,
+    Route,
+    StepCost,
+    squared_steps,
+    step_ratios,
+)
 from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.planning.paths.resolution import Bypass, Resolution
 from backhoe_planner.planning.paths.stretch import BENT, JUMP, NEARER, STRAIGHT_STEP, Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import path_segment_is_clear
@@ -38,6 +47,7 @@ _TRIES = 2  # failed searches for a detour between two layers, before no other i
 _AS_FAR_PART = 4  # one in so many routes and node pairs is used to find how far a path can be followed; chosen
 # one in so many is used for the cheapest routes; if these fail, the rest is for routes of short steps; chosen
 _CHEAP_PART = 4
+_AWAY = 0.4  # rad or m of some joint by which another way is away from those known; chosen: about twice a step
 _PATIENCE = 3  # routes that fail in one gap between layers, before more of its steps are tested at once; chosen
 _STRIKES = 9  # such routes after which the gap is split; chosen
 _AT_ONCE = 48  # steps; chosen: they take as long as two searches
@@ -49,41 +59,6 @@ _FEW = 8  # nodes of a layer that are followed back to find where the path is fr
 _BLAMED = 64  # at most so many configurations at one place are checked for what is in their way; chosen to be quick
 _AT_LIMIT = 1e-3  # rad or m; chosen: a joint nearer than this is at its limit
 _IN_THE_WAY = 0.1  # m; chosen: an obstacle with less margin is blamed rather than a joint
-
-
-@dataclass(frozen=True, eq=False)
-class Bypass:
-    """A detour: the tip leaves the path and comes back.
-
-    Attributes
-    ----------
-    q: (K, n) joint positions, straight lines between them.
-    obstruction: what it goes around, with the part of the path that it leaves out.
-    """
-
-    q: Matrix
-    obstruction: Obstruction
-
-
-@dataclass(frozen=True, eq=False)
-class Resolution:
-    """A path resolved into joint positions.
-
-    Attributes
-    ----------
-    pieces: in order; if the path is blocked, those up to the blocked part.
-    obstruction: what is in the way, and on which part of the path; None if the pieces
-        lead to its end.
-    step: if only steps between waypoints are too long, the shortest one that was found.
-    routes: how many routes through the layers were tested.
-    gave_up: whether the search ended before all routes were tested.
-    """
-
-    pieces: tuple[Stretch | Bypass, ...]
-    obstruction: Obstruction | None = None
-    step: WaypointStep | None = None
-    routes: int = 0
-    gave_up: bool = False
 
 
 class _Share(NamedTuple):
@@ -163,6 +138,7 @@ class PathResolver:
         self._routes = 0
         self._gave_up = False
         self._splits = 0
+        self._searched: tuple[LayeredGraph, Vector] | None = None
 
     @property
     def first_layer(self) -> Matrix:
@@ -208,13 +184,40 @@ class PathResolver:
         effort = self._work.effort
         graph = self._graph(begin, self._cost, detours=detours)
         part = 1 if detours else _CHEAP_PART
-        pieces = self._search(graph, costs, _Share(effort.routes // part, effort.node_pairs // part), detours=detours)
+        share = _Share(effort.routes // part, effort.node_pairs // part)
+        pieces = self._search(graph, costs, share, splits=not detours)
+        self._searched = None if pieces is None or detours else (graph, costs)
         if pieces is None and self._gave_up and not detours:
             costs = np.where(np.isfinite(costs), 0.0, np.inf)
-            graph = self._graph(begin, self._squared_steps, detours=False)
+            graph = self._graph(
+                begin, lambda a, b, span: squared_steps(a, b, reduce=self._problem.robot.reduce_unchecked),
+                detours=False,
+            )  # fmt: skip
             share = _Share(effort.routes - self._routes, effort.node_pairs - effort.node_pairs // part)
-            pieces = self._search(graph, costs, share, detours=False)
+            pieces = self._search(graph, costs, share, splits=True)
         return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
+
+    def another(self, way: Stretch, *, begins_there: bool) -> Stretch | None:
+        """The cheapest drivable way along the path that is found away from `way` and from those given before.
+
+        None if there is none, or `resolve` has found none without detours and in its first search.
+
+        Parameters
+        ----------
+        begins_there: whether it has to begin where `way` does; then the second half of the layers is away from it.
+        """
+        if self._searched is None:
+            return None
+        graph, costs = self._searched
+        at = way.q[np.abs(way.stations - graph.stations[:, None]).argmin(axis=1)]
+        graph.close_near(at, _AWAY, first=len(graph.layers) // 2 if begins_there else 0)
+        if begins_there:
+            off = np.max(np.abs(self._problem.robot.reduce_unchecked(graph.layers[0] - at[0])), axis=1)
+            costs = np.where(off < _SAME, costs, np.inf)
+        share = _Share(self._work.effort.routes // _CHEAP_PART, self._work.effort.node_pairs // _CHEAP_PART)
+        pieces = self._search(graph, costs, share._replace(node_pairs=graph.looked_at + share.node_pairs), splits=False)
+        found = None if pieces is None else pieces[0]
+        return found if isinstance(found, Stretch) else None
 
     def _graph(self, begin: Vector | None, cost: StepCost, *, detours: bool) -> LayeredGraph:
         """The graph of the layers, without the edges that are known not to be drivable.
@@ -243,25 +246,18 @@ class PathResolver:
                 graph.forbid(edge)
         return graph
 
-    def _squared_steps(self, a: Matrix, b: Matrix, span: float) -> Matrix:
-        """(A, B) the squared steps from each of a (A, n) to each of b (B, n): a cost for which routes have short steps.
-
-        If the configurations are on several self-motion curves, the cheapest route may cross from one curve to another
-        wherever they come near each other. No such step can be driven, and there are as many as pairs of nodes. Short
-        steps stay on a curve, and away from obstacles between two nodes.
-        """
-        change = self._problem.robot.reduce_unchecked(b[None, :, :] - a[:, None, :])
-        return np.asarray(np.sum(change * change, axis=2))
-
     def _legs_to(self, stations: Vector) -> Vector:
         """(L,) how many legs of the path end between the layer before and each layer; at least one."""
         marks = np.unique(self._path.stations)
         return np.maximum(np.diff(np.searchsorted(marks, stations + _SAME, side="right"), prepend=0), 1).astype(float)
 
     def _search(
-        self, graph: LayeredGraph, costs: Vector, share: _Share, *, detours: bool
+        self, graph: LayeredGraph, costs: Vector, share: _Share, *, splits: bool
     ) -> tuple[Stretch | Bypass, ...] | None:
-        """The pieces of the best drivable route; None if there is none, or the `share` is used up."""
+        """The pieces of the best drivable route; None if there is none, or the `share` is used up.
+
+        With `splits`, layers are inserted where no route leads on.
+        """
         failures: dict[tuple[int, int], int] = {}
         strikes: dict[tuple[float, float], int] = {}
         last = self._routes + share.routes
@@ -273,14 +269,14 @@ class PathResolver:
             self._routes += 1
             route = graph.best_route(costs)
             if route is None:
-                if not detours and self._split(graph, graph.furthest(costs)):
+                if splits and self._split(graph, graph.furthest(costs)):
                     continue
                 break
             bad = self._make_motions(graph, route)
             if not bad and self._find_detours(graph, route, failures):
                 return self._pieces(graph, route)
             # from the last one backwards: a split shifts the layers behind it
-            for layer in [] if detours else sorted({edge.end[0] for edge in bad if edge.kind is EdgeKind.STEP})[::-1]:
+            for layer in sorted({edge.end[0] for edge in bad if edge.kind is EdgeKind.STEP})[::-1] if splits else []:
                 gap = float(graph.stations[layer - 1]), float(graph.stations[layer])
                 strikes[gap] = strikes.get(gap, 0) + 1
                 if strikes[gap] % _PATIENCE == 0 and (not self._any_step(graph, layer) or strikes[gap] > _STRIKES):
@@ -588,7 +584,5 @@ def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> Vector:
     """Join a motion to the last piece, at whose end it begins; (n,) the turns by which its joints are shifted."""
     last = pieces[-1]
     assert isinstance(last, Stretch)
-    turns = 2.0 * np.pi * np.round((last.q[-1] - motion.q[0]) / (2.0 * np.pi))
-    q = np.vstack((last.q, motion.q[1:] + turns))
-    pieces[-1] = Stretch(np.concatenate((last.stations, motion.stations[1:])), q)
-    return np.asarray(turns)
+    pieces[-1], turns = last.followed_by(motion)
+    return turns

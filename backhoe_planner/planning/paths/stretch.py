@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import TipPath, Trajectory
 from backhoe_planner.proof import AT_CLEARANCE
@@ -34,6 +36,12 @@ class Stretch:
     def reached(self) -> float:
         """Its last arc length [m]."""
         return float(self.stations[-1])
+
+    def followed_by(self, motion: Stretch) -> tuple[Stretch, Vector]:
+        """Both stretches as one, if `motion` begins at the end; and (n,) the whole turns by which its joints shift."""
+        turns = 2.0 * np.pi * np.round((self.q[-1] - motion.q[0]) / (2.0 * np.pi))
+        q = np.vstack((self.q, motion.q[1:] + turns))
+        return Stretch(np.concatenate((self.stations, motion.stations[1:])), q), np.asarray(turns)
 
 
 @dataclass(frozen=True, eq=False)

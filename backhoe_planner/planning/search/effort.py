@@ -36,6 +36,7 @@ class Effort:
     law_steps: steps of the completed law in all attempts of the plan (200 to 3,000 a second).
     sweeps: of the dynamic programming that makes a path cheaper, for the whole plan (30 to 80 a
         second); it converges in 20 to 220.
+    other_ways: along a path that leaves several dimensions free, away from the first way; they are made cheaper too.
     routes: routes through the layered graph whose motions are tested, for one resolution
         of a path (20 to 100 a second if a layer has some dozens of nodes).
     node_pairs: pairs of nodes of the graph that the search for these routes may examine, for one
@@ -67,6 +68,7 @@ class Effort:
     starting_points: int
     law_steps: int
     sweeps: int
+    other_ways: int
     routes: int
     node_pairs: int
     detours: int
@@ -96,6 +98,7 @@ _NORMAL = Effort(
     starting_points=48,
     law_steps=12_000,
     sweeps=600,
+    other_ways=4,
     routes=200,
     node_pairs=2_000_000_000,
     detours=24,
@@ -133,6 +136,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             way_rounds=0,
             pieces=8,
             ways_at_once=1,
+            other_ways=0,
             dull_searches=0,
             restarts=0,
             restarts_round=0,
