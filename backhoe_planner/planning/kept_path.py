@@ -2,8 +2,8 @@
 
 A condition is written into every waypoint that leaves it open, so that everything that
 follows the path keeps the condition. A cone of orientations is written there, as its middle, only for
-a machine that can take any orientation at a position; for others see `paths.kept_cone`.
-The certificate judges by the path as it was given.
+a machine that can take any orientation at a position, and only in one of two plans: the other uses the whole cone,
+as all plans of other machines do (`paths.kept_cone`). The certificate judges by the path as it was given.
 """
 
 from __future__ import annotations
@@ -39,15 +39,32 @@ _RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chos
 _MOST_WAYPOINTS = 32  # at which configurations are looked for; chosen: each takes some 10 ms
 
 
-def narrow_path(problem: Problem) -> Problem:
-    """The problem with the kept conditions written into the path's waypoints; the problem itself if there are none."""
+def narrow_path(problem: Problem, *, in_middle: bool = False) -> Problem:
+    """The problem with the kept conditions written into the path's waypoints; the problem itself if there are none.
+
+    Parameters
+    ----------
+    in_middle: whether the middle of a cone of orientations is written there too.
+    """
     path, keep = problem.path, problem.keep
     if path is None or keep is None:
         return problem
-    any_orientation = keep.has_cone and _takes_any_orientation(problem.robot)
-    asked = [_narrow(keep, waypoint, any_orientation=any_orientation) for waypoint in path.waypoints]
+    asked = [_narrow(keep, waypoint, in_middle=in_middle) for waypoint in path.waypoints]
     numbers = [path.number(index) for index in range(len(asked))]
     return replace(problem, path=TipPath(asked, numbers=numbers))
+
+
+def in_middle_of_cone(problem: Problem) -> Problem | None:
+    """The problem with the tip in the middle of the cone of orientations to be kept, all along the path.
+
+    None if there is no cone, all waypoints give an orientation or a pitch, or the machine cannot take any orientation.
+    """
+    path, keep = problem.path, problem.keep
+    if path is None or keep is None or not keep.has_cone:
+        return None
+    if all(waypoint.rotation is not None or waypoint.pitch is not None for waypoint in path.waypoints):
+        return None
+    return narrow_path(problem, in_middle=True) if _takes_any_orientation(problem.robot) else None
 
 
 def waypoint_breaks_keep(world: World, path: TipPath) -> Outcome | None:
@@ -106,7 +123,7 @@ def _nearest_posture(world: World, keep: Keep, waypoint: Waypoint) -> Vector | N
     return nearest
 
 
-def _narrow(keep: Keep, waypoint: Waypoint, *, any_orientation: bool) -> Waypoint:
+def _narrow(keep: Keep, waypoint: Waypoint, *, in_middle: bool) -> Waypoint:
     if waypoint.rotation is not None:
         return waypoint
     narrowed = keep.narrowed(waypoint.target)
@@ -115,7 +132,7 @@ def _narrow(keep: Keep, waypoint: Waypoint, *, any_orientation: bool) -> Waypoin
         spare = min(_SPARE, 0.5 * (high - low))
         return Waypoint(position=waypoint.position, pitch=_one_turn(low + spare, high - spare))
     cone = next((one for one in keep.conditions if isinstance(one, RotationCone)), None)
-    if cone is not None and waypoint.pitch is None and any_orientation:
+    if cone is not None and waypoint.pitch is None and in_middle:
         turned = pin.Quaternion(cone.rotation)
         return Waypoint(position=waypoint.position, quaternion=(turned.w, turned.x, turned.y, turned.z))
     return waypoint

@@ -19,7 +19,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, motion_cost, retime, slow_tip
 from backhoe_planner.planning.goals.goal_planning import ToGoal
-from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
+from backhoe_planner.planning.kept_path import in_middle_of_cone, narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
@@ -79,7 +79,38 @@ def _plan_motion(
         assert problem.start_q is not None
         rest = Trajectory.from_steps(np.array([0.0, problem.wait]), np.tile(problem.start_q, (2, 1)))
         return Outcome(rest), certify_motion(problem, rest)
-    slowed = narrow_path(problem)
+    plan = functools.partial(
+        _plan_slowed, problem, method=method, seed=seed, effort=effort, brake=brake, watch=watch
+    )  # fmt: skip
+    middle = in_middle_of_cone(problem)
+    return plan(narrow_path(problem)) if middle is None else _cheaper_in_cone(problem, middle, plan, method, effort)
+
+
+def _cheaper_in_cone(
+    problem: Problem, middle: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]], method: Method,
+    effort: Effort,
+) -> tuple[Outcome, Certificate]:  # fmt: skip
+    """A motion along a path in the `middle` of the cone to be kept, or one that uses the whole cone if it costs less.
+
+    In the middle there is less to choose from, so that such a motion is found soon; but there may be none, and a
+    motion that uses the cone may cost a part of it. A search in a hurry looks for that only if there is none.
+    """
+    outcome, certificate = plan(middle)
+    fails = bool(outcome.reason) or not certificate.verified
+    if method not in ("auto", "optimal") or not (fails or not effort.is_hurried):
+        return outcome, certificate
+    other, proof = plan(narrow_path(problem))
+    if fails:
+        return other, proof
+    cheaper = proof.verified and motion_cost(problem, other.trajectory) < motion_cost(problem, outcome.trajectory)
+    return (other, proof) if cheaper and not other.reason else (outcome, certificate)
+
+
+def _plan_slowed(
+    problem: Problem, slowed: Problem, *,
+    method: Method, seed: int, effort: Effort, brake: Brake, watch: Watcher | None,
+) -> tuple[Outcome, Certificate]:  # fmt: skip
+    """A motion for `slowed`, and its certificate for `problem`; where obstacles move, with joints as slow as needed."""
     known: tuple[Outcome, Certificate] | None = None
     for _ in range(_SLOWER):
         outcome, certificate = _find_proven(problem, slowed, method, seed=seed, effort=effort, brake=brake, watch=watch)

@@ -1,4 +1,4 @@
-"""Paths of positions within a narrow cone of orientations, on arms that cannot take any orientation at a position.
+"""Paths of positions within a cone of orientations, on arms that can take any orientation at a position or cannot.
 
 Each path is built from joint configurations: straight on with the tip, and with each configuration within the cone.
 So it has a solution.
@@ -7,6 +7,7 @@ So it has a solution.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from scipy.spatial.transform import Rotation
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.planning import planner
+from backhoe_planner.motion import build_problem, motion_cost
+from backhoe_planner.planning import EFFORTS, planner
+from backhoe_planner.planning.kept_path import in_middle_of_cone
 from backhoe_planner.planning.paths import kept_cone
 from validation.habitats import load_machine
 
@@ -42,6 +45,12 @@ SIX_IN_A_PLANE = (
 WITH_A_SLIDE = (
     ("0 0 1", "0 0 1", 2.5), ("0.5 0 0.1", "0 0 1", 2.4), ("0.4 0 0.1", "0 0 1", 0.3), ("0 0 -0.3", "0 0 1", 2.9),
 )  # fmt: skip
+
+SEVEN_AXES = (
+    ("0 0 0.2", "0 0 1", 2.8), ("0 0 0.1", "0 1 0", 2.0), ("0 0 0.2", "0 0 1", 2.8), ("0 0 0.2", "0 -1 0", 2.4),
+    ("0 0 0.2", "0 0 1", 2.8), ("0 0 0.2", "0 1 0", 2.0), ("0.05 0 0.1", "0 0 1", 2.8),
+)  # fmt: skip
+WIDE = (15.0, 40.0)  # deg
 
 AXES = ("1 0 0", "0 1 0", "0 0 1")
 
@@ -322,3 +331,59 @@ def test_a_place_between_waypoints_that_no_posture_within_the_cone_reaches_is_na
     plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
     assert plan.reason == "goal_breaks_keep"
     assert "along the path that keeps it: at best the tip is turned by" in plan.message
+
+
+# --- arms that can take any orientation at a position ---------------------------------------------
+
+
+def in_middle(content: Data) -> Data:
+    """The scene with the orientation in the middle of the cone given at every waypoint."""
+    task = content["task"]
+    turn = {"quaternion": task["keep"]["rotation"]["quaternion"]}
+    waypoints = [waypoint | turn for waypoint in task["path"]["waypoints"]]
+    return content | {"task": {**task, "path": {**task["path"], "waypoints": waypoints}}}
+
+
+def test_a_path_that_is_out_of_reach_in_the_middle_of_the_cone_uses_the_rest(tmp_path: Path) -> None:
+    robot = light_arm(SEVEN_AXES, tmp_path)
+    points, _, middle, cone = known_path(robot, 6, half=WIDE)
+    content = scene_along(points, middle, cone)
+    assert bp.plan(robot, bp.scene_from_dict(in_middle(content)), effort="quick").reason == "unreachable"
+    plan = bp.plan(robot, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert most_turned(plan, robot, middle) <= cone + 1e-6
+
+
+@pytest.mark.parametrize("seed", [4, *(pytest.param(seed, marks=pytest.mark.long) for seed in (0, 7, 11))])
+def test_a_motion_that_uses_the_cone_is_taken_if_it_costs_less_than_one_in_its_middle(
+    tmp_path: Path, seed: int
+) -> None:
+    """Here it costs half or less, since the joints with the greatest loads hardly have to move."""
+    robot = light_arm(SEVEN_AXES, tmp_path)
+    points, _, middle, cone = known_path(robot, seed, half=WIDE)
+    scene = bp.scene_from_dict(scene_along(points, middle, cone))
+    problem = build_problem(robot, scene)
+    quick, proof = planner.plan_motion(problem, effort=EFFORTS["quick"])
+    assert proof.verified
+    found, proof = planner.plan_motion(problem, effort=replace(EFFORTS["quick"], dull_searches=1))
+    assert proof.verified
+    kinematics = BatchKinematics(robot)
+    off = [
+        float(np.max((middle.inv() * Rotation.from_matrix(kinematics.at(one.trajectory.q).tip_rotation)).magnitude()))
+        for one in (quick, found)
+    ]
+    assert off[0] < 1e-3
+    assert 0.5 * cone < off[1] <= cone + 1e-6
+    assert motion_cost(problem, found.trajectory) < 0.5 * motion_cost(problem, quick.trajectory)
+
+
+def test_waypoints_that_give_their_orientation_have_no_other_plan(tmp_path: Path) -> None:
+    robot = light_arm(SEVEN_AXES, tmp_path)
+    points, _, middle, cone = known_path(robot, 4, half=WIDE)
+    content = in_middle(scene_along(points, middle, cone))
+    assert in_middle_of_cone(build_problem(robot, bp.scene_from_dict(content))) is None
+    del content["task"]["path"]["waypoints"][-1]["quaternion"]
+    some = in_middle_of_cone(build_problem(robot, bp.scene_from_dict(content)))
+    assert some is not None
+    assert some.path is not None
+    assert all(waypoint.rotation is not None for waypoint in some.path.waypoints)
