@@ -341,9 +341,13 @@ class _Along:
             # from the same beginning, in the same turn of its continuous joints
             others.append(way if free_start else Stretch(way.stations, way.q + (found.q[0] - way.q[0])))
         rough = [self._cheapen(way, free_start=free_start, free_end=True, roughly=True) for way in others]
-        rough.sort(key=lambda way: self._cost.of_run(way.stations, way.q))
-        ways = [self._cheapen(way, free_start=free_start, free_end=True) for way in rough[:_TO_THE_END]]
-        costs = {way: self._motion_cost(way) for way in (best, *ways) if self._keeps_steps([way])} if ways else {}
+        costs = {way: self._motion_cost(way) for way in rough if self._keeps_steps([way])}
+        for way in sorted(costs, key=costs.__getitem__)[:_TO_THE_END]:
+            cheap = self._cheapen(way, free_start=free_start, free_end=True)
+            if self._keeps_steps([cheap]):
+                costs[cheap] = self._motion_cost(cheap)
+        if costs and self._keeps_steps([best]):
+            costs[best] = self._motion_cost(best)
         return min(costs, key=costs.__getitem__, default=best)
 
     def _motion_cost(self, way: Stretch) -> float:
