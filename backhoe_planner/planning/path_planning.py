@@ -205,8 +205,7 @@ class _Along:
         # for a blocked path that may not be left, a quick answer is worth more than a cheaper beginning
         fails = resolved.obstruction is not None and not self._may_leave
         pieces, law = (list(resolved.pieces), None) if fails else self._improve(resolved, begin)
-        brake = self._world.work.brake
-        message = f"{brake.message}; the search for a cheaper motion was not finished" if brake.is_used_up() else ""
+        message = self._world.work.brake.cut_short
         stepper = self._world.stepper(_first(pieces)) if stepper is None else stepper
         self._play(stepper, pieces)
         if resolved.obstruction is not None:

@@ -83,12 +83,14 @@ def _plan_motion(
         _plan_slowed, problem, method=method, seed=seed, effort=effort, brake=brake, watch=watch
     )  # fmt: skip
     middle = in_middle_of_cone(problem)
-    return plan(narrow_path(problem)) if middle is None else _cheaper_in_cone(problem, middle, plan, method, effort)
+    if middle is None:
+        return plan(narrow_path(problem))
+    return _cheaper_in_cone(problem, middle, plan, method, effort, brake)
 
 
 def _cheaper_in_cone(
     problem: Problem, middle: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]], method: Method,
-    effort: Effort,
+    effort: Effort, brake: Brake,
 ) -> tuple[Outcome, Certificate]:  # fmt: skip
     """A motion along a path in the `middle` of the cone to be kept, or one that uses the whole cone if it costs less.
 
@@ -103,7 +105,9 @@ def _cheaper_in_cone(
     if fails:
         return other, proof
     cheaper = proof.verified and motion_cost(problem, other.trajectory) < motion_cost(problem, outcome.trajectory)
-    return (other, proof) if cheaper and not other.reason else (outcome, certificate)
+    if cheaper and not other.reason:
+        outcome, certificate = other, proof
+    return replace(outcome, message=outcome.message or brake.cut_short), certificate
 
 
 def _plan_slowed(

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import build_problem, motion_cost
-from backhoe_planner.planning import EFFORTS, planner
+from backhoe_planner.planning import EFFORTS, Brake, planner
 from backhoe_planner.planning.kept_path import in_middle_of_cone
 from backhoe_planner.planning.paths import kept_cone
 from validation.habitats import load_machine
@@ -375,6 +375,28 @@ def test_a_motion_that_uses_the_cone_is_taken_if_it_costs_less_than_one_in_its_m
     assert off[0] < 1e-3
     assert 0.5 * cone < off[1] <= cone + 1e-6
     assert motion_cost(problem, found.trajectory) < 0.5 * motion_cost(problem, quick.trajectory)
+
+
+def test_a_motion_in_the_middle_of_the_cone_is_told_if_time_runs_out_before_the_other_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second plan begins when no time is left."""
+    robot = light_arm(SEVEN_AXES, tmp_path)
+    points, _, middle, cone = known_path(robot, 4, half=WIDE)
+    problem = build_problem(robot, bp.scene_from_dict(scene_along(points, middle, cone)))
+    brake, plan, plans = Brake(1e6), planner._plan_slowed, []
+
+    def late(*args: Any, **keys: Any) -> Any:
+        plans.append(args)
+        if len(plans) == 2:
+            monkeypatch.setattr(brake, "is_used_up", lambda: True)
+        return plan(*args, **keys)
+
+    monkeypatch.setattr(planner, "_plan_slowed", late)
+    outcome, proof = planner.plan_motion(problem, effort=replace(EFFORTS["quick"], dull_searches=1), brake=brake)
+    assert len(plans) == 2
+    assert proof.verified
+    assert outcome.message == f"{brake.message}; the search for a cheaper motion was not finished"
 
 
 def test_waypoints_that_give_their_orientation_have_no_other_plan(tmp_path: Path) -> None:

@@ -105,6 +105,41 @@ def test_equal_joints_share_a_way_equally_if_squared_rates_cost(tmp_path: Path) 
     np.testing.assert_allclose((found.q[-1] - found.q[0])[[0, 3, 4]], 0.3, atol=0.01)
 
 
+def test_a_way_leaves_a_singularity_that_all_of_it_is_in(tmp_path: Path) -> None:
+    """A slide ahead carries two hinges whose bars are folded onto each other across the path.
+
+    Then neither hinge can move the tip across, which is one dimension more than anywhere else. Bars that open as the
+    slide moves share its way, so the squared rates are less.
+    """
+    parts, parent = ['<link name="base"/>'], "base"
+    joints = (("prismatic", "1 0 0", 0.0), ("prismatic", "0 0 1", 0.0), ("revolute", "0 0 1", 0.0))
+    for number, (kind, axis, ahead) in enumerate((*joints, ("revolute", "0 0 1", 0.5))):
+        parts.append(
+            f'<link name="link{number}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
+            f'ixz="0" iyz="0"/></inertial></link><joint name="joint{number}" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="link{number}"/><origin xyz="{ahead} 0 0"/><axis xyz="{axis}"/>'
+            '<limit lower="-3.5" upper="3.5" velocity="1" effort="5000"/></joint>'
+        )
+        parent = f"link{number}"
+    parts.append(
+        '<link name="tip"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
+        f'<joint name="tool" type="fixed"><parent link="{parent}"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>'
+    )
+    file = tmp_path / "folded.urdf"
+    file.write_text(f'<robot name="folded">{"".join(parts)}</robot>', encoding="utf-8")
+    robot = bp.load_robot(file, tip="tip")
+    task = {"path": {"waypoints": [{"position": [at, 0.0, 0.0]} for at in (0.5, 1.5)], "speed": 0.2}}
+    scene = bp.scene_from_dict({"version": 1, "objective": "velocity_norm", "task": task})
+    part = np.linspace(0.0, 1.0, 31)
+    folded = np.column_stack((0.5 + part, 0.0 * part, *np.full((2, 31), [[np.pi / 2.0], [-np.pi]])))
+    problem = build_problem(robot, scene)
+    found, value = cheapened(problem, folded)
+    assert value < 0.9 * PathCost(problem).value(found.stations, folded)
+    assert np.ptp(found.q[:, 0]) < 0.9
+    along = np.column_stack((0.5 + part, 0.0 * part, 0.0 * part))
+    np.testing.assert_allclose([bp.Kinematics(robot).at(q).tip_position for q in found.q], along, atol=1e-6)
+
+
 def test_frames_turn_no_more_than_their_null_spaces(tmp_path: Path) -> None:
     """Null spaces that stay the same get the same frame, whichever bases are given for them; each is orthonormal."""
     rng = np.random.default_rng(1)

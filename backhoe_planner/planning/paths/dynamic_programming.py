@@ -111,7 +111,7 @@ class _Descent:
     ----------
     q: (K, n) the best joint positions so far [rad or m].
     least: their cost [rad].
-    free: the dimensions of the null spaces at the knots.
+    free: the dimensions of the null spaces at the knots, when these were chosen.
     """
 
     def __init__(
@@ -207,10 +207,10 @@ class _Descent:
 
     def _neighbours(self, here: Matrix, delta: float) -> tuple[Array, Mask]:
         """(M, C, n) neighbours of each knot in its null space, the knot in the middle; (M, C) which are usable."""
-        frames = null_bases(self._kinematics, self._strict, here)
-        if self.free > 1:
-            frames = _aligned(frames) @ self._any_directions()
-        width = _WIDTHS[frames.shape[2]]
+        frames = null_bases(self._kinematics, self._strict, here)  # fewer or more than before, after a singularity
+        if frames.shape[2] > 1:
+            frames = _aligned(frames) @ self._any_directions(frames.shape[2])
+        width = _WIDTHS[max(frames.shape[2], 1)]
         one = delta * (_FURTHEST / width) * np.arange(-width, width + 1)
         offsets = np.array(list(itertools.product(one, repeat=frames.shape[2])))
         guesses = here[:, None, :] + np.einsum("mnc,oc->mon", frames, offsets)
@@ -227,9 +227,9 @@ class _Descent:
             self._keep_clear(here, found, usable)
         return found, usable
 
-    def _any_directions(self) -> Matrix:
-        """(r, c) up to three directions at right angles in a null space of r dimensions, turned at random."""
-        Q, _ = np.linalg.qr(self._rng.normal(size=(self.free, self.free)))
+    def _any_directions(self, free: int) -> Matrix:
+        """(r, c) up to three directions at right angles in a null space of r dimensions (`free`), turned at random."""
+        Q, _ = np.linalg.qr(self._rng.normal(size=(free, free)))
         return np.asarray(Q[:, : max(_WIDTHS)])
 
     def _keep_clear(self, here: Matrix, found: Array, usable: Mask) -> None:

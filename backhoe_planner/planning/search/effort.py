@@ -184,6 +184,11 @@ class Brake:
         """The message for a budget that is used up."""
         return f"time ran out after {self.budget:g} s of computing; --budget gives more, a lower --effort needs less"
 
+    @property
+    def cut_short(self) -> str:
+        """The message beside a motion that was found, if no time was left to look for a cheaper one; else empty."""
+        return f"{self.message}; the search for a cheaper motion was not finished" if self.is_used_up() else ""
+
     def is_used_up(self) -> bool:
         """Whether no time is left: for searches that can end early and keep their result."""
         # reading the thread's own time takes up to 30 us; at every call this would add up to a fiftieth of a plan
