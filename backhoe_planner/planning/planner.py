@@ -95,11 +95,11 @@ def _cheaper_in_cone(
     """A motion along a path in the `middle` of the cone to be kept, or one that uses the whole cone if it costs less.
 
     In the middle there is less to choose from, so that such a motion is found soon; but there may be none, and a
-    motion that uses the cone may cost a part of it. A search in a hurry looks for that only if there is none.
+    motion that uses the cone may cost a part of it. An effort without other ways looks for that only if there is none.
     """
     outcome, certificate = plan(middle)
     fails = bool(outcome.reason) or not certificate.verified
-    if method not in ("auto", "optimal") or not (fails or not effort.is_hurried):
+    if method not in ("auto", "optimal") or not (fails or effort.other_ways):
         return outcome, certificate
     other, proof = plan(narrow_path(problem))
     if fails:

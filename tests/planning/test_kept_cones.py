@@ -365,7 +365,7 @@ def test_a_motion_that_uses_the_cone_is_taken_if_it_costs_less_than_one_in_its_m
     problem = build_problem(robot, scene)
     quick, proof = planner.plan_motion(problem, effort=EFFORTS["quick"])
     assert proof.verified
-    found, proof = planner.plan_motion(problem, effort=replace(EFFORTS["quick"], dull_searches=1))
+    found, proof = planner.plan_motion(problem, effort=replace(EFFORTS["quick"], other_ways=1))
     assert proof.verified
     kinematics = BatchKinematics(robot)
     off = [
@@ -393,7 +393,7 @@ def test_a_motion_in_the_middle_of_the_cone_is_told_if_time_runs_out_before_the_
         return plan(*args, **keys)
 
     monkeypatch.setattr(planner, "_plan_slowed", late)
-    outcome, proof = planner.plan_motion(problem, effort=replace(EFFORTS["quick"], dull_searches=1), brake=brake)
+    outcome, proof = planner.plan_motion(problem, effort=replace(EFFORTS["quick"], other_ways=1), brake=brake)
     assert len(plans) == 2
     assert proof.verified
     assert outcome.message == f"{brake.message}; the search for a cheaper motion was not finished"

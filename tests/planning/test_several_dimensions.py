@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.motion import PathCost, Problem, build_problem
-from backhoe_planner.planning import LayeredGraph, PathResolver, Stretch, Work, cheapen_stretch
+from backhoe_planner.planning import EFFORTS, LayeredGraph, PathResolver, Stretch, Work, cheapen_stretch
 from backhoe_planner.planning.paths.dynamic_programming import _aligned
+from backhoe_planner.planning.sequence.chain import Chain
 
 GRAVITY = 9.81  # m/s^2
 MASSES = (30.0, 20.0, 5.0)  # kg of the slides, the last one at the tip
@@ -231,3 +233,31 @@ def test_a_plan_divides_the_lift_with_the_least_work(tmp_path: Path) -> None:
     assert plan.verified, plan.message
     least = GRAVITY * (MASSES[2] * LIFT + MASSES[1] * (LIFT - RANGES[2]))
     assert 0.99 * least <= float(plan.metrics.energy["work"]) <= 1.05 * least
+
+
+def test_other_ways_along_a_leg_are_searched_once_not_for_every_chain_of_legs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two legs, for which some six chains are planned; each leg by itself has four other ways at most."""
+    robot, searched, planned = hoist(tmp_path), [], []
+    another, plan = PathResolver.another, Chain._plan
+
+    def counted(self: PathResolver, way: Stretch, *, begins_there: bool) -> Stretch | None:
+        searched.append(way)
+        return another(self, way, begins_there=begins_there)
+
+    def plan_counted(self: Chain, *args: Any, **keys: Any) -> int | None:
+        planned.append(args)
+        return plan(self, *args, **keys)
+
+    monkeypatch.setattr(PathResolver, "another", counted)
+    monkeypatch.setattr(Chain, "_plan", plan_counted)
+    points = [[0.5, 0.5, 0.5], [0.5, 0.5, 0.6], [0.6, 0.5, 0.6]]
+    legs = [
+        {"name": f"leg {k}", "path": {"waypoints": [{"position": at} for at in points[k : k + 2]]}} for k in range(2)
+    ]
+    start = {"joints": dict(zip(robot.joint_names, [0.5, 0.5, 0.2, 0.2, 0.1], strict=True))}
+    found = bp.plan(robot, bp.scene_from_dict({"version": 1, "start": start, "task": {"sequence": legs}}))
+    assert found.verified, found.message
+    assert planned
+    assert 2 <= len(searched) <= 2 * EFFORTS["normal"].other_ways

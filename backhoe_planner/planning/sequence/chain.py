@@ -96,7 +96,9 @@ class Chain:
     """
 
     def __init__(self, legs: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int) -> None:
-        self._legs, self._first, self._planner, self._left = tuple(legs), tuple(first), planner, most
+        self._legs, self._first, self._left = tuple(legs), tuple(first), most
+        # legs along paths are planned for many chains, and other ways along them were compared in the first result
+        self._planner = replace(planner, effort=replace(planner.effort, other_ways=0))
         self._moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
         self._start = first[0].motion.q[0]
         self._layers: list[_Layer] = []
