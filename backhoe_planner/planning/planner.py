@@ -39,6 +39,7 @@ _NARROWER = 2  # times that a path is planned in a narrower cone at most; chosen
 _MISSED = 2.0  # times what the tip was outside the cone, by which it is made narrower; chosen
 # times the fastest motion past moving obstacles, that motions of little cost may take, each planned anew; chosen
 _LONGER = (1.1, 1.4)
+_AS_MUCH = 0.01  # m of a path that two motions leave out count as the same: 5 mm, the grid of detours, at either end
 _LONG_SEARCH = 4  # times the usual starting points, for a start given by the tip; chosen: all else depends on it
 
 
@@ -92,22 +93,36 @@ def _cheaper_in_cone(
     problem: Problem, middle: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]], method: Method,
     effort: Effort, brake: Brake,
 ) -> tuple[Outcome, Certificate]:  # fmt: skip
-    """A motion along a path in the `middle` of the cone to be kept, or one that uses the whole cone if it costs less.
+    """A motion along a path in the `middle` of the cone to be kept, or one that uses the whole cone if it is better.
 
-    In the middle there is less to choose from, so that such a motion is found soon; but there may be none, and a
-    motion that uses the cone may cost a part of it. An effort without other ways looks for that only if there is none.
+    In the middle there is less to choose from, so that such a motion is found soon. But there may be none, or it
+    leaves more of the path, or it costs more. An effort without other ways looks for another motion only if there is
+    none in the middle, or if it leaves the path; in that case for one that does not leave it.
     """
     outcome, certificate = plan(middle)
-    fails = bool(outcome.reason) or not certificate.verified
-    if method not in ("auto", "optimal") or not (fails or effort.other_ways):
+    fails, leaves = bool(outcome.reason) or not certificate.verified, bool(certificate.detours)
+    if method not in ("auto", "optimal") or not (fails or leaves or effort.other_ways):
         return outcome, certificate
-    other, proof = plan(narrow_path(problem))
+    other, proof = plan(narrow_path(problem if fails or effort.other_ways else _without_detours(problem)))
     if fails:
         return other, proof
-    cheaper = proof.verified and motion_cost(problem, other.trajectory) < motion_cost(problem, outcome.trajectory)
-    if cheaper and not other.reason:
+    less = certificate.tracking.left_out - proof.tracking.left_out
+    better = proof.verified and not other.reason
+    if better and abs(less) > _AS_MUCH:
+        better = less > 0.0
+    elif better:
+        better = motion_cost(problem, other.trajectory) < motion_cost(problem, outcome.trajectory)
+    if better:
         outcome, certificate = other, proof
     return replace(outcome, message=outcome.message or brake.cut_short), certificate
+
+
+def _without_detours(problem: Problem) -> Problem:
+    """The problem with a path that must not be left."""
+    scene = problem.scene
+    assert scene.task.path is not None
+    task = scene.task.model_copy(update={"path": scene.task.path.model_copy(update={"detour": False})})
+    return replace(problem, scene=scene.model_copy(update={"task": task}))
 
 
 def _plan_slowed(

@@ -399,6 +399,30 @@ def test_a_motion_in_the_middle_of_the_cone_is_told_if_time_runs_out_before_the_
     assert outcome.message == f"{brake.message}; the search for a cheaper motion was not finished"
 
 
+@pytest.mark.parametrize("seed", [57, *(pytest.param(seed, marks=pytest.mark.long) for seed in (62, 69))])
+def test_a_path_that_is_blocked_only_in_the_middle_of_the_cone_is_not_left(tmp_path: Path, seed: int) -> None:
+    """A small ball is where the last hinge is in the middle; the configurations of which the path is made pass it."""
+    robot = light_arm(SEVEN_AXES, tmp_path)
+    points, way, middle, cone = known_path(robot, seed, legs=1, half=WIDE)
+    tool = np.array([0.2, 0.0, 0.0])
+    at = BatchKinematics(robot).at(way)
+    in_the_middle = at.tip_position - middle.apply(tool)
+    hinges = at.tip_position - at.tip_rotation @ tool
+    apart = np.linalg.norm(in_the_middle[:, None] - hinges, axis=2).min(axis=1)
+    inner = slice(len(way) // 4, -(len(way) // 4))
+    place = in_the_middle[inner][int(np.argmax(apart[inner]))]
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.002, "position": place.tolist()}
+    content = scene_along(points, middle, cone, obstacles=[ball])
+    near = bp.Proximity(robot, bp.build_obstacles(bp.scene_from_dict(content), robot))
+    assert all(np.all(near.distances(q) > near.clearance) for q in way)
+    beside = bp.plan(robot, bp.scene_from_dict(in_middle(content)), effort="quick")
+    assert beside.verified
+    assert beside.certificate.detours
+    plan = bp.plan(robot, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert not plan.certificate.detours
+
+
 def test_waypoints_that_give_their_orientation_have_no_other_plan(tmp_path: Path) -> None:
     robot = light_arm(SEVEN_AXES, tmp_path)
     points, _, middle, cone = known_path(robot, 4, half=WIDE)
