@@ -110,7 +110,7 @@ class InputError(PlannerError, ValueError):
         known = list(names)
         near = nearest_name(name, (*known, *other_words)) if isinstance(name, str) else None
         hint = f"did you mean {other_words.get(near, near)!r}?" if near else None
-        found = name if isinstance(name, str) else reprlib.repr(name)
+        found = name if isinstance(name, str) and name.strip() else reprlib.repr(name)
         return cls(problem, file=file, key=key, found=found, allowed=_listed(known, str(found)), hint=hint)
 
 

@@ -677,3 +677,8 @@ def test_a_scene_is_read_only_and_is_refused_as_a_list_of_obstacles() -> None:
         scene().clearance = 0.3
     with pytest.raises(InputError, match=r"obstacles: is a scene; .*build_obstacles\(scene, robot\)"):
         bp.Proximity(robot(), scene())  # type: ignore[arg-type]
+
+
+def test_a_name_that_is_empty_is_shown_in_the_message() -> None:
+    with pytest.raises(bp.RobotError, match="found ''; allowed"):
+        bp.load_robot("example:backhoe", tip="")
