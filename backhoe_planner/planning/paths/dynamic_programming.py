@@ -39,9 +39,9 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 
 Mask = NDArray[np.bool_]
 
-# neighbours on either side of a knot, for each number of directions at once; chosen: with turns the work grows by
-# the cube of all of them
-_WIDTHS = {1: 3, 2: 2, 3: 1}
+# neighbours on either side of a knot in each direction, and how many steps away the others may be in all directions
+# together, for each number of directions at once; chosen: with turns the work grows by the cube of all neighbours
+_WIDTHS, _STEPS_AWAY = {1: 3, 2: 2, 3: 1}, {1: 3, 2: 2, 3: 3}
 _FURTHEST = 3.0  # times the distance of neighbours in one direction: how far off the last is, in any number of them
 # levels, one after the other: rad or m between neighbours, and m of path between knots; chosen, each about
 # half of the one before. First for the curve through the knots, then for a curve that is added to the stretch
@@ -210,9 +210,12 @@ class _Descent:
         frames = null_bases(self._kinematics, self._strict, here)  # fewer or more than before, after a singularity
         if frames.shape[2] > 1:
             frames = _aligned(frames) @ self._any_directions(frames.shape[2])
-        width = _WIDTHS[max(frames.shape[2], 1)]
-        one = delta * (_FURTHEST / width) * np.arange(-width, width + 1)
-        offsets = np.array(list(itertools.product(one, repeat=frames.shape[2])))
+        directions = frames.shape[2]
+        width = _WIDTHS[max(directions, 1)]
+        steps = np.array(list(itertools.product(range(-width, width + 1), repeat=directions)))
+        if directions:
+            steps = steps[np.abs(steps).sum(axis=1) <= _STEPS_AWAY[directions]]
+        offsets = delta * (_FURTHEST / width) * steps
         guesses = here[:, None, :] + np.einsum("mnc,oc->mon", frames, offsets)
         count, width, n = guesses.shape
         rows = np.repeat(np.arange(count), width)
