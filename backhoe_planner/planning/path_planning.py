@@ -315,12 +315,10 @@ class _Along:
         """
         if law.obstruction is not None or (self._cone is not None and not self._cone.motion_holds(law.q)):
             return piece
-        costs = {way: self._motion_cost(way) for way in (piece, law) if self._keeps_steps([way])}
+        costs = self._motion_costs(piece, law)
         # for full poses the graph has all configurations, and lowering the law's cost would take as long again
         if self._path.target(0.0).rotation is None or min(costs, key=costs.__getitem__, default=piece) is law:
-            other = self._cheapen(law, free_start=free_start, free_end=True)
-            if self._keeps_steps([other]):
-                costs[other] = self._motion_cost(other)
+            costs |= self._motion_costs(self._cheapen(law, free_start=free_start, free_end=True))
         return min(costs, key=costs.__getitem__, default=piece)
 
     def _cheaper_than_others(self, best: Stretch, found: Stretch, *, free_start: bool) -> Stretch:
@@ -340,14 +338,16 @@ class _Along:
             # from the same beginning, in the same turn of its continuous joints
             others.append(way if free_start else Stretch(way.stations, way.q + (found.q[0] - way.q[0])))
         rough = [self._cheapen(way, free_start=free_start, free_end=True, roughly=True) for way in others]
-        costs = {way: self._motion_cost(way) for way in rough if self._keeps_steps([way])}
+        costs = self._motion_costs(*rough)
         for way in sorted(costs, key=costs.__getitem__)[:_TO_THE_END]:
-            cheap = self._cheapen(way, free_start=free_start, free_end=True)
-            if self._keeps_steps([cheap]):
-                costs[cheap] = self._motion_cost(cheap)
-        if costs and self._keeps_steps([best]):
-            costs[best] = self._motion_cost(best)
+            costs |= self._motion_costs(self._cheapen(way, free_start=free_start, free_end=True))
+        if costs:
+            costs |= self._motion_costs(best)
         return min(costs, key=costs.__getitem__, default=best)
+
+    def _motion_costs(self, *ways: Stretch) -> dict[Stretch, float]:
+        """The motion costs of those ways on which no joint moves too far from waypoint to waypoint."""
+        return {way: self._motion_cost(way) for way in ways if self._keeps_steps([way])}
 
     def _motion_cost(self, way: Stretch) -> float:
         """The cost of the fastest motion along a stretch, by the objective and in its unit."""

@@ -20,6 +20,7 @@ A new stretch is accepted only if it is cheaper over all samples, clear, and wit
 from __future__ import annotations
 
 import itertools
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,8 @@ Mask = NDArray[np.bool_]
 
 # neighbours on either side of a knot in each direction, and how many steps away the others may be in all directions
 # together, for each number of directions at once; chosen: with turns the work grows by the cube of all neighbours
-_WIDTHS, _STEPS_AWAY = {1: 3, 2: 2, 3: 1}, {1: 3, 2: 2, 3: 3}
+_WIDTHS, _STEPS_AWAY = (0, 3, 2, 1), (0, 3, 2, 3)
+_MOST_DIRECTIONS = len(_WIDTHS) - 1
 _FURTHEST = 3.0  # times the distance of neighbours in one direction: how far off the last is, in any number of them
 # levels, one after the other: rad or m between neighbours, and m of path between knots; chosen, each about
 # half of the one before. First for the curve through the knots, then for a curve that is added to the stretch
@@ -210,13 +212,7 @@ class _Descent:
         frames = null_bases(self._kinematics, self._strict, here)  # fewer or more than before, after a singularity
         if frames.shape[2] > 1:
             frames = _aligned(frames) @ self._any_directions(frames.shape[2])
-        directions = frames.shape[2]
-        width = _WIDTHS[max(directions, 1)]
-        steps = np.array(list(itertools.product(range(-width, width + 1), repeat=directions)))
-        if directions:
-            steps = steps[np.abs(steps).sum(axis=1) <= _STEPS_AWAY[directions]]
-        offsets = delta * (_FURTHEST / width) * steps
-        guesses = here[:, None, :] + np.einsum("mnc,oc->mon", frames, offsets)
+        guesses = here[:, None, :] + np.einsum("mnc,oc->mon", frames, delta * _offsets(frames.shape[2]))
         count, width, n = guesses.shape
         rows = np.repeat(np.arange(count), width)
         found, reached = solve_batch(
@@ -233,7 +229,7 @@ class _Descent:
     def _any_directions(self, free: int) -> Matrix:
         """(r, c) up to three directions at right angles in a null space of r dimensions (`free`), turned at random."""
         Q, _ = np.linalg.qr(self._rng.normal(size=(free, free)))
-        return np.asarray(Q[:, : max(_WIDTHS)])
+        return np.asarray(Q[:, :_MOST_DIRECTIONS])
 
     def _keep_clear(self, here: Matrix, found: Array, usable: Mask) -> None:
         """Remove the neighbours that are too near to something."""
@@ -248,9 +244,9 @@ class _Descent:
         rows = np.argwhere(unsure)
         # no knot keeps a larger margin than the screen, which decides nearly all without measuring a distance
         rows = rows[~self._screen.keeps(found[unsure])] if len(rows) else rows
-        hardly = self._floor[self._knots][rows[:, 0]] > ROOM - 2.0 * NEARER  # these keep as much as the screen
-        usable[tuple(rows[hardly].T)] = False
-        rows = rows[~hardly]
+        as_much = self._floor[self._knots][rows[:, 0]] > ROOM - 2.0 * NEARER  # they keep as much as the screen
+        usable[tuple(rows[as_much].T)] = False
+        rows = rows[~as_much]
         for k, c in rows.tolist():
             usable[k, c] = bool(np.all(self._distances(found[k, c], asked[k]) >= asked[k]))
 
@@ -298,6 +294,15 @@ class _Descent:
         """(P,) lower bounds of the distances at q (n,), exact if they are below `floor` (P,) [m]."""
         lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
         return lower if self._there is None else np.where(self._there, lower, np.inf)
+
+
+@lru_cache(maxsize=len(_WIDTHS))
+def _offsets(directions: int) -> Array:
+    """(C, directions) where the neighbours are, in distances of neighbours in one direction; the middle one at 0."""
+    width = _WIDTHS[directions]
+    steps = np.array(list(itertools.product(range(-width, width + 1), repeat=directions)), dtype=float)
+    near = np.abs(steps).sum(axis=1) <= _STEPS_AWAY[directions]
+    return np.asarray(_FURTHEST / max(width, 1) * steps[near])
 
 
 def _aligned(bases: Array) -> Array:

@@ -214,8 +214,9 @@ class PathResolver:
         if begins_there:
             off = np.max(np.abs(self._problem.robot.reduce_unchecked(graph.layers[0] - at[0])), axis=1)
             costs = np.where(off < _SAME, costs, np.inf)
-        share = _Share(self._work.effort.routes // _CHEAP_PART, self._work.effort.node_pairs // _CHEAP_PART)
-        pieces = self._search(graph, costs, share._replace(node_pairs=graph.looked_at + share.node_pairs), splits=False)
+        effort = self._work.effort
+        share = _Share(effort.routes // _CHEAP_PART, graph.looked_at + effort.node_pairs // _CHEAP_PART)
+        pieces = self._search(graph, costs, share, splits=False)
         found = None if pieces is None else pieces[0]
         return found if isinstance(found, Stretch) else None
 
