@@ -71,7 +71,8 @@ def bound_samples(
         if some_appear:
             floor[proximity.appears_at > until[rows, None]] = -np.inf
         if len(proximity.clusters):
-            proximity.clusters.expect(q[rows], time[rows], needed=(floor + enough)[:, clusters])
+            expected = proximity.clusters.expect(q[rows], time[rows], needed=(floor + enough)[:, clusters])
+            np.fmax(bounds[:, clusters], expected, out=bounds[:, clusters])
         for row, moment in enumerate(moments):
             lower = np.fmax(bounds[row], lower - ways[row - 1] if row else lower)
             pairs = measure_below(proximity, q[first + row], moment, lower, floor[row] + enough)
@@ -94,10 +95,11 @@ def measure_below(proximity: Proximity, q: Vector, time: float, lower: Vector, f
 
     `lower` (P,) are the known lower bounds [m]; the measured distances, and better bounds of others, are written there.
     """
+    pairs: Indices = (lower < floor).nonzero()[0]
+    if not len(pairs):
+        return pairs
     if not len(proximity.clusters):
-        pairs: Indices = (lower < floor).nonzero()[0]
-        if len(pairs):
-            lower[pairs] = proximity.distances_below_unchecked(pairs, floor[pairs], q, time=time)
+        lower[pairs] = proximity.distances_below_unchecked(pairs, floor[pairs], q, time=time)
         return pairs
     lower[:], measured = proximity.lower_bounds(q, time=time, floor=floor, known=lower)
     return np.asarray(measured.nonzero()[0])

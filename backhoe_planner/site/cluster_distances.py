@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Cluster, Distances, Reading, Robot, reach_ball
+from backhoe_planner.machine import BatchKinematics, Cluster, Distances, Reading, ResultTable, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
 from backhoe_planner.site.pairs.one_joint_bounds import OneJointBounds
@@ -94,14 +94,14 @@ class ClusterDistances:
         own = None if q is None else q[None, :]
         return np.asarray(self._lower(self._balls.poses_at(data), own, np.array([time]), needed)[0])
 
-    def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix, sunk: bool = False) -> None:
-        """Find the bounds of `lower_each` for all `q` (N, n) at once, kept for `lower` until others are expected.
+    def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix, sunk: bool = False) -> Matrix:
+        """(N, K) the bounds of `lower_each` for all `q` (N, n), kept for `lower` until others are expected.
 
         Distances from ground that may be less than needed are kept likewise, for `nearest`; `sunk` as for
         `OverGround.measure`.
         """
         if not len(self) or not len(q):
-            return
+            return np.zeros((len(q), len(self)))
         assert self._balls is not None
         poses = self._balls.poses_of(self._kinematics.at(q))
         self._ahead = {}
@@ -115,6 +115,7 @@ class ClusterDistances:
         times = np.broadcast_to(time if self._moving else 0.0, len(q)).tolist()
         rows = zip(q, times, bounds, np.broadcast_to(needed, bounds.shape), strict=True)
         self._expected = {(at.tobytes(), moment): (found, enough) for at, moment, found, enough in rows}
+        return bounds
 
     def forget_expected(self) -> None:
         """Forget what was expected: depths measured as roughly as for a descent are for that descent alone."""
@@ -229,6 +230,23 @@ class ClusterDistances:
                 self._measured.clear()
             self._measured[key] = found, within
         return found if found is not None and found.distance < reach else None
+
+    def measure_each(
+        self, pairs: Indices, data: pin.Data, time: float, *, lower: Vector, reach: Vector, q: Vector
+    ) -> tuple[Matrix, list[int]]:
+        """(M, 10) `nearest` of some pairs, as in a `ResultTable`, and the rows of those that are far.
+
+        A far pair is not nearer than its `reach` (M,) [m]; instead of the distance it has a lower bound, no less.
+        """
+        found, far = np.zeros((len(pairs), ResultTable.COLUMNS)), []
+        for row, (pair, least, enough) in enumerate(zip(pairs.tolist(), lower.tolist(), reach.tolist(), strict=True)):
+            reading = self.nearest(pair, data, time, lower=least, reach=enough + AHEAD, q=q)
+            if reading is not None and reading.distance < enough:
+                found[row] = np.concatenate(([reading.distance], *reading[1:]))
+            else:
+                far.append(row)
+                found[row, 0] = enough + AHEAD if reading is None else reading.distance
+        return found, far
 
     def _distance_in(self, pair: int, q: Vector) -> float:
         """The distance of a pair with a fixed obstacle in a posture (n,), or less if beyond `EXACT_WITHIN` [m]."""

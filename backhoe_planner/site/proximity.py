@@ -28,15 +28,9 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_count, as_number, as_rows, as_vector
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.machine import (
-    Reading,
-    ResultTable,
-    Robot,
-    bend_weights,
-    self_pieces,
-)
+from backhoe_planner.machine import ResultTable, Robot, bend_weights, self_pieces
 from backhoe_planner.native import find_compiled
-from backhoe_planner.site.cluster_distances import AHEAD, EXACT_WITHIN, ClusterDistances
+from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, as_obstacles, offset_at
 from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
@@ -202,25 +196,39 @@ class Proximity:
     def near_in_each_unchecked(
         self, q: Matrix, margin: Vector, known: Matrix
     ) -> tuple[Matrix, Indices, Indices, Vector, Matrix] | None:
-        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
+        """The plain pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
 
-        `known` (N, P) are lower bounds of the distances [m]. None if obstacles are clusters, if the time
-        matters, or without the compiled functions.
+        `known` (N, P) are lower bounds of the distances [m]. None if the time matters, or without the compiled
+        functions.
         """
-        if len(self.clusters) or self._moving or self._some_appear or not 0 < len(self.pairs) <= _MANY:
-            return None
-        if find_compiled() is None:
+        if self._moving or self._some_appear or not 0 < self.plain <= _MANY or find_compiled() is None:
             return None
         self.cover_unchecked(q)
-        return self._hulls.within(q, margin, np.maximum(known, self.floor))
+        return self._hulls.within(q, margin, np.maximum(known, self.floor)[:, : self.plain])
+
+    def near_clusters_unchecked(self, q: Vector, margin: float, lower: Vector, *, time: float) -> Nearby | None:
+        """The pairs with clusters within `margin` [m] beyond their clearance at q (n,); None if none can be.
+
+        `lower` (K,) are lower bounds of the distances of all of them [m]; they are raised.
+        """
+        reach = self.clearance[self.plain :] + margin
+        rows = (lower <= reach).nonzero()[0]
+        if not len(rows):
+            return None
+        self._place(q, time)
+        pairs, reach = rows + self.plain, reach[rows]
+        found, unread = self._measure(pairs, reach, lower[rows])
+        lower[rows], reach[unread] = found[:, 0], -np.inf
+        return self._rows(pairs, found, reach)
 
     @cached_property
     def _hulls(self) -> HullDistances:
-        second = self._body.astype(np.intp)
-        second[self.owner >= 0] += len(self_pieces(self.robot)) - len(self._pieces)
+        plain = slice(self.plain)
+        second = self._body[plain].astype(np.intp)
+        second[self.owner[plain] >= 0] += len(self_pieces(self.robot)) - len(self._pieces)
         return HullDistances(
-            self.robot, self._bodies, first=self._first.astype(np.intp), second=second, clearance=self.clearance,
-            sense=self._sense,
+            self.robot, self._bodies, first=self._first[plain].astype(np.intp), second=second,
+            clearance=self.clearance[plain], sense=self._sense[plain],
         )  # fmt: skip
 
     def ways_unchecked(self, q: Matrix) -> Iterator[Vector]:
@@ -351,16 +359,11 @@ class Proximity:
         plain = pairs < self.plain
         found = np.zeros((len(pairs), ResultTable.COLUMNS))
         found[plain] = self._geometry.measure_each(pairs[plain])
-        unread = []
-        for row in (~plain).nonzero()[0].tolist():
-            enough = float(reach[row])
-            reading = self._nearest(int(pairs[row]), float(lower[row]), enough + AHEAD)
-            if reading is not None and reading.distance < enough:
-                found[row] = np.concatenate(([reading.distance], *reading[1:]))
-            else:
-                unread.append(row)
-                found[row, 0] = enough + AHEAD if reading is None else reading.distance
-        return found, unread
+        rows = (~plain).nonzero()[0]
+        found[rows], far = self.clusters.measure_each(
+            pairs[rows] - self.plain, self._data, self._time, lower=lower[rows], reach=reach[rows], q=self._q
+        )
+        return found, rows[far].tolist()
 
     @property
     def found_unchecked(self) -> Vector:
@@ -486,7 +489,9 @@ class Proximity:
         self._place(q, time)
         if pair < self.plain:
             return float(self._geometry.measure(pair).min_distance)
-        reading = self._nearest(pair, -np.inf, np.inf)
+        reading = self.clusters.nearest(
+            pair - self.plain, self._data, self._time, lower=-np.inf, reach=np.inf, q=self._q
+        )
         assert reading is not None
         return reading.distance
 
@@ -536,10 +541,6 @@ class Proximity:
         if len(pairs):
             self._raise_by_grids(found, np.full(len(found), EXACT_WITHIN))
             self.clusters.make_exact(found[self.plain :], pairs - self.plain, self._data, self._time)
-
-    def _nearest(self, pair: int, lower: float, reach: float) -> Reading | None:
-        """The distance of a pair with a cluster, known to be at least `lower` [m], as placed; None from `reach` on."""
-        return self.clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach, q=self._q)
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""

@@ -26,16 +26,19 @@ def test_a_known_distance_is_reduced_by_the_motion_since() -> None:
 
 
 @pytest.mark.parametrize("together", [True, False])
-@pytest.mark.parametrize("machine", ["backhoe", "panda", "telescope"])
+@pytest.mark.parametrize(
+    ("machine", "kind"),
+    [("backhoe", "narrow"), ("panda", "narrow"), ("telescope", "narrow"), ("backhoe", "scan"), ("panda", "terrain")],
+)
 def test_margins_are_the_same_without_known_distances(
-    machine: str, together: bool, monkeypatch: pytest.MonkeyPatch
+    machine: str, kind: str, together: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A curve changes as in a descent, and some of its places are checked in some rounds only.
 
     Against measurements of one configuration after the other; `together` means all in one compiled call.
     """
     robot = load_machine(machine)
-    problem = build_problem(robot, random_site(robot, SiteKey(machine, "narrow", "goal", 0, 5)).scene)
+    problem = build_problem(robot, random_site(robot, SiteKey(machine, kind, "goal", 0, 5)).scene)
     start, limits = problem.start_q, robot.limits
     assert start is not None
     rng = np.random.default_rng(2)
@@ -64,7 +67,8 @@ def test_margins_are_the_same_without_known_distances(
             np.testing.assert_allclose(one.margin, other.margin, atol=1e-9)
             np.testing.assert_allclose(one.gradient, other.gradient, atol=1e-6)
         measured += np.array([with_it.measured, without.measured]) - before
-    assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to save
+    if kind == "narrow":
+        assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to save
 
 
 def test_collisions_between_checked_places_are_noticed_the_same_without_known_distances(

@@ -98,12 +98,13 @@ def find_margins(
     proximity.cover_unchecked(q)
     bounds = seen.bounds(places, q, proximity.travel)
     near = (bounds <= proximity.clearance + margins[:, None]).any(axis=1)
-    of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time, places[near], seen)
+    of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time)
     least, found = np.inf, []
     for row, place in enumerate(places.tolist()):
         here = []
         if near[row]:
-            margin, gradient, pairs = next(of_pairs)
+            pairs, margin, gradient, lower = next(of_pairs)
+            seen.keep(place, q[row], lower)
             kept = ends.spares(q[row], pairs) if ends else spare
             here.append(Margin(place, margin - kept, gradient))
         if keep is not None and place > 0:  # the start cannot be changed
@@ -117,31 +118,36 @@ def find_margins(
 
 
 def _nearby(
-    proximity: Proximity, q: Matrix, margins: Vector, bounds: Matrix, time: float, places: Indices, seen: SeenDistances
-) -> Iterator[tuple[Vector, Matrix, Indices]]:  # fmt: skip
-    """(M,), (M, n), (M,) margins, gradients and indices of the pairs within `margins` (K,) [m] at each of q (K, n).
+    proximity: Proximity, q: Matrix, margins: Vector, bounds: Matrix, time: float
+) -> Iterator[tuple[Indices, Vector, Matrix, Vector]]:
+    """The pairs within `margins` (K,) [m] at each of q (K, n): their indices (M,), margins and gradients (M, n).
 
-    The distances are known to be at least `bounds` (K, P) [m]; the new ones are kept in `seen`.
+    Also lower bounds (P,) of all distances there, which are known to be at least `bounds` (K, P) [m].
     """
+    plain = proximity.plain
+    if len(proximity.clusters) and len(q):
+        needed = proximity.clearance[plain:] + margins[:, None]
+        expected = proximity.clusters.expect(q, time, needed=needed, sunk=True)
+        bounds = np.column_stack((bounds[:, :plain], np.fmax(bounds[:, plain:], expected)))
     together = proximity.near_in_each_unchecked(q, margins, bounds)
     if together is None:
-        if len(proximity.clusters):
-            needed = proximity.clearance[proximity.plain :] + margins[:, None]
-            proximity.clusters.expect(q, time, needed=needed, sunk=True)
         bounds = np.fmax(bounds, list(proximity.bounds_unchecked(q))) if len(q) else bounds
-    else:
-        bounds, ends, pairs, distances, gradients = together
     first = 0
-    for row, place in enumerate(places.tolist()):
-        if together is not None and ends[row] >= 0:
-            rows = slice(first, int(ends[row]))
-            first = rows.stop
-            seen.keep(place, q[row], bounds[row])
-            yield distances[rows] - proximity.clearance[pairs[rows]], gradients[rows], pairs[rows]
-        else:
-            nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=bounds[row])
-            seen.keep(place, q[row], proximity.found_unchecked)
-            yield nearby.margin, nearby.gradient, nearby.pair
+    for row, known in enumerate(bounds):
+        if together is None or together[1][row] < 0:
+            nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=known)
+            yield nearby.pair, nearby.margin, nearby.gradient, proximity.found_unchecked
+            continue
+        lower, ends, pairs, distances, gradients = together
+        rows = slice(first, int(ends[row]))
+        first = rows.stop
+        pair, gradient, clusters = pairs[rows], gradients[rows], known[plain:]
+        margin = distances[rows] - proximity.clearance[pair]
+        near = proximity.near_clusters_unchecked(q[row], float(margins[row]), clusters, time=time)
+        if near is not None:
+            pair, margin = np.concatenate((pair, near.pair)), np.concatenate((margin, near.margin))
+            gradient = np.concatenate((gradient, near.gradient))
+        yield pair, margin, gradient, np.concatenate((lower[row], clusters))
 
 
 class LinearModel:
