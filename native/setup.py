@@ -13,6 +13,7 @@ SOURCES = (
     "around",
     "ground",
     "rings",
+    "mesh",
     "voxels",
     "law",
     "shield",

@@ -794,6 +794,22 @@ def nearest_on_ground(rng: Rng) -> Arguments:
     return hull, rng.uniform(0.0, 0.1), 0.3 * rng.normal(size=(rows, columns)), x, y, rng.choice([0.5, 5.0])
 
 
+def nearest_on_mesh(rng: Rng) -> Arguments:
+    """A hull near a few triangles, in a tree of four leaves."""
+    corners = rng.normal(size=(some(rng, 9), 9))
+    boxes = np.full((8, 6), np.inf)
+    boxes[:, 3:] = -np.inf
+    for leaf in range(4):
+        own = corners[4 * leaf : 4 * leaf + 4].reshape(-1, 3)
+        if len(own):
+            boxes[4 + leaf] = *own.min(axis=0), *own.max(axis=0)
+    for node in (3, 2, 1):
+        children = boxes[2 * node : 2 * node + 2]
+        boxes[node] = *children[:, :3].min(axis=0), *children[:, 3:].max(axis=0)
+    hull = rng.normal([0.0, 0.0, 3.0], 1.0, (1 + some(rng, 9), 3))
+    return hull, rng.uniform(0.0, 0.1), boxes, corners, 4, rng.choice([0.5, 5.0])
+
+
 def read_over_ground(rng: Rng) -> Arguments:
     """Pieces with a few corners each, over, in and beside uneven ground."""
     configurations, carriers, pieces, asked = 1 + some(rng, 3), 1 + some(rng, 2), 1 + some(rng, 3), some(rng)
@@ -835,12 +851,12 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows,
     kept_over_ground, known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead,
     lower_on_grid, lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows,
-    nearest_on_ground, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box,
-    oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes,
-    quick_terms, reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces,
-    rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses, split_by_plane,
-    stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near,
-    velocity_held_as_before, velocity_within_rows, ways_of_links,
+    nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
+    off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
+    put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes,
+    rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses,
+    split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
+    unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
 
@@ -858,12 +874,13 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 # Functions that may answer instead of coal. Their plain versions leave the answer to coal, with which they are compared
 # in tests/machine/test_clusters.py, tests/site/test_clearance_screen.py, tests/site/test_over_ground.py.
 OF_COAL = (
-    first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, distances_within,
-    kept_over_ground, read_over_ground,
+    first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh,
+    distances_within, kept_over_ground, read_over_ground,
 )  # fmt: skip
 
 WITHOUT_JOINTS = (  # of these, those that answer whatever the number of joints
-    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, kept_over_ground, read_over_ground,
+    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh, kept_over_ground,
+    read_over_ground,
 )  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def test_a_cloud_is_hollow_and_a_closed_mesh_is_solid() -> None:
     assert 0.7 < distance(cloud, ball(0.1), at(0.0, 0.0, 0.0)) < 0.9
     assert distance(cloud, ball(0.1), at(0.9, 0.0, 0.0)) < 0.0
     mesh = Cluster(MeshSolid(trimesh.creation.icosphere(subdivisions=4), most=10**5), HERE)
-    assert -0.9 < distance(mesh, ball(0.1), at(0.0, 0.0, 0.0)) < -0.89
+    assert -1.1 < distance(mesh, ball(0.1), at(0.0, 0.0, 0.0)) < -1.0  # the ball is out after 1.1 m, whatever the way
     assert distance(mesh, ball(0.1), at(0.0, 0.0, 2.0)) == pytest.approx(0.9, abs=1e-2)
     hole = Cluster(MeshSolid(trimesh.creation.torus(1.0, 0.3), most=10**5), HERE)
     assert distance(hole, ball(0.1), at(0.0, 0.0, 0.0)) == pytest.approx(0.6, abs=1e-2)
@@ -255,6 +255,74 @@ def test_boxes_around_a_link_contain_all_cells_near_it(kind: str) -> None:
             boxes = min((gap(link, moved, part.piece) for part in parts), default=np.inf)
             if 0.0 < least < 0.4:
                 assert boxes <= least + 1e-9
+
+
+@needs_native
+@pytest.mark.parametrize("kind", ["fine", "rough", "few"])
+def test_the_compiled_distance_to_triangles_equals_that_of_coals_tree(kind: str) -> None:
+    rng = np.random.default_rng(12)
+    mesh = {
+        "fine": lambda: trimesh.creation.torus(0.7, 0.25, major_sections=64, minor_sections=24),
+        "rough": lambda: trimesh.Trimesh(rng.normal(0.0, 0.5, (903, 3)), np.arange(903).reshape(301, 3)),
+        "few": lambda: trimesh.creation.box((0.8, 0.5, 0.3)),
+    }[kind]()
+    solid, counts = MeshSolid(mesh, most=10**5), {"far": 0, "near": 0, "left": 0}
+    for number in range(90):
+        link, place = LINKS[number % 3], random_place(rng, 1.5)
+        placed, reach = Placed(link, place.rotation, place.translation), float(rng.choice([0.05, 0.3, 2.0]))
+        is_known, found = solid._triangles.measure(placed, reach)
+        true = solid._tree.measure(link.shape, placed.shifted(np.zeros(3)), reach)
+        if not is_known:
+            counts["left"] += 1
+        elif found is None:
+            assert true is None
+            counts["far"] += 1
+        else:
+            assert true is not None
+            assert found.distance == pytest.approx(true.distance, abs=1e-9)
+            np.testing.assert_allclose(found.other_point, found.point + found.distance * found.normal, atol=1e-8)
+            assert gap(link, place, speck(found.point)) < 1e-7
+            nearest = trimesh.triangles.closest_point(mesh.triangles, np.tile(found.other_point, (len(mesh.faces), 1)))
+            assert np.linalg.norm(nearest - found.other_point, axis=1).min() < 1e-8
+            counts["near"] += 1
+    assert counts["near"] > 15
+    assert counts["far"] > 5
+    assert counts["left"] < 60
+
+
+def test_how_deep_a_ball_is_inside_a_mesh_by_hand() -> None:
+    """In a cube with edges of 2 m, 0.7 m under a face, a ball with a radius of 0.1 m is out after 0.8 m."""
+    cube = trimesh.creation.box((2.0, 2.0, 2.0)).subdivide().subdivide()
+    cluster = Cluster(MeshSolid(cube, most=10**5), HERE)
+    reading = cluster.measure(ball(0.1), at(0.3, 0.05, -0.1))
+    assert reading is not None
+    assert -0.8 <= reading.distance < -0.7
+    np.testing.assert_allclose(reading.normal, [-1.0, 0.0, 0.0], atol=1e-9)  # into the mesh: the way out is along x
+    np.testing.assert_allclose(reading.point, [0.2, 0.05, -0.1], atol=1e-9)
+    np.testing.assert_allclose(reading.other_point, reading.point + reading.distance * reading.normal, atol=1e-9)
+    deeper = distance(cluster, ball(0.1), at(0.1, 0.05, -0.1))
+    assert deeper == pytest.approx(reading.distance - 0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("way", ["across", "inside"])
+def test_a_shape_is_not_out_of_a_mesh_before_it_has_moved_by_its_depth(way: str) -> None:
+    rng = np.random.default_rng(5)
+    torus = trimesh.creation.torus(0.9, 0.3, major_sections=96, minor_sections=32)
+    cluster = Cluster(MeshSolid(torus, most=10**5), HERE)
+    far = 0
+    for _ in range(25):
+        angle = rng.uniform(-np.pi, np.pi)
+        ring = 0.9 * np.array([np.cos(angle), np.sin(angle), 0.0]) + rng.normal(0.0, 0.08, 3)
+        turn = random_place(rng, 0.0).rotation
+        link = LINKS[0] if way == "across" else LINKS[1]
+        found = distance(cluster, link, pin.SE3(turn, ring))
+        assert found < 0.0
+        far += found < -0.15
+        for _ in range(8):
+            step = rng.normal(size=3)
+            step *= 0.999 * -found / np.linalg.norm(step)
+            assert distance(cluster, link, pin.SE3(turn, ring + step)) < 1e-6
+    assert far > 15
 
 
 @needs_native

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,21 +10,30 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
-from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed, clustered
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, surface_tree
+from backhoe_planner.machine.clusters.triangle_tree import TriangleTree
 from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
 
 if TYPE_CHECKING:
     import trimesh
 
 _TILE = 6.0  # edge of a tile, in mean edges of the triangles; chosen
-_SIDE_CELLS = 64  # cells along the longest axis of the grid that tells inside from outside; chosen
+_SIDE_CELLS = 96  # cells along the longest axis of the grid that tells inside from outside; chosen
+_DEEP = 2.0  # cells of that grid: a shape with a point deeper inside is not compared with the triangles; chosen
+_TOWARDS_CORNERS = (0.25, 0.5, 0.75, 1.0)  # parts of the ways from the middle of a hull to its corners; chosen
 _MOST_PARTS = 400_000  # parts into which large triangles are cut for a grid; chosen: some 30 ms
 _MOST_HOLLOWS = 200  # connected parts of that grid that are sorted into inside and outside; smaller ones are surface
+# triangles that a shape touches, among which the deepest is looked for; chosen: a link in a fine mesh touches hundreds,
+# each of which says how deep it is in that link, and not how far the link is from the outside
+_MOST_TOUCHED = 32
 _OUTSIDE, _INSIDE, _SURFACE = 0, 1, 2
+_NO_SHIFT = np.zeros(3)
+_AXES = np.concatenate((np.eye(3), -np.eye(3)), axis=1)
+_EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 
 
 class MeshSolid:
@@ -64,7 +73,11 @@ class MeshSolid:
 
     @cached_property
     def _tree(self) -> Tree:
-        return surface_tree(self._vertices, self._faces)
+        return surface_tree(self._vertices, self._faces, most_touched=_MOST_TOUCHED)
+
+    @cached_property
+    def _triangles(self) -> TriangleTree:
+        return TriangleTree(self._corners)
 
     @cached_property
     def _tiles(self) -> tuple[Tiles, Array]:
@@ -73,8 +86,8 @@ class MeshSolid:
         return tiles, np.ascontiguousarray(self._corners[tiles.order].transpose(1, 2, 0))
 
     def prepare(self) -> None:
-        """Build the tree."""
-        self._tree  # noqa: B018
+        """Build the trees, and find what is inside."""
+        self._tree, self._triangles, self._depths  # noqa: B018
 
     def prepare_near(self) -> None:
         """Sort the triangles into tiles, and find what is inside."""
@@ -127,6 +140,34 @@ class MeshSolid:
         side[largest] = np.where(inside, _INSIDE, _OUTSIDE)
         return np.asarray(side[parts])
 
+    @cached_property
+    def _depths(self) -> tuple[DistanceGrid, float]:
+        """Lower bounds of the distance from outside, which is also all around the grid, and the grid's step [m]."""
+        frame, side = self._sides
+        return DistanceGrid(frame, side != _INSIDE, _EVERYWHERE), frame.step
+
+    def _deep_inside(self, link: Placed) -> Reading | None:
+        """The depth of a shape that has a point far inside the mesh; None if none of a few points is.
+
+        Where a ball around a point of the shape is inside the mesh, the shape is not out before it has moved by the
+        radius of the ball. The triangles that the shape touches may say much less.
+        """
+        if not self.is_full:
+            return None
+        points, (depths, step) = link.hull.T.dot(_points_within(len(link.hull))), self._depths
+        found = depths.lower(points)
+        deepest = int(found.argmax())
+        depth, point = float(found[deepest]), points[:, deepest]
+        if depth < _DEEP * step:
+            return None
+        around = depths.lower(point[:, None] + step * _AXES)
+        slope = around[:3] - around[3:]
+        size = float(np.linalg.norm(slope))
+        if size == 0.0:
+            return None  # in the middle of the mesh: no way out is nearer than another
+        inwards = slope / size
+        return Reading(-depth - link.radius, inwards, point + link.radius * inwards, point - depth * inwards)
+
     def _is_inside(self, points: Matrix) -> bool:
         """Whether a shape that touches no triangle, and contains `points` (k, 3), is inside the mesh."""
         if not self.is_full:
@@ -146,10 +187,13 @@ class MeshSolid:
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape if it is less than `reach` [m], otherwise None.
 
-        For a shape inside a closed mesh that touches no triangle, it is minus the distance to the nearest one.
+        For a shape inside a closed mesh that touches no triangle, it is minus the distance to the nearest one; for a
+        shape with a point far inside, it is at least as deep as that point.
         """
-        T = link.shifted(np.zeros(3))
-        found = self._tree.measure(link.shape, T, reach)
+        deep = self._deep_inside(link)
+        if deep is not None:
+            return deep
+        found = self._nearest(link, reach)
         if found is not None and found.distance <= 0.0:
             return found
         if not self._is_inside(link.hull):
@@ -157,8 +201,16 @@ class MeshSolid:
         reach = max(reach, self.finest)
         while found is None:
             reach *= 4.0
-            found = self._tree.measure(link.shape, T, reach)
+            found = self._nearest(link, reach)
         return Reading(-found.distance, -found.normal, found.point, found.other_point)
+
+    def _nearest(self, link: Placed, reach: float) -> Reading | None:
+        """The signed distance from the triangles if it is less than `reach` [m]; negative if the shape touches some."""
+        is_known, found = self._triangles.measure(link, reach)
+        if is_known:
+            return found
+        T = link.shifted(_NO_SHIFT)
+        return self._tree.depth(link.shape, T) or self._tree.measure(link.shape, T, reach)
 
     def deeper(self, link: Placed, found: Reading) -> Reading:
         """The reading `found`: nothing deeper is looked for."""
@@ -172,3 +224,11 @@ class MeshSolid:
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3), reduced if there are more than `most`."""
         return clustered(self._vertices, self._faces, most)
+
+
+@cache
+def _points_within(corners: int) -> Matrix:
+    """(corners, m) weights of the corners of a hull for some points of it: its middle, and towards every corner."""
+    middle = np.full((corners, 1), 1.0 / corners)
+    towards = [middle + part * (np.eye(corners) - middle) for part in _TOWARDS_CORNERS]
+    return np.hstack((middle, *towards))

@@ -49,10 +49,13 @@ class Tree:
     Parameters
     ----------
     of_cubes: whether its cells are cubes, which coal compares with an upright box around a shape.
+    most_touched: of so many cells that a shape touches the deepest is looked for.
     """
 
-    def __init__(self, tree: coal.CollisionGeometry, *, of_cubes: bool = False) -> None:
-        self._tree, self._of_cubes = tree, of_cubes
+    def __init__(
+        self, tree: coal.CollisionGeometry, *, of_cubes: bool = False, most_touched: int = _MOST_CONTACTS
+    ) -> None:
+        self._tree, self._of_cubes, self._most_touched = tree, of_cubes, most_touched
 
     def measure(self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s, reach: float) -> Reading | None:
         """The distance from `shape` to the cells if it is less than `reach` [m]; otherwise None.
@@ -67,15 +70,10 @@ class Tree:
         found = self._read(result, T_tree_shape, distance)
         if distance > 0.0 and not in_doubt(distance):
             return found
-        touch, contacts = coal.CollisionRequest(), coal.CollisionResult()
-        touch.num_max_contacts, touch.enable_contact = _MOST_CONTACTS, True
-        coal.collide(self._tree, _HERE, shape, T_tree_shape, touch, contacts)
-        deepest = None
-        for contact in contacts.getContacts():
-            depth = contact.penetration_depth
-            if depth > _DEEPEST and (deepest is None or depth < deepest.penetration_depth):
-                deepest = contact
-        if deepest is None and not contacts.isCollision():
+        deepest, touches = self._deepest(shape, T_tree_shape)
+        if deepest is not None:
+            return deepest
+        if not touches:
             # nothing touches, but the iterations broke down, such as on a slender triangle of a wall
             for tolerance in LOOSER:
                 result = self._distance(shape, T_tree_shape, reach, tolerance)
@@ -83,19 +81,36 @@ class Tree:
                     return None
                 if result.min_distance > 2.0 * tolerance:
                     return self._read(result, T_tree_shape, result.min_distance - tolerance)
-        if deepest is None:  # they touch to within rounding
-            distance = 0.0 if in_doubt(distance) else distance
-            normal = found.normal
-            if not np.isfinite(normal).all() or abs(float(normal @ normal) - 1.0) > 1e-6:
-                normal = np.array([0.0, 0.0, -1.0])
-            middle = np.nan_to_num(found.other_point)
-            return Reading(distance, normal, middle, middle)
+        # they touch to within rounding
+        distance = 0.0 if in_doubt(distance) else distance
+        normal = found.normal
+        if not np.isfinite(normal).all() or abs(float(normal @ normal) - 1.0) > 1e-6:
+            normal = np.array([0.0, 0.0, -1.0])
+        middle = np.nan_to_num(found.other_point)
+        return Reading(distance, normal, middle, middle)
+
+    def depth(self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s) -> Reading | None:
+        """The depth of `shape` in the deepest of the cells that it touches, as `measure`; None if it touches none."""
+        return self._deepest(shape, T_tree_shape)[0]
+
+    def _deepest(self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s) -> tuple[Reading | None, bool]:
+        """`depth`, and whether the shape touches at all."""
+        touch, contacts = coal.CollisionRequest(), coal.CollisionResult()
+        touch.num_max_contacts, touch.enable_contact = self._most_touched, True
+        coal.collide(self._tree, _HERE, shape, T_tree_shape, touch, contacts)
+        deepest = None
+        for contact in contacts.getContacts():
+            depth = contact.penetration_depth
+            if depth > _DEEPEST and (deepest is None or depth < deepest.penetration_depth):
+                deepest = contact
+        if deepest is None:
+            return None, contacts.isCollision()
         return Reading(
             deepest.penetration_depth,
             -np.array(deepest.normal),
             np.array(deepest.getNearestPoint2()),
             np.array(deepest.getNearestPoint1()),
-        )
+        ), True
 
     def _read(self, result: coal.DistanceResult, T_tree_shape: coal.Transform3s, distance: float) -> Reading:
         """The result of coal in the frame of the tree, with `distance` [m]."""
@@ -130,14 +145,14 @@ def voxel_tree(centres: Matrix, edge: float) -> Tree:
     return Tree(coal.makeOctree(centres, edge), of_cubes=True)
 
 
-def surface_tree(vertices: Matrix, triangles: Indices) -> Tree:
-    """A tree of triangles (m, 3) between `vertices` (k, 3) [m]; nothing is solid between them."""
+def surface_tree(vertices: Matrix, triangles: Indices, *, most_touched: int = _MOST_CONTACTS) -> Tree:
+    """A tree of triangles (m, 3) between `vertices` (k, 3) [m]; nothing is solid between them. See `Tree`."""
     tree = coal.BVHModelOBBRSS()
     tree.beginModel(len(triangles), len(vertices))
     tree.addVertices(np.ascontiguousarray(vertices, dtype=float))
     tree.addTriangles(np.ascontiguousarray(triangles, dtype=np.uint32))
     tree.endModel()
-    return Tree(tree)
+    return Tree(tree, most_touched=most_touched)
 
 
 def transform(rotation: Array, translation: Vector) -> coal.Transform3s:
