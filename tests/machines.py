@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import backhoe_planner as bp
+
 MASS, LENGTH = 300.0, 2.0  # of the pendulum [kg], [m]
 PENDULUM = f"""<robot name="pendulum">
   <link name="post"/>
@@ -24,3 +30,53 @@ TURNING_SLIDE = """<robot name="turning slide"><link name="base"/>
   <joint name="slide" type="prismatic"><parent link="post"/><child link="ball"/><axis xyz="1 0 0"/>
     <limit lower="0" upper="0.5" effort="1" velocity="1"/></joint>
   <joint name="end" type="fixed"><parent link="ball"/><child link="tip"/></joint></robot>"""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One joint of a chain, and its link.
+
+    Attributes
+    ----------
+    kind: as in a URDF.
+    place, axis: in the frame of the joint before, as in a URDF [m].
+    lower, upper: limits [rad or m].
+    mass: of the link, at its joint [kg].
+    ball: radius of a ball around the joint [m]; none if 0.
+    """
+
+    kind: str
+    axis: str
+    lower: float
+    upper: float
+    place: str = "0 0 0"
+    mass: float = 1.0
+    ball: float = 0.0
+
+
+def load_chain(
+    folder: Path, axes: Iterable[Axis], *, tool: str = "0 0 0", ball: float = 0.0, effort: float = 500.0
+) -> bp.Robot:
+    """A machine of joints one after the other, with a tip at `tool` [m] behind the last, in a `ball` [m] if not 0."""
+    parts, parent = ['<link name="base"/>'], "base"
+    for number, one in enumerate(axes):
+        link = f"link{number}"
+        parts.append(
+            f'<link name="{link}"><inertial><mass value="{one.mass}"/><inertia ixx="0.01" iyy="0.01" izz="0.01" '
+            f'ixy="0" ixz="0" iyz="0"/></inertial>{_ball(one.ball)}</link>'
+            f'<joint name="joint{number}" type="{one.kind}"><parent link="{parent}"/><child link="{link}"/>'
+            f'<origin xyz="{one.place}"/><axis xyz="{one.axis}"/>'
+            f'<limit lower="{one.lower}" upper="{one.upper}" velocity="1" effort="{effort}"/></joint>'
+        )
+        parent = link
+    parts.append(
+        f'<link name="tip">{_ball(ball)}</link><joint name="tool" type="fixed"><origin xyz="{tool}"/>'
+        f'<parent link="{parent}"/><child link="tip"/></joint>'
+    )
+    file = folder / "chain.urdf"
+    file.write_text(f'<robot name="chain">{"".join(parts)}</robot>', encoding="utf-8")
+    return bp.load_robot(file, tip="tip")
+
+
+def _ball(radius: float) -> str:
+    return f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>' if radius else ""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from machines import Axis, load_chain
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -57,24 +58,14 @@ AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 def light_arm(axes: Sequence[tuple[str, str, float]], folder: Path) -> bp.Robot:
     """An arm of small balls, one at each hinge."""
-    parts, parent = ['<link name="base"/>'], "base"
-    for number, (place, axis, most) in enumerate(axes):
-        link, kind = f"link{number}", "prismatic" if axes is WITH_A_SLIDE and number == 2 else "revolute"
-        parts.append(
-            f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
-            'ixz="0" iyz="0"/></inertial><collision><geometry><sphere radius="0.03"/></geometry></collision></link>'
-            f'<joint name="joint{number}" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
-            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="{-most}" upper="{most}" velocity="1" '
-            'effort="500"/></joint>'
+    chain = [
+        Axis(
+            "prismatic" if axes is WITH_A_SLIDE and number == 2 else "revolute", axis, -most, most, place=place,
+            ball=0.03,
         )
-        parent = link
-    parts.append(
-        f'<link name="tip"/><joint name="tool" type="fixed"><origin xyz="0.2 0 0"/><parent link="{parent}"/>'
-        '<child link="tip"/></joint>'
-    )
-    file = folder / "light_arm.urdf"
-    file.write_text(f'<robot name="light arm">{"".join(parts)}</robot>', encoding="utf-8")
-    return bp.load_robot(file, tip="tip")
+        for number, (place, axis, most) in enumerate(axes)
+    ]  # fmt: skip
+    return load_chain(folder, chain, tool="0.2 0 0")
 
 
 ARMS = {"five axes": FIVE_AXES, "six in a plane": SIX_IN_A_PLANE, "with a slide": WITH_A_SLIDE}
@@ -90,22 +81,8 @@ def robot(request: pytest.FixtureRequest, tmp_path: Path) -> bp.Robot:
 
 def gantry(folder: Path) -> bp.Robot:
     """Three slides of 3 m either way and a continuous hinge: every position is reached at every angle of the hinge."""
-    parts, parent = ['<link name="base"/>'], "base"
-    for number, (kind, axis) in enumerate((*(("prismatic", axis) for axis in AXES), ("continuous", AXES[2]))):
-        link = f"link{number}"
-        parts.append(
-            f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" '
-            f'ixz="0" iyz="0"/></inertial></link><joint name="joint{number}" type="{kind}"><parent link="{parent}"/>'
-            f'<child link="{link}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" velocity="1" effort="500"/></joint>'
-        )
-        parent = link
-    parts.append(
-        '<link name="tip"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
-        f'<joint name="tool" type="fixed"><origin xyz="0.2 0 0"/><parent link="{parent}"/><child link="tip"/></joint>'
-    )
-    file = folder / "gantry.urdf"
-    file.write_text(f'<robot name="gantry">{"".join(parts)}</robot>', encoding="utf-8")
-    return bp.load_robot(file, tip="tip")
+    slides = [Axis("prismatic", axis, -3.0, 3.0) for axis in AXES]
+    return load_chain(folder, [*slides, Axis("continuous", AXES[2], -3.0, 3.0)], tool="0.2 0 0", ball=0.02)
 
 
 def known_path(

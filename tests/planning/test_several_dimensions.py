@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from machines import Axis, load_chain
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array, Matrix
@@ -23,23 +24,15 @@ LIFT = 0.3  # m
 
 
 def slides(folder: Path, axes: Sequence[str], masses: Sequence[float], ranges: Sequence[float]) -> bp.Robot:
-    """Slides on one another, each a small ball."""
-    parts, parent = ['<link name="base"/>'], "base"
-    for number, (axis, mass, range_) in enumerate(zip(axes, masses, ranges, strict=True)):
-        parts.append(
-            f'<link name="link{number}"><inertial><mass value="{mass}"/><inertia ixx="0.01" iyy="0.01" izz="0.01" '
-            'ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="slide{number}" type="prismatic"><parent link="{parent}"/><child link="link{number}"/>'
-            f'<axis xyz="{axis}"/><limit lower="0" upper="{range_}" velocity="1" effort="5000"/></joint>'
-        )
-        parent = f"link{number}"
-    parts.append(
-        '<link name="tip"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
-        f'<joint name="tool" type="fixed"><parent link="{parent}"/><child link="tip"/></joint>'
-    )
-    file = folder / "slides.urdf"
-    file.write_text(f'<robot name="slides">{"".join(parts)}</robot>', encoding="utf-8")
-    return bp.load_robot(file, tip="tip")
+    """Slides on one another, with a small ball at the tip."""
+    return load_chain(
+        folder,
+        [
+            Axis("prismatic", axis, 0.0, range_, mass=mass)
+            for axis, mass, range_ in zip(axes, masses, ranges, strict=True)
+        ],
+        ball=0.02, effort=5000.0,
+    )  # fmt: skip
 
 
 def hoist(folder: Path, ranges: Sequence[float] = RANGES) -> bp.Robot:
