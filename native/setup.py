@@ -27,6 +27,7 @@ SOURCES = (
     "programs",
     "held",
     "rods",
+    "routes",
     "module",
 )
 

@@ -794,6 +794,14 @@ def nearest_on_ground(rng: Rng) -> Arguments:
     return hull, rng.uniform(0.0, 0.1), 0.3 * rng.normal(size=(rows, columns)), x, y, rng.choice([0.5, 5.0])
 
 
+def cheapest_with_turns(rng: Rng) -> Arguments:
+    layers, width = int(rng.integers(2, 7)), int(rng.integers(1, 6))
+    steps = rng.uniform(0.0, 1.0, (layers - 1, width, width))
+    steps[rng.random(steps.shape) < 0.1] = np.inf
+    closed = np.where(rng.random((layers, width)) < 0.2, np.inf, 0.0)
+    return steps, rng.normal(size=(joints(rng), layers - 1, width, width)), closed, rng.uniform(0.0, 1.0)
+
+
 def nearest_on_mesh(rng: Rng) -> Arguments:
     """A hull near a few triangles, in a tree of four leaves."""
     corners = rng.normal(size=(some(rng, 9), 9))
@@ -846,17 +854,17 @@ def lower_over_heights(rng: Rng) -> Arguments:
 
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
-    boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end, corner_gaps,
-    cost_of_tip, count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart,
-    force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows,
-    kept_over_ground, known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead,
-    lower_on_grid, lower_over_heights, margins_now, most_urgent_boxes, near_gaps, near_now, near_rows,
-    nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
-    off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
-    put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes,
-    rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses,
-    split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
-    unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
+    boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end,
+    cheapest_with_turns, corner_gaps, cost_of_tip, count_travel, damped_steps, distances_within, extent_along,
+    fastest_run, first_not_apart, force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements,
+    keep_proven, keeps_rows, kept_over_ground, known_apart, largest_part, least_over_path, least_supplied,
+    left_over_path, line_ahead, lower_on_grid, lower_over_heights, margins_now, most_urgent_boxes, near_gaps,
+    near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within,
+    not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip,
+    placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground,
+    read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path,
+    soft_solution, solve_poses, split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair,
+    turn_along_surface, unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
 

@@ -103,7 +103,7 @@ class PathCost:
         self.per_radian = self.objective.per_radian(usual)
         quiet = self.objective.is_quadratic
         self._smoothing = 0.0 if quiet else _SMOOTHING
-        self._time_price = 0.0 if quiet else usual.rate * self.objective.time_share
+        self.time_price = 0.0 if quiet else usual.rate * self.objective.time_share
         if not self.per_radian > 0.0:  # a machine without mass costs nothing, whatever it does
             self.per_radian, self._smoothing = 1.0, 1.0
 
@@ -164,7 +164,7 @@ class PathCost:
     @property
     def counts_rate_changes(self) -> bool:
         """Whether changes of the joints' rates cost anything."""
-        return self._time_price > 0.0
+        return self.time_price > 0.0
 
     def value(self, stations: Array, q: Array) -> float:
         """Value of the steps through q (K, n) at `stations` (K,) [m], in the objective's unit, as reported."""
@@ -227,7 +227,7 @@ class PathCost:
         if as_reported or not self._smoothing > 0.0:
             return np.asarray(self.objective.of_step(step, self._machine) / self.per_radian)
         lost = dt if np.isinf(self.speed) else np.maximum(dt - span / self.speed, 0.0)
-        held = self._time_price * lost + self.objective.overhead(step, self._machine, self.per_radian)
+        held = self.time_price * lost + self.objective.overhead(step, self._machine, self.per_radian)
         held = self._smoothing / self._rate * squared / dt + held
         if self.objective.is_time:  # only the lost time can be saved
             return np.asarray(held)
@@ -271,7 +271,7 @@ class PathCost:
         for one, other in zip(before, after, strict=True):
             change = other - one
             np.maximum(longest, np.abs(change, out=change), out=longest)
-        longest *= self._time_price
+        longest *= self.time_price
         return longest
 
     # --- how the tip moves --------------------------------------------------------------

@@ -145,7 +145,7 @@ class Proximity:
     def cover_unchecked(self, q: Matrix) -> None:
         """`cover` without checks of its arguments, for callers in a loop."""
         if self._slides:
-            run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0)
+            run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0, initial=0.0)
             if np.count_nonzero(run_out > self._run_out):
                 self._run_out = np.maximum(self._run_out, run_out)
                 self._take_travel()

@@ -33,7 +33,7 @@ from backhoe_planner.planning import (
     stations_of,
     time_rounded,
 )
-from backhoe_planner.planning.paths.dynamic_programming import _cheapest_with_turns
+from backhoe_planner.planning.paths.dynamic_programming import cheapest_with_turns
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 # the others take as long and add little
@@ -177,17 +177,21 @@ def test_the_cheapest_route_with_costs_of_turns_equals_an_exhaustive_search(seed
     rng = np.random.default_rng(seed)
     knots, width = 5, 3
     steps = rng.uniform(0.0, 1.0, (knots - 1, width, width))
-    turns = rng.uniform(0.0, 1.0, (knots - 2, width, width, width))
+    rates = rng.normal(0.0, 0.5, (2, knots - 1, width, width))
     usable = rng.uniform(size=(knots, width)) < 0.7
     usable[:, 1] = True
 
     def cost(way: tuple[int, ...]) -> float:
-        pairs, triples = enumerate(pairwise(way)), enumerate(zip(way, way[1:], way[2:], strict=False))
-        return sum(float(steps[(k, *pair)]) for k, pair in pairs) + sum(float(turns[(k, *t)]) for k, t in triples)
+        pairs = list(enumerate(pairwise(way)))
+        rate = np.array([rates[(slice(None), k, *pair)] for k, pair in pairs])
+        return sum(float(steps[(k, *pair)]) for k, pair in pairs) + 0.7 * float(
+            np.abs(np.diff(rate, axis=0)).max(axis=1).sum()
+        )
 
     open_ways = [way for way in product(range(width), repeat=knots) if all(usable[k, c] for k, c in enumerate(way))]
     best = min(open_ways, key=cost)
-    assert tuple(_cheapest_with_turns(steps, turns, usable).tolist()) == best
+    closed = np.where(usable, 0.0, np.inf)
+    assert tuple(cheapest_with_turns(steps, rates, closed, 0.7).tolist()) == best
 
 
 @pytest.fixture(scope="module")
