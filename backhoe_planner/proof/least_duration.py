@@ -21,7 +21,7 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.proof.box_tests import DirectionTest, bends, best_directions, contracted
 from backhoe_planner.proof.goal_features import Features, GoalRegion, goal_regions
-from backhoe_planner.proof.least_times import LeastTimes, Tables
+from backhoe_planner.proof.least_times import LeastTimes
 
 _NEAR = 0.01  # part of a known duration: a bound nearer to it than this is near enough; chosen
 _AT_ONCE = 128  # boxes that are halved together; chosen: more are cheaper each, but fewer of them have the least bound
@@ -95,23 +95,23 @@ def least_duration_of_all(problem: Problem, start: Vector, *, boxes: int) -> flo
 
 
 def _least_of_all(problem: Problem, start: Vector, boxes: int) -> float:
-    goals, tables = goal_regions(problem), Tables()
-    most, above = _SHORTEST, _about(problem, start, goals, tables)
+    goals = goal_regions(problem)
+    most, above = _SHORTEST, _about(problem, start, goals)
     while most < above:
         most *= _FURTHER
     while True:
-        times, target = LeastTimes(problem, start, longest=most, tables=tables), (1.0 - _NEAR) * most
+        times, target = LeastTimes(problem, start, longest=most), (1.0 - _NEAR) * most
         bound = _least_of(times, goals, target, boxes=boxes).duration
         if bound < _REACHED * most or most >= _LONGEST:
             return bound
         most *= _FURTHER
 
 
-def _about(problem: Problem, start: Vector, goals: Sequence[GoalRegion], tables: Tables) -> float:
+def _about(problem: Problem, start: Vector, goals: Sequence[GoalRegion]) -> float:
     """A weak lower bound for all motions to `goals` [s], from the first boxes alone."""
     found = 0.0
     for longest in _ROUGHLY:
-        times = LeastTimes(problem, start, longest=longest, tables=tables)
+        times = LeastTimes(problem, start, longest=longest)
         found = _least_of(times, goals, (1.0 - _NEAR) * longest, boxes=0).duration
         if found < _REACHED * longest:
             break

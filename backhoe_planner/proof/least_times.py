@@ -19,8 +19,9 @@ two such moments; the error of the midpoint rule is at most f'' d^3 / 24, and is
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -37,6 +38,7 @@ _GRID = 0.004  # rad or m, step of the tables over a joint's range; chosen, well
 _ABOVE = 1.0001  # times the greatest value at a grid point: values between grid points exceed it by less
 _MOMENTS = 2000  # of a table over time; chosen: the bound loses a four-thousandth of the longest time
 _MOST_TOGETHER = 4  # joints of which all combinations are considered; with more, each alone and all together
+_REMEMBERED = 64  # latest needs that are kept, 2 MB; chosen: a plan uses some six of each joint several times
 _ROUNDING = 1e-9  # part of the greatest need; far above the rounding of the sums
 _BESIDE = 1e-6  # rad or m by which the certificate lets a joint be outside of its range; see `JOINTS_WITHIN`
 
@@ -69,7 +71,6 @@ class _Side:
 
 
 _Needs = tuple[tuple[_Side, _Side], tuple[_Side, _Side]]
-Tables = dict[tuple[float, ...], _Needs]  # by the joint, and how far they reach up and down [rad or m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +101,14 @@ class LeastTimes:
     ----------
     start: (n,) the configuration at rest at the start [rad or m].
     longest: the longest time that is considered [s]; it is the result if a motion needs more.
-    tables: of the joints' needs, known from other times with the same problem and start; new ones are added.
     """
 
-    def __init__(self, problem: Problem, start: Vector, *, longest: float, tables: Tables | None = None) -> None:
+    def __init__(self, problem: Problem, start: Vector, *, longest: float) -> None:
         limits = problem.limits
         self.start, self.longest = start, longest
         self._v, self._a = limits.velocity * (1.0 + JOINTS_WITHIN), limits.acceleration * (1.0 + JOINTS_WITHIN)
         self.lower, self.upper = limits.lower - _BESIDE, limits.upper + _BESIDE
-        self._hydraulics, self._tables = problem.robot.hydraulics, {} if tables is None else tables
+        self._hydraulics = problem.robot.hydraulics
         self._oil: dict[int, tuple[_Side, _Side]] = {}  # for every joint with a cylinder: upwards, downwards
         self._slow: dict[int, tuple[_Side, _Side]] = {}
         self._supplies: dict[tuple[tuple[int, ...], tuple[int, ...]], _Supply] = {}
@@ -212,38 +212,9 @@ class LeastTimes:
     def _needs(self, hydraulics: Hydraulics, joint: int) -> _Needs:
         """A joint's need of oil, and of time at the valves' greatest speed, each upwards and downwards."""
         most = (self._v[joint] + 1e-3) * (self.longest + SAMPLE_PERIOD)
-        ends = [min(most, max(room, 0.0)) for room in (self.upper[joint] - self.start[joint],
-                                                      self.start[joint] - self.lower[joint])]  # fmt: skip
-        key = joint, *ends
-        if key not in self._tables:
-            self._tables[key] = self._table(hydraulics, joint, ends)
-        return self._tables[key]
-
-    def _table(self, hydraulics: Hydraulics, joint: int, ends: Sequence[float]) -> _Needs:
-        """The same over the distances `ends` up and down [rad or m]."""
-        offsets = [np.linspace(0.0, end, int(np.ceil(end / _GRID)) + 2) for end in ends]
-        below, above = self.start[joint] - offsets[1][::-1], self.start[joint] + offsets[0]
-        swept: tuple[list[Vector], list[Vector]] = ([], [])
-        slow: tuple[list[Vector], list[Vector]] = ([], [])
-        for way, sign in enumerate((1.0, -1.0)):
-            for x in (above, below):
-                q = np.tile(self.start, (len(x), 1))
-                q[:, joint] = x
-                v = np.zeros_like(q)
-                v[:, joint] = sign
-                swept[way].append(np.nan_to_num(hydraulics.total_flow(q, v)))
-                limit = hydraulics.velocity_limits(q)
-                speed = (limit.positive if way == 0 else limit.negative)[:, joint]
-                slow[way].append(np.nan_to_num(1.0 / ((1.0 + DRIVE_TOLERANCE) * speed)))
-        found = []
-        for upwards, downwards in (swept, slow):
-            # integrate upwards above the start, downwards below it; the greatest value is over the whole range
-            most = [_ABOVE * max(float(np.max(part)) for part in way) for way in (upwards, downwards)]
-            found.append((
-                _Side(offsets[0], _integral(offsets[0], upwards[0]), most[0]),
-                _Side(offsets[1], _integral(offsets[1], downwards[1][::-1]), most[1]),
-            ))  # fmt: skip
-        return found[0], found[1]
+        up, down = (min(most, max(room, 0.0)) for room in (self.upper[joint] - self.start[joint],
+                                                          self.start[joint] - self.lower[joint]))  # fmt: skip
+        return _needs_within(hydraulics, tuple(self.start.tolist()), joint, float(up), float(down))
 
     def _supply(self, joints: tuple[int, ...], ways: tuple[int, ...]) -> _Supply:
         """The oil that these `joints` can take, each moving in its direction in `ways`."""
@@ -266,6 +237,34 @@ class LeastTimes:
         rate = np.minimum(rate, limit)
         # the rate grows, so that the later of two neighbouring rates is never too low
         return _Supply(time, np.append(0.0, np.cumsum(rate[1:] * np.diff(time))))
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _needs_within(hydraulics: Hydraulics, start: tuple[float, ...], joint: int, up: float, down: float) -> _Needs:
+    """The needs of a joint over the distances `up` and `down` from `start` (n,) [rad or m]; see `LeastTimes._needs`."""
+    offsets = [np.linspace(0.0, end, int(np.ceil(end / _GRID)) + 2) for end in (up, down)]
+    below, above = start[joint] - offsets[1][::-1], start[joint] + offsets[0]
+    swept: tuple[list[Vector], list[Vector]] = ([], [])
+    slow: tuple[list[Vector], list[Vector]] = ([], [])
+    for way, sign in enumerate((1.0, -1.0)):
+        for x in (above, below):
+            q = np.tile(start, (len(x), 1))
+            q[:, joint] = x
+            v = np.zeros_like(q)
+            v[:, joint] = sign
+            swept[way].append(np.nan_to_num(hydraulics.total_flow(q, v)))
+            limit = hydraulics.velocity_limits(q)
+            speed = (limit.positive if way == 0 else limit.negative)[:, joint]
+            slow[way].append(np.nan_to_num(1.0 / ((1.0 + DRIVE_TOLERANCE) * speed)))
+    found = []
+    for upwards, downwards in (swept, slow):
+        # integrate upwards above the start, downwards below it; the greatest value is over the whole range
+        most = [_ABOVE * max(float(np.max(part)) for part in way) for way in (upwards, downwards)]
+        found.append((
+            _Side(offsets[0], _integral(offsets[0], upwards[0]), most[0]),
+            _Side(offsets[1], _integral(offsets[1], downwards[1][::-1]), most[1]),
+        ))  # fmt: skip
+    return found[0], found[1]
 
 
 @compiled

@@ -11,7 +11,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem, drive_of
 from backhoe_planner.proof import Certificate, certify_problem
-from backhoe_planner.proof.least_times import LeastTimes, Tables, least_supplied
+from backhoe_planner.proof.least_times import LeastTimes, _needs_within, least_supplied
 
 TOLERATED = 1.0099  # times a limit of the drive, of which the certificate accepts 1 % more
 
@@ -148,21 +148,36 @@ def test_the_least_oil_of_a_stroke_is_that_of_its_cylinders(backhoe: bp.Robot, s
             assert 0.97 * exact <= found <= exact * (1.0 + 1e-9)
 
 
-def test_shared_tables_and_all_boxes_at_once_change_no_least_time(backhoe: bp.Robot) -> None:
-    """Each box by itself, with tables of its own; the boxes are up, down and around the start in every joint."""
+def test_remembered_needs_and_all_boxes_at_once_change_no_least_time(backhoe: bp.Robot) -> None:
+    """Each box by itself, with needs computed anew; the boxes are up, down and around the start in every joint."""
     rng, start = np.random.default_rng(6), backhoe.middle
     problem = problem_at(backhoe, start)
     middle = start + rng.uniform(-0.5, 0.5, (60, 4))
     half = rng.uniform(0.0, 0.3, (60, 4))
-    tables = Tables()
-    for longest in (3.0, 50.0, 60.0):
-        found = LeastTimes(problem, start, longest=longest, tables=tables).to_boxes(middle - half, middle + half)
+    _needs_within.cache_clear()
+    found = [
+        LeastTimes(problem, start, longest=longest).to_boxes(middle - half, middle + half)
+        for longest in (3.0, 50.0, 60.0)
+    ]
+    assert 4 <= _needs_within.cache_info().currsize <= 2 * 4  # those for 50 s and 60 s are the same
+    for longest, together in zip((3.0, 50.0, 60.0), found, strict=True):
         for row in range(0, 60, 7):
+            _needs_within.cache_clear()
             alone = LeastTimes(problem, start, longest=longest)
             box = middle[row : row + 1] - half[row : row + 1], middle[row : row + 1] + half[row : row + 1]
-            assert alone.to_boxes(*box)[0] == found[row]
-    assert len(tables) <= 2 * 4
-    assert found.min() < found.max() < 60.0
+            assert alone.to_boxes(*box)[0] == together[row]
+    assert found[-1].min() < found[-1].max() < 60.0
+
+
+def test_remembered_needs_belong_to_one_start(backhoe: bp.Robot) -> None:
+    """From another start with the same room for a joint, what was remembered for the first one does not count."""
+    first = backhoe.middle
+    other = first + np.array([0.0, 0.2, -0.3, 0.4])
+    ends = np.array([first + 0.1, first - 0.2, other + 0.3])
+    after, alone = (LeastTimes(problem_at(backhoe, q), q, longest=50.0).to_boxes(ends, ends) for q in (first, other))
+    _needs_within.cache_clear()
+    np.testing.assert_array_equal(LeastTimes(problem_at(backhoe, other), other, longest=50.0).to_boxes(ends, ends), alone)
+    assert not np.array_equal(after, alone)
 
 
 def test_joints_that_share_a_supply_need_the_time_of_their_dearest_set() -> None:
