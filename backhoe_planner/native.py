@@ -55,6 +55,11 @@ def compiled(plain: _Function) -> _Function:
     return cast(_Function, getattr(found, plain.__name__, plain))
 
 
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Whether a marked function runs compiled; if not, another library may be quicker than its plain version."""
+    return _plain[function.__name__] is not function
+
+
 def plain_versions() -> dict[str, Callable[..., Any]]:
     """The plain versions of the marked functions of all modules that are loaded, by name."""
     return dict(_plain)

@@ -28,6 +28,7 @@ SOURCES = (
     "held",
     "rods",
     "routes",
+    "dynamics",
     "module",
 )
 

@@ -77,7 +77,7 @@ def test_imports_run_one_way() -> None:
 
 SUITES = {
     # rooms within a room; "" is the room's own files
-    "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
+    "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "dynamics", "capability"],
     "site": ["surveys", "schema", "pairs", ""],
     "motion": ["", "timing", "following"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "world", "goals", "", "sequence"],

@@ -771,6 +771,22 @@ def chain_placements(rng: Rng) -> Arguments:
     return q, np.sin(q), 1.0 - np.cos(q), factors, slides, np.vstack((rotation(rng), rng.normal(size=3)))
 
 
+def chain_energies(rng: Rng) -> Arguments:
+    n, count = joints(rng), some(rng)
+    bodies = rng.normal(size=(n, 10))
+    bodies[:, 0] = rng.uniform(0.0, 5.0, n)
+    return *rng.normal(size=(2, count, n)), *chain(rng, n), bodies, rng.normal(size=3)
+
+
+def chain_torques(rng: Rng) -> Arguments:
+    q, *others = chain_energies(rng)
+    return q, rng.normal(size=q.shape), *others
+
+
+def chain_torque_slopes(rng: Rng) -> Arguments:
+    return chain_torques(rng)
+
+
 def solve_poses(rng: Rng) -> Arguments:
     """Poses, or positions alone, that most searches reach within the limits, and some that are out of reach."""
     n, count = joints(rng), some(rng)
@@ -854,17 +870,18 @@ def lower_over_heights(rng: Rng) -> Arguments:
 
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
-    boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_placements, changes_of_end,
-    cheapest_with_turns, corner_gaps, cost_of_tip, count_travel, damped_steps, distances_within, extent_along,
-    fastest_run, first_not_apart, force_on_hand, gaps_along_path, hulls_apart, inexact_boxes, keep_placements,
-    keep_proven, keeps_rows, kept_over_ground, known_apart, largest_part, least_over_path, least_supplied,
-    left_over_path, line_ahead, lower_on_grid, lower_over_heights, margins_now, most_urgent_boxes, near_gaps,
-    near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within,
-    not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip,
-    placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground,
-    read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path,
-    soft_solution, solve_poses, split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair,
-    turn_along_surface, unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
+    boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_energies, chain_placements,
+    chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, corner_gaps, cost_of_tip, count_travel,
+    damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand, gaps_along_path,
+    hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground, known_apart,
+    largest_part, least_over_path, least_supplied, left_over_path, line_ahead, lower_on_grid, lower_over_heights,
+    margins_now, most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground, nearest_on_mesh,
+    nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken,
+    pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms,
+    reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces,
+    rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses, split_by_plane,
+    stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near,
+    velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
 

@@ -32,10 +32,10 @@ from .description.urdf import example_names as example_names
 from .description.urdf import read_urdf as read_urdf
 from .description.urdf import shipped_file as shipped_file
 from .description.urdf import shipped_folder as shipped_folder
-from .dynamics import GRAVITY as GRAVITY
-from .dynamics import Dynamics as Dynamics
-from .dynamics import MotionEnergy as MotionEnergy
-from .dynamics import motion_energy as motion_energy
+from .dynamics.dynamics import GRAVITY as GRAVITY
+from .dynamics.dynamics import Dynamics as Dynamics
+from .dynamics.dynamics import MotionEnergy as MotionEnergy
+from .dynamics.dynamics import motion_energy as motion_energy
 from .hydraulics.hydraulics import BothWays as BothWays
 from .hydraulics.hydraulics import Cylinder as Cylinder
 from .hydraulics.hydraulics import Hydraulics as Hydraulics

@@ -13,6 +13,8 @@ from machines import LENGTH, MASS, PENDULUM
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array
 from backhoe_planner.machine import GRAVITY, Dynamics, Kinematics, motion_energy
+from backhoe_planner.machine.dynamics.chain_dynamics import Chain, chain_energies, chain_torque_slopes, chain_torques
+from backhoe_planner.native import plain_versions
 from backhoe_planner.site import Soil, SoilReaction
 
 RAM = {
@@ -158,7 +160,7 @@ def test_torques_along_a_motion_equal_those_of_each_sample(panda: bp.Robot) -> N
     q, v, a = rng.normal(size=(3, 20, panda.n))
     dynamics = Dynamics(panda, payload=2.0)
     each = [dynamics.torques(*moment) for moment in zip(q, v, a, strict=True)]
-    np.testing.assert_array_equal(dynamics.torques_along(q, v, a), each)
+    np.testing.assert_allclose(dynamics.torques_along(q, v, a), each, rtol=1e-11, atol=1e-11)
     assert dynamics.torques_along(q[:0], v[:0], a[:0]).shape == (0, panda.n)
 
 
@@ -179,3 +181,62 @@ def test_the_derivatives_of_torques_agree_with_central_differences(any_robot: bp
             ends.append(dynamics.torques_along(*moved))
         expected = (ends[0] - ends[1]) / (2.0 * nudge)
         np.testing.assert_allclose(slopes[:, :, column], expected, atol=1e-6 * (1.0 + float(np.max(np.abs(slopes)))))
+
+
+@pytest.mark.parametrize("payload", [0.0, 40.0])
+def test_torques_slopes_and_energies_of_a_chain_equal_pinocchios(any_robot: bp.Robot, payload: float) -> None:
+    """Of both versions, the plain one and the one that runs."""
+    rng, dynamics = np.random.default_rng(8), Dynamics(any_robot, payload=payload)
+    q, v, a = rng.normal(size=(3, 6, any_robot.n))
+    model = dynamics._model
+    data, chain = model.createData(), Chain.of(any_robot, model)
+    torques = [pin.rnea(model, data, *moment).copy() for moment in zip(q, v, a, strict=True)]
+    slopes = []
+    for moment in zip(q, v, a, strict=True):
+        of_q, of_v, M = pin.computeRNEADerivatives(model, data, *moment)
+        M = np.reshape(M, (any_robot.n, any_robot.n))
+        slopes.append(np.hstack((np.reshape(of_q, M.shape), np.reshape(of_v, M.shape), np.triu(M) + np.triu(M, 1).T)))
+    kinetic = [pin.computeKineticEnergy(model, data, *moment) for moment in zip(q, v, strict=True)]
+    lifted = np.array([pin.computePotentialEnergy(model, data, row) for row in q])
+    near = 1e-10 * float(np.abs(slopes).max())
+    plain = plain_versions()
+    for of_torques, of_slopes, of_energies in (
+        (chain_torques, chain_torque_slopes, chain_energies),
+        (plain["chain_torques"], plain["chain_torque_slopes"], plain["chain_energies"]),
+    ):
+        each, (with_slopes, found) = of_torques(q, v, a, *chain), of_slopes(q, v, a, *chain)
+        moving, potential = of_energies(q, v, *chain)
+        np.testing.assert_allclose(each, torques, rtol=1e-10, atol=near)
+        np.testing.assert_allclose(with_slopes, torques, rtol=1e-10, atol=near)
+        np.testing.assert_allclose(found, slopes, rtol=1e-10, atol=near)
+        np.testing.assert_allclose(moving, kinetic, rtol=1e-10, atol=near)
+        np.testing.assert_allclose(potential - potential[0], lifted - lifted[0], rtol=1e-10, atol=near)
+
+
+def test_the_torques_of_a_slide_and_a_hinge_by_hand() -> None:
+    """A slide along x carries a hinge about z at its end, with 2 kg at 3 m from it; gravity is along -y.
+
+    With the hinge at 0 the mass lies on the x axis: turning at 5 rad/s needs a pull of 2 * 3 * 25 N, a slide at 7 m/s^2
+    14 N the other way, an angular acceleration of 4 rad/s^2 of the mass and of 0.5 kg m^2 (18 + 0.5) * 4 N m, and the
+    weight of 2 * 10 N at 3 m 60 N m.
+    """
+    still, z, y = np.eye(3), np.array([0.0, 0.0, 1.0]), np.array([0.0, 10.0, 0.0])
+    skew = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    own = [
+        np.column_stack((still, K, K @ K, axis, np.zeros(3))).T.ravel()
+        for K, axis in ((0.0 * skew, still[0]), (skew, z))
+    ]
+    bodies = np.zeros((2, 10))
+    bodies[1] = 2.0, 3.0, 0.0, 0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.5
+    chain = np.array(own).T.copy(), np.array([1.0, 0.0]), bodies, -y
+    q, v, a = (np.array([row]) for row in ([0.3, 0.0], [1.0, 5.0], [7.0, 4.0]))
+    np.testing.assert_allclose(chain_torques(q, v, a, *chain), [[14.0 - 150.0, 74.0 + 60.0]], atol=1e-12)
+    torque, slopes = chain_torque_slopes(q, v, a, *chain)
+    np.testing.assert_allclose(torque, [[-136.0, 134.0]], atol=1e-12)
+    # by the slide's position: nothing. By the hinge's: the x force is -6 (25 cos + 4 sin), the moment 60 cos - 42 sin
+    np.testing.assert_allclose(slopes[0, :, :2], [[0.0, -24.0], [0.0, -42.0]], atol=1e-12)
+    np.testing.assert_allclose(slopes[0, :, 2:4], [[0.0, -2.0 * 6.0 * 5.0], [0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(slopes[0, :, 4:], [[2.0, 0.0], [0.0, 18.5]], atol=1e-12)
+    kinetic, potential = chain_energies(q, v, *chain)
+    assert kinetic == pytest.approx([0.5 * 2.0 * (1.0 + 15.0**2) + 0.5 * 0.5 * 25.0])
+    assert potential == pytest.approx([0.0], abs=1e-12)

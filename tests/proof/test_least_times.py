@@ -176,7 +176,9 @@ def test_remembered_needs_belong_to_one_start(backhoe: bp.Robot) -> None:
     ends = np.array([first + 0.1, first - 0.2, other + 0.3])
     after, alone = (LeastTimes(problem_at(backhoe, q), q, longest=50.0).to_boxes(ends, ends) for q in (first, other))
     _needs_within.cache_clear()
-    np.testing.assert_array_equal(LeastTimes(problem_at(backhoe, other), other, longest=50.0).to_boxes(ends, ends), alone)
+    np.testing.assert_array_equal(
+        LeastTimes(problem_at(backhoe, other), other, longest=50.0).to_boxes(ends, ends), alone
+    )
     assert not np.array_equal(after, alone)
 
 

@@ -16,7 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine.dynamics.chain_dynamics import Chain, chain_energies, chain_torque_slopes, chain_torques
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.native import is_compiled
 
 GRAVITY = 9.81  # m/s^2
 
@@ -43,6 +45,8 @@ class Dynamics:
             self._model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
         self._data = self._model.createData()
         self._tip = robot.tip_frame
+        # for many moments; without the compiled functions Pinocchio is quicker, moment by moment
+        self._chain = Chain.of(robot, self._model) if is_compiled(chain_torques) else None
 
     def torques(self, q: Vector, v: Vector, a: Vector, *, tip_force: Vector | None = None) -> Vector:
         """(n,) joint torques or forces [N m or N] at positions q, velocities v and accelerations a (n,).
@@ -59,6 +63,8 @@ class Dynamics:
 
     def torques_along(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
         """(B, n) the joint torques or forces of B moments, with q, v and a (B, n)."""
+        if self._chain is not None:
+            return chain_torques(q, v, a, *self._chain)
         found = np.empty(np.shape(q))
         rnea, model, data = pin.rnea, self._model, self._data  # looked up once: rnea is called millions of times
         for row, moment in enumerate(zip(q, v, a, strict=True)):
@@ -70,6 +76,8 @@ class Dynamics:
 
         Along the last axis, the derivatives by q (B, n) come first, then those by v and by a (B, n).
         """
+        if self._chain is not None:
+            return chain_torque_slopes(q, v, a, *self._chain)
         count, n = np.shape(q)
         found, slopes = np.empty((count, n)), np.empty((count, n, 3 * n))
         derive, model, data = pin.computeRNEADerivatives, self._model, self._data
@@ -105,6 +113,13 @@ class Dynamics:
     def potential_energy(self, q: Vector) -> float:
         """Potential energy at q (n,), up to a constant [J]."""
         return float(pin.computePotentialEnergy(self._model, self._data, q))
+
+    def energies_along(self, q: Matrix, v: Matrix) -> tuple[Vector, Vector]:
+        """(B,), (B,) kinetic and potential energies of B moments, q and v (B, n); the latter up to a constant [J]."""
+        if self._chain is not None:
+            return chain_energies(q, v, *self._chain)
+        kinetic = [self.kinetic_energy(*moment) for moment in zip(q, v, strict=True)]
+        return np.array(kinetic, dtype=float), np.array([self.potential_energy(row) for row in q], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +191,7 @@ def motion_energy(
         torque = np.array([dynamics.torques(*row, tip_force=force) for *row, force in moments]).reshape(q.shape)
     if outside is not None:
         torque = torque - outside
-    potential = np.array([dynamics.potential_energy(row) for row in q])
+    kinetic, potential = dynamics.energies_along(q, v)
     joint_power = torque * v
     power = np.sum(np.maximum(joint_power, 0.0), axis=1)
     hydraulic_power = None if robot.hydraulics is None else robot.hydraulics.load_sensing_power(q, v, torque)
@@ -186,7 +201,7 @@ def motion_energy(
         joint_power=joint_power,
         power=power,
         work=_integral(power, time),
-        kinetic=np.array([dynamics.kinetic_energy(*row) for row in zip(q, v, strict=True)]),
+        kinetic=kinetic,
         potential=potential - potential[:1],
         hydraulic_power=hydraulic_power,
         hydraulic=None if hydraulic_power is None else _integral(hydraulic_power, time),
