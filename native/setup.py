@@ -29,6 +29,7 @@ SOURCES = (
     "rods",
     "routes",
     "dynamics",
+    "goals",
     "module",
 )
 

@@ -787,6 +787,36 @@ def chain_torque_slopes(rng: Rng) -> Arguments:
     return chain_torques(rng)
 
 
+def contracted(rng: Rng) -> Arguments:
+    n, boxes = joints(rng), some(rng)
+    group = np.repeat(np.arange(3), rng.integers(0, 4, 3))
+    m = len(group)
+    H = 0.3 * rng.normal(size=(boxes, m, n, n))
+    slack = rng.uniform(0.0, 0.1, (boxes, 3))
+    slack[rng.random(slack.shape) < 0.1] = np.inf
+    return (
+        0.5 * rng.normal(size=(boxes, m)), rng.normal(size=(boxes, m, n)), H + np.swapaxes(H, 2, 3), slack, group,
+        rng.uniform(0.0, 0.5, (boxes, n)),
+    )  # fmt: skip
+
+
+def missed_up_to(rng: Rng) -> Arguments:
+    """Of boxes inside and outside of what is reached, with levels from 0 to 20."""
+    *features, half = contracted(rng)
+    start, middle = rng.normal(size=half.shape[1]), 0.5 * rng.normal(size=half.shape)
+    reach = np.linspace(0.0, 1.5, 21)[:, None] * rng.uniform(0.5, 1.5, half.shape[1])
+    known = rng.integers(0, 20, len(half))
+    return *features, middle, middle - half, middle + half, start - reach, start + reach, known
+
+
+def second_order(rng: Rng) -> Arguments:
+    n, boxes = joints(rng), some(rng)
+    hinge = rng.integers(0, 2, n).astype(float)
+    bound = rng.uniform(0.5, 4.0, n)
+    bound[rng.random(n) < 0.3] = np.inf
+    return *rng.normal(size=(2, boxes, n, 3)), rng.uniform(0.0, 0.5, (boxes, n)), hinge, bound
+
+
 def solve_poses(rng: Rng) -> Arguments:
     """Poses, or positions alone, that most searches reach within the limits, and some that are out of reach."""
     n, count = joints(rng), some(rng)
@@ -871,17 +901,17 @@ def lower_over_heights(rng: Rng) -> Arguments:
 SOURCES: list[Callable[[Rng], Arguments]] = [
     approach_rates, ball_bounds, bend_in_parts, binding_corners, blended_points, bounds_after, box_urgency,
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_energies, chain_placements,
-    chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, corner_gaps, cost_of_tip, count_travel,
-    damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand, gaps_along_path,
-    hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground, known_apart,
-    largest_part, least_over_path, least_supplied, left_over_path, line_ahead, lower_on_grid, lower_over_heights,
-    margins_now, most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground, nearest_on_mesh,
-    nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken,
-    pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms,
-    reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces,
-    rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, soft_solution, solve_poses, split_by_plane,
-    stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near,
-    velocity_held_as_before, velocity_within_rows, ways_of_links,
+    chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, contracted, corner_gaps, cost_of_tip,
+    count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand,
+    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground,
+    known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead, lower_on_grid,
+    lower_over_heights, margins_now, missed_up_to, most_urgent_boxes, near_gaps, near_now, near_rows,
+    nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
+    off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
+    put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes,
+    rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, second_order, soft_solution,
+    solve_poses, split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
+    unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
 ]  # fmt: skip
 
 

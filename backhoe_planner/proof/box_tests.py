@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.native import compiled
 from backhoe_planner.proof.goal_features import Features
 
 _STEPS = 3  # of the descent to a direction; chosen: more steps cost more time than they save in boxes
@@ -80,26 +81,58 @@ class DirectionTest:
         return np.asarray(self._left.greatest(low, high) < self._needed)
 
 
-def contracted(features: Features, half: Matrix) -> tuple[Matrix, Matrix]:
+@compiled
+def missed_up_to(
+    error: Matrix, J: Array, H: Array, slack: Matrix, group: Indices, middle: Matrix, lower: Matrix, upper: Matrix,
+    furthest_down: Matrix, furthest_up: Matrix, known: Indices, /,
+) -> Indices:  # fmt: skip
+    """(B,) the highest level found up to which no reachable configuration of a box is on the goal.
+
+    Parameters
+    ----------
+    error, J, H, slack, group, middle: of the `Features` over the boxes lower .. upper (B, n) [rad or m].
+    furthest_down, furthest_up: (L + 1, n) all that is reached at each level.
+    known: (B,) such levels that are known, less than L.
+    """
+    features = Features(middle, error, J, H, slack, group)
+
+    def ends(level: Indices) -> tuple[Matrix, Matrix]:
+        return np.maximum(lower, furthest_down[level]) - middle, np.minimum(upper, furthest_up[level]) - middle
+
+    missed = known
+    test = DirectionTest(features, best_directions(features, *ends(missed + 1)))
+    level = np.full(len(known), len(furthest_down) - 1)
+    reached = level + 1  # the lowest level at which a box is not known to miss
+    while (reached - missed > 1).any():
+        going = reached - missed > 1
+        misses = test.misses(*ends(level))
+        missed = np.where(going & misses, level, missed)
+        reached = np.where(going & ~misses, level, reached)
+        level = (missed + reached) // 2
+    return np.array(missed)
+
+
+@compiled
+def contracted(
+    error: Matrix, J: Array, H: Array, slack: Matrix, group: Indices, half: Matrix, /
+) -> tuple[Matrix, Matrix]:
     """(B, n), (B, n) bounds of d on the goal, in boxes of half widths `half` (B, n).
 
     For each joint they follow from the direction that depends least on the other joints. The lower bound is above
-    the upper one if no configuration in the box is on the goal.
+    the upper one if no configuration in the box is on the goal. The other arguments are those of the `Features`.
     """
     n = half.shape[1]
-    known = np.isfinite(features.slack)
-    rows = known[:, features.group]
-    slack, error = np.where(known, features.slack, 0.0), np.where(rows, features.error, 0.0)
-    J = np.where(rows[:, :, None], features.J, 0.0)
+    known = np.isfinite(slack)
+    rows = known[:, group]
+    slack, error = np.where(known, slack, 0.0), np.where(rows, error, 0.0)
+    J = np.where(rows[:, :, None], J, 0.0)
     scaled = J * half[:, None, :]
     square = np.swapaxes(scaled, 1, 2) @ scaled
     square[:, range(n), range(n)] += _DAMPING * np.einsum("bii->b", square)[:, None] / n + _TINY
     W = np.linalg.solve(square, np.swapaxes(scaled, 1, 2))  # (B, n, m)
     g = W @ J
-    h = (W @ features.H.reshape(len(W), -1, n * n)).reshape(-1, n, n, n)
-    lengths = np.stack(
-        [np.sqrt((W[:, :, features.group == k] ** 2).sum(axis=2)) for k in range(slack.shape[1])], axis=2
-    )
+    h = (W @ H.reshape(len(W), -1, n * n)).reshape(-1, n, n, n)
+    lengths = np.stack([np.sqrt((W[:, :, group == k] ** 2).sum(axis=2)) for k in range(slack.shape[1])], axis=2)
     wide = (lengths * slack[:, None, :]).sum(axis=2)
     middle = np.einsum("bjm,bm->bj", W, error)
     squared = half * half

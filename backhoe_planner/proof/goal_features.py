@@ -23,6 +23,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TipTarget, tip_travel_bound, wrap_angle
 from backhoe_planner.motion import ANGLE_TOLERANCE, JOINT_TOLERANCE, Goal, Problem
+from backhoe_planner.native import compiled
 
 _LEVER = 0.5  # m: a direction that is off by 1 rad counts as a tip that is off by this; chosen
 _LOOSE = 0.2  # rad: chosen; with a larger tolerance the orientation is not tested, and the position more closely
@@ -50,6 +51,11 @@ class Features:
     H: Array
     slack: Matrix
     group: Indices
+
+    @property
+    def tests(self) -> tuple[Matrix, Array, Array, Matrix, Indices]:
+        """Error, J, H, slack and group: what the compiled tests take."""
+        return self.error, self.J, self.H, self.slack, self.group
 
 
 class GoalRegion(Protocol):
@@ -223,6 +229,15 @@ def _direction(axes: Array, vector: Matrix, half: Matrix, *, hinge: Vector) -> V
 
 def vector_terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, bound: Vector | None = None) -> VectorTerms:
     """The terms of a vector with the first derivatives `first` (B, k, 3); the rest is as in `_point`."""
+    most = np.full(len(hinge), np.inf) if bound is None else bound
+    return VectorTerms(np.swapaxes(first, 1, 2), *second_order(first, axes, half, hinge, most))
+
+
+@compiled
+def second_order(
+    first: Array, axes: Array, half: Matrix, hinge: Vector, bound: Vector, /
+) -> tuple[Array, Vector, Matrix]:
+    """H, `rest` and `longest` of the `VectorTerms` of a vector; the arguments are those of `vector_terms`."""
     count, k = half.shape
     second = np.zeros((count, 3, k, k))
     longest = np.empty((count, k))
@@ -230,7 +245,7 @@ def vector_terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, boun
     for joint in reversed(range(k)):
         here = np.sqrt(np.einsum("bi,bi->b", first[:, joint], first[:, joint]))
         if hinge[joint]:
-            longest[:, joint] = here + moved if bound is None else np.minimum(here + moved, bound[joint])
+            longest[:, joint] = np.minimum(here + moved, bound[joint])
             turned = np.swapaxes(cross(axes[:, joint, None, :], first[:, joint:]), 1, 2)
             second[:, :, joint, joint:] = turned
             second[:, :, joint:, joint] = turned
@@ -241,7 +256,7 @@ def vector_terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, boun
     up_to = np.cumsum(angle, axis=1)
     before = up_to - angle
     terms = np.where(hinge > 0.0, up_to**3 - before**3, 3.0 * half * before**2)
-    return VectorTerms(np.swapaxes(first, 1, 2), second, np.einsum("bk,bk->b", longest, terms) / 6.0, longest)
+    return second, np.einsum("bk,bk->b", longest, terms) / 6.0, longest
 
 
 def _turned(turn: Array, vectors: Array) -> Array:

@@ -19,8 +19,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Problem
-from backhoe_planner.proof.box_tests import DirectionTest, bends, best_directions, contracted
-from backhoe_planner.proof.goal_features import Features, GoalRegion, goal_regions
+from backhoe_planner.proof.box_tests import DirectionTest, bends, best_directions, contracted, missed_up_to
+from backhoe_planner.proof.goal_features import GoalRegion, goal_regions
 from backhoe_planner.proof.least_times import LeastTimes
 
 _NEAR = 0.01  # part of a known duration: a bound nearer to it than this is near enough; chosen
@@ -236,30 +236,13 @@ class _Search:
             return _Boxes(lower[:0], upper[:0], bound[:0], np.zeros(0, dtype=np.intp))
         features = self._goal.features(lower, upper)
         half = 0.5 * (upper - lower)
-        bound = np.maximum(bound, self._level[self._missed_up_to(features, lower, upper, bound)])
-        least, most = contracted(features, half)
+        known = np.minimum((bound / self._target * _LEVELS).astype(np.intp), _LEVELS - 1)
+        missed = missed_up_to(*features.tests, features.middle, lower, upper, self._from, self._to, known)
+        bound = np.maximum(bound, self._level[missed])
+        least, most = contracted(*features.tests, half)
         rows = np.flatnonzero((bound < self._target) & (least <= most).all(axis=1))
         lower, upper = (features.middle + least)[rows], (features.middle + most)[rows]
         bound = np.maximum(bound[rows], self._times.to_boxes(lower, upper))
         joint = np.argmax(bends(features, 0.5 * (most - least))[rows], axis=1)
         found = _Boxes(lower, upper, bound, joint)
         return found.take(np.flatnonzero(bound < self._target))
-
-    def _missed_up_to(self, features: Features, lower: Matrix, upper: Matrix, bound: Vector) -> Indices:
-        """(B,) the highest level found in whose time no configuration of a box that is on the goal is reached."""
-        middle = features.middle
-
-        def ends(level: Indices) -> tuple[Matrix, Matrix]:
-            return np.maximum(lower, self._from[level]) - middle, np.minimum(upper, self._to[level]) - middle
-
-        missed = np.minimum((bound / self._target * _LEVELS).astype(np.intp), _LEVELS - 1)
-        test = DirectionTest(features, best_directions(features, *ends(missed + 1)))
-        level = np.full(len(bound), _LEVELS)
-        reached = level + 1  # the lowest level at which a box is not known to miss
-        while (reached - missed > 1).any():
-            going = reached - missed > 1
-            misses = test.misses(*ends(level))
-            missed = np.where(going & misses, level, missed)
-            reached = np.where(going & ~misses, level, reached)
-            level = np.maximum((missed + reached) // 2, 0)
-        return missed

@@ -126,7 +126,7 @@ def _search(
         features = goal.features(low, high)
         half = 0.5 * (high - low)
         missed = DirectionTest(features, best_directions(features, -half, half)).misses(-half, half)
-        least, most = contracted(features, half)
+        least, most = contracted(*features.tests, half)
         left = np.flatnonzero(~missed & (least <= most).all(axis=1) & (found < target))
         next_joint = np.argmax(bends(features, 0.5 * (most - least)), axis=1)
         low, high = (features.middle + least)[left], (features.middle + most)[left]

@@ -72,7 +72,7 @@ def assert_never_ruled_out(features: Features, half: Matrix, d: Matrix, rng: np.
         test = DirectionTest(features, w)
         assert not test.misses(-half, half).any()
         assert not test.misses(low, high).any()
-    least, most = contracted(features, half)
+    least, most = contracted(*features.tests, half)
     assert np.all(least <= d + 1e-9)
     assert np.all(d <= most + 1e-9)
 
@@ -176,6 +176,6 @@ def test_boxes_far_from_the_goal_are_ruled_out_and_near_ones_contracted(planar4:
     features = features_around(planar4, q, goal, half, d)
     missed = DirectionTest(features, best_directions(features, -half, half)).misses(-half, half)
     assert missed.tolist() == [True, False]
-    least, most = contracted(features, half)
+    least, most = contracted(*features.tests, half)
     assert np.all(np.abs(least[1] - np.maximum(d[1] - 1e-3, -0.1)) < 1e-4)
     assert np.all(np.abs(most[1] - np.minimum(d[1] + 1e-3, 0.1)) < 1e-4)
