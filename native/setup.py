@@ -30,6 +30,8 @@ SOURCES = (
     "routes",
     "dynamics",
     "goals",
+    "linkages",
+    "ways",
     "module",
 )
 

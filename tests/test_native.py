@@ -697,6 +697,12 @@ def ball_bounds(rng: Rng) -> Arguments:
     return q, factors, slides, joint, starts, fine, boxes, radius[len(joint) :], first, second
 
 
+def ways_of_pairs(rng: Rng) -> Arguments:
+    q, factors, slides, joint, starts, fine, _, _, first, _ = ball_bounds(rng)
+    travel = rng.uniform(0.0, 3.0, (len(first), q.shape[1]))
+    return q, factors, slides, joint, starts, fine, travel, first, rng.random(len(first)) < 0.5
+
+
 def pairs_not_apart(rng: Rng) -> Arguments:
     q, *rest = first_not_apart(rng)
     return rng.normal(size=(1, q.shape[1])), *rest
@@ -817,6 +823,20 @@ def second_order(rng: Rng) -> Arguments:
     return *rng.normal(size=(2, boxes, n, 3)), rng.uniform(0.0, 0.5, (boxes, n)), hinge, bound
 
 
+def linkage_arms(rng: Rng) -> Arguments:
+    """Triangles, and four-bars of which some do not close."""
+    n, cylinders = joints(rng), int(rng.integers(1, 5))
+    constants = rng.uniform(0.2, 1.0, (cylinders, 11))
+    constants[:, 2] = rng.uniform(-3.0, 3.0, cylinders)
+    constants[:, 4:6], constants[:, 7] = rng.uniform(-0.3, 0.3, (cylinders, 2)), rng.uniform(0.3, 0.8, cylinders)
+    constants[:, 10] = rng.integers(-1, 2, cylinders)
+    return rng.normal(size=(some(rng), n)), rng.integers(0, n, cylinders), constants
+
+
+def linkage_arm_slopes(rng: Rng) -> Arguments:
+    return linkage_arms(rng)
+
+
 def solve_poses(rng: Rng) -> Arguments:
     """Poses, or positions alone, that most searches reach within the limits, and some that are out of reach."""
     n, count = joints(rng), some(rng)
@@ -904,14 +924,15 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, contracted, corner_gaps, cost_of_tip,
     count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand,
     gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground,
-    known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead, lower_on_grid,
-    lower_over_heights, margins_now, missed_up_to, most_urgent_boxes, near_gaps, near_now, near_rows,
-    nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within, not_proven, note_gaps,
-    off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip, placed_arrays, plane_rows,
-    put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground, read_results, rod_flow_slopes,
-    rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, second_order, soft_solution,
-    solve_poses, split_by_plane, stalest_pair, step_conditions, straight_towards, tightest_pair, turn_along_surface,
-    unproven_of_near, velocity_held_as_before, velocity_within_rows, ways_of_links,
+    known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead, linkage_arm_slopes,
+    linkage_arms, lower_on_grid, lower_over_heights, margins_now, missed_up_to, most_urgent_boxes, near_gaps,
+    near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within,
+    not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip,
+    placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground,
+    read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path,
+    second_order, soft_solution, solve_poses, split_by_plane, stalest_pair, step_conditions, straight_towards,
+    tightest_pair, turn_along_surface, unproven_of_near, velocity_held_as_before, velocity_within_rows,
+    ways_of_links, ways_of_pairs,
 ]  # fmt: skip
 
 

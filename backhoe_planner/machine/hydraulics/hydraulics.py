@@ -21,9 +21,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Flags, as_rows
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, as_rows
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage, Triangle
+from backhoe_planner.machine.hydraulics.linkage_arms import linkage_arm_slopes, linkage_arms, linkage_constants
 from backhoe_planner.machine.hydraulics.rods import (
     oil_taken,
     rod_flow_slopes,
@@ -175,9 +176,7 @@ class Hydraulics:
 
     def arm_slopes(self, q: Array) -> Array:
         """(..., m) dr/dq of each cylinder's moment arm along its own joint [m/rad^2], at q (..., n)."""
-        return self._remembered(
-            "slopes", lambda q: self._read_only(lambda linkage, angle: linkage.arm_slope(angle), q), q
-        )
+        return self._remembered("slopes", lambda q: self._of_arms(linkage_arm_slopes, q), q)
 
     def joints(self, lengths: Array) -> Array:
         """(..., n) the joint positions [rad] with these `lengths` (..., m) [m]; the inverse of the method `lengths`.
@@ -348,7 +347,17 @@ class Hydraulics:
 
     def _arms(self, q: Array) -> Array:
         """(..., m) dl/dq of each cylinder along its own joint [m/rad], read-only."""
-        return self._remembered("arms", lambda q: self._read_only(lambda linkage, angle: linkage.arm(angle), q), q)
+        return self._remembered("arms", lambda q: self._of_arms(linkage_arms, q), q)
+
+    def _of_arms(self, compute: Callable[[Matrix, Indices, Matrix], Matrix], q: Array) -> Array:
+        """(..., m) the result of `compute` for the cylinders' linkages, at q (..., n); read-only."""
+        rows = compute(q.reshape(-1, q.shape[-1]), self.joint_of, self._linkage_constants)
+        rows.setflags(write=False)
+        return rows.reshape(*q.shape[:-1], rows.shape[1])
+
+    @cached_property
+    def _linkage_constants(self) -> Matrix:
+        return linkage_constants([cylinder.linkage for cylinder in self.cylinders])
 
     def _remembered(self, what: str, compute: Callable[[Array], _Found], q: Array) -> _Found:
         """The result of `compute` at q (..., n), or that of an earlier call at the same q."""
@@ -388,11 +397,6 @@ class Hydraulics:
         found = np.empty((*q.shape[:-1], len(self.cylinders)))
         for linkage, columns, joints in self._together:
             found[..., columns] = compute(linkage, q[..., joints])
-        return found
-
-    def _read_only(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
-        found = self._of_linkages(compute, q)
-        found.setflags(write=False)
         return found
 
     def _by_joint(self, values: Array) -> Array:

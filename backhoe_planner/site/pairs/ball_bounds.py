@@ -9,18 +9,15 @@ least between their balls. Where balls may touch, nothing is known.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Robot, chain_placements, self_pieces
+from backhoe_planner.machine import Robot, chain_placements
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import compiled, find_compiled
 from backhoe_planner.site.pairs.certainly_clear import box_of, covered_links
-from backhoe_planner.site.pairs.link_balls import LinkBalls
 
-_MOST_BALLS = 4  # for one piece; chosen among 2 to 24: more leave fewer pairs to be measured, and take longer
 _ROUNDING = 1e-9  # m: chosen far above the rounding of sums of a few products, and far below any clearance
 TOGETHER = 64  # configurations; chosen: their bounds take a few MB if there are thousands of pairs
 
@@ -68,12 +65,6 @@ class BallBounds:
         return found
 
 
-@lru_cache(maxsize=8)
-def balls_of(robot: Robot) -> tuple[BatchKinematics, LinkBalls]:
-    """The kinematics and the balls for bounds of a machine's distances, for any surroundings; both are stateless."""
-    return BatchKinematics(robot), LinkBalls(self_pieces(robot), most=[_MOST_BALLS])
-
-
 @compiled
 def ball_bounds(
     q: Matrix, factors: Matrix, slides: Vector, joint: Indices, starts: Indices, fine: Matrix, boxes: Matrix,
@@ -89,7 +80,7 @@ def ball_bounds(
     boxes, radius: (B, 15), (B,) boxes around bodies, see `first_not_apart`, and the radii that round them [m].
     second: numbers of the K pieces, or of the bodies, which are numbered after these.
     """
-    balls = _placed_balls(q, factors, slides, joint, starts, fine)
+    balls = placed_balls(q, factors, slides, joint, starts, fine)
     found = np.zeros((len(q), len(first)))
     for other in np.unique(second).tolist():
         columns = np.flatnonzero(second == other)
@@ -104,7 +95,7 @@ def ball_bounds(
     return found
 
 
-def _placed_balls(
+def placed_balls(
     q: Matrix, factors: Matrix, slides: Vector, joint: Indices, starts: Indices, fine: Matrix
 ) -> Array:  # fmt: skip
     """(3, N, S) the centres of all balls [m], world."""

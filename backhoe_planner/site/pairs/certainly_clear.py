@@ -20,7 +20,9 @@ from backhoe_planner.machine import Robot, box_around, chain_factors, covering_b
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import compiled
 
-_MOST_BALLS = 4  # for one piece; chosen, with 16 of them no fewer configurations are in doubt
+# for one piece; chosen: with 16 of them no fewer configurations are in doubt, and as bounds of distances and ways more
+# leave fewer pairs to be measured, and take longer
+_MOST_BALLS = 4
 _ROUNDING = 1e-9  # m: chosen far above the rounding of sums of a few products, and far below any clearance
 _HALF_SPACE = -1.0  # in place of the half edges of a box
 
