@@ -118,6 +118,8 @@ class LeastTimes:
             for joint in sorted(set(self._hydraulics.joint_of.tolist())):
                 self._oil[joint], self._slow[joint] = self._needs(self._hydraulics, joint)
         self._halves = np.linspace(0.0, 0.5 * longest, _MOMENTS + 1)
+        self._steps = np.diff(self._halves)
+        self._rates = np.minimum(self._v[:, None], self._a[:, None] * (self._halves + _LATE))  # (n, K) of the joints
         self._all_amounts = np.zeros((3 ** len(self._oil) if len(self._oil) <= _MOST_TOGETHER else 0, _MOMENTS + 1))
         self._known_ways: set[int] = set()  # of boxes, whose supplies are in the table
 
@@ -230,13 +232,14 @@ class LeastTimes:
         return self._valves[joint, way]
 
     def _table_of(self, limit: float, joints: list[int], most: list[float]) -> _Supply:
-        time = self._halves
-        rate = np.zeros(len(time))
+        rate = np.zeros(len(self._halves))
         for joint, per_joint in zip(joints, most, strict=True):
-            rate += per_joint * np.minimum(self._v[joint], self._a[joint] * (time + _LATE))
-        rate = np.minimum(rate, limit)
+            rate += per_joint * self._rates[joint]
+        np.minimum(rate, limit, out=rate)
         # the rate grows, so that the later of two neighbouring rates is never too low
-        return _Supply(time, np.append(0.0, np.cumsum(rate[1:] * np.diff(time))))
+        amount = np.zeros(len(rate))
+        np.cumsum(rate[1:] * self._steps, out=amount[1:])
+        return _Supply(self._halves, amount)
 
 
 @lru_cache(maxsize=_REMEMBERED)
