@@ -289,23 +289,29 @@ PyObject *pairs_not_apart(PyObject *self, PyObject *const *args, Py_ssize_t coun
     return pairs;
 }
 
+/* A distance with this square, less the radii of two balls, if that is less than the least so far; most are not, by squares. */
+static double lesser(double square, double radii, double least)
+{
+    const double reach = least + radii;
+    return reach > 0.0 && square < reach * reach ? sqrt(square) - radii : least;
+}
+
 /* The least distance between the smaller balls of two pieces, or of one and a body; `rounder` has the radii of bodies. */
 double balls_apart(const Screen *s, npy_intp a, npy_intp b, const double (*ball)[3], const double *rounder)
 {
     const double *box = b < s->own ? NULL : s->box + 15 * (b - s->own);
     double least = INFINITY;
     for (npy_intp i = INDEX(s->starts, a); i < INDEX(s->starts, a + 1); i++) {
-        double off = INFINITY;
+        const double own = s->fine[4 * i + 3];
         if (!box) {
             for (npy_intp k = INDEX(s->starts, b); k < INDEX(s->starts, b + 1); k++) {
                 const double x = ball[i][0] - ball[k][0], y = ball[i][1] - ball[k][1], z = ball[i][2] - ball[k][2];
-                off = fmin(off, sqrt(x * x + y * y + z * z) - s->fine[4 * k + 3]);
+                least = lesser(x * x + y * y + z * z, own + s->fine[4 * k + 3], least);
             }
         } else if (box[12] < 0.0)
-            off = box[0] * ball[i][0] + box[1] * ball[i][1] + box[2] * ball[i][2] - box[9];
+            least = fmin(least, box[0] * ball[i][0] + box[1] * ball[i][1] + box[2] * ball[i][2] - box[9] - own);
         else
-            off = sqrt(off_box(box, ball[i])) - rounder[b - s->own];
-        least = fmin(least, off - s->fine[4 * i + 3]);
+            least = lesser(off_box(box, ball[i]), own + rounder[b - s->own], least);
     }
     return least;
 }
