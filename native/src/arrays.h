@@ -89,7 +89,8 @@ void solve_cholesky(const double *L, int n, double *b);
 int eigenvectors(double *A, int n, double *U);
 
 /* All functions that Python sees, by the files that they stand in: kinematics, poses, pairs, clusters, law, shield, servo,
- * boxes, rows, odometers, screen, near, timing, programs, held, ground, rings, mesh, rods, routes, dynamics, goals, * linkages, ways. */
+ * boxes, rows, odometers, screen, near, timing, programs, held, ground, rings, mesh, rods, routes,
+ * dynamics, goals, linkages, ways. */
 #define FUNCTIONS(F) \
     F(placed_arrays) F(keep_placements) F(place_tip) F(damped_steps) F(chain_placements) F(solve_poses) \
     F(read_results) F(bounds_after) F(reach_of_lead) F(approach_rates) F(pairs_within) F(near_rows) \
