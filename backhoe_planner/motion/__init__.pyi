@@ -1,5 +1,6 @@
 from .conditions import KEPT_TO as KEPT_TO
 from .conditions import Condition as Condition
+from .conditions import Cone as Cone
 from .conditions import HeightBound as HeightBound
 from .conditions import PitchBand as PitchBand
 from .conditions import RotationCone as RotationCone

@@ -25,6 +25,7 @@ quarter turn away (balls of that radius are convex). So it is at most max(e_a, e
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -36,6 +37,8 @@ from backhoe_planner.machine import (
     BatchKinematics,
     Kinematics,
     Robot,
+    TargetBatch,
+    TipTarget,
     bend_weights,
     tip_tracking_error,
     wrap_angle,
@@ -234,21 +237,69 @@ class HeightBound(Condition):
         return f"the tip is {height} m high{when}, allowed {allowed}{_after(self)}"
 
 
-class RotationCone(Condition):
+class Cone(Condition):
+    """An angle of the tip's orientation is at most `tolerance` [rad].
+
+    No random configuration is within a narrow cone by chance: whatever looks for configurations narrows its targets.
+
+    Attributes
+    ----------
+    usable: what the tracking error leaves of the tolerance [rad].
+    turning: (n,) 1 for joints that change the angle, 0 for the others.
+    """
+
+    unit = "rad"
+
+    def __init__(self, robot: Robot, tolerance: float, turning: Vector) -> None:
+        self.tolerance, self.turning = tolerance, turning
+        self.room = 0.0 if robot.tube is None else float(turning @ robot.tube.joints)
+        self.usable = max(tolerance - self.room, 0.0)
+        self._batch = BatchKinematics(robot)
+
+    @abstractmethod
+    def angles(self, rotations: Array) -> Vector:
+        """(B,) the angle at orientations of the tip (B, 3, 3) [rad]."""
+
+    @abstractmethod
+    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
+        """The target within the cone, or within as much of it as `tolerance` [rad]; itself if it cannot express it."""
+
+    @abstractmethod
+    def narrowed_batch(self, targets: TargetBatch, tolerance: float | Vector) -> TargetBatch:
+        """The targets, those without an orientation within `tolerance` [rad], also (B,); a pitch is required still."""
+
+    def values(self, q: Matrix) -> Vector:
+        """(B,) the angle [rad]."""
+        return self.angles(self._batch.at(q).tip_rotation)
+
+    def margins(self, values: Vector) -> Vector:
+        """(B,) [rad]"""
+        return np.asarray(self.tolerance - self.room - values)
+
+    def lever(self, travel: Vector) -> Vector:
+        """(n,) [rad/rad]"""
+        return self.turning
+
+    @property
+    def allowed(self) -> str:
+        """``5 deg``"""
+        return f"{np.degrees(self.tolerance):.4g} deg{_less(self)}"
+
+    def _shown(self, value: float) -> tuple[str, str]:
+        """An angle and what is allowed [deg]."""
+        degrees = np.degrees([value, self.usable]).tolist()
+        angle, shown = beside_bounds(*degrees, places=".1f", bounds_as=".4g", rounding=float(np.degrees(KEPT_TO)))
+        return angle, shown
+
+
+class RotationCone(Cone):
     """The tip is turned by at most `tolerance` [rad] from `rotation` (3, 3)."""
 
     name = "rotation"
-    unit = "rad"
 
     def __init__(self, robot: Robot, rotation: Matrix, tolerance: float) -> None:
-        self.rotation, self.tolerance = rotation, tolerance
-        self.room = 0.0 if robot.tube is None else float(robot.tube.joints[~robot.prismatic].sum())
-        self._batch = BatchKinematics(robot)
-        self._turning = np.where(robot.prismatic, 0.0, 1.0)
-
-    def values(self, q: Matrix) -> Vector:
-        """(B,) angle from the orientation to be kept [rad]."""
-        return self.angles(self._batch.at(q).tip_rotation)
+        super().__init__(robot, tolerance, np.where(robot.prismatic, 0.0, 1.0))
+        self.rotation = rotation
 
     def angles(self, rotations: Array) -> Vector:
         """(B,) angle of orientations of the tip (B, 3, 3) from the one to be kept [rad]."""
@@ -256,23 +307,31 @@ class RotationCone(Condition):
         sines = np.linalg.norm([turn[:, i, j] - turn[:, j, i] for i, j in ((1, 0), (2, 0), (2, 1))], axis=0)
         return np.asarray(np.arctan2(sines, np.trace(turn, axis1=1, axis2=2) - 1.0))
 
-    def margins(self, values: Vector) -> Vector:
-        """(B,) [rad]"""
-        return np.asarray(self.tolerance - self.room - values)
+    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
+        """The target; one without an orientation or a pitch within `tolerance` [rad] of the one to be kept."""
+        if target.rotation is not None or target.pitch is not None:
+            return target
+        return replace(target, rotation=self.rotation, rotation_tolerance=tolerance)
+
+    def narrowed_batch(self, targets: TargetBatch, tolerance: float | Vector) -> TargetBatch:
+        """The targets, those without an orientation within `tolerance` [rad], also (B,), of the one to be kept."""
+        open_ = ~targets.has_rotation
+        return replace(
+            targets,
+            rotation=np.where(open_[:, None, None], self.rotation, targets.rotation),
+            has_rotation=np.ones(len(targets), dtype=bool),
+            rotation_tolerance=np.where(open_, tolerance, targets.rotation_tolerance),
+        )
 
     def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
         """(B,) [rad]"""
-        angle = np.abs(delta) * self._turning
+        angle = np.abs(delta) * self.turning
         whole = angle.sum(axis=1)
         bending = 0.5 * (whole**2 - np.square(angle).sum(axis=1))
         worst = np.maximum(before, after) + 0.25 * bending
         short = (worst < 0.5 * np.pi) & (whole < np.pi)
         bound = 0.5 * (before + after + whole)
         return self.margins(np.where(short, np.minimum(worst, bound), bound))
-
-    def lever(self, travel: Vector) -> Vector:
-        """(n,) [rad/rad]"""
-        return self._turning
 
     def rows(self, q: Vector) -> tuple[Vector, Matrix]:
         """One margin; its gradient is 0 if the tip is not turned at all."""
@@ -286,16 +345,9 @@ class RotationCone(Condition):
         """A wider cone."""
         return RotationCone(robot, self.rotation, self.tolerance + by)
 
-    @property
-    def allowed(self) -> str:
-        """``5 deg``"""
-        return f"{np.degrees(self.tolerance):.4g} deg{_less(self)}"
-
     def describe(self, value: float, when: str = "") -> str:
         """``the tip is turned by 12.0 deg from the orientation to be kept at 2.40 s, allowed 5 deg``"""
-        most = max(self.tolerance - self.room, 0.0)
-        degrees = np.degrees([value, most]).tolist()
-        angle, shown = beside_bounds(*degrees, places=".1f", bounds_as=".4g", rounding=float(np.degrees(KEPT_TO)))
+        angle, shown = self._shown(value)
         return (
             f"the tip is turned by {angle} deg from the orientation to be kept{when}, allowed {shown} deg{_after(self)}"
         )

@@ -11,7 +11,7 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
-from backhoe_planner.motion.conditions import KEPT_TO, Condition, PitchBand, RotationCone
+from backhoe_planner.motion.conditions import KEPT_TO, Condition, Cone, PitchBand
 
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
 _NEWTON = 20  # steps of a projection; chosen: near the solution, each step doubles the correct digits
@@ -33,6 +33,7 @@ class Keep:
     ----------
     conditions: all of them.
     band: the condition on the pitch, None if the pitch is free.
+    cones: the conditions on angles of the orientation, in which no configuration is by chance.
 
     A planner needs `margins` and `gradients` of a configuration, `segment_holds` of a straight
     motion of the joints, and `narrowed` for the target of inverse kinematics.
@@ -48,12 +49,8 @@ class Keep:
                 raise InputError("is no condition", key=f"conditions[{index}]", found=type(one).__name__)
         self.conditions: tuple[Condition, ...] = given
         self.band = next((one for one in self.conditions if isinstance(one, PitchBand)), None)
+        self.cones = tuple(one for one in self.conditions if isinstance(one, Cone))
         self._travel = tip_travel_bound(robot)
-
-    @property
-    def has_cone(self) -> bool:
-        """Whether an orientation must stay within a cone."""
-        return any(isinstance(one, RotationCone) for one in self.conditions)
 
     def margins(self, q: Vector) -> Vector:
         """(K,) margins of all conditions at the joints `q` (n,), 0 or more if they hold [rad or m]; smooth in `q`."""
@@ -125,14 +122,12 @@ class Keep:
         )
 
     def with_narrower_cone(self, by: float) -> Keep | None:
-        """The same conditions, with a cone of orientations narrower by `by` [rad]; None if that is most of it."""
+        """The same conditions, with every cone narrower by `by` [rad]; None if that is most of one."""
         by = as_number(by, key="by", least=0.0)
-        cones = [one for one in self.conditions if isinstance(one, RotationCone)]
-        if not cones or any(2.0 * by > one.tolerance - one.room for one in cones):
+        if not self.cones or any(2.0 * by > one.usable for one in self.cones):
             return None
         return Keep(
-            self.robot,
-            [one.widened(self.robot, -by) if isinstance(one, RotationCone) else one for one in self.conditions],
+            self.robot, [one.widened(self.robot, -by) if isinstance(one, Cone) else one for one in self.conditions]
         )
 
     def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
@@ -162,9 +157,8 @@ class Keep:
                 if pitch is None:
                     return None
                 target = replace(target, pitch=pitch)
-            elif isinstance(condition, RotationCone) and target.rotation is None and target.pitch is None:
-                tolerance = max(_SEARCHED * (condition.tolerance - condition.room), 0.0)
-                target = replace(target, rotation=condition.rotation, rotation_tolerance=tolerance)
+            elif isinstance(condition, Cone):
+                target = condition.narrowed(target, _SEARCHED * condition.usable)
         return target
 
     def _holds_between(self, condition: Condition, q_a: Vector, q_b: Vector) -> bool:

@@ -3,7 +3,7 @@
 A condition is written into every waypoint that leaves it open, so that everything that
 follows the path keeps the condition. A cone of orientations is written there, as its middle, only for
 a machine that can take any orientation at a position, and only in one of two plans: the other uses the whole cone,
-as all plans of other machines do (`paths.kept_cone`). The certificate judges by the path as it was given.
+as all plans of other machines do (`paths.kept_cones`). The certificate judges by the path as it was given.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from backhoe_planner.machine import BatchKinematics, Robot
 from backhoe_planner.motion import (
     KEPT_TO,
     Condition,
+    Cone,
     HeightBound,
     Keep,
     PitchBand,
@@ -60,7 +61,7 @@ def in_middle_of_cone(problem: Problem) -> Problem | None:
     None if there is no cone, all waypoints give an orientation or a pitch, or the machine cannot take any orientation.
     """
     path, keep = problem.path, problem.keep
-    if path is None or keep is None or not keep.has_cone:
+    if path is None or keep is None or not keep.cones:
         return None
     if all(waypoint.rotation is not None or waypoint.pitch is not None for waypoint in path.waypoints):
         return None
@@ -79,7 +80,7 @@ def waypoint_breaks_keep(world: World, path: TipPath) -> Outcome | None:
             value = _given_value(keep, condition, waypoint)
             if value is not None and float(condition.margins(np.array([value]))[0]) < -KEPT_TO:
                 return _breaks_keep(world, f"at {what} {condition.describe(value)}")
-        nearest = _nearest_posture(world, keep, waypoint) if keep.has_cone and index in tried else None
+        nearest = _nearest_posture(world, keep, waypoint) if keep.cones and index in tried else None
         if nearest is not None and not keep.holds(nearest):
             return _breaks_keep(world, f"no posture was found at {what} that keeps it: at best {keep.broken(nearest)}")
     return None
@@ -92,12 +93,12 @@ def _breaks_keep(world: World, message: str) -> Outcome:
 def _given_value(keep: Keep, condition: Condition, waypoint: Waypoint) -> float | None:
     """The value of a condition that a waypoint gives; of its pitches, the one with the most margin; None if it is open.
 
-    A waypoint gives its height. It gives the angle from an orientation to be kept by a full orientation. It gives the
+    A waypoint gives its height. It gives the angle of a cone by a full orientation. It gives the
     pitch only if none of its pitches is within the band.
     """
     if isinstance(condition, HeightBound):
         return waypoint.position[2]
-    if isinstance(condition, RotationCone) and waypoint.rotation is not None:
+    if isinstance(condition, Cone) and waypoint.rotation is not None:
         return float(condition.angles(waypoint.rotation[None])[0])
     if isinstance(condition, PitchBand) and keep.narrowed(waypoint.target) is None:
         assert waypoint.pitch_range is not None

@@ -16,7 +16,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, TipPath
 from backhoe_planner.planning.goals.goal_planning import describe_attempts
 from backhoe_planner.planning.paths.corners import time_stretch
-from backhoe_planner.planning.paths.kept_cone import open_cone
+from backhoe_planner.planning.paths.kept_cones import open_cones
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.law_timing import speed_up
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
@@ -79,17 +79,17 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
 
 
 def _within_cone(world: World, path: TipPath, near: Vector | None) -> Sequence[Vector]:
-    """(n,) each, clear configurations at the beginning of a path, within the cone to be kept along it, if there is one.
+    """(n,) each, clear configurations at the beginning of a path, within the cones to be kept along it, if any.
 
     Parameters
     ----------
     near: (n,) which are wanted first [rad or m]; None if that does not matter.
     """
-    cone, target = open_cone(world.problem, path), path.target(0.0)
-    if cone is None or target.rotation is not None:
+    cones, target = open_cones(world.problem, path), path.target(0.0)
+    if cones is None or target.rotation is not None:
         return ()
-    found = world.postures.at(cone.target(target), near=near, count=world.work.effort.starting_points)
-    kept = cone.holds_each(np.array(found.clear).reshape(-1, world.problem.robot.n))
+    found = world.postures.at(cones.target(target), near=near, count=world.work.effort.starting_points)
+    kept = cones.holds_each(np.array(found.clear).reshape(-1, world.problem.robot.n))
     return [q for q, holds in zip(found.clear, kept.tolist(), strict=True) if holds]
 
 

@@ -25,7 +25,7 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
-from backhoe_planner.planning.paths.kept_cone import open_cone
+from backhoe_planner.planning.paths.kept_cones import open_cones
 from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
 from backhoe_planner.planning.paths.path_resolution import PathResolver
 from backhoe_planner.planning.paths.resolution import Bypass, Resolution
@@ -120,7 +120,7 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
         )
 
     resolver = resolver_within(None)
-    outside = resolver.outside_cone()
+    outside = resolver.outside_cones()
     if outside is not None:
         station, broken = outside
         why = f"no posture was found {station:.2f} m along the path that keeps it: at best {broken}"
@@ -168,7 +168,7 @@ class _Along:
         self._stepper = stepper
         self._resolver_within = resolver_within
         self._other_ways = other_ways
-        self._steps, self._cone = world.problem.joint_steps, open_cone(world.problem, path)
+        self._steps, self._cones = world.problem.joint_steps, open_cones(world.problem, path)
         task = world.problem.scene.task.path
         assert task is not None
         self._may_leave, self._may_turn = task.detour, task.turn_on_the_spot
@@ -313,7 +313,7 @@ class _Along:
         A cost has more than one minimum, and the grid may miss the one near the law's resolution. The search minimises
         an approximation of the cost without inertia, so the costs of the motions decide.
         """
-        if law.obstruction is not None or (self._cone is not None and not self._cone.motion_holds(law.q)):
+        if law.obstruction is not None or (self._cones is not None and not self._cones.motion_holds(law.q)):
             return piece
         costs = self._motion_costs(piece, law)
         # for full poses the graph has all configurations, and lowering the law's cost would take as long again
@@ -406,7 +406,7 @@ class _Along:
             known = ()
             if denser == _MOST_DENSER or brake.is_used_up():
                 break
-            kept = self._cone is None or all(self._cone.motion_holds(motion.q) for motion in motions)
+            kept = self._cones is None or all(self._cones.motion_holds(motion.q) for motion in motions)
             if kept and all(screen.keeps_all_unchecked(motion.q) for motion in motions):
                 break
             stretch = with_halfways(world.problem, self._path, stretch)

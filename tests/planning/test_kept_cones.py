@@ -22,7 +22,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, sol
 from backhoe_planner.motion import build_problem, motion_cost
 from backhoe_planner.planning import EFFORTS, Brake, planner
 from backhoe_planner.planning.kept_path import in_middle_of_cone
-from backhoe_planner.planning.paths import kept_cone
+from backhoe_planner.planning.paths import kept_cones
 from validation.habitats import load_machine
 
 Data = dict[str, Any]
@@ -241,11 +241,11 @@ def test_a_place_that_is_reached_only_at_the_rim_of_the_cone_is_told_with_the_sp
 ) -> None:
     """The same path, with half of the cone spared."""
     points, _, middle, cone = known_path(backhoe, NARROW_SEEDS[0], legs=1, half=NARROW)
-    monkeypatch.setattr(kept_cone, "_LEAST_PART", 0.5)
+    monkeypatch.setattr(kept_cones, "_LEAST_PART", 0.5)
     plan = bp.plan(backhoe, bp.scene_from_dict(scene_along(points, middle, cone)), effort="quick")
     assert plan.reason == "goal_breaks_keep"
     assert "at best the tip is turned by" in plan.message
-    spared = np.degrees(min(0.5 * cone, kept_cone.SPARE))
+    spared = np.degrees(min(0.5 * cone, kept_cones.SPARE))
     assert f"of which the last {spared:.2g} deg are spared for the curve between postures" in plan.message
 
 
@@ -273,7 +273,7 @@ def test_a_path_whose_curve_leaves_the_cone_a_little_is_planned_in_a_narrower_on
     """Here the curve leaves it because the configurations may be 0.001 rad outside, not inside."""
     points, _, middle, cone = known_path(backhoe, 2)
     scene = bp.scene_from_dict(scene_along(points, middle, cone))
-    monkeypatch.setattr(kept_cone, "SPARE", -0.001)
+    monkeypatch.setattr(kept_cones, "SPARE", -0.001)
     with monkeypatch.context() as patch:
         patch.setattr(planner, "_NARROWER", 0)
         once = bp.plan(backhoe, scene, effort="quick")

@@ -330,7 +330,7 @@ class MotionSearch:
             self._follow(self._sampled(turn))
             turn += 1
         keep = self._problem.keep
-        mapped = keep is None or not keep.has_cone
+        mapped = keep is None or not keep.cones
         work.descent_rounds, work.way_rounds = work.descent_rounds + work.way_rounds, 0
         while self.best is not None and dull < self._patience() and not self._is_optimal():
             if self._descents.rounds_left <= 0:

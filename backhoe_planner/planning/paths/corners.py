@@ -23,7 +23,7 @@ from backhoe_planner.motion import (
     step_lengths,
     targets_along,
 )
-from backhoe_planner.planning.paths.kept_cone import KeptCone, cone_kept_by
+from backhoe_planner.planning.paths.kept_cones import KeptCones, cones_kept_by
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import path_segment_is_clear
@@ -69,7 +69,7 @@ def round_corners(
     task = problem.scene.task.path
     assert task is not None
     left: list[float] = []
-    kinematics, cone = BatchKinematics(problem.robot), cone_kept_by(q, problem, path)
+    kinematics, cones = BatchKinematics(problem.robot), cones_kept_by(q, problem, path)
     sharp = set(path.corners(SHARP).tolist())
     for corner in path.corners(_SLIGHT).tolist():
         if not stations[0] < corner < stations[-1]:
@@ -78,8 +78,8 @@ def round_corners(
         rounded = None
         if cut is not None and (corner in sharp or cut > _SPACING):
             at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
-            rounded = _round(kinematics, path, corner, cut, at, stations, q, cone)
-            if rounded is not None and cone is not None and not cone.motion_holds(rounded):
+            rounded = _round(kinematics, path, corner, cut, at, stations, q, cones)
+            if rounded is not None and cones is not None and not cones.motion_holds(rounded):
                 rounded = None
         if rounded is None or not all(path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(rounded)):
             if corner in sharp:
@@ -192,8 +192,8 @@ def _with_samples(
     If no solution is found within `near` [rad or m] of the guess (K, n), no sample is added there.
     """
     halfway = 0.5 * (stations[rows] + stations[rows + 1])
-    targets, cone = targets_along(path, halfway), cone_kept_by(q, problem, path)
-    targets = targets if cone is None else cone.narrowed(targets)
+    targets, cones = targets_along(path, halfway), cones_kept_by(q, problem, path)
+    targets = targets if cones is None else cones.narrowed(targets)
     between, reached = solve_batch(BatchKinematics(problem.robot), targets, guesses, iterations=12)
     reached &= np.max(np.abs(between - guesses), axis=1) < near
     rows, halfway, between = rows[reached], halfway[reached], between[reached]
@@ -282,15 +282,15 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
 
 def _round(
     kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix,
-    cone: KeptCone | None,
+    cones: KeptCones | None,
 ) -> Matrix | None:  # fmt: skip
-    """(M, n) joints with the tip on the parabola, within a `cone`; None if none are near those on the path."""
+    """(M, n) joints with the tip on the parabola, within `cones`; None if none are near those on the path."""
     begin, middle, end = path(corner - cut), path(corner), path(corner + cut)
     part = (at - at[0])[:, None] / (at[-1] - at[0])
     positions = (1.0 - part) ** 2 * begin + 2.0 * part * (1.0 - part) * middle + part**2 * end
     asked = [path.target(float(s)) for s in at]
     targets = TargetBatch.of([TipTarget(p, one.pitch, one.rotation) for p, one in zip(positions, asked, strict=True)])
-    targets = targets if cone is None else cone.narrowed(targets)
+    targets = targets if cones is None else cones.narrowed(targets)
     guesses = np.column_stack([np.interp(at, stations, column) for column in q.T])
     found, reached = solve_batch(kinematics, targets, guesses, iterations=12)
     near = np.max(np.abs(found - guesses)) < _NEAR

@@ -31,7 +31,7 @@ from backhoe_planner.machine import BatchKinematics, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.native import compiled
 from backhoe_planner.planning.paths.corners import SHARP
-from backhoe_planner.planning.paths.kept_cone import kept_targets
+from backhoe_planner.planning.paths.kept_cones import kept_targets
 from backhoe_planner.planning.paths.monotone_curve import monotone_curve
 from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, margins_to_keep, null_bases, strict_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds

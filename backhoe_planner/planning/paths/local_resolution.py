@@ -15,7 +15,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
-from backhoe_planner.planning.paths.kept_cone import KeptCone, open_cone
+from backhoe_planner.planning.paths.kept_cones import KeptCones, open_cones
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
@@ -61,7 +61,7 @@ def resolve_along(
     The stretch that the law resolves; its `obstruction` says what ended it before the end of the path.
     """
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
-    stations, cone = sample_stations(path, s), open_cone(problem, path)
+    stations, cones = sample_stations(path, s), open_cones(problem, path)
     found = [np.array(q, dtype=float)]
     for station in stations[1:]:
         at = kinematics.at(found[-1])
@@ -69,7 +69,7 @@ def resolve_along(
         # if a waypoint is there twice, only the tip turns, which takes some time too
         span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
         target = path.target(float(station))
-        after = None if cone is None else _next(problem, law, target, at, nearby, span, kinematics, cone)
+        after = None if cones is None else _next(problem, law, target, at, nearby, span, kinematics, cones)
         if after is None:
             after = _next(problem, law, target, at, nearby, span, kinematics, None)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
@@ -86,9 +86,9 @@ def _next(
     nearby: Nearby,
     span: float,
     kinematics: Kinematics,
-    cone: KeptCone | None,
+    cones: KeptCones | None,
 ) -> Vector | None:
-    """(n,) the configuration on `target`, within a `cone`, to which the law moves from `at` in `span` [s].
+    """(n,) the configuration on `target`, within `cones`, to which the law moves from `at` in `span` [s].
 
     None if it is stuck.
     """
@@ -98,7 +98,7 @@ def _next(
     low = np.maximum(limits.lower - at.q, -_LARGEST_STEP)
     high = np.minimum(limits.upper - at.q, _LARGEST_STEP)
     room = _APPROACH * np.maximum(nearby.margin - _SPARE, 0.0)
-    rows = (Rows("clearance", -nearby.gradient, room, Kind.HARD), *_turn_rows(target, at, cone))
+    rows = (Rows("clearance", -nearby.gradient, room, Kind.HARD), *_turn_rows(target, at, cones))
     step = step_on_path(wish, J, error=error, low=low, high=high, rows=rows)
     if step is None:
         return None
@@ -106,10 +106,10 @@ def _next(
     for _ in range(_CORRECTIONS):
         now = kinematics.at(q)
         error, J = _rows(target, now)
-        if float(np.max(np.abs(error))) < _EXACT and (cone is None or bool(cone.holds_each(q[None])[0])):
+        if float(np.max(np.abs(error))) < _EXACT and (cones is None or bool(cones.holds_each(q[None])[0])):
             break
         low, high = limits.lower - q, limits.upper - q
-        fix = step_on_path(np.zeros(len(q)), J, error=error, low=low, high=high, rows=_turn_rows(target, now, cone))
+        fix = step_on_path(np.zeros(len(q)), J, error=error, low=low, high=high, rows=_turn_rows(target, now, cones))
         if fix is None:
             return None
         q = q + fix
@@ -132,10 +132,10 @@ def has_open_range(target: TipTarget) -> bool:
     return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
 
 
-def _turn_rows(target: TipTarget, at: Configuration, cone: KeptCone | None) -> tuple[Rows, ...]:
-    """The rows that keep the pitch within its range, and the orientation within a `cone`."""
+def _turn_rows(target: TipTarget, at: Configuration, cones: KeptCones | None) -> tuple[Rows, ...]:
+    """The rows that keep the pitch within its range, and the orientation within `cones`."""
     rows = _pitch_rows(target, at)
-    return rows if cone is None else (*rows, cone.row(at.q))
+    return rows if cones is None else (*rows, *cones.rows(at.q))
 
 
 def _pitch_rows(target: TipTarget, at: Configuration) -> tuple[Rows, ...]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.planning.paths.kept_cone import KeptCone
+from backhoe_planner.planning.paths.kept_cones import KeptCones
 from backhoe_planner.planning.search.effort import Brake
 
 if TYPE_CHECKING:
@@ -59,18 +59,18 @@ class PathLayers:
     ----------
     grid: step of the free parameter, if there is one [rad; m for a slide].
     longest: how far a joint may move from one waypoint to the next [rad or m]; by default freely.
-    cone: within which targets without an orientation are kept; by default none.
+    cones: within which targets without an orientation are kept; by default none.
     brake: checked between portions of the work; by default none.
     """
 
     def __init__(
-        self, robot: Robot, *, grid: float, longest: float = np.inf, cone: KeptCone | None = None,
+        self, robot: Robot, *, grid: float, longest: float = np.inf, cones: KeptCones | None = None,
         brake: Brake | None = None,
     ) -> None:  # fmt: skip
         self._robot = robot
         self._kinematics = BatchKinematics(robot)
-        self._cone = cone
-        self._grid = grid if cone is None else min(grid, _CONE_PART * cone.tolerance)
+        self._cones = cones
+        self._grid = grid if cones is None else min(grid, _CONE_PART * float(np.min(cones.tolerances)))
         self._followed = min(_FOLLOWED, _FOLLOWED_PART * longest)
         self._brake = brake or Brake()
         lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
@@ -89,8 +89,8 @@ class PathLayers:
         batch = self._batch(targets)
         free = freest(self._robot, targets)
         redundancy = redundancy_of(self._robot, free)
-        on_grid = redundancy == 0 or (redundancy == 1 and self._cone is None and _pitch_is_free(self._robot, free))
-        if self._cone is not None and redundancy >= 1:
+        on_grid = redundancy == 0 or (redundancy == 1 and self._cones is None and _pitch_is_free(self._robot, free))
+        if self._cones is not None and redundancy >= 1:
             found = self._in_cone(batch)
         elif redundancy >= 2:
             found = self._on_samples(batch)
@@ -117,15 +117,15 @@ class PathLayers:
         return [self._few(q[reached & (rows == row)]) for row in range(len(targets))]
 
     def at_any_angle(self, target: TipTarget) -> Matrix:
-        """(N, n) solutions within the limits for one target, outside the cone too."""
+        """(N, n) solutions within the limits for one target, outside the cones too."""
         guesses = _spread(self._box, _SAMPLES)
         q, reached = self._solve_all(TargetBatch.of([target] * len(guesses)), guesses)
         return q[reached]
 
     def _batch(self, targets: Sequence[TipTarget]) -> TargetBatch:
-        """The targets as one batch, within the cone if there is one."""
+        """The targets as one batch, within the cones if there are any."""
         batch = TargetBatch.of(targets)
-        return batch if self._cone is None else self._cone.narrowed(batch)
+        return batch if self._cones is None else self._cones.narrowed(batch)
 
     def _around(self, batch: TargetBatch, begin: Vector) -> Matrix:
         """(N, n) solutions for the first target near and far from `begin` (n,)."""

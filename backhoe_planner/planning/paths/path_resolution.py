@@ -17,7 +17,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step
-from backhoe_planner.planning.paths.kept_cone import kept_targets, open_cone
+from backhoe_planner.planning.paths.kept_cones import kept_targets, open_cones
 from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
 from backhoe_planner.planning.paths.layered_graph import (
     Edge,
@@ -119,9 +119,9 @@ class PathResolver:
         task = problem.scene.task.path
         self._may_turn = (task is None or task.turn_on_the_spot) and joint_steps is None
         self._targets = [path.target(float(s)) for s in self._stations]
-        self._cone = open_cone(problem, path)
+        self._cones = open_cones(problem, path)
         longest = np.inf if problem.joint_steps is None else float(np.min(problem.joint_steps))
-        self._finder = PathLayers(problem.robot, grid=grid, longest=longest, cone=self._cone, brake=self._work.brake)
+        self._finder = PathLayers(problem.robot, grid=grid, longest=longest, cones=self._cones, brake=self._work.brake)
         self._all = self._finder.at(self._stations, self._targets, begin=begin)
         self._screen = ClearanceScreen(proximity, time=time, spare=-NEARER)
         self._apart = None
@@ -145,17 +145,17 @@ class PathResolver:
         """(N, n) clear configurations at the beginning of the resolved part."""
         return self._layers[0]
 
-    def outside_cone(self) -> tuple[float, str] | None:
-        """The first arc length [m] at which the tip can be on the path but not within the cone, and what breaks.
+    def outside_cones(self) -> tuple[float, str] | None:
+        """The first arc length [m] at which the tip can be on the path but not within the cones, and what breaks.
 
         None if there is no such place.
         """
-        if self._cone is None:
+        if self._cones is None:
             return None
         for station, target, nodes in zip(self._stations.tolist(), self._targets, self._all, strict=True):
             found = self._finder.at_any_angle(target) if not len(nodes) else nodes[:0]
             if len(found):
-                return station, self._cone.broken_at(self._kinematics, TargetBatch.of([target]), found)
+                return station, self._cones.broken_at(self._kinematics, TargetBatch.of([target]), found)
         return None
 
     def resolve(
@@ -436,7 +436,7 @@ class PathResolver:
         screen = self._screen
         if self._apart is not None and self._apart.keeps_all_unchecked(q[[0, -1]]):
             screen = self._apart
-        if not screen.keeps_all_unchecked(q) or (self._cone is not None and not self._cone.motion_holds(q)):
+        if not screen.keeps_all_unchecked(q) or (self._cones is not None and not self._cones.motion_holds(q)):
             return False
         return all(path_segment_is_clear(self._proximity, a, b, time=self._time) for a, b in pairwise(q))
 

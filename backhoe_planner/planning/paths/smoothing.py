@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
-from backhoe_planner.planning.paths.kept_cone import kept_targets
+from backhoe_planner.planning.paths.kept_cones import kept_targets
 from backhoe_planner.planning.paths.step_bounds import StepBounds
 from backhoe_planner.planning.paths.stretch import NEARER, Stretch
 from backhoe_planner.planning.search.effort import Brake

@@ -101,7 +101,7 @@ def sample_path(
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
     search, keep = _Search(check, work, most_motions, longest), check.problem.keep
-    if keep is not None and keep.has_cone:
+    if keep is not None and keep.cones:
         return search.run_kept(keep, start, open_goals, seed)
     return search.run(start, open_goals, seed)
 
