@@ -29,7 +29,6 @@ from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.digits import beside_bounds
@@ -40,6 +39,7 @@ from backhoe_planner.machine import (
     TargetBatch,
     TipTarget,
     bend_weights,
+    rotation_vectors,
     tip_tracking_error,
     wrap_angle,
 )
@@ -88,8 +88,8 @@ class Condition(Protocol):
         """(n,) the most that the values change with each joint [unit per rad or m]; `travel` as above."""
 
     @abstractmethod
-    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
-        """(K,) margins smooth in the joints `q` (n,), the least of which is the margin, and their (K, n) gradients."""
+    def rows(self, q: Matrix) -> tuple[Matrix, Array]:
+        """(B, K) margins smooth in the joints `q` (B, n), the least of which is the margin; (B, K, n) gradients."""
 
     def absolute(self, value: float) -> float:
         """A value as people count it [unit]."""
@@ -155,10 +155,11 @@ class PitchBand(Condition):
         """(n,) [rad/rad]"""
         return np.abs(self.row)
 
-    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
+    def rows(self, q: Matrix) -> tuple[Matrix, Array]:
         """The margins from below and from above."""
-        off = float(self.values(q[None, :])[0])
-        return np.array([self.half + off, self.half - off]), np.array([self.row, -self.row])
+        off = self.values(q)
+        margins = np.column_stack((self.half + off, self.half - off))
+        return margins, np.tile((self.row, -self.row), (len(q), 1, 1))
 
     def absolute(self, value: float) -> float:
         """The pitch above the horizontal [rad]."""
@@ -215,10 +216,10 @@ class HeightBound(Condition):
         """(n,) [m/rad]"""
         return np.asarray(travel * self._lifting)
 
-    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
+    def rows(self, q: Matrix) -> tuple[Matrix, Array]:
         """One margin."""
-        at = self._batch.at(q[None, :])
-        return self.margins(at.tip_position[:, 2]), self.sense * at.position_jacobian()[:, 2]
+        at = self._batch.at(q)
+        return self.margins(at.tip_position[:, 2])[:, None], self.sense * at.position_jacobian()[:, 2:]
 
     def widened(self, robot: Robot, by: float) -> HeightBound:
         """The same bound with its limit moved outward [m]."""
@@ -261,6 +262,10 @@ class Cone(Condition):
         """(B,) the angle at orientations of the tip (B, 3, 3) [rad]."""
 
     @abstractmethod
+    def turns(self, rotations: Array) -> Array:
+        """(B, 3) the rotation vectors in world axes that bring the tip into the middle of the cone [rad]."""
+
+    @abstractmethod
     def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
         """The target within the cone, or within as much of it as `tolerance` [rad]; itself if it cannot express it."""
 
@@ -279,6 +284,14 @@ class Cone(Condition):
     def lever(self, travel: Vector) -> Vector:
         """(n,) [rad/rad]"""
         return self.turning
+
+    def rows(self, q: Matrix) -> tuple[Matrix, Array]:
+        """One margin; its gradient is 0 exactly in the middle of the cone."""
+        at = self._batch.at(q)
+        turns = self.turns(at.tip_rotation)
+        angles = np.linalg.norm(turns, axis=1)
+        axes = turns / np.where(angles > 0.0, angles, 1.0)[:, None]
+        return self.margins(angles)[:, None], axes[:, None, :] @ at.rotation_jacobian()
 
     @property
     def allowed(self) -> str:
@@ -333,13 +346,9 @@ class RotationCone(Cone):
         bound = 0.5 * (before + after + whole)
         return self.margins(np.where(short, np.minimum(worst, bound), bound))
 
-    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
-        """One margin; its gradient is 0 if the tip is not turned at all."""
-        at = self._batch.at(q[None, :])
-        turn = np.asarray(pin.log3(self.rotation @ at.tip_rotation[0].T))
-        angle = float(np.linalg.norm(turn))
-        axis = turn / angle if angle > 0.0 else turn
-        return self.margins(np.array([angle])), (axis @ at.rotation_jacobian()[0])[None, :]
+    def turns(self, rotations: Array) -> Array:
+        """(B, 3) the rotation vectors to the orientation to be kept [rad], world."""
+        return rotation_vectors(self.rotation @ np.swapaxes(rotations, 1, 2))
 
     def widened(self, robot: Robot, by: float) -> RotationCone:
         """A wider cone."""

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_number, as_vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import KEPT_TO, Condition, Cone, PitchBand
@@ -54,13 +54,17 @@ class Keep:
 
     def margins(self, q: Vector) -> Vector:
         """(K,) margins of all conditions at the joints `q` (n,), 0 or more if they hold [rad or m]; smooth in `q`."""
-        q = self.robot.check_q(q)
-        return np.concatenate([condition.rows(q)[0] for condition in self.conditions])
+        return self.rows_each(self.robot.check_q(q)[None])[0][0]  # type: ignore[no-any-return]
 
     def gradients(self, q: Vector) -> Matrix:
         """(K, n) gradients of `margins` with respect to the joints."""
-        q = self.robot.check_q(q)
-        return np.vstack([condition.rows(q)[1] for condition in self.conditions])
+        return self.rows_each(self.robot.check_q(q)[None])[1][0]  # type: ignore[no-any-return]
+
+    def rows_each(self, q: Matrix) -> tuple[Matrix, Array]:
+        """(N, K) `margins` at each of `q` (N, n), and their (N, K, n) `gradients`."""
+        q = as_array(q, None, self.robot.n, key="q")
+        margins, gradients = zip(*(condition.rows(q) for condition in self.conditions), strict=True)
+        return np.concatenate(margins, axis=1), np.concatenate(gradients, axis=1)
 
     def holds(self, q: Vector) -> bool:
         """Whether every condition holds at the joints `q` (n,)."""
@@ -140,7 +144,7 @@ class Keep:
         for _ in range(_NEWTON):
             if self.holds(found):
                 return found
-            margins, gradients = self.margins(found), self.gradients(found)
+            margins, gradients = (each[0] for each in self.rows_each(found[None]))
             rows = margins < 0.0
             G, missing = gradients[rows], _INTO - margins[rows]
             step = G.T @ np.linalg.lstsq(G @ G.T + _DAMPED * np.eye(len(G)), missing, rcond=None)[0]

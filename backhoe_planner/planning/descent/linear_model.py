@@ -98,6 +98,7 @@ def find_margins(
     proximity.cover_unchecked(q)
     bounds = seen.bounds(places, q, proximity.travel)
     near = (bounds <= proximity.clearance + margins[:, None]).any(axis=1)
+    kept = None if keep is None else keep.rows_each(q)
     of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time)
     least, found = np.inf, []
     for row, place in enumerate(places.tolist()):
@@ -105,10 +106,10 @@ def find_margins(
         if near[row]:
             pairs, margin, gradient, lower = next(of_pairs)
             seen.keep(place, q[row], lower)
-            kept = ends.spares(q[row], pairs) if ends else spare
-            here.append(Margin(place, margin - kept, gradient))
-        if keep is not None and place > 0:  # the start cannot be changed
-            here.append(Margin(place, keep.margins(q[row]) - _SPARE_OF_KEPT * spare, keep.gradients(q[row])))
+            beyond = ends.spares(q[row], pairs) if ends else spare
+            here.append(Margin(place, margin - beyond, gradient))
+        if kept is not None and place > 0:  # the start cannot be changed
+            here.append(Margin(place, kept[0][row] - _SPARE_OF_KEPT * spare, kept[1][row]))
         for one in here:
             if len(one.margin):
                 least = min(least, float(one.margin.min()))

@@ -61,7 +61,7 @@ class KeptCones:
         """The rows that keep a step from the joints `q` (n,) within the cones, to first order."""
         found = []
         for cone, tolerance in zip(self._keep.cones, self.tolerances.tolist(), strict=True):
-            margin, gradient = cone.rows(q)
+            (margin,), (gradient,) = cone.rows(q[None])
             found.append(Rows(cone.name, -gradient, margin - (cone.tolerance - cone.room - tolerance), Kind.HARD))
         return tuple(found)
 

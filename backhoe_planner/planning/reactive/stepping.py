@@ -130,7 +130,7 @@ class Stepper:
         dt: time of the step [s]; a shorter one is taken if this step is not clear.
         """
         keep = self.problem.keep
-        kept = None if keep is None else Kept(keep.margins(self.q), keep.gradients(self.q))
+        kept = None if keep is None else Kept(*(each[0] for each in keep.rows_each(self.q[None])))
         for _ in range(_HALVINGS):
             extra: Vector | float = _BUFFER
             # the change of velocity is spread over half of this step and half of the last one
