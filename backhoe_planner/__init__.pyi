@@ -48,6 +48,7 @@ from .machine import Kinematics as Kinematics
 from .machine import MotionEnergy as MotionEnergy
 from .machine import Piece as Piece
 from .machine import Robot as Robot
+from .machine import Tilt as Tilt
 from .machine import TipTarget as TipTarget
 from .machine import digging_forces as digging_forces
 from .machine import load_robot as load_robot

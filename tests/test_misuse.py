@@ -246,6 +246,11 @@ def calls() -> dict[str, Call]:
             lambda **keys: bp.TipTarget(**keys).distances(at()), position=(np.ones(3), vector(3)),
             pitch=((0.1, 0.2), optional(vector(2))), rotation=(np.eye(3), optional(MATRIX)),
             rotation_tolerance=(0.1, Kind((*NUMBER.bad, -1.0))), position_tolerance=(0.1, Kind((*NUMBER.bad, -1.0))),
+            tilt=(bp.Tilt(np.ones(3), np.ones(3)), optional(THING)),
+        ),
+        "Tilt": call(
+            lambda **keys: bp.Tilt(**keys).tolerance, axis=(np.ones(3), vector(3)), direction=(np.ones(3), vector(3)),
+            tolerance=(0.1, Kind((*NUMBER.bad, -1.0, 4.0))),
         ),
         "Goal": call(
             lambda **keys: bp.Goal(**keys).error(at()), target=(target, THING), q=(Q, optional(vector(4))),

@@ -80,7 +80,7 @@ def solve_inverse_kinematics(
     Parameters
     ----------
     robot: the machine whose tip is placed.
-    target: position, and pitch or orientation if required.
+    target: position, and pitch, orientation or tilt if required.
     start: (n,) where the first attempt begins [rad or m]; the middle of the ranges by default.
     rng: draws the other starting points; by default a generator with seed 0.
     attempts: the greatest number of starting points.
@@ -180,7 +180,7 @@ def solve_batch(
     turned = bool(targets.has_rotation.any())
     partly = turned and not targets.has_rotation.all()
     tolerant = targets.position_tolerance.any() or (turned and targets.rotation_tolerance.any())
-    if not (partly or tolerant or targets.has_pitch.any()):
+    if not (partly or tolerant or targets.has_pitch.any() or targets.tilts is not None):
         rotation = np.ascontiguousarray(targets.rotation if turned else targets.rotation[:0])
         return solve_poses(
             guesses, targets.position, rotation, *kinematics.chain, limits.lower, limits.upper,

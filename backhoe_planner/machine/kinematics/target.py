@@ -1,21 +1,24 @@
-"""Targets for the tip: a position, perhaps with a pitch or an orientation; one target or many."""
+"""Targets for the tip: a position, perhaps with a pitch, an orientation or a tilt; one target or many."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import check_kind
+from backhoe_planner.machine.kinematics.excess import excess, excess_jacobian, excess_jacobians, excess_part
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
+from backhoe_planner.machine.kinematics.tilt import Tilt, TiltBatch
 
 NO_SINE = 1e-12  # sine of an angle so small that it equals its sine
 NEAR_HALF_TURN = -0.9  # cosine below which the symmetric part gives the rotation vector; chosen, 154 degrees
-_NO_TURN = 1e-12  # rad: a smaller rotation has no axis, and is within any tolerance
+_NO_TURN = 1e-12  # rad: a smaller rotation has no axis
 IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
 
@@ -30,6 +33,7 @@ class TipTarget:
     rotation: (3, 3) R_world_tip; None if the orientation is free.
     rotation_tolerance: how far the tip may be turned from `rotation` [rad]: only the excess is an error.
     position_tolerance: how far the tip may be from `position` [m]: only the excess is an error.
+    tilt: how far an axis of the tip may be from a direction, beside a pitch or an orientation too; None if it is free.
 
     Raises
     ------
@@ -41,6 +45,7 @@ class TipTarget:
     rotation: Matrix | None = None
     rotation_tolerance: float = 0.0
     position_tolerance: float = 0.0
+    tilt: Tilt | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
@@ -54,6 +59,8 @@ class TipTarget:
             as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
         if self.position_tolerance != 0.0:
             as_number(self.position_tolerance, key="position_tolerance", above=0.0)
+        if self.tilt is not None:
+            check_kind(self.tilt, Tilt, key="tilt")
 
     def pitch_excess(self, pitch: float) -> float:
         """How far `pitch` is above (+) or below (-) the required range [rad]; 0 inside."""
@@ -68,14 +75,17 @@ class TipTarget:
         """(m,) target minus actual at a configuration: position [m], then angles [rad].
 
         The rows are 3 of position, then 1 of pitch (0 inside the required range) or 3 of the
-        rotation vector, in world axes; both vectors by as much as they are longer than their tolerance.
+        rotation vector, then 3 of the rotation vector of the tilt, in world axes; all vectors by as much as they
+        are longer than their tolerance.
         """
         off = self.position - check_kind(at, Configuration, key="at").tip_position
-        rows = [off if self.position_tolerance == 0.0 else _beyond(off, self.position_tolerance)]
+        rows = [off if self.position_tolerance == 0.0 else excess(off, self.position_tolerance)]
         if self.rotation is not None:
-            rows.append(_beyond(self._turn_from(at), self.rotation_tolerance))
+            rows.append(excess(self._turn_from(at), self.rotation_tolerance))
         elif self.pitch is not None:
             rows.append(np.array([-self.pitch_excess(at.pitch)]))
+        if self._tilts is not None:
+            rows.append(self._tilts.errors(at.tip_rotation[None])[0])
         return np.concatenate(rows)
 
     def turn_to(self, other: TipTarget) -> float:
@@ -90,49 +100,39 @@ class TipTarget:
     def jacobian(self, at: Configuration) -> Matrix:
         """(m, n) of `error` at a configuration: to first order, a step dq reduces the error by jacobian @ dq."""
         check_kind(at, Configuration, key="at")
-        moving = at.jacobian[:3]
-        if self.position_tolerance != 0.0:
-            moving = _beyond_jacobian(self.position - at.tip_position, self.position_tolerance) @ moving
-        if self.rotation is not None:
-            if self.rotation_tolerance == 0.0:
-                return at.jacobian if self.position_tolerance == 0.0 else np.vstack((moving, at.jacobian[3:]))
-            turning = _beyond_jacobian(self._turn_from(at), self.rotation_tolerance) @ at.jacobian[3:]
-            return np.vstack((moving, turning))
-        if self.pitch is not None:
-            return np.vstack((moving, at.pitch_row))
-        return moving
+        if self._tilts is None:
+            return self._pose_jacobian(at)
+        tilting = self._tilts.jacobians(at.tip_rotation[None], at.jacobian[None, 3:])[0]
+        return np.vstack((self._pose_jacobian(at), tilting))
 
     def distances(self, at: Configuration) -> tuple[float, float]:
         """Position error [m] and angle error [rad] at a configuration, both 0 or more."""
         error = self.error(at)
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
+    def _pose_jacobian(self, at: Configuration) -> Matrix:
+        """(m, n) of the rows of position, pitch and orientation."""
+        moving = at.jacobian[:3]
+        if self.position_tolerance != 0.0:
+            moving = excess_jacobian(self.position - at.tip_position, self.position_tolerance) @ moving
+        if self.rotation is not None:
+            if self.rotation_tolerance == 0.0:
+                return at.jacobian if self.position_tolerance == 0.0 else np.vstack((moving, at.jacobian[3:]))
+            turning = excess_jacobian(self._turn_from(at), self.rotation_tolerance) @ at.jacobian[3:]
+            return np.vstack((moving, turning))
+        if self.pitch is not None:
+            return np.vstack((moving, at.pitch_row))
+        return moving
+
+    @cached_property
+    def _tilts(self) -> TiltBatch | None:
+        """The tilt as a batch of one."""
+        return TiltBatch.of([self.tilt])
+
     def _turn_from(self, at: Configuration) -> Vector:
         """(3,) rotation vector from the tip's orientation to the target's, in world axes [rad]."""
         assert self.rotation is not None
         return np.asarray(at.tip_rotation @ pin.log3(at.tip_rotation.T @ self.rotation))
-
-
-def _beyond(off: Vector, tolerance: float) -> Vector:
-    """(3,) a difference of positions [m], or a rotation vector [rad], shortened by `tolerance`, to no less than 0."""
-    length = float(np.linalg.norm(off))
-    return off * max(1.0 - tolerance / length, 0.0) if length > 0.0 else off
-
-
-def _beyond_jacobian(off: Vector, tolerance: float) -> Matrix:
-    """(3, 3) derivative of `_beyond` with respect to the vector."""
-    return np.asarray(_beyond_jacobians(off[None], np.array([tolerance]))[0])
-
-
-def _beyond_jacobians(off: Matrix, tolerance: Vector) -> Array:
-    """(B, 3, 3) derivatives of `_beyond` with respect to the vectors (B, 3), each with its tolerance (B,)."""
-    length = np.linalg.norm(off, axis=1)
-    beyond = length > tolerance
-    found = np.zeros((len(off), 3, 3))
-    axis = off[beyond] / length[beyond, None]
-    part = (tolerance[beyond] / length[beyond])[:, None, None]
-    found[beyond] = (1.0 - part) * np.eye(3) + part * (axis[:, :, None] * axis[:, None, :])
-    return found
 
 
 def _are_two_numbers(*pitch: float) -> bool:
@@ -152,6 +152,7 @@ class TargetBatch:
     position_tolerance: (B,) how far the tip may be from the position [m].
     pitch_middle, pitch_half: (B,) middle and half width of the required range of the pitch [rad].
     has_pitch: (B,) whether a pitch is required.
+    tilts: the required tilts; None if none is required.
     """
 
     position: Array
@@ -162,6 +163,7 @@ class TargetBatch:
     pitch_middle: Array
     pitch_half: Array
     has_pitch: Flags
+    tilts: TiltBatch | None = None
 
     @classmethod
     def of(cls, targets: Sequence[TipTarget]) -> TargetBatch:
@@ -178,6 +180,7 @@ class TargetBatch:
             pitch_half=np.array([0.0 if r is None else 0.5 * (r[1] - r[0]) for r in ranges]),
             # if both are given, the orientation decides, as in `TipTarget`
             has_pitch=np.array([r is not None for r in ranges], dtype=bool) & ~has_rotation,
+            tilts=TiltBatch.of([target.tilt for target in targets]),
         )
 
     def __len__(self) -> int:
@@ -185,7 +188,17 @@ class TargetBatch:
 
     def take(self, rows: Indices | Flags) -> TargetBatch:
         """The targets at `rows`."""
-        return TargetBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
+        tilts = None if self.tilts is None else self.tilts.take(rows)
+        return replace(self, tilts=tilts, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+
+    def with_smaller_cones(self, part: Vector) -> TargetBatch:
+        """The same targets, each with a `part` (B,) of its tolerances of orientation and tilt."""
+        tilts = self.tilts
+        return replace(
+            self,
+            rotation_tolerance=part * self.rotation_tolerance,
+            tilts=None if tilts is None else replace(tilts, tolerance=part * tilts.tolerance),
+        )
 
     def at_pitch(self, pitch: Array) -> TargetBatch:
         """The same positions, each with exactly the `pitch` (B,) [rad]."""
@@ -193,39 +206,52 @@ class TargetBatch:
         return replace(self, has_rotation=no, pitch_middle=np.array(pitch), pitch_half=zero, has_pitch=yes)
 
     def errors(self, at: ConfigurationBatch) -> Array:
-        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not required."""
-        found = np.zeros((len(self), 7))
+        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not required.
+
+        (B, 10) if there are tilts: then follows their rotation vector [rad].
+        """
+        found = np.zeros((len(self), self._rows))
         found[:, :3] = self.position - at.tip_position
         if self.position_tolerance.any():
-            found[:, :3] *= _part_beyond(found[:, :3], self.position_tolerance)[:, None]
+            found[:, :3] *= excess_part(found[:, :3], self.position_tolerance)[:, None]
         if self.has_rotation.any():
             turn = self._turns_from(at)
-            part = _part_beyond(turn, self.rotation_tolerance)
+            part = excess_part(turn, self.rotation_tolerance)
             found[:, 3:6] = np.where(self.has_rotation[:, None], part[:, None] * turn, 0.0)
         if self.has_pitch.any():
             off = wrap_angle(at.pitch() - self.pitch_middle)
-            excess = np.sign(off) * np.maximum(np.abs(off) - self.pitch_half, 0.0)
-            found[:, 6] = np.where(self.has_pitch, -excess, 0.0)
+            above = np.sign(off) * np.maximum(np.abs(off) - self.pitch_half, 0.0)
+            found[:, 6] = np.where(self.has_pitch, -above, 0.0)
+        if self.tilts is not None:
+            found[:, 7:] = self.tilts.errors(at.tip_rotation)
         return found
 
     def jacobians(self, at: ConfigurationBatch) -> Array:
-        """(B, 7, n) of `errors`: to first order, a step dq reduces an error by jacobian @ dq."""
-        found = np.zeros((7, at.q.shape[1], len(self))).transpose(2, 0, 1)  # the memory layout of what is copied in
+        """(B, 7, n) or (B, 10, n) of `errors`: to first order, a step dq reduces an error by jacobian @ dq."""
+        found = np.zeros((self._rows, at.q.shape[1], len(self))).transpose(
+            2, 0, 1
+        )  # the memory layout of what is copied in
         found[:, :3] = at.position_jacobian()
         rows = np.flatnonzero(self.position_tolerance > 0.0)
         if len(rows):
             off = self.position[rows] - at.tip_position[rows]
-            found[rows, :3] = _beyond_jacobians(off, self.position_tolerance[rows]) @ found[rows, :3]
+            found[rows, :3] = excess_jacobians(off, self.position_tolerance[rows]) @ found[rows, :3]
         if self.has_rotation.any():
             turning = at.rotation_jacobian()
             tolerant = np.flatnonzero(self.has_rotation & (self.rotation_tolerance > 0.0))
             if len(tolerant):
-                beyond = _beyond_jacobians(self._turns_from(at)[tolerant], self.rotation_tolerance[tolerant])
+                beyond = excess_jacobians(self._turns_from(at)[tolerant], self.rotation_tolerance[tolerant])
                 turning[tolerant] = beyond @ turning[tolerant]
             found[:, 3:6] = np.where(self.has_rotation[:, None, None], turning, 0.0)
         if self.has_pitch.any():
             found[:, 6] = np.where(self.has_pitch[:, None], at.pitch_rows(), 0.0)
+        if self.tilts is not None:
+            found[:, 7:] = self.tilts.jacobians(at.tip_rotation, at.rotation_jacobian())
         return found
+
+    @property
+    def _rows(self) -> int:
+        return 7 if self.tilts is None else 10
 
     def _turns_from(self, at: ConfigurationBatch) -> Array:
         """(B, 3) rotation vectors from the tip's orientations to the targets', in world axes [rad]."""
@@ -234,10 +260,7 @@ class TargetBatch:
         return rotation_vectors(np.asarray(turn).transpose(2, 0, 1))
 
 
-def _part_beyond(off: Array, tolerance: Array) -> Array:
-    """(B,) the part of each vector (B, 3) by which it is longer than its `tolerance` (B,); 0 if it is not."""
-    length = np.linalg.norm(off, axis=1)
-    return np.asarray(np.maximum(1.0 - tolerance / np.maximum(length, _NO_TURN), 0.0))
+_ARRAYS = tuple(field.name for field in fields(TargetBatch) if field.name != "tilts")
 
 
 def rotation_vectors(rotation: Array) -> Array:

@@ -11,7 +11,6 @@ branches of the inverse kinematics.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -315,8 +314,7 @@ class PathLayers:
         rows = np.repeat(np.arange(len(batch)), len(guesses))
         targets = batch.take(rows)
         parts = np.tile(_evenly(len(guesses)), len(batch))
-        smaller = replace(targets, rotation_tolerance=parts * targets.rotation_tolerance)
-        q, reached = self._solve_all(smaller, np.tile(guesses, (len(batch), 1)))
+        q, reached = self._solve_all(targets.with_smaller_cones(parts), np.tile(guesses, (len(batch), 1)))
         missed = np.flatnonzero(~reached)
         q[missed], reached[missed] = self._solve_all(targets.take(missed), q[missed])
         return [self._distinct(q[reached & (rows == row)], within=min(_SAME, self._grid)) for row in range(len(batch))]

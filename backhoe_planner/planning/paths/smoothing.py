@@ -115,11 +115,12 @@ def _cost(weights: Vector, q: Matrix) -> float:
 
 
 def strict_targets(targets: TargetBatch) -> TargetBatch:
-    """The targets without the pitch ranges and cones of orientations: only what must be met exactly."""
+    """The targets without the pitch ranges and cones of orientations and tilts: only what must be met exactly."""
     return replace(
         targets,
         has_pitch=targets.has_pitch & (targets.pitch_half < 1e-9),
         has_rotation=targets.has_rotation & (targets.rotation_tolerance == 0.0),
+        tilts=None if targets.tilts is None else targets.tilts.exact,
     )
 
 
