@@ -58,6 +58,7 @@ from .kinematics.target import movable_rows as movable_rows
 from .kinematics.target import rotation_matrices as rotation_matrices
 from .kinematics.target import rotation_vectors as rotation_vectors
 from .kinematics.tilt import Tilt as Tilt
+from .kinematics.tilt import TiltBatch as TiltBatch
 from .kinematics.tilt import tilt_angles as tilt_angles
 from .kinematics.tilt import tilt_turns as tilt_turns
 from .robot import DEFAULT_VELOCITY as DEFAULT_VELOCITY

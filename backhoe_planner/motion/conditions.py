@@ -1,4 +1,4 @@
-"""Conditions on a whole motion: a band of the pitch, a height of the tip, a cone of its orientation.
+"""Conditions on a whole motion: a band of the pitch, a height of the tip, a cone of its orientation or of its axis.
 
 Each condition has a margin at every configuration, 0 or more where it holds, and a lower bound
 of that margin on a straight motion of the joints between two configurations with margins m_a, m_b.
@@ -20,6 +20,12 @@ K = sum_{i<j} |dq_i| |dq_j|, so the orientation is nowhere further than K / 8 fr
 a fixed axis, and neither are its ends. That turn is a geodesic shorter than half a turn. On it
 the angle from the required orientation is nowhere more than at the ends, if these are less than a
 quarter turn away (balls of that radius are convex). So it is at most max(e_a, e_b) + K / 4.
+
+Tilt. An axis u of the tip turns by at most L too, so the same first bound holds. As |u''| <= L^2, u is nowhere further
+than L^2 / 8 from its chord. So its component along the direction d, cos(e), is at least the least of the ends less
+L^2 / 8. Its component across d, sin(e), is convex in u, so that it is at most the greatest of the ends plus L^2 / 8,
+which is the better bound for small angles, as long as e is below a quarter turn. First hinges that are parallel to d
+and last hinges that are parallel to u do not change the angle, so they do not count.
 """
 
 from __future__ import annotations
@@ -30,23 +36,27 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import (
     BatchKinematics,
     Kinematics,
     Robot,
     TargetBatch,
+    Tilt,
+    TiltBatch,
     TipTarget,
     bend_weights,
     rotation_vectors,
+    tilt_angles,
+    tilt_turns,
     tip_tracking_error,
     wrap_angle,
 )
 
 _NOT_ROUND = 1e-3  # rad: chosen; two motions from one pitch to another differ by whole turns
 KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
-_UPRIGHT = 1e-9  # tilt of an axis that counts as vertical, as in `Robot.has_pitch`
+_UPRIGHT = 1e-9  # tilt of an axis that counts as vertical, or as parallel to another, as in `Robot.has_pitch`
 
 
 @runtime_checkable
@@ -55,7 +65,7 @@ class Condition(Protocol):
 
     Attributes
     ----------
-    name: ``pitch``, ``above``, ``below`` or ``rotation``, as in the scene file.
+    name: ``pitch``, ``above``, ``below``, ``rotation`` or ``tilt``, as in the scene file.
     unit: of its margin.
     room: how much of the margin the machine's tracking error can use up [unit].
     """
@@ -360,6 +370,76 @@ class RotationCone(Cone):
         return (
             f"the tip is turned by {angle} deg from the orientation to be kept{when}, allowed {shown} deg{_after(self)}"
         )
+
+
+class TiltCone(Cone):
+    """An axis of the tip is at most a tolerance [rad] from a direction of the world; the heading about it is free."""
+
+    name = "tilt"
+
+    def __init__(self, robot: Robot, tilt: Tilt) -> None:
+        at = BatchKinematics(robot).at(robot.middle[None, :])
+        axis = at.tip_rotation[0] @ tilt.axis
+        # a slide turns nothing, so that it may be among the first or last hinges
+        first, last = (robot.prismatic | _are_parallel(at.axes[0], one) for one in (tilt.direction, axis))
+        idle = np.logical_and.accumulate(first) | np.logical_and.accumulate(last[::-1])[::-1]
+        super().__init__(robot, tilt.tolerance, np.where(idle | robot.prismatic, 0.0, 1.0))
+        self.tilt = tilt
+
+    def angles(self, rotations: Array) -> Vector:
+        """(B,) angle of the tip's axis from the direction, at orientations of the tip (B, 3, 3) [rad]."""
+        return tilt_angles(rotations @ self.tilt.axis, self.tilt.direction)
+
+    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
+        """The target with the axis within `tolerance` [rad]; itself if it has an orientation or another tilt."""
+        given = target.tilt
+        if target.rotation is not None and target.rotation_tolerance == 0.0:
+            return target
+        if given is None:
+            return replace(target, tilt=replace(self.tilt, tolerance=tolerance))
+        same = np.array_equal(given.axis, self.tilt.axis) and np.array_equal(given.direction, self.tilt.direction)
+        return replace(target, tilt=replace(given, tolerance=min(given.tolerance, tolerance))) if same else target
+
+    def narrowed_batch(self, targets: TargetBatch, tolerance: float | Vector) -> TargetBatch:
+        """The targets, those without an exact orientation with the axis within `tolerance` [rad], also (B,)."""
+        open_ = ~targets.has_rotation | (targets.rotation_tolerance > 0.0)
+        every = np.tile(open_[:, None], 3)
+        tilts = TiltBatch(
+            axis=np.where(every, self.tilt.axis, 0.0),
+            direction=np.where(every, self.tilt.direction, 0.0),
+            tolerance=np.where(open_, tolerance, 0.0),
+            required=open_,
+        )
+        return replace(targets, tilts=tilts if open_.any() else None)
+
+    def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
+        """(B,) [rad]"""
+        whole = np.abs(delta) @ self.turning
+        sagitta = whole**2 / 8.0
+        bound = 0.5 * (before + after + whole)
+        along = np.arccos(np.clip(np.minimum(np.cos(before), np.cos(after)) - sagitta, -1.0, 1.0))
+        across = np.arcsin(np.clip(np.maximum(np.sin(before), np.sin(after)) + sagitta, 0.0, 1.0))
+        across = np.where(bound < 0.5 * np.pi, across, np.pi)
+        return self.margins(np.minimum(np.minimum(along, across), bound))
+
+    def turns(self, rotations: Array) -> Array:
+        """(B, 3) the shortest rotation vectors to the direction [rad], world."""
+        axis = rotations @ self.tilt.axis
+        return tilt_turns(axis, np.broadcast_to(self.tilt.direction, axis.shape))
+
+    def widened(self, robot: Robot, by: float) -> TiltCone:
+        """A wider cone."""
+        return TiltCone(robot, replace(self.tilt, tolerance=min(self.tilt.tolerance + by, np.pi)))
+
+    def describe(self, value: float, when: str = "") -> str:
+        """``the tip is tilted by 12.0 deg at 2.40 s, allowed 5 deg``"""
+        angle, shown = self._shown(value)
+        return f"the tip is tilted by {angle} deg{when}, allowed {shown} deg{_after(self)}"
+
+
+def _are_parallel(axes: Matrix, direction: Vector) -> Flags:
+    """(n,) whether unit vectors (n, 3) are parallel to one (3,), either way."""
+    return np.asarray(np.abs(np.cross(axes, direction)).max(axis=1) < _UPRIGHT)
 
 
 def _less(condition: Condition) -> str:

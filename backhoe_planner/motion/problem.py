@@ -11,7 +11,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
-from backhoe_planner.motion.conditions import Condition, HeightBound, PitchBand, RotationCone
+from backhoe_planner.motion.conditions import Condition, HeightBound, PitchBand, RotationCone, TiltCone
 from backhoe_planner.motion.goals import Goal
 from backhoe_planner.motion.keep import Keep
 from backhoe_planner.motion.objectives import Objective, find_objective
@@ -284,7 +284,10 @@ def keep_of(robot: Robot, scene: Scene) -> Keep | None:
     conditions: list[Condition] = []
     if asked.pitch is not None:
         _check_pitch(
-            robot, scene, "task.keep.pitch" if scene.task.keep else "task.goal.keep.pitch", "above, below, rotation"
+            robot,
+            scene,
+            "task.keep.pitch" if scene.task.keep else "task.goal.keep.pitch",
+            "above, below, rotation, tilt",
         )
         conditions.append(PitchBand(robot, *asked.pitch))
     if asked.above is not None:
@@ -293,6 +296,8 @@ def keep_of(robot: Robot, scene: Scene) -> Keep | None:
         conditions.append(HeightBound(robot, asked.below, -1.0))
     if asked.rotation is not None:
         conditions.append(RotationCone(robot, asked.rotation.rotation, asked.rotation.tolerance))
+    if asked.tilt is not None:
+        conditions.append(TiltCone(robot, asked.tilt.tilt))
     return Keep(robot, conditions)
 
 

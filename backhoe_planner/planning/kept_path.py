@@ -61,7 +61,7 @@ def in_middle_of_cone(problem: Problem) -> Problem | None:
     None if there is no cone, all waypoints give an orientation or a pitch, or the machine cannot take any orientation.
     """
     path, keep = problem.path, problem.keep
-    if path is None or keep is None or not keep.cones:
+    if path is None or keep is None or not any(isinstance(one, RotationCone) for one in keep.cones):
         return None
     if all(waypoint.rotation is not None or waypoint.pitch is not None for waypoint in path.waypoints):
         return None

@@ -198,7 +198,7 @@ def _find_proven(
 
     The motion along a path is a smooth curve near the configurations that were found for it. If the certificate says
     that a link comes too near to something, the path is planned anew with more clearance between the two; if it says
-    that the tip leaves the cone of orientations to be kept a little, with a narrower cone.
+    that the tip leaves a cone to be kept a little, with narrower cones.
     """
 
     def planned(apart: Mapping[tuple[str, str], float], slowed: Problem = slowed) -> tuple[Outcome, Certificate]:
@@ -225,8 +225,11 @@ def _within_cone(
     keep, by = slowed.keep, 0.0
     found, proof = outcome, certificate
     for _ in range(_NARROWER):
-        missed = max((-use.margin for use in proof.keep if use.name == "rotation" and not use.kept), default=0.0)
-        if keep is None or found.reason or missed == 0.0:
+        if keep is None or found.reason:
+            break
+        cones = [cone.name for cone in keep.cones]
+        missed = max((-use.margin for use in proof.keep if use.name in cones and not use.kept), default=0.0)
+        if missed == 0.0:
             break
         by += _MISSED * missed
         narrower = keep.with_narrower_cone(by)

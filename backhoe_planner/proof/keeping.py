@@ -21,10 +21,10 @@ class KeepUse:
 
     Attributes
     ----------
-    name: ``pitch``, ``above``, ``below`` or ``rotation``, as in the scene file.
+    name: ``pitch``, ``above``, ``below``, ``rotation`` or ``tilt``, as in the scene file.
     margin: proven lower bound of the margin over the whole motion [unit], less what the tracking
         error can take; negative if the condition is not kept, or not proven to be.
-    value: the pitch, the tip's height or the angle from the required orientation at that time [unit].
+    value: the pitch, the tip's height or the angle from the required orientation or direction at that time [unit].
     time: the time of the least margin [s].
     unit: ``rad`` or ``m``.
     words: the sentence that gives the value and what is allowed.

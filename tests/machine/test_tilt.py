@@ -44,10 +44,8 @@ def test_jacobians_of_a_tilt_equal_central_differences_and_the_batch_equals_sing
     any_robot: bp.Robot, tolerance: float
 ) -> None:
     rng, h, kinematics = np.random.default_rng(0), 1e-6, bp.Kinematics(any_robot)
-    targets = [
-        bp.TipTarget(rng.normal(size=3), tilt=bp.Tilt(*rng.normal(size=(2, 3)), tolerance) if number % 3 else None)
-        for number in range(12)
-    ]
+    tilts = [bp.Tilt(rng.normal(size=3), rng.normal(size=3), tolerance) if number % 3 else None for number in range(12)]
+    targets = [bp.TipTarget(rng.normal(size=3), tilt=tilt) for tilt in tilts]
     q = np.array([any_robot.random_q(rng) for _ in targets])
     batch, at = TargetBatch.of(targets), BatchKinematics(any_robot).at(q)
     errors, jacobians = batch.errors(at), batch.jacobians(at)
@@ -105,9 +103,9 @@ def test_inverse_kinematics_reaches_a_narrow_tilt_on_arms_with_six_and_seven_joi
 
 
 def test_an_axis_and_a_direction_have_any_length_but_0() -> None:
-    tilt = bp.Tilt(3.0 * UP, [0.0, 0.5, 0.0], 0.1)
+    tilt = bp.Tilt(3.0 * UP, np.array([0.0, 0.5, 0.0]), 0.1)
     assert tilt.axis.tolist() == [0.0, 0.0, 1.0]
     assert tilt.direction.tolist() == [0.0, 1.0, 0.0]
-    for key in ("axis", "direction"):
+    for key, vectors in (("axis", (np.zeros(3), UP)), ("direction", (UP, np.zeros(3)))):
         with pytest.raises(bp.InputError, match=f"{key}: has no direction"):
-            bp.Tilt(**{"axis": UP, "direction": UP} | {key: np.zeros(3)})
+            bp.Tilt(*vectors)

@@ -17,6 +17,7 @@ from backhoe_planner.motion import Condition, Keep, build_problem
 Data = dict[str, Any]
 
 LEVEL: Data = {"rpy": [0.3, -0.2, 1.0], "tolerance": 1.2}
+CUP: Data = {"axis": [1.0, 0.5, 0.2], "direction": [0.1, -0.2, 1.0], "tolerance": 1.2}
 
 
 def keep_of(robot: bp.Robot, **keep: Any) -> Keep:
@@ -96,7 +97,9 @@ def test_a_rotation_is_measured_as_one_angle(ur5: bp.Robot) -> None:
     assert margins == pytest.approx([0.15], abs=1e-9)  # 0.4 - hypot(0.15, 0.2)
 
 
-@pytest.mark.parametrize("keep", [{"pitch": [-3.0, 2.0]}, {"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}])
+@pytest.mark.parametrize(
+    "keep", [{"pitch": [-3.0, 2.0]}, {"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}, {"tilt": CUP}]
+)
 def test_gradients_equal_central_differences(backhoe: bp.Robot, ur5: bp.Robot, keep: Data) -> None:
     robot = backhoe if "pitch" in keep else ur5
     kept, rng, h = keep_of(robot, **keep), np.random.default_rng(0), 1e-6
@@ -105,6 +108,42 @@ def test_gradients_equal_central_differences(backhoe: bp.Robot, ur5: bp.Robot, k
         for joint, step in enumerate(h * np.eye(robot.n)):
             slope = (kept.margins(q + step) - kept.margins(q - step)) / (2.0 * h)
             np.testing.assert_allclose(kept.gradients(q)[:, joint], slope, atol=1e-6)
+
+
+def test_a_tilt_is_measured_as_one_angle_whatever_the_heading(ur5: bp.Robot) -> None:
+    """A turn by 0.25 rad about a horizontal axis, after any heading and before any spin about the axis."""
+    q = ur5.random_q(np.random.default_rng(3))
+    tip = bp.Kinematics(ur5).at(q).tip_rotation
+    lean = pin.exp3(0.25 * np.array([0.6, 0.8, 0.0]))
+    for heading, spin in ((0.0, 0.0), (1.0, 2.0), (np.pi, -1.0)):
+        upright = pin.exp3(np.array([0.0, 0.0, heading])) @ lean @ pin.exp3(np.array([0.0, 0.0, spin]))
+        up, direction = np.array([0.0, 0.0, 1.0]), tip @ upright.T @ np.array([0.0, 0.0, 2.0])
+        keep = keep_of(ur5, tilt={"axis": up.tolist(), "direction": direction.tolist(), "tolerance": 0.4})
+        assert keep.margins(q) == pytest.approx([0.4 - 0.25], abs=1e-9)
+
+
+def test_joints_that_only_turn_about_the_direction_or_the_axis_change_no_tilt(panda: bp.Robot) -> None:
+    """The first hinge of the arm is vertical, and the last one turns the hand about its z axis."""
+    hand = condition_of(panda, tilt={"tolerance": 0.3})
+    assert hand.lever(np.ones(7)).tolist() == [0, 1, 1, 1, 1, 1, 0]
+    assert condition_of(panda, tilt={"axis": [1, 0, 0], "tolerance": 0.3}).lever(np.ones(7)).tolist()[-1] == 1
+    q = panda.random_q(np.random.default_rng(0))
+    turned = q + np.array([1.0, 0, 0, 0, 0, 0, 2.0])
+    assert hand.values(turned[None])[0] == pytest.approx(hand.values(q[None])[0], abs=1e-12)
+    kept = keep_of(panda, tilt={"tolerance": float(hand.values(q[None])[0]) + 1e-5})
+    assert kept.segment_holds(q, turned)
+    assert kept.corner_holds(q, q, turned, sagitta=np.eye(7)[0])
+
+
+def test_a_tilt_at_half_a_turn_has_a_gradient_that_leads_away(ur5: bp.Robot) -> None:
+    """Upside down exactly, a projection does not stay where it is."""
+    q = np.array([0.1, -1.2, 1.0, -0.7, 0.4, 0.3])
+    down = -bp.Kinematics(ur5).at(q).tip_rotation[:, 0]
+    kept = keep_of(ur5, tilt={"axis": [1, 0, 0], "direction": down.tolist(), "tolerance": 0.2})
+    assert kept.margins(q) == pytest.approx([0.2 - np.pi], abs=1e-7)
+    found = kept.project(q, ur5.limits.lower, ur5.limits.upper)
+    assert found is not None
+    assert kept.holds(found)
 
 
 def test_the_tracking_error_of_all_joints_of_the_pitch_is_deducted(backhoe: bp.Robot) -> None:
@@ -130,7 +169,9 @@ def test_the_bound_of_the_pitch_on_straight_motions_is_exact(backhoe: bp.Robot) 
         assert bound <= least + 1e-9
 
 
-@pytest.mark.parametrize("keep", [{"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}])
+@pytest.mark.parametrize(
+    "keep", [{"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}, {"tilt": CUP}, {"tilt": {"tolerance": 1.2}}]
+)
 @pytest.mark.parametrize("size", [1.0, 0.1])
 def test_no_margin_between_two_configurations_is_below_the_bound(any_robot: bp.Robot, keep: Data, size: float) -> None:
     condition, rng = condition_of(any_robot, **keep), np.random.default_rng(2)
@@ -164,6 +205,25 @@ def test_the_bound_of_a_rotation_equals_a_hand_calculation(ur5: bp.Robot) -> Non
     before, after = np.array([0.1, 0.1, 0.2]), np.array([0.4, 0.5, 1.5])
     worst = np.array([0.4 + 0.25 * 0.11, 0.5 * (0.1 + 0.5 + 3.2), 0.5 * (0.2 + 1.5 + 1.7)])
     np.testing.assert_allclose(cone.lower_bounds(before, after, delta, np.ones(6)), 2.0 - worst, atol=1e-12)
+
+
+def test_the_bound_of_a_tilt_equals_a_hand_calculation(ur5: bp.Robot) -> None:
+    """asin(max sin e + L^2 / 8), acos(min cos e - L^2 / 8) or (e_a + e_b + L) / 2, the least; the swing does not count.
+
+    The first bound needs that the last one is below a quarter turn.
+    """
+    cone = condition_of(ur5, tilt={"axis": [1, 0, 0], "tolerance": 2.0})
+    delta = np.zeros((4, 6))
+    delta[:, 0] = 2.0
+    delta[0, 1:3] = 0.1, -0.1
+    delta[1:3, 3] = 0.4
+    delta[3, 4] = 0.01
+    before, after = np.array([0.1, 1.4, 1.5, 0.0]), np.array([0.2, 1.3, 1.6, 0.0])
+    worst = np.array(
+        [np.arcsin(np.sin(0.2) + 0.005), np.arccos(np.cos(1.4) - 0.02), np.arccos(np.cos(1.6) - 0.02), 0.0]
+    )
+    worst[3] = 0.01**2 / 8.0
+    np.testing.assert_allclose(cone.lower_bounds(before, after, delta, np.ones(6)), 2.0 - worst, atol=1e-9)
 
 
 GIMBAL = """<robot name="gimbal"><link name="base"/><link name="ring"/><link name="yoke"/>
@@ -323,7 +383,7 @@ def test_the_pitch_range_of_a_goal_is_cut_to_the_band(
 @pytest.mark.parametrize(
     ("keep", "said"),
     [
-        ({}, "at least one of pitch, above, below, rotation"),
+        ({}, "at least one of pitch, above, below, rotation, tilt"),
         ({"pitch": [0.3, 0.0]}, "reversed"),
         ({"pitch": [0.0, 20.0]}, "looks like degrees"),
         ({"pitch": [-3.2, 3.2]}, "a whole turn keeps nothing"),
@@ -331,6 +391,16 @@ def test_the_pitch_range_of_a_goal_is_cut_to_the_band(
         ({"above": 2.0, "below": 1.0}, "no height is above 2 and below 1"),
         ({"rotation": {"rpy": [0, 0, 0]}}, "task.keep.rotation.tolerance: is missing"),
         ({"rotation": {"tolerance": 0.1}}, "exactly one of rpy, quaternion"),
+        ({"tilt": {}}, "task.keep.tilt.tolerance: is missing"),
+        ({"tilt": {"tolerance": 0.0}}, r"task.keep.tilt.tolerance: .*greater than 0"),
+        ({"tilt": {"tolerance": 5}}, "5 degrees are 0.08727 rad"),
+        ({"tilt": {"tolerance": float("nan")}}, "task.keep.tilt.tolerance"),
+        (
+            {"tilt": {"tolerance": 0.1, "axis": [0, 0, 0]}},
+            r"task.keep.tilt.axis: a vector of length 0 has no direction",
+        ),
+        ({"tilt": {"tolerance": 0.1, "direction": [0, 0]}}, "task.keep.tilt.direction"),
+        ({"tilt": {"tolerance": 0.1, "axes": [0, 0, 1]}}, r"task.keep.tilt.axes: there is no such key.*axis"),
         ({"hight": 2.0}, "there is no such key"),
     ],
 )

@@ -111,12 +111,17 @@ def test_the_margin_between_samples_is_proven_and_at_most_2_mm_or_2_mrad_below_t
         q_b = q_a + 0.2 * (ur5.random_q(rng) - q_a)
         at = pin.Quaternion(bp.Kinematics(ur5).at(0.5 * (q_a + q_b)).tip_rotation)
         rotation = {"quaternion": [at.w, at.x, at.y, at.z], "tolerance": 3.0}
-        found = bp.certify(ur5, scene(ur5, q_a, {"rotation": rotation, "above": -3.0}), through(q_a, q_b))
+        asked_direction = at.toRotationMatrix() @ np.array([0.1, 0.9, 0.0])  # beside the axis in the middle
+        tilt = {"axis": [0.0, 1.0, 0.0], "direction": asked_direction.tolist(), "tolerance": 3.0}
+        keep = {"rotation": rotation, "above": -3.0, "tilt": tilt}
+        found = bp.certify(ur5, scene(ur5, q_a, keep), through(q_a, q_b))
         places = [bp.Kinematics(ur5).at(q_a + t * (q_b - q_a)) for t in np.linspace(0.0, 1.0, 300)]
         asked = at.toRotationMatrix()
         turned = max(float(np.linalg.norm(pin.log3(asked.T @ place.tip_rotation))) for place in places)
         height = min(float(place.tip_position[2]) for place in places)
-        true = {"rotation": 3.0 - turned, "above": height + 3.0}
+        along = asked_direction / np.linalg.norm(asked_direction)
+        tilted = max(float(np.arccos(place.tip_rotation[:, 1] @ along)) for place in places)
+        true = {"rotation": 3.0 - turned, "above": height + 3.0, "tilt": 3.0 - tilted}
         for use in found.keep:
             assert true[use.name] - 2e-3 <= use.margin <= true[use.name] + 1e-9
 
@@ -135,17 +140,20 @@ def test_the_tracking_error_is_deducted_from_the_margin(backhoe: bp.Robot) -> No
 
 
 def test_the_tracking_error_is_deducted_from_a_height_and_a_rotation(ur5: bp.Robot) -> None:
-    """A tip error of 4 mm for the height; six hinges of 0.01 rad for the rotation, of which 0.2 rad are allowed."""
+    """A tip error of 4 mm for the height; six hinges of 0.01 rad for the rotation, of which 0.2 rad are allowed.
+
+    The last hinge turns the tip about its z axis, so that five of them count for the tilt of that axis.
+    """
     q = np.array([0.1, -1.2, 1.0, -0.7, 0.4, 0.3])
     at = bp.Kinematics(ur5).at(q)
     turn = pin.Quaternion(at.tip_rotation)
     z = float(at.tip_position[2])
     rotation = {"quaternion": [turn.w, turn.x, turn.y, turn.z], "tolerance": 0.2}
-    keep = {"above": z - 0.05, "below": z + 0.07, "rotation": rotation}
-    expected = {"above": 0.05, "below": 0.07, "rotation": 0.2}
+    tilt = {"direction": at.tip_rotation[:, 2].tolist(), "tolerance": 0.2}
+    keep = {"above": z - 0.05, "below": z + 0.07, "rotation": rotation, "tilt": tilt}
+    expected = {"above": 0.05, "below": 0.07, "rotation": 0.2, "tilt": 0.2}
     for tracking, tip, turned in (({}, 0.0, 0.0), ({"tracking": {"joints": 0.01, "tip": 0.004}}, 0.004, 0.06)):
         found = bp.certify(ur5, scene(ur5, q, keep, **tracking), through(q, q))
         margins = {use.name: use.margin for use in found.keep}
-        assert margins == pytest.approx(
-            {name: most - (turned if name == "rotation" else tip) for name, most in expected.items()}, abs=1e-6
-        )
+        lost = {"above": tip, "below": tip, "rotation": turned, "tilt": turned * 5.0 / 6.0}
+        assert margins == pytest.approx({name: most - lost[name] for name, most in expected.items()}, abs=1e-6)

@@ -19,7 +19,13 @@ from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.plan_facts import plan_facts
 
 _DEGREES = float(np.degrees(1.0))  # per radian
-_KEPT = {"pitch": "pitch", "above": "height", "below": "height", "rotation": "turned by at most"}
+_KEPT = {
+    "pitch": "pitch",
+    "above": "height",
+    "below": "height",
+    "rotation": "turned by at most",
+    "tilt": "tilted by at most",
+}
 
 
 def show_plan(display: Display, plan: Plan) -> SceneGraph:

@@ -66,7 +66,7 @@ RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
 
 _ROUNDING = 1e-14  # a length this near 1 is 1, so that a normalised quaternion stays as it is
 _UNIT_WITHIN = 1e-3  # a quaternion is given to three decimals or more; further off it is a mistake
-_NO_LENGTH = 1e-12  # of a normal, in any unit: a shorter one is 0 but for rounding
+_NO_LENGTH = 1e-12  # of a vector, in any unit: a shorter one is 0 but for rounding
 
 
 def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
@@ -96,8 +96,11 @@ def direction(vector: Vector3) -> Vector3:
     """A vector of any length but 0, normalised to length 1; ValueError if it is shorter than 1e-12."""
     norm = math.hypot(*vector)
     if norm < _NO_LENGTH:
-        raise ValueError("a normal of length 0 has no direction")
+        raise ValueError("a vector of length 0 has no direction")
     if abs(norm - 1.0) < _ROUNDING:
         return vector
     x, y, z = (part / norm for part in vector)
     return (x, y, z)
+
+
+Direction = Annotated[Vector3, AfterValidator(direction)]

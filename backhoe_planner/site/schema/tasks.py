@@ -12,9 +12,10 @@ from pydantic import Discriminator, Tag, field_validator, model_validator
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.records import Record, exactly_one
-from backhoe_planner.machine import TipTarget
+from backhoe_planner.machine import Tilt, TipTarget
 from backhoe_planner.site.schema.quantities import (
     Angle,
+    Direction,
     Finite,
     Length,
     PitchRange,
@@ -94,6 +95,22 @@ class KeepRotation(Record):
         return found
 
 
+class TiltRange(Record):
+    """How far an axis of the tip may be from a direction of the world. The heading about the direction is free."""
+
+    axis: Direction = (0.0, 0.0, 1.0)
+    """x, y, z in the tip's frame, of any length but 0."""
+    direction: Direction = (0.0, 0.0, 1.0)
+    """x, y, z in the world, of any length but 0; up by default."""
+    tolerance: Angle
+    """Largest angle between the two [rad]."""
+
+    @property
+    def tilt(self) -> Tilt:
+        """The same as a part of a target."""
+        return Tilt(np.array(self.axis), np.array(self.direction), self.tolerance)
+
+
 class Keep(Record):
     """Conditions that hold along the whole motion, so that a full bucket does not spill."""
 
@@ -104,12 +121,14 @@ class Keep(Record):
     below: Finite | None = None
     """Greatest height z of the tip [m], world."""
     rotation: KeepRotation | None = None
-    """Orientation of the tip."""
+    """Orientation of the tip, with its heading."""
+    tilt: TiltRange | None = None
+    """Tilt of the tip, such as that of a cup, whatever its heading."""
 
     @model_validator(mode="after")
     def _something(self) -> Keep:
-        if not any(one is not None for one in (self.pitch, self.above, self.below, self.rotation)):
-            raise ValueError("at least one of pitch, above, below, rotation must be given")
+        if not any(one is not None for one in (self.pitch, self.above, self.below, self.rotation, self.tilt)):
+            raise ValueError("at least one of pitch, above, below, rotation, tilt must be given")
         if self.pitch is not None:
             low, high = self.pitch
             if low > high:

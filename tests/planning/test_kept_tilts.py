@@ -1,0 +1,123 @@
+"""Motions that keep a cup upright, whatever its heading: to goals, along paths, from starts given by the tip."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine import BatchKinematics
+
+Data = dict[str, Any]
+
+DOWN = np.diag([1.0, -1.0, -1.0])  # of the hand: a cup in it stands upright
+CUP: Data = {"axis": [0, 0, -1], "tolerance": 0.1}
+Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 1.9, 0.8])
+
+
+def quaternion(rotation: NDArray[np.float64]) -> list[float]:
+    found = pin.Quaternion(rotation)
+    return [found.w, found.x, found.y, found.z]
+
+
+def upright(panda: bp.Robot, position: list[float]) -> Data:
+    """A start with the hand straight down."""
+    found = bp.solve_inverse_kinematics(panda, bp.TipTarget(np.array(position), rotation=DOWN), start=Q)
+    assert found.reached
+    return {"joints": dict(zip(panda.joint_names, found.q.tolist(), strict=True))}
+
+
+def plan(robot: bp.Robot, start: Data | None, task: Data, *obstacles: Data, **keys: Any) -> bp.Plan:
+    tip = robot.model.frames[robot.tip_frame].name
+    content = {"version": 1, "tip": tip, "task": task, "obstacles": list(obstacles)} | keys
+    return bp.plan(robot, bp.scene_from_dict(content | ({} if start is None else {"start": start})), effort="quick")
+
+
+def greatest_tilt(found: bp.Plan, tilt: Data) -> float:
+    """The greatest angle between axis and direction at 1000 times of a motion [rad], by its cosine alone."""
+    motion = found.trajectory
+    times = np.linspace(motion.time[0], motion.time[-1], 1000)
+    q = np.column_stack([np.interp(times, motion.time, column) for column in motion.q.T])
+    axes = BatchKinematics(found.robot).at(q).tip_rotation @ np.array(tilt["axis"], dtype=float)
+    return float(np.max(np.arccos(np.clip(axes @ np.array(tilt.get("direction", [0, 0, 1]), dtype=float), -1.0, 1.0))))
+
+
+def test_a_cup_turns_half_round_between_its_places_which_no_kept_rotation_allows(panda: bp.Robot) -> None:
+    """The goal's heading is 3.1 rad from that of the start."""
+    start = upright(panda, [0.5, 0.1, 0.4])
+    goal = {"position": [0.4, -0.35, 0.35], "quaternion": quaternion(pin.exp3(np.array([0.0, 0.0, 3.1])) @ DOWN)}
+    found = plan(panda, start, {"goal": goal, "keep": {"tilt": CUP}})
+    assert found.verified, found.message
+    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+    (use,) = found.certificate.keep
+    assert (use.name, use.unit) == ("tilt", "rad")
+    assert 0.0 <= use.margin + 1e-6 <= 0.1 - greatest_tilt(found, CUP) + 1e-5
+    ends = BatchKinematics(panda).at(found.trajectory.q[[0, -1]]).tip_rotation
+    assert np.linalg.norm(pin.log3(ends[0].T @ ends[1])) == pytest.approx(3.1, abs=0.02)
+    kept = {"rotation": {"quaternion": quaternion(DOWN), "tolerance": 0.1}}
+    turned = plan(panda, start, {"goal": goal, "keep": kept})
+    assert turned.reason == "goal_breaks_keep"
+    assert "turned by 177.6 deg" in turned.message  # 3.1 rad
+
+
+@pytest.mark.parametrize("tolerance", [0.2, 0.05])
+def test_goals_by_position_are_found_in_a_narrow_tilt_on_arms_with_six_and_seven_joints(
+    ur5: bp.Robot, panda: bp.Robot, tolerance: float
+) -> None:
+    """Starts by the tip's position too. Of random postures 1 in 1,600 is within 0.05 rad: (1 - cos 0.05) / 2."""
+    for robot, goal in ((panda, [0.4, -0.35, 0.35]), (ur5, [-0.3, 0.4, 0.3])):
+        tilt = CUP | {"tolerance": tolerance}
+        begin = {"tip": {"position": [0.45, 0.2, 0.4]}}
+        found = plan(robot, begin, {"goal": {"position": goal}, "keep": {"tilt": tilt}})
+        assert found.verified, found.message
+        assert greatest_tilt(found, tilt) <= tolerance + 1e-6
+
+
+def test_a_path_of_positions_is_followed_within_a_tilt(panda: bp.Robot) -> None:
+    waypoints = [{"position": position} for position in ([0.5, -0.1, 0.4], [0.5, 0.1, 0.4], [0.45, 0.15, 0.35])]
+    found = plan(panda, None, {"path": {"waypoints": waypoints}, "keep": {"tilt": CUP}})
+    assert found.verified, found.message
+    assert not found.certificate.detours
+    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+
+
+def test_a_tilt_that_cannot_be_had_at_a_goal_is_told_with_its_angle(panda: bp.Robot) -> None:
+    """The arm has to be stretched for a goal that is 0.83 m away, so that the hand cannot point down."""
+    start = upright(panda, [0.5, 0.1, 0.4])
+    far = plan(panda, start, {"goal": {"position": [0.83, 0.1, 0.4]}, "keep": {"tilt": CUP}})
+    assert far.reason == "goal_breaks_keep"
+    assert "no posture was found on the goal that keeps it: at best the tip is tilted by" in far.message
+    # an orientation given: 2 rad about x leave the z axis pi - 2 rad = 65.4 deg from pointing down
+    given = plan(panda, start, {"goal": {"position": [0.4, -0.35, 0.35], "rpy": [2.0, 0, 0]}, "keep": {"tilt": CUP}})
+    assert given.reason == "goal_breaks_keep"
+    assert "tilted by 65.4 deg, allowed 5.73 deg" in given.message
+    begins = plan(panda, start, {"goal": {"position": [0.4, -0.35, 0.35]}, "keep": {"tilt": {"tolerance": 0.1}}})
+    assert begins.reason == "start_breaks_keep"
+    assert "tilted by 180.0 deg, allowed 5.73 deg" in begins.message
+
+
+def test_a_tilt_may_be_kept_beside_a_rotation_and_a_height(panda: bp.Robot) -> None:
+    """A cable lets the hand turn by 1 rad, and the cup must not spill."""
+    start = upright(panda, [0.5, 0.1, 0.4])
+    rotation = {"quaternion": quaternion(DOWN), "tolerance": 1.0}
+    keep = {"tilt": CUP, "rotation": rotation, "above": 0.3}
+    found = plan(panda, start, {"goal": {"position": [0.4, -0.35, 0.35]}, "keep": keep})
+    assert found.verified, found.message
+    assert {use.name for use in found.certificate.keep} == {"tilt", "rotation", "above"}
+    assert all(use.kept for use in found.certificate.keep)
+    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+
+
+def test_the_tilt_of_a_backhoe_is_its_pitch(backhoe: bp.Robot) -> None:
+    """The z axis of the bucket is vertical at pitch 0, so that a tilt of 0.2 rad is a pitch of -0.2 to 0.2."""
+    start = {"tip": {"position": [2.5, -2.0, 1.5]}}
+    goal = {"position": [3.0, 2.0, 1.0]}
+    tilted = plan(backhoe, start, {"goal": goal, "keep": {"tilt": {"tolerance": 0.2}}})
+    assert tilted.verified, tilted.message
+    pitches = tilted.trajectory.q[:, 1:].sum(axis=1)
+    assert np.max(np.abs(pitches)) <= 0.2 + 1e-6
+    assert greatest_tilt(tilted, {"axis": [0, 0, 1]}) == pytest.approx(float(np.max(np.abs(pitches))), abs=1e-5)
