@@ -31,7 +31,8 @@ class Goal:
     target: the required pose of the tip; for a goal given by joints, the tip's pose there.
     q: (n,) the only permitted posture [rad or m]; None if a tip pose is required.
     name: in sentences: ``goal``, or ``goal 2`` if there are several, counted from 1.
-    rotation_tolerance: how far the tip may be turned from the required orientation [rad]; None
+    rotation_tolerance: how far the tip may be turned from the required orientation, or its axis from the required
+        direction [rad]; None
         if the scene does not say. Then 0.01 rad is enough for a motion, and a search is exact.
     tolerance: how far the tip may be from the required position [m]; None if the scene does not say. Then 1 mm
         is enough for a motion, and a search is exact.
@@ -78,7 +79,9 @@ class Goal:
             target = replace(target, position_tolerance=_SEARCHED * self.tolerance)
         if self.rotation_tolerance is None:
             return target
-        return replace(target, rotation_tolerance=_SEARCHED * self.rotation_tolerance)
+        turned = _SEARCHED * self.rotation_tolerance
+        tilt = None if target.tilt is None else replace(target.tilt, tolerance=turned)
+        return replace(target, rotation_tolerance=turned, tilt=tilt)
 
     @cached_property
     def exactly(self) -> Goal:

@@ -271,7 +271,7 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
             found.append(Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name=name))
         else:
             target = _target(robot, scene, spec, key)
-            turned, off = spec.rotation_tolerance, spec.tolerance
+            turned, off = spec.rotation_tolerance if spec.tilt is None else spec.tilt.tolerance, spec.tolerance
             found.append(Goal(target, name=name, rotation_tolerance=turned, tolerance=off))
     return tuple(found)
 

@@ -121,3 +121,31 @@ def test_the_tilt_of_a_backhoe_is_its_pitch(backhoe: bp.Robot) -> None:
     pitches = tilted.trajectory.q[:, 1:].sum(axis=1)
     assert np.max(np.abs(pitches)) <= 0.2 + 1e-6
     assert greatest_tilt(tilted, {"axis": [0, 0, 1]}) == pytest.approx(float(np.max(np.abs(pitches))), abs=1e-5)
+
+
+def test_a_goal_may_ask_for_a_tilt_at_the_end_alone(panda: bp.Robot, backhoe: bp.Robot) -> None:
+    """The backhoe's bucket starts at a pitch of -2.1 rad, and arrives with its z axis within 0.2 rad of up."""
+    q = dict(zip(panda.joint_names, Q.tolist(), strict=True))
+    bucket = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    cases: tuple[tuple[bp.Robot, Data, list[float], Data], ...] = (
+        (panda, q, [0.4, -0.35, 0.35], {"axis": [0, 1, 0], "direction": [0, 0, 2.0], "tolerance": 0.05}),
+        (backhoe, bucket, [3.0, 2.0, 1.0], {"tolerance": 0.2}),
+    )
+    for robot, start, position, tilt in cases:
+        found = plan(robot, {"joints": start}, {"goal": {"position": position, "tilt": tilt}})
+        assert found.verified, found.message
+        axis = bp.Kinematics(robot).at(found.trajectory.q[-1]).tip_rotation @ np.array(tilt.get("axis", [0, 0, 1]))
+        left = tilt["tolerance"] - float(np.arccos(axis[2]))
+        assert left >= -1e-6
+        assert found.certificate.tracking.max_angle_error == pytest.approx(float(np.arccos(axis[2])), abs=1e-6)
+        # a motion that ends elsewhere is not accepted: the start of this one is not tilted so
+        back = found.trajectory
+        turned = bp.Trajectory.from_steps(back.time, back.q[::-1])
+        scene = bp.scene_from_dict(found.scene.model_dump(mode="json", by_alias=True, exclude_unset=True))
+        assert any("from the asked angle" in one for one in bp.certify(robot, scene, turned).problems)
+
+
+def test_a_goal_has_a_tilt_or_an_orientation() -> None:
+    goal = {"position": [1, 2, 3], "tilt": {"tolerance": 0.1}, "rpy": [0, 0, 0]}
+    with pytest.raises(bp.SceneError, match="only one of pitch, rpy, quaternion, tilt may be given, here are rpy and"):
+        bp.scene_from_dict({"version": 1, "start": {"joints": {}}, "task": {"goal": goal}})

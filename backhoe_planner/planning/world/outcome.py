@@ -200,7 +200,7 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     if held:
         places = [f"{name} {'at' if index else 'is held at'} {held[name]:g}" for index, name in enumerate(held)]
         message += f"; {' and '.join(places)}"
-    if target.pitch is not None or target.rotation is not None:
+    if target.pitch is not None or target.rotation is not None or target.tilt is not None:
         message += _position_alone(world, target)
     pose = NearestPose(
         q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -147,6 +148,8 @@ class Goal(Pose):
 
     rotation_tolerance: Angle | None = None
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
+    tilt: TiltRange | None = None
+    """Tilt of the tip, in place of pitch, rpy or quaternion: the heading is free."""
     tolerance: Length | None = None
     """How far the tip may be off the position [m]; 0.001 by default, and a search is exact. The last motion uses it to
     end where it costs least, the others of a sequence to go on without a stop."""
@@ -158,6 +161,18 @@ class Goal(Pose):
         if self.rotation_tolerance is not None and self.rotation is None:
             raise ValueError("rotation_tolerance needs rpy or quaternion; a pitch has a range: pitch: [low, high]")
         return self
+
+    @model_validator(mode="after")
+    def _tilt_alone(self) -> Goal:
+        given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
+        if self.tilt is not None and given:
+            raise ValueError(f"only one of pitch, rpy, quaternion, tilt may be given, here are {given[0]} and tilt")
+        return self
+
+    @property
+    def target(self) -> TipTarget:
+        """The pose as a target of the tip, with no tolerance."""
+        return replace(super().target, tilt=None if self.tilt is None else replace(self.tilt.tilt, tolerance=0.0))
 
 
 class JointsGoal(Record):
