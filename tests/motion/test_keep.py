@@ -146,6 +146,19 @@ def test_a_tilt_at_half_a_turn_has_a_gradient_that_leads_away(ur5: bp.Robot) -> 
     assert kept.holds(found)
 
 
+def test_a_tilt_is_widened_and_narrowed_by_angles(ur5: bp.Robot) -> None:
+    q = ur5.random_q(np.random.default_rng(3))
+    tilted = float(condition_of(ur5, tilt={"tolerance": 0.5}).values(q[None])[0])
+    assert 0.1 < tilted < 3.0
+    wide, tight = keep_of(ur5, tilt={"tolerance": tilted + 0.1}), keep_of(ur5, tilt={"tolerance": tilted - 0.1})
+    narrower = wide.with_narrower_cone(0.04)
+    assert narrower is not None
+    assert narrower.margins(q) == pytest.approx([0.06], abs=1e-9)
+    assert wide.with_narrower_cone(0.6 * (tilted + 0.1)) is None  # most of it
+    assert tight.margins(q) == pytest.approx([-0.1], abs=1e-9)
+    assert tight.widened(q).margins(q) == pytest.approx([0.0], abs=2e-6)
+
+
 def test_the_tracking_error_of_all_joints_of_the_pitch_is_deducted(backhoe: bp.Robot) -> None:
     """Three joints change the pitch, by 0.01 rad each at most."""
     q = dict(zip(backhoe.joint_names, [0.0, 0.4, -1.6, -0.9], strict=True))

@@ -78,7 +78,7 @@ def test_goals_by_position_are_found_in_a_narrow_tilt_on_arms_with_six_and_seven
 
 
 def test_a_path_of_positions_is_followed_within_a_tilt(panda: bp.Robot) -> None:
-    waypoints = [{"position": position} for position in ([0.5, -0.1, 0.4], [0.5, 0.1, 0.4], [0.45, 0.15, 0.35])]
+    waypoints = [{"position": position} for position in ([0.5, -0.05, 0.4], [0.5, 0.05, 0.4], [0.48, 0.07, 0.38])]
     found = plan(panda, None, {"path": {"waypoints": waypoints}, "keep": {"tilt": CUP}})
     assert found.verified, found.message
     assert not found.certificate.detours
@@ -91,6 +91,11 @@ def test_a_tilt_that_cannot_be_had_at_a_goal_is_told_with_its_angle(panda: bp.Ro
     far = plan(panda, start, {"goal": {"position": [0.83, 0.1, 0.4]}, "keep": {"tilt": CUP}})
     assert far.reason == "goal_breaks_keep"
     assert "no posture was found on the goal that keeps it: at best the tip is tilted by" in far.message
+    told = float(far.message.split("tilted by ")[1].split(" deg")[0])
+    for degrees, reached in ((told + 0.1, True), (told - 2.0, False)):
+        tilt = bp.Tilt(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]), np.radians(degrees))
+        target = bp.TipTarget(np.array([0.83, 0.1, 0.4]), tilt=tilt)
+        assert bp.solve_inverse_kinematics(panda, target, attempts=100).reached is reached
     # an orientation given: 2 rad about x leave the z axis pi - 2 rad = 65.4 deg from pointing down
     given = plan(panda, start, {"goal": {"position": [0.4, -0.35, 0.35], "rpy": [2.0, 0, 0]}, "keep": {"tilt": CUP}})
     assert given.reason == "goal_breaks_keep"

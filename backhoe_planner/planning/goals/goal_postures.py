@@ -23,7 +23,7 @@ from backhoe_planner.machine import (
     solve_batch,
     solve_inverse_kinematics,
 )
-from backhoe_planner.motion import Goal
+from backhoe_planner.motion import Goal, Keep
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
@@ -34,6 +34,7 @@ from backhoe_planner.site import ClearanceScreen
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is reported to be in collision; chosen
 _MOVED = 0.9  # part of a goal's tolerance by which its aim is moved at most; chosen: no rounding exceeds the rest
 _PLACES = 25  # on the way to a posture, where it is checked whether the tip is within the tolerance; chosen
+_NEARER = 16  # cones between the nearest posture and what is kept, as for a path; chosen
 _ANGLES_FIRST = 30.0  # m per rad in the search for the nearest pose: chosen, its angles are then off by mrad at most
 # if several goals fail, the mildest reason is reported; the mildest first
 _MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
@@ -134,11 +135,33 @@ def _postures_on(
         return _OnGoal(free.goal, kept)
     if isinstance(within, Outcome) and within.reason == "goal_in_collision":
         return within
-    nearest = max(free.clear, key=lambda q: float(np.min(keep.margins(q))))
+    nearest = _nearest_to_kept(
+        world, keep, replace(target, position=free.goal.search_target.position), free.clear, time
+    )
     message = f"at the {goal.name} {keep.broken(nearest)}"
     if narrowed is not None:  # the goal's own angles leave room for the kept condition
         message = f"no posture was found on the {goal.name} that keeps it: at best {keep.broken(nearest)}"
     return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", message)
+
+
+def _nearest_to_kept(world: World, keep: Keep, target: TipTarget, clear: Sequence[Vector], time: float) -> Vector:
+    """(n,) the clear posture on a target that comes nearest to what is kept: one of `clear`, or one searched from it.
+
+    The search asks for cones that are wider than the kept ones, by less and less.
+    """
+    nearest = max(clear, key=lambda q: float(np.min(keep.margins(q))))
+    wider, missed = keep.widened(nearest), -float(np.min(keep.margins(nearest)))
+    narrower = [wider.with_narrower_cone(part * missed) for part in np.linspace(0.0, 1.0, _NEARER).tolist()]
+    targets = [one.narrowed(target) for one in narrower if one is not None]
+    asked = [one for one in targets if one is not None]
+    if not asked:
+        return nearest
+    found, reached = solve_batch(
+        BatchKinematics(world.problem.robot), TargetBatch.of(asked), np.tile(nearest, (len(asked), 1))
+    )
+    found = found[reached]
+    kept = found[ClearanceScreen(world.proximity, time=time, spare=POSTURE_SPARE).keeps(found)]
+    return max((nearest, *kept), key=lambda q: float(np.min(keep.margins(q))))
 
 
 def _on_target(
