@@ -90,6 +90,9 @@ class Dynamics:
 
     def gravity_torques(self, q: Matrix) -> Matrix:
         """(B, n) joint torques or forces that hold the machine still at q (B, n) [N m or N]."""
+        if self._chain is not None:
+            rest = np.zeros(q.shape)
+            return chain_torques(q, rest, rest, *self._chain)
         found = [pin.computeGeneralizedGravity(self._model, self._data, row) for row in q]
         return np.array(found, dtype=float).reshape(q.shape)
 
