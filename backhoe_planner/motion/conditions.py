@@ -432,9 +432,13 @@ class TiltCone(Cone):
         return TiltCone(robot, replace(self.tilt, tolerance=min(self.tilt.tolerance + by, np.pi)))
 
     def describe(self, value: float, when: str = "") -> str:
-        """``the tip is tilted by 12.0 deg at 2.40 s, allowed 5 deg``"""
+        """``the tip is tilted by 12.0 deg at 2.40 s, allowed 5 deg``, and whether the axis has the wrong sign."""
         angle, shown = self._shown(value)
-        return f"the tip is tilted by {angle} deg{when}, allowed {shown} deg{_after(self)}"
+        words = f"the tip is tilted by {angle} deg{when}, allowed {shown} deg{_after(self)}"
+        if self.usable < 0.5 * np.pi and np.pi - value <= self.usable:
+            opposite = ", ".join(f"{0.0 - part:.4g}" for part in self.tilt.axis)
+            words += f"; the opposite axis, [{opposite}], is within that"
+        return words
 
 
 def _are_parallel(axes: Matrix, direction: Vector) -> Flags:

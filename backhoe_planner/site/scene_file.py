@@ -171,14 +171,15 @@ class Scene(FileRecord):
         return tuple(moved)
 
     def warnings(self) -> tuple[str, ...]:
-        """What is not used of the files that the scene names, in words.
+        """What is not used of the files that the scene names, and tilts that may be in degrees, in words.
 
         Raises
         ------
         SceneError: the path file is missing, empty, or malformed.
         """
         files = dict.fromkeys(path.file for path in self._paths if path.file is not None)
-        return tuple(warning for file in files for warning in read_path_file(self.folder / file).warnings)
+        unused = (warning for file in files for warning in read_path_file(self.folder / file).warnings)
+        return (*unused, *self.task.warnings())
 
     def open_meshes(self) -> dict[str, tuple[str, ...]]:
         """Files of meshes that are not closed, with the obstacles made of each; unreadable files are left out."""

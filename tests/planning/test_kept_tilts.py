@@ -77,6 +77,14 @@ def test_goals_by_position_are_found_in_a_narrow_tilt_on_arms_with_six_and_seven
         assert greatest_tilt(found, tilt) <= tolerance + 1e-6
 
 
+def test_the_cup_of_the_example_stays_upright_and_arrives(panda: bp.Robot) -> None:
+    scene = bp.load_scene("scenes/cup.yaml")
+    found = bp.plan(panda, scene, effort="quick")
+    assert found.verified, found.message
+    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+    np.testing.assert_allclose(found.tip_path()[-1], [0.5, -0.35, 0.3], atol=1e-3)
+
+
 def test_a_path_of_positions_is_followed_within_a_tilt(panda: bp.Robot) -> None:
     waypoints = [{"position": position} for position in ([0.5, -0.05, 0.4], [0.5, 0.05, 0.4], [0.48, 0.07, 0.38])]
     found = plan(panda, None, {"path": {"waypoints": waypoints}, "keep": {"tilt": CUP}})
@@ -102,7 +110,8 @@ def test_a_tilt_that_cannot_be_had_at_a_goal_is_told_with_its_angle(panda: bp.Ro
     assert "tilted by 65.4 deg, allowed 5.73 deg" in given.message
     begins = plan(panda, start, {"goal": {"position": [0.4, -0.35, 0.35]}, "keep": {"tilt": {"tolerance": 0.1}}})
     assert begins.reason == "start_breaks_keep"
-    assert "tilted by 180.0 deg, allowed 5.73 deg" in begins.message
+    assert "tilted by 180.0 deg, allowed 5.73 deg; the opposite axis, [0, 0, -1], is within that" in begins.message
+    assert "opposite" not in given.message  # 65.4 deg off, and so 114.6 deg with the other sign
 
 
 def test_a_tilt_may_be_kept_beside_a_rotation_and_a_height(panda: bp.Robot) -> None:

@@ -628,6 +628,19 @@ def test_a_path_file_of_known_columns_gives_no_warning(tmp_path: Path) -> None:
     assert scene_from_dict(path(*POINTS)).warnings() == ()
 
 
+def test_a_tilt_that_may_be_meant_in_degrees_gives_a_warning_with_the_radians() -> None:
+    """3 rad are 171.9 deg; 3 deg are 0.05236 rad."""
+    cup = {"axis": [0, 0, -1], "tolerance": 3.0}
+    kept = scene_from_dict(scene(task={"goal": {"position": [3, 0, 1]}, "keep": {"tilt": cup}}))
+    words = "3 rad are 171.9 deg; 3 degrees are 0.05236 rad"
+    assert kept.warnings() == (f"task.keep.tilt.tolerance: {words}",)
+    legs: list[Data] = [{"name": "first", "goal": {"position": [3, 0, 1]}, "keep": {"tilt": cup | {"tolerance": 0.99}}}]
+    legs += [{"name": "last", "goal": [{"position": [3, 0, 1], "tilt": cup}, {"position": [3, 1, 1], "tilt": cup}]}]
+    assert scene_from_dict(scene(task={"sequence": legs})).warnings() == (
+        f"task.sequence[1].goal.tilt.tolerance: {words}",
+    )
+
+
 BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
     "missing": (None, ["no such path file"]),
     "empty": ("", ["empty"]),

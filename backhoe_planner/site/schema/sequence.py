@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -15,6 +16,7 @@ from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, 
 
 ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
 
+_WIDE_TILT = 1.0  # tolerance of a tilt that is rather meant in degrees: no cup or fork is level at 57 deg [rad]
 _CARRIED = ("box", "capsule", "cylinder", "mesh", "sphere")
 _NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that only an obstacle on the site has
 
@@ -167,6 +169,22 @@ class Task(Record):
     def kept(self) -> Keep | None:
         """The conditions along the whole motion, given beside the goal or in it."""
         return _kept(self.goals, self.keep)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Tilts so wide that their tolerance may be meant in degrees, in words."""
+        parts: list[tuple[str, Task | Leg]] = [("task", self)]
+        parts += [(f"task.sequence[{index}]", leg) for index, leg in enumerate(self.sequence or ())]
+        found: list[str] = []
+        for where, part in parts:
+            tilts = [("keep.tilt", None if part.kept is None else part.kept.tilt)]
+            tilts += [("goal.tilt", goal.tilt) for goal in part.goals if isinstance(goal, Goal)]
+            found += [
+                f"{where}.{key}.tolerance: {given:g} rad are {math.degrees(given):.1f} deg; "
+                f"{given:g} degrees are {math.radians(given):.4g} rad"
+                for key, tilt in tilts
+                if tilt is not None and (given := tilt.tolerance) >= _WIDE_TILT
+            ]
+        return tuple(dict.fromkeys(found))
 
     @property
     def leg_names(self) -> tuple[str, ...]:
