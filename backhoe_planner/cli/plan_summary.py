@@ -110,7 +110,7 @@ def _print_keep(found: bp.Plan) -> None:
     """Print the margin left of every condition to be kept; nothing if there is none."""
     for use in found.certificate.keep:
         turns = use.unit == "rad"
-        figures = f"{margin_text(DEGREES * use.margin, '+.2f')} deg" if turns else f"{margin_text(use.margin)} m"
+        figures = f"{margin_text(DEGREES * use.left, '+.2f')} deg" if turns else f"{margin_text(use.left)} m"
         OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s{_of_leg(use.leg)})")
 
 

@@ -44,6 +44,11 @@ class KeepUse:
         """Whether the condition holds over the whole motion."""
         return self.margin >= -KEPT_TO
 
+    @property
+    def left(self) -> float:
+        """The margin as it is reported [unit]: 0 if rounding alone takes it below 0."""
+        return max(self.margin, 0.0) if self.kept else self.margin
+
 
 def keep_uses(problem: Problem, trajectory: Trajectory) -> tuple[KeepUse, ...]:
     """The least margin of every condition, at the samples and between them; empty if there are no conditions."""

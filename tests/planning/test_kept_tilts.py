@@ -114,6 +114,13 @@ def test_a_tilt_that_cannot_be_had_at_a_goal_is_told_with_its_angle(panda: bp.Ro
     assert "opposite" not in given.message  # 65.4 deg off, and so 114.6 deg with the other sign
 
 
+@pytest.mark.parametrize(("margin", "kept", "left"), [(2e-3, True, 2e-3), (-7e-7, True, 0.0), (-2e-6, False, -2e-6)])
+def test_a_margin_that_rounding_takes_below_zero_is_reported_as_zero(margin: float, kept: bool, left: float) -> None:
+    """A condition may be missed by 1e-6 rad."""
+    use = bp.KeepUse(name="tilt", margin=margin, value=0.1, time=0.0, unit="rad", words="")
+    assert (use.kept, use.left) == (kept, left)
+
+
 def test_a_tilt_may_be_kept_beside_a_rotation_and_a_height(panda: bp.Robot) -> None:
     """A cable lets the hand turn by 1 rad, and the cup must not spill."""
     start = upright(panda, [0.5, 0.1, 0.4])

@@ -73,6 +73,7 @@ def test_labels_carry_units_and_names(backhoe: Robot, tmp_path: Path) -> None:
         "off the path [mm]",
         "limit used [%]",
         "power [kW]",
+        "200 kg of payload",
     ):
         assert label in text
     assert text.count("_costs $5 or $6") >= 2  # title and legend

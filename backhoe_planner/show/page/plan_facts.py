@@ -126,8 +126,8 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
 def _left(use: KeepUse) -> str:
     """The remaining margin of a condition, with its unit."""
     if use.unit == "rad":
-        return f"{_minus(margin_text(float(np.degrees(use.margin)), '.2f'))}°"
-    return f"{_metres(use.margin)} m"
+        return f"{_minus(margin_text(float(np.degrees(use.left)), '.2f'))}°"
+    return f"{_metres(use.left)} m"
 
 
 def _metres(value: float) -> str:

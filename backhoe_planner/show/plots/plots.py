@@ -357,7 +357,7 @@ def _loads(plan: Plan) -> str:
     if plan.legs:
         return "gravity, inertia and the loads of each leg"
     if plan.scene.payload > 0.0:
-        loads.append(f"{plan.scene.payload:g} kg in the bucket")
+        loads.append(f"{plan.scene.payload:g} kg of payload")
     if plan.scene.soil is not None:
         loads.append("soil")
     return f"{', '.join(loads[:-1])} and {loads[-1]}"
