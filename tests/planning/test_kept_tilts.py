@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning.sequence.leg import Leg
+from backhoe_planner.planning.sequence.next_leg import ready_for_next
 
 Data = dict[str, Any]
 
@@ -170,3 +173,40 @@ def test_a_goal_has_a_tilt_or_an_orientation() -> None:
     goal = {"position": [1, 2, 3], "tilt": {"tolerance": 0.1}, "rpy": [0, 0, 0]}
     with pytest.raises(bp.SceneError, match="only one of pitch, rpy, quaternion, tilt may be given, here are rpy and"):
         bp.scene_from_dict({"version": 1, "start": {"joints": {}}, "task": {"goal": goal}})
+
+
+def test_a_leg_ends_where_the_next_one_can_begin_upright(panda: bp.Robot) -> None:
+    """The first leg keeps nothing itself; it begins with the hand level, from where postures on its goal are tilted."""
+    legs = [
+        {"name": "to the cup", "goal": {"position": [0.4, 0.3, 0.5]}},
+        {"name": "wait", "wait": 0.2},
+        {"name": "carry", "goal": {"position": [0.5, 0.0, 0.35]}, "keep": {"tilt": CUP}},
+    ]
+    level = Q + np.array([0.5, 0.0, 0.0, 0.0, 1.2, 1.5, 0.0])
+    start = {"joints": dict(zip(panda.joint_names, level.tolist(), strict=True))}
+    found = plan(panda, start, {"sequence": legs})
+    assert found.verified, found.message
+    carried = found.trajectory.part(found.trajectory.begins[2], len(found.trajectory) - 1).q
+    axes = BatchKinematics(panda).at(carried).tip_rotation @ np.array([0.0, 0.0, -1.0])
+    assert np.arccos(axes[:, 2]).max() <= 0.1 + 1e-6
+
+
+def test_what_the_next_leg_keeps_narrows_only_goals_that_leave_it_open(panda: bp.Robot) -> None:
+    """A goal with an orientation of its own, one given by joints, and the last leg's are left as they are."""
+    joints = dict(zip(panda.joint_names, Q.tolist(), strict=True))
+    open_, given = {"position": [0.4, 0.3, 0.5]}, {"position": [0.4, 0.3, 0.5], "quaternion": [0, 1, 0, 0]}
+    keep = {"tilt": {"axis": [0, 0, -1], "tolerance": 0.1}, "rotation": {"rpy": [np.pi, 0, 0], "tolerance": 0.6}}
+    for goal, narrowed in ((open_, True), (given, False), ({"joints": joints}, False)):
+        task = {"sequence": [{"name": "one", "goal": goal}, {"name": "two", "goal": open_, "keep": keep}]}
+        scene = bp.scene_from_dict({"version": 1, "tip": "panda_hand_tcp", "start": {"joints": joints}, "task": task})
+        legs = [Leg(problem) for problem in build_problem(panda, scene).legs]
+        first, last = ready_for_next(legs)
+        assert (first is not legs[0]) == narrowed
+        assert last is legs[1]
+        if narrowed:
+            target = first.problem.goals[0].search_target
+            assert target.tilt is not None
+            assert target.tilt.tolerance <= 0.09 + 1e-12
+            assert target.rotation is not None
+            np.testing.assert_allclose(target.rotation, DOWN, atol=1e-12)
+            assert 0.0 < target.rotation_tolerance <= 0.54 + 1e-12

@@ -18,7 +18,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import TipPath, motion_cost
+from backhoe_planner.motion import Goal, TipPath, motion_cost
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.sequence.ends import LegEnds, WayPrices, find_ends
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
@@ -48,6 +48,7 @@ class _Layer:
     Attributes
     ----------
     leg: the leg.
+    goals: those on which its ends were looked for, from which the next leg can begin.
     prices: of straight motions.
     known: where it may begin and end; the motion planner chooses the end of the last leg.
     ends: (n,) each.
@@ -60,6 +61,7 @@ class _Layer:
     """
 
     leg: Leg
+    goals: tuple[Goal, ...]
     prices: WayPrices
     known: LegEnds
     ends: list[Vector]
@@ -90,13 +92,16 @@ class Chain:
     Parameters
     ----------
     legs: at least two of them move, and none is among obstacles that move or appear.
+    ready: the same legs, from `ready_for_next`: their ends are looked for.
     first: the result of planning leg by leg, as far as it got.
     planner: plans single legs.
     most: how many motions may be planned at most.
     """
 
-    def __init__(self, legs: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int) -> None:
-        self._legs, self._first, self._left = tuple(legs), tuple(first), most
+    def __init__(
+        self, legs: Sequence[Leg], ready: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int
+    ) -> None:
+        self._legs, self._ready, self._first, self._left = tuple(legs), tuple(ready), tuple(first), most
         # legs along paths are planned for many chains, and other ways along them were compared in the first result
         self._planner = replace(planner, effort=replace(planner.effort, other_ways=0))
         self._moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
@@ -124,7 +129,10 @@ class Chain:
         for number, index in enumerate(self._moving):
             leg = self._legs[index]
             world = World(leg.problem.beginning(near), seed=self._planner.seed, work=Work(effort, brake))
-            known = find_ends(world, leg, near)
+            ready = self._ready[index]
+            known = find_ends(world, ready, near)
+            if known is None and ready is not leg:
+                ready, known = leg, find_ends(world, leg, near)
             if known is None:
                 return False
             is_last = number == len(self._moving) - 1  # one node, for any end
@@ -132,7 +140,7 @@ class Chain:
             names: list[str | None] = []
             if not is_last:
                 names += [goal.name for goal in known.goals] if known.goals else [None] * len(ends)
-            self._layers.append(_Layer(leg, WayPrices(world), known, ends, names))
+            self._layers.append(_Layer(leg, ready.problem.goals, WayPrices(world), known, ends, names))
             near = known.ends[0]
         self._estimate()
         self._take_first()
@@ -184,7 +192,7 @@ class Chain:
                 column = np.full((len(layer.estimates), 1), np.inf)
                 layer.estimates = np.hstack((layer.estimates, column))
                 after = self._layers[self._layers.index(layer) + 1]
-                own = _Layer(after.leg, after.prices, after.known, after.ends, after.names)
+                own = _Layer(after.leg, after.goals, after.prices, after.known, after.ends, after.names)
                 own.estimate([end])
                 row = own.estimates
                 if after is self._layers[-1]:
@@ -286,7 +294,7 @@ class Chain:
             if leg.problem.path is not None:
                 asked = _ending_at(leg, layer.ends[b])
             else:
-                on = next((goal for goal in leg.problem.goals if goal.name == layer.place(b)), None)
+                on = next((goal for goal in layer.goals if goal.name == layer.place(b)), None)
                 goal = on if anywhere and on is not None else posture_goal(leg.problem, layer.ends[b])
                 asked = replace(leg, problem=replace(leg.problem, goals=(goal,)))
         done = self._planner.plan(leg, start, asked=asked)

@@ -15,6 +15,7 @@ from backhoe_planner.planning.sequence.chain import Chain
 from backhoe_planner.planning.sequence.going_over import go_over
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
+from backhoe_planner.planning.sequence.next_leg import ready_for_next
 from backhoe_planner.planning.world.outcome import bad_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
@@ -86,10 +87,11 @@ def plan_legs(
     moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
     legs = tuple(_ending_exactly(leg) if index in moving[:-1] else leg for index, leg in enumerate(legs))
     planner = LegPlanner(method, seed, effort, brake or Brake(), watch)
-    done = _one_by_one(legs, planner)
+    ready = ready_for_next(legs)
+    done = _one_by_one(legs, ready, planner)
     tried = 0
     if ahead and len(moving) > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
-        chain = Chain(legs, done, planner, most=(_CHAINS + effort.ways_at_once) * len(moving))
+        chain = Chain(legs, ready, done, planner, most=(_CHAINS + effort.ways_at_once) * len(moving))
         # an end that was chosen may be one posture: which goals are left out is known from the legs by themselves
         known = [leg.outcome.findings.left_out for leg in done]
         done, tried = chain.run(), chain.tried
@@ -107,13 +109,14 @@ def _ending_exactly(leg: Leg) -> Leg:
     return leg if exact == goals else replace(leg, problem=replace(leg.problem, goals=exact))
 
 
-def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
-    """The legs planned one by one, until one fails."""
+def _one_by_one(legs: tuple[Leg, ...], ready: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
+    """The legs planned one by one, until one fails; each to an end from `ready_for_next`, if it can."""
     done: list[DoneLeg] = []
     time = 0.0
-    for leg in legs:
+    for leg, asked in zip(legs, ready, strict=True):
         start = done[-1].motion.q[-1] if done else None
-        done.append(planner.plan(leg, start, time=time))
+        found = None if asked is leg else planner.plan(leg, start, time=time, asked=asked)
+        done.append(planner.plan(leg, start, time=time) if found is None or found.failed else found)
         time += done[-1].motion.duration
         if done[-1].failed:
             break
