@@ -132,6 +132,16 @@ def test_level_ground_is_not_drawn_over_lower_scanned_ground(
     assert inside.any() == is_drawn
 
 
+@pytest.mark.parametrize(("top", "is_ground"), [(0.03, False), (0.0, True)])
+def test_the_top_of_a_low_table_before_an_arm_is_not_the_ground(panda: Robot, top: float, is_ground: bool) -> None:
+    table = {"name": "table", "shape": "box", "size": [0.6, 0.8, 0.02], "position": [0.7, 0.0, top - 0.01]}
+    task = {"goal": {"position": [0.5, 0.0, 0.4]}}
+    start = {"joints": dict(zip(panda.joint_names, panda.middle.tolist(), strict=True))}
+    content = {"version": 1, "tip": "panda_hand_tcp", "start": start, "task": task, "obstacles": [table]}
+    graph = SceneGraph(Display().visualizer(), build_problem(panda, scene_from_dict(content)))
+    assert (graph._below_ground()[0] is not None) == is_ground
+
+
 def test_a_tube_follows_its_line() -> None:
     line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5]])
     points = tube(line, 0.05, tolerance=0.003).vertices

@@ -182,7 +182,7 @@ class Brake:
     @property
     def message(self) -> str:
         """The message for a budget that is used up."""
-        return f"time ran out after {self.budget:g} s of computing; --budget gives more, a lower --effort needs less"
+        return f"time ran out after {self.budget:g} s of computing; --budget gives more, and --effort quick needs least"
 
     @property
     def cut_short(self) -> str:

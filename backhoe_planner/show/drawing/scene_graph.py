@@ -50,7 +50,9 @@ HIDDEN = 1e-5  # scale of hidden nodes: too small to be seen; a scale of 0 would
 _GROUPS = ("machine", "carried", "site", "clearance", "task", "critical points", "ground")
 _LINE_WIDTH = 0.0011  # radius of path and trace, as part of the distance to the camera; chosen, a few pixels
 _NOWHERE = np.zeros((4, 4))
-_SHALLOW = 0.05  # m below the ground that do not count as beneath it; chosen
+# part of the tip's reach, and m at most, that is as good as level with the ground; chosen: the top of a table before an
+# arm is not
+_SHALLOW, _MOST_SHALLOW = 0.01, 0.05
 _ROWS_IN_VIEW = 24  # frames of a motion that the camera keeps in view; chosen
 
 
@@ -139,20 +141,20 @@ class SceneGraph:
         """Outline (k, 2) of the obstacles that are the ground, and whether anything else is beneath it."""
         if self._opening is not None:
             return self._opening, False
-        outlines, lows = [], []
+        outlines, lows, shallow = [], [], min(_SHALLOW * self._reach, _MOST_SHALLOW)
         for obstacle, drawn in zip(self._drawn, self._site, strict=True):
             if drawn.bounds is None:
                 continue
             low, top = drawn.bounds[:, 2]
-            scanned = obstacle.spec.shape == "pointcloud" and low < -_SHALLOW and top >= 0.0  # includes the ground
-            if abs(top) <= _SHALLOW or scanned:  # its top is level with the ground, or it is the ground itself
+            scanned = obstacle.spec.shape == "pointcloud" and low < -shallow and top >= 0.0  # includes the ground
+            if abs(top) <= shallow or scanned:  # its top is level with the ground, or it is the ground itself
                 outlines.append(drawn.facets.vertices[:, :2])
             elif top < 0.0:
                 lows.append(drawn)
         points = [goal.target.position for goal in self.problem.goals]
         points += [] if self.problem.path is None else list(self.problem.path.points)
         if not outlines:
-            return None, bool(lows) or any(point[2] < -_SHALLOW for point in points)
+            return None, bool(lows) or any(point[2] < -shallow for point in points)
         opening = opening_of(np.vstack(outlines))
         low, high = opening.min(axis=0), opening.max(axis=0)
 
@@ -160,7 +162,7 @@ class SceneGraph:
             return bool(np.any(corners[:, :2] < low - 0.01) or np.any(corners[:, :2] > high + 0.01))
 
         buried = any(beside(drawn.bounds) for drawn in lows if drawn.bounds is not None)
-        return opening, buried or any(point[2] < -_SHALLOW and beside(point[None, :]) for point in points)
+        return opening, buried or any(point[2] < -shallow and beside(point[None, :]) for point in points)
 
     def _draw_machine(self) -> None:
         number: dict[str, int] = {}
