@@ -24,7 +24,7 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.machine.kinematics.kinematics import place_chain
 from backhoe_planner.motion import Rows  # noqa: F401  the same
 from backhoe_planner.native import find_compiled, native_version, plain_versions
-from backhoe_planner.planning import Stepper  # noqa: F401  the same
+from backhoe_planner.planning import Stepper, cheapen_stretch  # noqa: F401  the same
 from backhoe_planner.proof import least_duration  # noqa: F401  the same
 from backhoe_planner.site import ClearanceScreen  # noqa: F401  the same
 
