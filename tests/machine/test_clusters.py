@@ -304,6 +304,20 @@ def test_how_deep_a_ball_is_inside_a_mesh_by_hand() -> None:
     assert deeper == pytest.approx(reading.distance - 0.2, abs=0.03)
 
 
+@pytest.mark.parametrize("place", [0.0, 5e5])
+@pytest.mark.parametrize("corners", [[0, 1, 2], [0, 1, 1], [1, 0, 1], [0, 0, 1], [1, 1, 1]], ids=str)
+def test_a_ball_is_as_deep_in_a_triangle_without_area_as_in_the_line_or_point_that_it_is(
+    corners: list[int], place: float
+) -> None:
+    """The middle of the ball is 0.15 m from the line along x and from its point at x = 1, the radius is 0.3 m."""
+    points = place + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [9.0, 0.0, 0.0], [9.0, 1.0, 0.0]])
+    mesh = trimesh.Trimesh(points, [corners, [2, 3, 4]], process=False)
+    reading = Cluster(MeshSolid(mesh, most=10), HERE).measure(ball(0.3), at(place + 1.0, place + 0.12, place - 0.09))
+    assert reading is not None
+    assert reading.distance == pytest.approx(-0.15, abs=1e-7)
+    np.testing.assert_allclose(reading.normal, [0.0, -0.8, 0.6], atol=1e-6)
+
+
 @pytest.mark.parametrize("way", ["across", "inside"])
 def test_a_shape_is_not_out_of_a_mesh_before_it_has_moved_by_its_depth(way: str) -> None:
     rng = np.random.default_rng(5)

@@ -31,6 +31,7 @@ _MOST_HOLLOWS = 200  # connected parts of that grid that are sorted into inside 
 # each of which says how deep it is in that link, and not how far the link is from the outside
 _MOST_TOUCHED = 32
 _OUTSIDE, _INSIDE, _SURFACE = 0, 1, 2
+_HAIR = 1e-9  # of a mesh's size by which triangles without area are widened; chosen, far below any clearance
 _NO_SHIFT = np.zeros(3)
 _AXES = np.concatenate((np.eye(3), -np.eye(3)), axis=1)
 _EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
@@ -73,7 +74,7 @@ class MeshSolid:
 
     @cached_property
     def _tree(self) -> Tree:
-        return surface_tree(self._vertices, self._faces, most_touched=_MOST_TOUCHED)
+        return surface_tree(*_with_area(self._vertices, self._faces), most_touched=_MOST_TOUCHED)
 
     @cached_property
     def _triangles(self) -> TriangleTree:
@@ -224,6 +225,26 @@ class MeshSolid:
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3), reduced if there are more than `most`."""
         return clustered(self._vertices, self._faces, most)
+
+
+def _with_area(vertices: Matrix, faces: Indices) -> tuple[Matrix, Indices]:
+    """The same surface, with triangles without area widened by a hair.
+
+    Coal has no normal of those for a ball, and takes its whole radius for its depth in them.
+    """
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    flat = np.flatnonzero(~np.cross(b - a, c - a).any(axis=1))
+    if not len(flat):
+        return vertices, faces
+    hair = max(_HAIR * float(np.ptp(vertices, axis=0).max()), 4.0 * float(np.spacing(np.abs(vertices).max())))
+    a, b, c = a[flat], b[flat], c[flat]
+    doubled = (a == b).all(axis=1)[:, None]
+    beside = hair * np.eye(3)[np.abs(np.where(doubled, c, b) - a).argmin(axis=1)]  # nearly across their line
+    b, c = np.where(doubled, b + beside, b), np.where(doubled, c, c + beside)
+    c[(a == c).all(axis=1), 1] += hair  # of a point, which has been moved along x
+    faces = faces.copy()
+    faces[flat] = len(vertices) + np.arange(3 * len(flat)).reshape(-1, 3)
+    return np.vstack((vertices, np.stack((a, b, c), axis=1).reshape(-1, 3))), faces
 
 
 @cache
