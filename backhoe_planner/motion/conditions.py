@@ -373,17 +373,22 @@ class RotationCone(Cone):
 
 
 class TiltCone(Cone):
-    """An axis of the tip is at most a tolerance [rad] from a direction of the world; the heading about it is free."""
+    """An axis of the tip is at most a tolerance [rad] from a direction of the world; the heading about it is free.
+
+    Parameters
+    ----------
+    more: added to the tolerance of `tilt` [rad], which ends at half a turn: the tracking error may need more.
+    """
 
     name = "tilt"
 
-    def __init__(self, robot: Robot, tilt: Tilt) -> None:
+    def __init__(self, robot: Robot, tilt: Tilt, *, more: float = 0.0) -> None:
         at = BatchKinematics(robot).at(robot.middle[None, :])
         axis = at.tip_rotation[0] @ tilt.axis
         # a slide turns nothing, so that it may be among the first or last hinges
         first, last = (robot.prismatic | _are_parallel(at.axes[0], one) for one in (tilt.direction, axis))
         idle = np.logical_and.accumulate(first) | np.logical_and.accumulate(last[::-1])[::-1]
-        super().__init__(robot, tilt.tolerance, np.where(idle | robot.prismatic, 0.0, 1.0))
+        super().__init__(robot, tilt.tolerance + more, np.where(idle | robot.prismatic, 0.0, 1.0))
         self.tilt = tilt
 
     def angles(self, rotations: Array) -> Vector:
@@ -396,7 +401,7 @@ class TiltCone(Cone):
         if target.rotation is not None and target.rotation_tolerance == 0.0:
             return target
         if given is None:
-            return replace(target, tilt=replace(self.tilt, tolerance=tolerance))
+            return replace(target, tilt=replace(self.tilt, tolerance=min(tolerance, np.pi)))
         same = np.array_equal(given.axis, self.tilt.axis) and np.array_equal(given.direction, self.tilt.direction)
         return replace(target, tilt=replace(given, tolerance=min(given.tolerance, tolerance))) if same else target
 
@@ -429,7 +434,7 @@ class TiltCone(Cone):
 
     def widened(self, robot: Robot, by: float) -> TiltCone:
         """A wider cone."""
-        return TiltCone(robot, replace(self.tilt, tolerance=min(self.tilt.tolerance + by, np.pi)))
+        return TiltCone(robot, self.tilt, more=self.tolerance - self.tilt.tolerance + by)
 
     def describe(self, value: float, when: str = "") -> str:
         """``the tip is tilted by 12.0 deg at 2.40 s, allowed 5 deg``, and whether the axis has the wrong sign."""

@@ -106,6 +106,8 @@ def test_an_axis_and_a_direction_have_any_length_but_0() -> None:
     tilt = bp.Tilt(3.0 * UP, np.array([0.0, 0.5, 0.0]), 0.1)
     assert tilt.axis.tolist() == [0.0, 0.0, 1.0]
     assert tilt.direction.tolist() == [0.0, 1.0, 0.0]
+    long = bp.Tilt(np.array([0.0, 3e200, 4e200]), UP)  # the square of its length is no number
+    np.testing.assert_allclose(long.axis, [0.0, 0.6, 0.8], atol=1e-15)
     for key, vectors in (("axis", (np.zeros(3), UP)), ("direction", (UP, np.zeros(3)))):
         with pytest.raises(bp.InputError, match=f"{key}: has no direction"):
             bp.Tilt(*vectors)

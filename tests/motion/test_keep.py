@@ -159,6 +159,22 @@ def test_a_tilt_is_widened_and_narrowed_by_angles(ur5: bp.Robot) -> None:
     assert tight.widened(q).margins(q) == pytest.approx([0.0], abs=2e-6)
 
 
+def test_a_tilt_is_widened_beyond_half_a_turn_by_what_the_tracking_error_needs(panda: bp.Robot) -> None:
+    """Five joints change the tilt of the hand, by 0.01 rad each at most: it is pi beyond what is left of 0.1 rad."""
+    q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 1.9, 0.8])
+    axis = -bp.Kinematics(panda).at(q).tip_rotation[2]  # it points straight down
+    tilt = {"axis": axis.tolist(), "tolerance": 0.1}
+    task = {"goal": {"joints": dict(zip(panda.joint_names, q.tolist(), strict=True))}, "keep": {"tilt": tilt}}
+    content = {"version": 1, "tip": "panda_hand_tcp", "start": task["goal"], "task": task}
+    for tracking, joints in (({}, 0.0), ({"tracking": {"joints": 0.01}}, 0.05)):
+        keep = build_problem(panda, bp.scene_from_dict(content | tracking)).keep
+        assert keep is not None
+        (margin,) = keep.margins(q)
+        assert margin == pytest.approx(0.1 - np.pi - joints, abs=1e-6)
+        assert keep.widened(q).margins(q) == pytest.approx([0.0], abs=2e-6)
+        assert keep.widened(q).narrowed(bp.TipTarget(np.zeros(3))) is not None
+
+
 def test_the_tracking_error_of_all_joints_of_the_pitch_is_deducted(backhoe: bp.Robot) -> None:
     """Three joints change the pitch, by 0.01 rad each at most."""
     q = dict(zip(backhoe.joint_names, [0.0, 0.4, -1.6, -0.9], strict=True))

@@ -45,10 +45,11 @@ class Tilt:
     def __post_init__(self) -> None:
         for key in ("axis", "direction"):
             vector = as_vector(getattr(self, key), 3, key=key)
-            length = float(np.linalg.norm(vector))
-            if length < _NO_LENGTH:
+            largest = float(np.abs(vector).max())
+            if largest < _NO_LENGTH:
                 raise InputError("has no direction", key=key, found=vector.tolist(), allowed="any length but 0")
-            object.__setattr__(self, key, vector / length)
+            unit = vector / largest  # the square of a large one is no number
+            object.__setattr__(self, key, unit / np.linalg.norm(unit))
         object.__setattr__(self, "tolerance", as_number(self.tolerance, key="tolerance", least=0.0, most=np.pi))
 
 
