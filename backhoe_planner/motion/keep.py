@@ -15,7 +15,9 @@ from backhoe_planner.motion.conditions import KEPT_TO, Condition, Cone, PitchBan
 
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
 _NEWTON = 20  # steps of a projection; chosen: near the solution, each step doubles the correct digits
-_INTO = 1e-4  # rad or m inside the allowed range that a projection aims for; chosen, more than a step misses near it
+# rad or m inside the allowed range that a projection aims for, if its middle is not nearer; chosen, more than a step
+# misses near it
+_INTO = 1e-4
 _DAMPED = 1e-9  # damping of a projection, rad^2 or m^2; chosen: far below the effect of any joint
 _LONGEST_STEP = 0.5  # rad or m of a joint in one step of a projection; chosen: beyond it the gradient says little
 _MOST_PARTS = 256  # parts of one straight motion; chosen: a motion still undecided is too tight to be worth more
@@ -51,6 +53,8 @@ class Keep:
         self.band = next((one for one in self.conditions if isinstance(one, PitchBand)), None)
         self.cones = tuple(one for one in self.conditions if isinstance(one, Cone))
         self._travel = tip_travel_bound(robot)
+        # as long as `rows_each`: a band has a row for each of its ends
+        self._into = np.concatenate([np.full(1 + isinstance(one, PitchBand), _into(one)) for one in given])
 
     def margins(self, q: Vector) -> Vector:
         """(K,) margins of all conditions at the joints `q` (n,), 0 or more if they hold [rad or m]; smooth in `q`."""
@@ -146,7 +150,7 @@ class Keep:
                 return found
             margins, gradients = (each[0] for each in self.rows_each(found[None]))
             rows = margins < 0.0
-            G, missing = gradients[rows], _INTO - margins[rows]
+            G, missing = gradients[rows], (self._into - margins)[rows]
             step = G.T @ np.linalg.lstsq(G @ G.T + _DAMPED * np.eye(len(G)), missing, rcond=None)[0]
             longest = float(np.max(np.abs(step), initial=0.0))
             found = np.clip(found + step * min(1.0, _LONGEST_STEP / max(longest, _LONGEST_STEP)), lower, upper)
@@ -204,6 +208,13 @@ class Keep:
                 return True
             places = np.sort(np.append(places, (0.5 * (places[:-1] + places[1:]))[open_]))
         return False
+
+
+def _into(condition: Condition) -> float:
+    """How far inside the allowed range a projection onto a condition aims [rad or m]: not beyond its middle."""
+    if isinstance(condition, PitchBand):
+        return min(_INTO, 0.5 * max(condition.half, 0.0))
+    return min(_INTO, 0.5 * condition.usable) if isinstance(condition, Cone) else _INTO
 
 
 def _common(asked: tuple[float, float] | None, kept: tuple[float, float]) -> tuple[float, float] | None:

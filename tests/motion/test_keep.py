@@ -45,6 +45,22 @@ def test_a_projection_keeps_all_conditions_and_is_idempotent(backhoe: bp.Robot) 
     assert found >= 25  # half of them; one random configuration in a hundred is in the band of pitch
 
 
+@pytest.mark.parametrize(
+    "keep",
+    [{"pitch": [-2.7, -2.7]}, {"pitch": [-2.7, -2.69999]}, {"tilt": {"tolerance": 1e-5}},
+     {"rotation": {"rpy": [0.3, -0.2, 1.0], "tolerance": 1e-5}}],
+    ids=str,
+)  # fmt: skip
+def test_a_projection_reaches_a_band_or_a_cone_however_narrow(backhoe: bp.Robot, ur5: bp.Robot, keep: Data) -> None:
+    """It aims at most at the middle: a step beyond it would miss the other side by as much, again and again."""
+    robot = backhoe if "pitch" in keep else ur5
+    kept, rng, found = keep_of(robot, **keep), np.random.default_rng(0), 0
+    for _ in range(50):
+        projected = kept.project(robot.random_q(rng), robot.limits.lower, robot.limits.upper)
+        found += projected is not None and kept.holds(projected)
+    assert found >= 20
+
+
 def condition_of(robot: bp.Robot, **keep: Any) -> Condition:
     (found,) = keep_of(robot, **keep).conditions
     return found

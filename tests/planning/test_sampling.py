@@ -19,8 +19,8 @@ from waiting import PATIENCE
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import Robot
-from backhoe_planner.motion import Problem, build_problem, drive_of, time_way
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.motion import Keep, Problem, build_problem, drive_of, time_way
 from backhoe_planner.planning import (
     EFFORTS,
     Brake,
@@ -214,6 +214,36 @@ def test_a_search_ends_after_its_number_of_motions(planar4: Robot) -> None:
     before = work.motions
     assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
     assert work.motions == before
+
+
+def test_a_search_within_a_cone_ends_where_no_sample_can_be_projected_into_it(
+    ur5: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each sample that fails counts as one motion, and the brake is asked."""
+    q, tried = np.array([0.3, -1.2, 1.0, -0.7, 0.4, 0.3]), 0
+
+    def fail(*_: Any) -> None:
+        nonlocal tried
+        tried += 1
+        assert tried <= 500, "the search goes on"
+
+    monkeypatch.setattr(Keep, "project", fail)
+    start = {"joints": dict(zip(ur5.joint_names, q.tolist(), strict=True))}
+    goal = {"joints": start["joints"] | {"wrist_3_joint": 1.3}}
+    axis = Kinematics(ur5).at(q).tip_rotation[2].tolist()
+    task = {"goal": goal, "keep": {"tilt": {"axis": axis, "tolerance": 2.0}}}
+    problem = build_problem(ur5, bp.scene_from_dict({"version": 1, "tip": "tool0", "start": start, "task": task}))
+    ends, proximity = [q, q + np.eye(6)[5]], Proximity(ur5, [])
+    for brake, most in ((Brake(), 300), (Brake(1e-9), 301)):
+        check = MotionCheck(problem, proximity, ends, spare=0.0, brake=brake)
+        work = Work(replace(EFFORTS["normal"], motions_per_search=300, motions=500))
+        if brake.budget < 1.0:
+            with pytest.raises(OutOfTime):
+                sample_path(check, q, ends[1:], seed=0, work=work, straight=False)
+        else:
+            assert sample_path(check, q, ends[1:], seed=0, work=work, straight=False) is None
+            assert work.motions == 200
+        assert tried == most
 
 
 def test_the_brake_ends_a_search(planar4: Robot) -> None:

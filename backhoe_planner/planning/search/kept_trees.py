@@ -11,30 +11,27 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.motion import Keep
 
 _STEP = 0.25  # s of the slowest joint in one step; chosen: the projection of a longer step leaves the condition
 _AHEAD = 0.2  # part of a step by which it must come nearer; chosen, so that no tree creeps along a limit
 
 
 class KeptTrees:
-    """Two trees of configurations that satisfy a `Keep`.
+    """Two trees of configurations that satisfy conditions.
 
     Parameters
     ----------
-    keep: the conditions.
     rate: (n,) by which the joints are weighted [rad/s or m/s].
-    lower, upper: (n,) joint limits [rad or m].
+    project: a configuration near another one that satisfies the conditions, or None; it counts the work if it fails.
     allows: whether the straight motion between two configurations may be used; it counts the work.
     ended: whether to stop.
     """
 
     def __init__(
-        self, keep: Keep, *, rate: Vector, lower: Vector, upper: Vector,
+        self, *, rate: Vector, project: Callable[[Vector], Vector | None],
         allows: Callable[[Vector, Vector], bool], ended: Callable[[], bool],
     ) -> None:  # fmt: skip
-        self._keep, self._rate, self._allows, self._ended = keep, rate, allows, ended
-        self._lower, self._upper = lower, upper
+        self._rate, self._project, self._allows, self._ended = rate, project, allows, ended
 
     def connect(
         self, start: Vector, goals: Sequence[Vector], low: Vector, high: Vector, rng: np.random.Generator
@@ -67,7 +64,7 @@ class KeptTrees:
             if left <= _STEP and self._allows(q, towards):
                 return tree.add(towards, at)
             part = min(_STEP / max(left, _STEP), 1.0)
-            found = self._keep.project(q + part * (towards - q), self._lower, self._upper)
+            found = self._project(q + part * (towards - q))
             if found is None:
                 return last
             now = float(np.max(np.abs(towards - found) / self._rate))

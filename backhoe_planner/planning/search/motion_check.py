@@ -91,7 +91,7 @@ class MotionCheck:
         self._time = time
         self._near = near
         self._keep = problem.keep
-        self._brake = brake or Brake()
+        self.brake = brake or Brake()
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
         self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
         self._clearance = proximity.clearance[self._pairs]
@@ -163,7 +163,7 @@ class MotionCheck:
         rate: (n,) greatest change of each joint over t.
         more: (P,) further distance that each pair must keep [m].
         """
-        self._brake.check()
+        self.brake.check()
         if self._near is not None and not self._stays_near(point, rate):
             return False
         if not len(self._pairs):

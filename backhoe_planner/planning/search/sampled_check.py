@@ -40,13 +40,13 @@ class SampledCheck(MotionCheck):
 
     def keeps(self, q: Matrix) -> Flags:
         """(N,) which of `q` (N, n) satisfy `keep` and every clearance, with the least spare of any end."""
-        self._brake.check()
+        self.brake.check()
         found = np.ones(len(q), dtype=bool) if self._keep is None else self._keep.holds_each(q)
         found[found] = self._screen.keeps(q[found])
         return found
 
     def _is_clear(self, q_a: Vector, q_b: Vector, point: Point, rate: Vector, more: Vector) -> bool:
-        self._brake.check()
+        self.brake.check()
         if self._near is not None and not self._stays_near(point, rate):
             return False
         if not len(self._pairs):

@@ -137,7 +137,15 @@ class _Search:
         limits = self._check.problem.limits
         self._reach = Reach(limits, start, np.array(goals), self._longest)
         lower, upper = Reach(limits, start, np.array(goals)).box()
-        trees = KeptTrees(keep, rate=self._rate, lower=lower, upper=upper, allows=allows, ended=self._ended)
+
+        def project(q: Vector) -> Vector | None:
+            found = keep.project(q, lower, upper)
+            if found is None:  # takes as long as a motion, and where all of them fail, no motion is checked
+                self._work.motions -= 1
+                self._check.brake.check()
+            return found
+
+        trees = KeptTrees(rate=self._rate, project=project, allows=allows, ended=self._ended)
         q = trees.connect(start, goals, lower, upper, np.random.default_rng(seed))
         return None if q is None else JointPath(q)
 
