@@ -51,10 +51,13 @@ class GridFrame:
         inside = ((last >= 0) & (first < self.counts)).all(axis=1)
         first = np.maximum(first[inside], 0)
         extent = np.minimum(last[inside], self.counts - 1) - first + 1
-        # boxes that span equally many cells are entered together
-        spans, group = np.unique(extent, axis=0, return_inverse=True)
-        group = group.reshape(-1)
-        for number, span in enumerate(spans.tolist()):
+        if not len(extent):
+            return taken
+        # boxes that span equally many cells are entered together; one number for each span is sorted far sooner
+        most = extent.max(axis=0) + 1
+        spans = (extent[:, 0] * most[1] + extent[:, 1]) * most[2] + extent[:, 2]
+        _, one, group = np.unique(spans, return_index=True, return_inverse=True)
+        for number, span in enumerate(extent[one].tolist()):
             own = first[group == number]
             if np.prod(span) > 1000 and len(own) < 1000:
                 for x, y, z in own.tolist():
