@@ -16,6 +16,7 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, build_problem, lim
 from backhoe_planner.planning import Plan, measure_motion
 from backhoe_planner.proof import certify
 from backhoe_planner.show import plot_envelope, plot_plan
+from backhoe_planner.show.drawing.timeline import timeline
 from backhoe_planner.show.plots import plots
 from backhoe_planner.show.plots.plots import moments_to_draw, with_rests_apart
 from backhoe_planner.site import scene_from_dict
@@ -200,3 +201,14 @@ def test_without_matplotlib_the_extra_is_named(backhoe: Robot, tmp_path: Path, m
     with pytest.raises(InputError, match=r'pip install "backhoe_planner\[plots\]"'):
         plot_envelope(backhoe, tmp_path / "envelope.png")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_axis_of_margins_ends_above_the_greatest_one(backhoe: Robot) -> None:
+    """Not at twice the distance at which obstacles act, which left most of the panel empty."""
+    from matplotlib.figure import Figure
+
+    plan = a_plan(backhoe)
+    axes = Figure().subplots()
+    plots._clearance(axes, plan, plan.problem, timeline(plan.problem, plan.trajectory))
+    greatest = max(float(np.nanmax(line.get_ydata())) for line in axes.lines)
+    assert greatest < axes.get_ylim()[1] <= max(1.13 * greatest, 0.2 * plan.scene.influence)

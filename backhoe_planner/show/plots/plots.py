@@ -149,13 +149,13 @@ def _velocities(
 
 def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     influence = plan.scene.influence
-    lowest, far = 0.0, 0
+    lowest, highest, far = 0.0, 0.2 * influence, 0
     for index, name in enumerate(frames.obstacles):
         margin = frames.margins(index)
         if np.all(np.isnan(margin)) or np.nanmin(margin) > 2.0 * influence:
             far += 1
             continue
-        lowest = min(lowest, float(np.nanmin(margin)))
+        lowest, highest = min(lowest, float(np.nanmin(margin))), max(highest, 1.12 * float(np.nanmax(margin)))
         _curve(axes, frames.time, margin, _colour(index), name)
     axes.axhspan(0.0, influence, color="0.5", alpha=0.09, linewidth=0.0)
     axes.axhline(0.0, color=_WRONG, linewidth=1.1)
@@ -165,13 +165,14 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
         ("to itself", "\N{WHITE SQUARE}", "s", plan.certificate.self_clearance),
     ):
         if tightest is not None:
-            lowest = min(lowest, tightest.margin)
+            lowest, highest = min(lowest, tightest.margin), max(highest, 1.12 * tightest.margin)
             axes.plot(
                 tightest.time, tightest.margin, marker, markersize=6, markerfacecolor="none", color="#1d2731", zorder=5,
             )  # fmt: skip
             told.append(f"{what} ({sign}): {margin_text(tightest.margin, '.3f')} m at {tightest.time:.2f} s")
     axes.text(0.0, 1.02, ", ".join(told), transform=axes.transAxes, fontsize=8.5, ha="left", va="bottom")
-    axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)
+    top = min(highest, 2.0 * influence)
+    axes.set_ylim(lowest - 0.04 * (top - lowest), top)
     axes.set_ylabel("margin [m]")
     if far:
         axes.plot([], [], linestyle="", label=f"({far} further off)")
