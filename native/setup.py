@@ -10,6 +10,7 @@ SOURCES = (
     "pairs",
     "clusters",
     "distance",
+    "place",
     "around",
     "ground",
     "rings",
@@ -40,7 +41,7 @@ setup(
         Extension(
             "backhoe_planner_native",
             [f"src/{name}.c" for name in SOURCES],
-            depends=["src/arrays.h", "src/distance.h", "src/cells.h", "src/rings.h", "src/screen.h"],
+            depends=["src/arrays.h", "src/distance.h", "src/place.h", "src/cells.h", "src/rings.h", "src/screen.h"],
             include_dirs=[np.get_include()],
             # no product and sum are made one: the same numbers on every processor
             extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off"],

@@ -1,6 +1,7 @@
 /* How near a convex shape is to the surface of a height map: machine/clusters/terrain.py. */
 #include "arrays.h"
 #include "distance.h"
+#include "place.h"
 #include "rings.h"
 
 #include <math.h>
@@ -39,11 +40,6 @@ static double squared_off(const double (*corners)[3], const double *low, const d
     return aside * aside + beside * beside + above * above;
 }
 
-/* the nearest place found, see `nearest_on_ground` */
-typedef struct {
-    double distance, normal[3], on_shape[3], on_ground[3];
-} Nearest;
-
 /* The corners of one of the two triangles of a cell, which meet along its higher diagonal. */
 static void triangle_of(const double (*corners)[3], int triangle, double *points)
 {
@@ -54,7 +50,7 @@ static void triangle_of(const double (*corners)[3], int triangle, double *points
 }
 
 /* Look at the two triangles of a cell for what is nearer than `found`: 1 where something is, 0, or -1 undecided. */
-static int look_at_cell(const Hull *shape, const double (*corners)[3], Nearest *found)
+static int look_at_cell(const Hull *shape, const double (*corners)[3], Place *found)
 {
     int nearer = 0;
     for (int triangle = 0; triangle < 2; triangle++) {
@@ -64,8 +60,8 @@ static int look_at_cell(const Hull *shape, const double (*corners)[3], Nearest *
         memcpy(guess, found->normal, sizeof(guess));
         if (come_nearer(furthest_on_hull, shape, &other, found->distance, guess) == 0)
             continue;
-        Nearest here;
-        if (hull_distance(shape, &other, &here.distance, here.normal, here.on_shape, here.on_ground) < 0)
+        Place here;
+        if (hull_distance(shape, &other, &here.distance, here.normal, here.on_shape, here.on_other) < 0)
             return -1;
         if (here.distance < found->distance)
             *found = here, nearer = 1;
@@ -74,7 +70,7 @@ static int look_at_cell(const Hull *shape, const double (*corners)[3], Nearest *
 }
 
 /* Look at all cells, first at the one that may be nearest; as `look_at_cell`. */
-static int look_at_map(const Map *map, const Hull *shape, Nearest *found)
+static int look_at_map(const Map *map, const Hull *shape, Place *found)
 {
     const npy_intp rows = map->heights.rows - 1, columns = map->heights.columns - 1;
     double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, corners[4][3];
@@ -121,52 +117,30 @@ static int look_at_map(const Map *map, const Hull *shape, Nearest *found)
     return nearer;
 }
 
-/* The normal, and the two nearest points, of a shape within `radius` of the hull that was compared, from `base`. */
-static void vectors_of(const Nearest *found, double radius, const double *base, double *to)
-{
-    for (int c = 0; c < 3; c++) {
-        to[c] = found->normal[c];
-        to[3 + c] = found->on_shape[c] + radius * found->normal[c] + base[c];
-        to[6 + c] = found->on_ground[c] + base[c];
-    }
-}
-
 PyObject *nearest_on_ground(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Map map;
-    npy_intp shape[2];
-    const double *hull;
+    Hull shape;
     double radius, reach;
-    if (count_is(count, 6, "nearest_on_ground") < 0 || !(hull = block(args[0], "hull", 2, shape)) ||
-        has_length(shape[1], 3, "hull") < 0 || as_double(args[1], "radius", &radius) < 0 ||
+    if (count_is(count, 6, "nearest_on_ground") < 0 || as_shape(args[0], args[1], &shape, &radius) < 0 ||
         as_mat(args[2], "heights", -1, -1, &map.heights) < 0 ||
         as_vec(args[3], "x", map.heights.columns, &map.x) < 0 || as_vec(args[4], "y", map.heights.rows, &map.y) < 0 ||
         as_double(args[5], "reach", &reach) < 0)
         return NULL;
-    if (shape[0] < 1)
+    if (shape.count < 1)
         return PyTuple_New(0);
     Room room;
-    double *points = room_for(&room, 3 * shape[0] * sizeof(double));
+    double *points = room_for(&room, 3 * shape.count * sizeof(double));
     if (!points)
         return NULL;
-    memcpy(map.base, hull, sizeof(map.base));
-    for (npy_intp k = 0; k < 3 * shape[0]; k++)
-        points[k] = hull[k] - map.base[k % 3];
-    const Hull own = {points, shape[0]};
-    Nearest found = {reach + radius, {0.0, 0.0, -1.0}, {0.0}, {0.0}};
+    memcpy(map.base, shape.points, sizeof(map.base));
+    for (npy_intp k = 0; k < 3 * shape.count; k++)
+        points[k] = shape.points[k] - map.base[k % 3];
+    const Hull own = {points, shape.count};
+    Place found = {reach + radius, {0.0, 0.0, -1.0}, {0.0}, {0.0}};
     const int nearer = look_at_map(&map, &own, &found);
     release(&room);
-    if (nearer == 0)
-        Py_RETURN_NONE;
-    if (nearer < 0 || !(found.distance > radius))
-        return PyTuple_New(0);
-    double *to;
-    PyObject *reading = new_vec(10, &to);
-    if (!reading)
-        return NULL;
-    to[0] = found.distance - radius;
-    vectors_of(&found, radius, map.base, to + 1);
-    return Py_BuildValue("(N)", reading);
+    return answer_of_place(nearer, &found, radius, map.base);
 }
 
 /* a whole height map in its own frame, and where that is in the world; see `kept_over_ground` */
@@ -370,7 +344,7 @@ static int read_shape(const Ground *g, double *points, npy_intp count, double ra
     if (!(within > 0.0) || !cells_around(g, points, count, low, high, reach, &map))
         return -1;
     const Hull shape = {points, count};
-    Nearest found = {reach, {0.0, 0.0, -1.0}, {0.0}, {0.0}};
+    Place found = {reach, {0.0, 0.0, -1.0}, {0.0}, {0.0}};
     const int nearer = look_at_map(&map, &shape, &found);
     if (nearer <= 0)
         return nearer;

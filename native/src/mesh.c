@@ -1,6 +1,7 @@
 /* How near a convex shape is to the triangles of a mesh: machine/clusters/triangle_tree.py. */
 #include "arrays.h"
 #include "distance.h"
+#include "place.h"
 #include "rings.h"
 
 #include <math.h>
@@ -18,7 +19,7 @@ typedef struct {
 typedef struct {
     Hull shape;
     double low[3], high[3];
-    double distance, normal[3], on_shape[3], on_mesh[3];
+    Place place;
     double across[3], face; /* the normal of a plane beside the shape, and how far that extends along it */
 } Nearest;
 
@@ -52,7 +53,7 @@ static int is_beyond(const double *box, const Nearest *found)
     double nearest = -found->face;
     for (int c = 0; c < 3; c++)
         nearest += found->across[c] * (found->across[c] > 0.0 ? box[c] : box[3 + c]);
-    return nearest >= found->distance;
+    return nearest >= found->place.distance;
 }
 
 /* Look at the triangles of a leaf for what is nearer than `found`: 1 where something is, 0, or -1 undecided. */
@@ -65,21 +66,22 @@ static int look_at_leaf(const Mesh *mesh, npy_intp leaf, Nearest *found)
         double least = INFINITY, guess[3], distance, normal[3], on_shape[3], on_mesh[3];
         for (int corner = 0; corner < 3; corner++)
             least = fmin(least, along(found->across, points + 3 * corner));
-        if (least - found->face >= found->distance)
+        if (least - found->face >= found->place.distance)
             continue;
         const Hull other = {points, 3};
         memcpy(guess, found->across, sizeof(guess));
-        if (come_nearer(furthest_on_hull, &found->shape, &other, found->distance, guess) == 0) {
+        if (come_nearer(furthest_on_hull, &found->shape, &other, found->place.distance, guess) == 0) {
             take_plane(found, guess);
             continue;
         }
         if (hull_distance(&found->shape, &other, &distance, normal, on_shape, on_mesh) < 0)
             return -1;
-        if (distance < found->distance) {
-            found->distance = distance, nearer = 1;
+        if (distance < found->place.distance) {
+            found->place.distance = distance, nearer = 1;
             take_plane(found, normal);
-            memcpy(found->normal, normal, sizeof(normal));
-            memcpy(found->on_shape, on_shape, sizeof(on_shape)), memcpy(found->on_mesh, on_mesh, sizeof(on_mesh));
+            memcpy(found->place.normal, normal, sizeof(normal));
+            memcpy(found->place.on_shape, on_shape, sizeof(on_shape));
+            memcpy(found->place.on_other, on_mesh, sizeof(on_mesh));
         }
     }
     return nearer;
@@ -94,7 +96,7 @@ static int look_at_mesh(const Mesh *mesh, Nearest *found)
     int count = 1, nearer = 0;
     while (count) {
         const npy_intp node = open[--count];
-        if (gaps[count] >= found->distance || is_beyond(mesh->boxes + 6 * node, found))
+        if (gaps[count] >= found->place.distance || is_beyond(mesh->boxes + 6 * node, found))
             continue;
         if (node >= leaves) {
             const int more = look_at_leaf(mesh, node - leaves, found);
@@ -108,7 +110,7 @@ static int look_at_mesh(const Mesh *mesh, Nearest *found)
         const int near = gap[1] < gap[0]; /* the nearer one is looked at first, so it is put last */
         for (int k = 0; k < 2; k++) {
             const int which = k ? near : !near;
-            if (gap[which] < found->distance)
+            if (gap[which] < found->place.distance)
                 open[count] = first + which, gaps[count++] = gap[which];
         }
     }
@@ -118,11 +120,10 @@ static int look_at_mesh(const Mesh *mesh, Nearest *found)
 PyObject *nearest_on_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Mesh mesh;
-    npy_intp shape[2], boxes[2], corners[2];
-    const double *hull;
+    npy_intp boxes[2], corners[2];
+    Hull shape;
     double radius, reach;
-    if (count_is(count, 6, "nearest_on_mesh") < 0 || !(hull = block(args[0], "hull", 2, shape)) ||
-        has_length(shape[1], 3, "hull") < 0 || as_double(args[1], "radius", &radius) < 0 ||
+    if (count_is(count, 6, "nearest_on_mesh") < 0 || as_shape(args[0], args[1], &shape, &radius) < 0 ||
         !(mesh.boxes = block(args[2], "boxes", 2, boxes)) || has_length(boxes[1], 6, "boxes") < 0 ||
         !(mesh.corners = block(args[3], "corners", 2, corners)) || has_length(corners[1], 9, "corners") < 0 ||
         as_double(args[5], "reach", &reach) < 0)
@@ -130,29 +131,16 @@ PyObject *nearest_on_mesh(PyObject *self, PyObject *const *args, Py_ssize_t coun
     mesh.nodes = boxes[0], mesh.triangles = corners[0], mesh.in_leaf = PyLong_AsSsize_t(args[4]);
     if (mesh.in_leaf == -1 && PyErr_Occurred())
         return NULL;
-    if (shape[0] < 1 || mesh.nodes < 2 || mesh.in_leaf < 1 || mesh.in_leaf * (mesh.nodes / 2) < mesh.triangles)
+    if (shape.count < 1 || mesh.nodes < 2 || mesh.in_leaf < 1 || mesh.in_leaf * (mesh.nodes / 2) < mesh.triangles)
         return PyTuple_New(0);
-    Nearest found = {.shape = {hull, shape[0]}, .distance = reach + radius};
+    Nearest found = {.shape = shape, .place.distance = reach + radius};
     for (int c = 0; c < 3; c++) {
         found.low[c] = INFINITY, found.high[c] = -INFINITY;
-        for (npy_intp k = 0; k < shape[0]; k++)
-            found.low[c] = fmin(found.low[c], hull[3 * k + c]), found.high[c] = fmax(found.high[c], hull[3 * k + c]);
+        for (npy_intp k = 0; k < shape.count; k++) {
+            found.low[c] = fmin(found.low[c], shape.points[3 * k + c]);
+            found.high[c] = fmax(found.high[c], shape.points[3 * k + c]);
+        }
     }
     take_plane(&found, (double[]){0.0, 0.0, -1.0});
-    const int nearer = look_at_mesh(&mesh, &found);
-    if (nearer == 0)
-        Py_RETURN_NONE;
-    if (nearer < 0 || !(found.distance > radius))
-        return PyTuple_New(0);
-    double *to;
-    PyObject *reading = new_vec(10, &to);
-    if (!reading)
-        return NULL;
-    to[0] = found.distance - radius;
-    for (int c = 0; c < 3; c++) {
-        to[1 + c] = found.normal[c];
-        to[4 + c] = found.on_shape[c] + radius * found.normal[c];
-        to[7 + c] = found.on_mesh[c];
-    }
-    return Py_BuildValue("(N)", reading);
+    return answer_of_place(look_at_mesh(&mesh, &found), &found.place, radius, (double[]){0.0, 0.0, 0.0});
 }
