@@ -12,8 +12,10 @@ SOURCES = (
     "distance",
     "place",
     "around",
+    "asked",
     "ground",
     "rings",
+    "grids",
     "mesh",
     "voxels",
     "law",
@@ -35,13 +37,14 @@ SOURCES = (
     "ways",
     "module",
 )
+HEADERS = ("arrays", "asked", "cells", "distance", "grids", "place", "rings", "screen")
 
 setup(
     ext_modules=[
         Extension(
             "backhoe_planner_native",
             [f"src/{name}.c" for name in SOURCES],
-            depends=["src/arrays.h", "src/distance.h", "src/place.h", "src/cells.h", "src/rings.h", "src/screen.h"],
+            depends=[f"src/{name}.h" for name in HEADERS],
             include_dirs=[np.get_include()],
             # no product and sum are made one: the same numbers on every processor
             extra_compile_args=["-O3", "-std=gnu11", "-ffp-contract=off"],

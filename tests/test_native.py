@@ -907,6 +907,19 @@ def kept_over_ground(rng: Rng) -> Arguments:
     return *asked, balls, ball_starts, *lower_over_heights(rng)[1:]
 
 
+def kept_on_grid(rng: Rng) -> Arguments:
+    *asked, coarse, coarse_starts = kept_over_ground(rng)[:17]
+    fine_starts = np.append(0, rng.integers(1, 6, len(asked[5])).cumsum())
+    fine = np.column_stack((rng.normal(scale=0.3, size=(fine_starts[-1], 3)), rng.uniform(0.05, 0.2, fine_starts[-1])))
+    return *asked[:11], coarse, coarse_starts, fine, fine_starts, *lower_on_grid(rng)[1:]
+
+
+def kept_over_mesh(rng: Rng) -> Arguments:
+    counts = rng.integers(1, 5, 3)
+    sides = rng.integers(0, 3, int(counts.prod())).astype(np.uint8)
+    return *kept_on_grid(rng), *nearest_on_mesh(rng)[2:5], rng.uniform(-1.5, -0.5, 3), 2.0, counts, sides
+
+
 def lower_over_heights(rng: Rng) -> Arguments:
     counts, rings = rng.integers(1, 6, 2), 1 + some(rng, 4)
     highest = np.sort(rng.normal(size=(int(counts.prod()), rings)), axis=1).astype(np.float32)
@@ -923,16 +936,16 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_energies, chain_placements,
     chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, contracted, corner_gaps, cost_of_tip,
     count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand,
-    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground,
-    known_apart, largest_part, least_over_path, least_supplied, left_over_path, line_ahead, linkage_arm_slopes,
-    linkage_arms, lower_on_grid, lower_over_heights, margins_now, missed_up_to, most_urgent_boxes, near_gaps,
-    near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows, nearest_safe_program, next_within,
-    not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart, pairs_within, place_on_line, place_tip,
-    placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead, reachable_velocities, read_over_ground,
-    read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path,
-    second_order, soft_solution, solve_poses, split_by_plane, stalest_pair, step_conditions, straight_towards,
-    tightest_pair, turn_along_surface, unproven_of_near, velocity_held_as_before, velocity_within_rows,
-    ways_of_links, ways_of_pairs,
+    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_on_grid,
+    kept_over_ground, kept_over_mesh, known_apart, largest_part, least_over_path, least_supplied, left_over_path,
+    line_ahead, linkage_arm_slopes, linkage_arms, lower_on_grid, lower_over_heights, margins_now, missed_up_to,
+    most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows,
+    nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart,
+    pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead,
+    reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits,
+    rows_by_velocity, rows_of_path, second_order, soft_solution, solve_poses, split_by_plane, stalest_pair,
+    step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near, velocity_held_as_before,
+    velocity_within_rows, ways_of_links, ways_of_pairs,
 ]  # fmt: skip
 
 
@@ -948,15 +961,16 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 
 
 # Functions that may answer instead of coal. Their plain versions leave the answer to coal, with which they are compared
-# in tests/machine/test_clusters.py, tests/site/test_clearance_screen.py, tests/site/test_over_ground.py.
+# in tests/machine/test_clusters.py, tests/site/test_clearance_screen.py, tests/site/test_over_ground.py,
+# tests/site/test_beside_solids.py.
 OF_COAL = (
     first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh,
-    distances_within, kept_over_ground, read_over_ground,
+    distances_within, kept_on_grid, kept_over_ground, kept_over_mesh, read_over_ground,
 )  # fmt: skip
 
 WITHOUT_JOINTS = (  # of these, those that answer whatever the number of joints
-    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh, kept_over_ground,
-    read_over_ground,
+    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh, kept_on_grid,
+    kept_over_ground, kept_over_mesh, read_over_ground,
 )  # fmt: skip
 
 
@@ -1025,7 +1039,7 @@ def test_compiled_versions_refuse_arrays_of_wrong_type_shape_or_index_range(sour
             if isinstance(one, np.ndarray):
                 swapped = one.astype(one.dtype.newbyteorder())  # the other byte order
                 other_kind = np.float32 if one.dtype != np.float32 else float
-                wrong: list[Any] = [one.astype(other_kind), one[None], *([swapped] if one.dtype.kind != "b" else [])]
+                wrong: list[Any] = [one.astype(other_kind), one[None], *([swapped] if one.dtype.itemsize > 1 else [])]
                 if one.dtype.kind == "i" and len(one):
                     wrong += [one - 10**6, one + 10**6] if source not in UNLOOKED else []
                 for other in wrong:

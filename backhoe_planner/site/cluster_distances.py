@@ -9,11 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Cluster, Distances, Reading, ResultTable, Robot, reach_ball
+from backhoe_planner.machine import BatchKinematics, Distances, Reading, ResultTable, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
+from backhoe_planner.site.pairs.beside_solids import BesideSolids
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
+from backhoe_planner.site.pairs.link_corners import KEPT, NEARER
 from backhoe_planner.site.pairs.one_joint_bounds import OneJointBounds
-from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
+from backhoe_planner.site.pairs.over_ground import OverGround
 
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
 _MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
@@ -53,13 +55,16 @@ class ClusterDistances:
         self._ahead: dict[tuple[int, bytes], tuple[Reading | None, float]] = {}
         # the measurement of a pair with its joint at a place, and how far was searched
         self._measured: dict[tuple[int, bytes, float], tuple[Reading | None, float]] = {}
-        # ground that does not move, for which many queries are answered at once
-        self._on_ground = [
-            (index, those)
+        # obstacles that do not move, for which many queries are answered at once: ground, and all others
+        standing = [
+            (index, those, cluster)
             for index, those in self._rows
-            if index not in self._moving and (cluster := obstacles[index].cluster) and cluster.solid.ground is not None
+            if index not in self._moving and (cluster := obstacles[index].cluster) is not None
         ]
-        self._over_ground = OverGround(own, self._balls) if self._balls is not None and self._on_ground else None
+        self._ground = [one for one in standing if one[2].solid.ground is not None]
+        self._solids = [one for one in standing if one[2].solid.ground is None]
+        self._over_ground = OverGround(own, self._balls) if self._balls is not None and self._ground else None
+        self._beside_solids = BesideSolids(own, self._balls) if self._balls is not None and self._solids else None
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
         self._one_joint = OneJointBounds(robot, self.piece, stands, self._distance_in)
         if pairs:  # most sites have none
@@ -125,23 +130,19 @@ class ClusterDistances:
         self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array, *, sunk: bool
     ) -> None:  # fmt: skip
         """Measure pairs that may be nearer to ground than needed, and raise their bounds (N, K)."""
+        if self._over_ground is None:
+            return
         needed, names = np.broadcast_to(needed, bounds.shape), [at.tobytes() for at in q]
-        for over, _, cluster, rows, those in self._asked_of_ground((bounds < needed) & (needed <= EXACT_WITHIN)):
+        asked = (bounds < needed) & (needed <= EXACT_WITHIN)
+        for _, pairs, cluster in self._ground:
+            rows, those = _asked_of(asked, pairs)
             reach = needed[rows, those] + AHEAD
-            found = over.measure(cluster, poses, rows, self._column.take(those), reach, sunk=sunk)
+            found = self._over_ground.measure(cluster, poses, rows, self._column.take(those), reach, sunk=sunk)
             for row, pair, within, one in zip(rows.tolist(), those.tolist(), reach.tolist(), found, strict=True):
                 if isinstance(one, Reading):
                     self._ahead[pair, names[row]], bounds[row, pair] = (one, within), one.distance
                 elif one is not None:
                     self._ahead[pair, names[row]], bounds[row, pair] = (None, within), within
-
-    def _asked_of_ground(self, asked: Flags) -> Iterator[tuple[OverGround, int, Cluster, Indices, Indices]]:
-        """Each ground that does not move, its number, and its configurations and pairs (M,) that are `asked` (N, K)."""
-        for index, pairs in self._on_ground:
-            rows, which = asked[:, pairs].nonzero()
-            cluster = self._obstacles[index].cluster
-            if len(rows) and cluster is not None and self._over_ground is not None:
-                yield self._over_ground, index, cluster, rows, pairs.take(which)
 
     def lower_each(self, q: Matrix, time: float | Vector, *, needed: float | Array = np.inf) -> Matrix:
         """(N, K) `lower` for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""
@@ -161,6 +162,8 @@ class ClusterDistances:
         needed = np.broadcast_to(needed, found.shape)
         if judged is not None:
             judged(found)
+            if (found >= needed).all():
+                return found
         centres = None
         for index, pairs in self._rows:
             if judged is not None and (found[:, pairs] >= needed[:, pairs]).all():
@@ -265,7 +268,7 @@ class ClusterDistances:
     def keep(self, least: Vector, data: pin.Data, time: float, *, q: Vector | None = None) -> bool:
         """Whether all distances are at least `least` (K,) [m]; `q` as for `lower`."""
         assert self._balls is not None
-        if not self._on_ground:
+        if not self._ground and not self._solids:
             return self._keep(least, self.lower(data, time, q=q, needed=least), data, time)
         lower, nearer = self._judged(
             self._balls.poses_at(data), None if q is None else q[None], np.array([time]), least
@@ -288,25 +291,31 @@ class ClusterDistances:
             yield not is_doubtful or self._keep(least, lower[row], self._data, time)
 
     def _judged(self, poses: Poses, q: Matrix | None, time: Vector, least: Vector) -> tuple[Matrix, set[int]]:
-        """(N, K) lower bounds, and the configurations in which a piece is nearer to ground than `least` (K,) [m].
+        """(N, K) lower bounds, and the configurations in which a piece is certainly nearer than `least` (K,) [m].
 
         The bounds of these configurations are infinite.
         """
         nearer: set[int] = set()
         lower = self._lower(
-            poses, q, time, least, judged=lambda found: nearer.update(self._judge_ground(found, least, poses))
+            poses, q, time, least, judged=lambda found: nearer.update(self._judge(found, least, poses))
         )  # fmt: skip
         return lower, nearer
 
-    def _judge_ground(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
-        """The configurations in which a piece is nearer to ground than `least` (K,) [m]; raises bounds (N, K)."""
+    def _judge(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
+        """The configurations in which a piece is certainly nearer than `least` (K,) [m]; raises bounds (N, K)."""
         nearer: set[int] = set()
-        for over, index, cluster, rows, those in self._asked_of_ground(lower < least):
-            verdict = over.keep(cluster, poses, rows, self._column.take(those), least.take(those), self._grid(index))
-            kept = verdict == KEPT
-            lower[rows[kept], those[kept]] = least[those[kept]]
-            nearer.update(rows[verdict == NEARER].tolist())
-        lower[list(nearer)] = np.inf
+        for over, standing in ((self._over_ground, self._ground), (self._beside_solids, self._solids)):
+            for index, pairs, cluster in standing:
+                rows, those = _asked_of(lower < least, pairs)
+                if over is None or not len(rows):
+                    continue
+                pieces, enough = self._column.take(those), least.take(those)
+                verdict = over.keep(cluster, poses, rows, pieces, enough, self._grid(index))
+                kept = verdict == KEPT
+                lower[rows[kept], those[kept]] = enough[kept]
+                found = rows[verdict == NEARER].tolist()
+                lower[found] = np.inf
+                nearer.update(found)
         return nearer
 
     def _keep(self, least: Vector, lower: Vector, data: pin.Data, time: float) -> bool:
@@ -338,3 +347,9 @@ class ClusterDistances:
             assert cluster is not None
             self._grids[index] = cluster.grid(*self._reach)
         return self._grids[index]
+
+
+def _asked_of(asked: Flags, pairs: Indices) -> tuple[Indices, Indices]:
+    """The configurations and pairs (M,) that are `asked` (N, K), of some pairs."""
+    rows, which = asked[:, pairs].nonzero()
+    return rows, pairs.take(which)

@@ -5,6 +5,7 @@
 #include "distance.h"
 
 int as_three(PyObject *object, const char *name, double *out);
+int as_numbers(PyObject *object, const char *name, npy_intp length, Ind *out); /* no indices: they are not looked at */
 
 /* the box around a link along axes of its own: see `off_turned_box` */
 typedef struct {

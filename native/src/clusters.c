@@ -52,7 +52,7 @@ PyObject *off_turned_box(PyObject *self, PyObject *const *args, Py_ssize_t count
 }
 
 /* whole numbers that are no indices: there may be very many, and they are not looked at */
-static int as_numbers(PyObject *object, const char *name, npy_intp length, Ind *out)
+int as_numbers(PyObject *object, const char *name, npy_intp length, Ind *out)
 {
     PyArrayObject *array = (PyArrayObject *)object;
     if (is_array(object, name, NPY_INTP, 1) < 0 || has_length(PyArray_DIM(array, 0), length, name) < 0)
@@ -256,40 +256,4 @@ PyObject *extent_along(PyObject *self, PyObject *const *args, Py_ssize_t count)
         low[axis] = least, high[axis] = most;
     }
     return Py_BuildValue("NN", lows, highs);
-}
-
-PyObject *lower_on_grid(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    Mat points, bounds;
-    double low[3], per_step, *lower;
-    Ind counts;
-    if (count_is(count, 6, "lower_on_grid") < 0 || as_mat(args[0], "points", 3, -1, &points) < 0 ||
-        as_three(args[1], "low", low) < 0 || as_double(args[2], "per_step", &per_step) < 0 ||
-        as_numbers(args[3], "counts", 3, &counts) < 0 || is_array(args[4], "values", NPY_FLOAT, 1) < 0 ||
-        as_mat(args[5], "bounds", 2, 3, &bounds) < 0)
-        return NULL;
-    PyArrayObject *values = (PyArrayObject *)args[4];
-    npy_intp all = 1;
-    for (int c = 0; c < 3; c++)
-        all *= INDEX(counts, c) > 0 ? INDEX(counts, c) : 0;
-    if (all < 1 || PyArray_DIM(values, 0) != all) {
-        PyErr_SetString(PyExc_ValueError, "values: one for each cell is wanted");
-        return NULL;
-    }
-    PyObject *found = new_vec(points.columns, &lower);
-    for (npy_intp k = 0; found && k < points.columns; k++) {
-        double off = 0.0;
-        npy_intp place = 0;
-        int outside = 0;
-        for (int c = 0; c < 3; c++) {
-            const double x = AT2(points, c, k), at = (x - low[c]) * per_step, last = INDEX(counts, c) - 1e-9;
-            const double below = AT2(bounds, 0, c) - x, above = x - AT2(bounds, 1, c);
-            const double away = below > above ? below : above;
-            outside |= !(at >= 0.0 && at <= last);
-            place = place * INDEX(counts, c) + (at > 0.0 ? (npy_intp)(at < last ? at : last) : 0);
-            off += away > 0.0 ? away * away : 0.0;
-        }
-        lower[k] = outside ? sqrt(off) : *(const float *)(PyArray_BYTES(values) + place * PyArray_STRIDE(values, 0));
-    }
-    return found;
 }

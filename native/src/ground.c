@@ -1,5 +1,6 @@
 /* How near a convex shape is to the surface of a height map: machine/clusters/terrain.py. */
 #include "arrays.h"
+#include "asked.h"
 #include "distance.h"
 #include "place.h"
 #include "rings.h"
@@ -150,24 +151,6 @@ typedef struct {
     const double *R, *t; /* row by row */
     double floor, top;
 } Ground;
-
-/* some points of the machine's pieces; pose k of configuration i is R + 9 (joints i + k), and t likewise */
-typedef struct {
-    const double *R, *t, *corner, *radius;
-    Ind slot, starts;
-    npy_intp joints;
-} Pieces;
-
-/* A point of a piece in the frame of the ground. */
-static void place_point(const Ground *g, const Pieces *p, npy_intp row, npy_intp piece, const double *own, double *point)
-{
-    const npy_intp at = p->joints * row + INDEX(p->slot, piece);
-    double world[3];
-    for (int r = 0; r < 3; r++)
-        world[r] = along(p->R + 9 * at + 3 * r, own) + p->t[3 * at + r] - g->t[r];
-    for (int c = 0; c < 3; c++)
-        point[c] = g->R[c] * world[0] + g->R[3 + c] * world[1] + g->R[6 + c] * world[2];
-}
 
 /* How high the ground is at a point, and how much it rises along x and y; minus infinity beside the map. */
 static double height_at(const Ground *g, const double *point, double *rise)
@@ -356,67 +339,41 @@ static int read_shape(const Ground *g, double *points, npy_intp count, double ra
     return 1;
 }
 
-/* What is asked of some pieces, each with a number */
+/* What is asked of some pieces over ground */
 typedef struct {
-    Pieces pieces;
+    Asked asked;
     Ground ground;
-    Ind row, piece;
-    Vec number;
-    npy_intp most; /* corners of a piece */
 } Question;
 
 /* The arguments of `read_over_ground`; 0, or -1 with an exception. */
 static int read_question(PyObject *const *args, Question *q)
 {
-    Pieces *p = &q->pieces;
     Ground *g = &q->ground;
-    npy_intp R[4], t[3], corner[2], radius[1], turn[2], at[1];
     double levels[2];
-    if (!(p->R = block(args[0], "R", 4, R)) || !(p->t = block(args[1], "t", 3, t)) ||
-        has_length(R[2], 3, "R") < 0 || has_length(R[3], 3, "R") < 0 || has_length(t[0], R[0], "t") < 0 ||
-        has_length(t[1], R[1], "t") < 0 || has_length(t[2], 3, "t") < 0 ||
-        !(p->corner = block(args[3], "corners", 2, corner)) || has_length(corner[1], 3, "corners") < 0 ||
-        !(p->radius = block(args[5], "radius", 1, radius)) || as_ind(args[2], "slot", R[1], &p->slot) < 0 ||
-        has_length(p->slot.n, radius[0], "slot") < 0 || as_ind(args[4], "starts", corner[0] + 1, &p->starts) < 0 ||
-        has_length(p->starts.n, radius[0] + 1, "starts") < 0 || as_ind(args[6], "row", R[0], &q->row) < 0 ||
-        as_ind(args[7], "piece", radius[0], &q->piece) < 0 || has_length(q->piece.n, q->row.n, "piece") < 0 ||
-        as_vec(args[8], "number", q->row.n, &q->number) < 0 || !(g->R = block(args[9], "frame", 2, turn)) ||
-        has_length(turn[0], 3, "frame") < 0 || has_length(turn[1], 3, "frame") < 0 ||
-        !(g->t = block(args[10], "origin", 1, at)) || has_length(at[0], 3, "origin") < 0 ||
-        as_mat(args[11], "heights", -1, -1, &g->heights) < 0 || as_vec(args[12], "x", g->heights.columns, &g->x) < 0 ||
-        as_vec(args[13], "y", g->heights.rows, &g->y) < 0 || as_doubles(args[14], "levels", 2, levels) < 0)
+    args += OF_ASKED;
+    if (read_asked(args - OF_ASKED, &q->asked) < 0 || as_mat(args[0], "heights", -1, -1, &g->heights) < 0 ||
+        as_vec(args[1], "x", g->heights.columns, &g->x) < 0 || as_vec(args[2], "y", g->heights.rows, &g->y) < 0 ||
+        as_doubles(args[3], "levels", 2, levels) < 0)
         return -1;
-    p->joints = R[1], q->most = 0, g->floor = levels[0], g->top = levels[1];
-    for (npy_intp k = 0; k < radius[0]; k++) {
-        const npy_intp count = INDEX(p->starts, k + 1) - INDEX(p->starts, k);
-        q->most = count > q->most ? count : q->most;
-    }
+    g->R = q->asked.frame, g->t = q->asked.origin, g->floor = levels[0], g->top = levels[1];
     return 0;
 }
 
 /* Put the corners of what question k is about into `points`; how many, 0 where there is no answer to it. */
-static npy_intp corners_asked(const Question *q, npy_intp k, double *points)
+static npy_intp corners_over(const Question *q, npy_intp k, double *points)
 {
-    const npy_intp piece = INDEX(q->piece, k);
-    const npy_intp count = INDEX(q->pieces.starts, piece + 1) - INDEX(q->pieces.starts, piece);
-    if (count < 1 || q->ground.x.n < 2 || q->ground.y.n < 2)
-        return 0;
-    for (npy_intp i = 0; i < count; i++) {
-        const double *own = q->pieces.corner + 3 * (INDEX(q->pieces.starts, piece) + i);
-        place_point(&q->ground, &q->pieces, INDEX(q->row, k), piece, own, points + 3 * i);
-    }
-    return count;
+    return q->ground.x.n < 2 || q->ground.y.n < 2 ? 0 : corners_asked(&q->asked, k, points);
 }
 
 /* Whether balls around a piece show that it is as far from the ground as question k says. */
-static int kept_by_balls(const Question *q, const Rings *rings, const double *ball, const Ind *starts, npy_intp k)
+static int kept_by_balls(const Question *q, const Rings *rings, const Balls *balls, npy_intp k)
 {
-    const npy_intp piece = INDEX(q->piece, k);
-    for (npy_intp i = INDEX(*starts, piece); i < INDEX(*starts, piece + 1); i++) {
+    const npy_intp piece = INDEX(q->asked.piece, k);
+    for (npy_intp i = INDEX(balls->starts, piece); i < INDEX(balls->starts, piece + 1); i++) {
         double centre[3];
-        place_point(&q->ground, &q->pieces, INDEX(q->row, k), piece, ball + 4 * i, centre);
-        const double apart = lower_by_rings(rings, centre) - ball[4 * i + 3];
-        if (!isfinite(apart) || !(apart > 0.0 && apart >= AT(q->number, k))) /* where a ball may touch, nothing is known */
+        place_asked(&q->asked, k, balls->ball + 4 * i, centre);
+        const double apart = lower_by_rings(rings, centre) - balls->ball[4 * i + 3];
+        if (!isfinite(apart) || !(apart > 0.0 && apart >= AT(q->asked.number, k))) /* where a ball may touch, nothing is known */
             return 0;
     }
     return 1;
@@ -426,31 +383,27 @@ PyObject *kept_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t cou
 {
     Question q;
     Rings rings;
-    Ind ball_starts;
-    const double *ball;
-    npy_intp balls[2];
+    Balls balls;
     if (count_is(count, 24, "kept_over_ground") < 0 || read_question(args, &q) < 0 ||
-        !(ball = block(args[15], "balls", 2, balls)) || has_length(balls[1], 4, "balls") < 0 ||
-        as_ind(args[16], "ball_starts", balls[0] + 1, &ball_starts) < 0 ||
-        has_length(ball_starts.n, q.pieces.slot.n + 1, "ball_starts") < 0 || read_rings(args + 17, &rings) < 0)
+        read_balls(args + 15, &q.asked, &balls) < 0 || read_rings(args + 17, &rings) < 0)
         return NULL;
     npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
     Room room;
-    double *points = room_for(&room, (3 * q.most + 1) * sizeof(double));
-    PyObject *found = points ? new_ind(q.row.n, &verdict) : NULL;
-    for (npy_intp k = 0; found && k < q.row.n; k++) {
-        const npy_intp row = INDEX(q.row, k);
+    double *points = room_for(&room, (3 * q.asked.most + 1) * sizeof(double));
+    PyObject *found = points ? new_ind(q.asked.row.n, &verdict) : NULL;
+    for (npy_intp k = 0; found && k < q.asked.row.n; k++) {
+        const npy_intp row = INDEX(q.asked.row, k);
         verdict[k] = -1;
         if (row == given_up)
             continue;
-        if (kept_by_balls(&q, &rings, ball, &ball_starts, k)) {
+        if (kept_by_balls(&q, &rings, &balls, k)) {
             verdict[k] = 1;
             continue;
         }
-        const npy_intp corners = corners_asked(&q, k, points);
-        const double radius = q.pieces.radius[INDEX(q.piece, k)];
+        const npy_intp corners = corners_over(&q, k, points);
+        const double radius = q.asked.radius[INDEX(q.asked.piece, k)];
         if (corners)
-            verdict[k] = kept_by_shape(&q.ground, points, corners, radius, AT(q.number, k));
+            verdict[k] = kept_by_shape(&q.ground, points, corners, radius, AT(q.asked.number, k));
         if (verdict[k] == 0)
             given_up = row;
     }
@@ -467,15 +420,15 @@ PyObject *read_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t cou
     npy_intp *state;
     double *reading;
     Room room;
-    double *points = room_for(&room, (3 * q.most + 1) * sizeof(double));
-    PyObject *states = points ? new_ind(q.row.n, &state) : NULL;
-    PyObject *readings = states ? new_mat(q.row.n, 10, &reading) : NULL;
-    for (npy_intp k = 0; readings && k < q.row.n; k++) {
+    double *points = room_for(&room, (3 * q.asked.most + 1) * sizeof(double));
+    PyObject *states = points ? new_ind(q.asked.row.n, &state) : NULL;
+    PyObject *readings = states ? new_mat(q.asked.row.n, 10, &reading) : NULL;
+    for (npy_intp k = 0; readings && k < q.asked.row.n; k++) {
         double *to = reading + 10 * k;
-        const npy_intp corners = corners_asked(&q, k, points);
-        const double radius = q.pieces.radius[INDEX(q.piece, k)];
+        const npy_intp corners = corners_over(&q, k, points);
+        const double radius = q.asked.radius[INDEX(q.asked.piece, k)];
         memset(to, 0, 10 * sizeof(double));
-        state[k] = corners ? read_shape(&q.ground, points, corners, radius, AT(q.number, k), to) : -1;
+        state[k] = corners ? read_shape(&q.ground, points, corners, radius, AT(q.asked.number, k), to) : -1;
     }
     if (points)
         release(&room);

@@ -1,6 +1,9 @@
-/* How near a convex shape is to the triangles of a mesh: machine/clusters/triangle_tree.py. */
+/* How near a convex shape is to the triangles of a mesh: machine/clusters/triangle_tree.py, and whether pieces of a machine
+ * keep their distances from it: site/pairs/beside_solids.py. */
 #include "arrays.h"
+#include "asked.h"
 #include "distance.h"
+#include "grids.h"
 #include "place.h"
 #include "rings.h"
 
@@ -117,30 +120,167 @@ static int look_at_mesh(const Mesh *mesh, Nearest *found)
     return nearer;
 }
 
+/* Three arguments of `nearest_on_mesh`, from `boxes` on; 0, or -1 with an exception. */
+static int read_mesh(PyObject *const *args, Mesh *mesh)
+{
+    npy_intp boxes[2], corners[2];
+    if (!(mesh->boxes = block(args[0], "boxes", 2, boxes)) || has_length(boxes[1], 6, "boxes") < 0 ||
+        !(mesh->corners = block(args[1], "corners", 2, corners)) || has_length(corners[1], 9, "corners") < 0)
+        return -1;
+    mesh->nodes = boxes[0], mesh->triangles = corners[0], mesh->in_leaf = PyLong_AsSsize_t(args[2]);
+    return mesh->in_leaf == -1 && PyErr_Occurred() ? -1 : 0;
+}
+
+/* Whether all triangles are in leaves. */
+static int is_whole(const Mesh *mesh)
+{
+    return mesh->nodes >= 2 && mesh->in_leaf >= 1 && mesh->in_leaf * (mesh->nodes / 2) >= mesh->triangles;
+}
+
+/* The box around the corners of the shape. */
+static void take_box(Nearest *found)
+{
+    for (int c = 0; c < 3; c++) {
+        found->low[c] = INFINITY, found->high[c] = -INFINITY;
+        for (npy_intp k = 0; k < found->shape.count; k++) {
+            found->low[c] = fmin(found->low[c], found->shape.points[3 * k + c]);
+            found->high[c] = fmax(found->high[c], found->shape.points[3 * k + c]);
+        }
+    }
+}
+
 PyObject *nearest_on_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     Mesh mesh;
-    npy_intp boxes[2], corners[2];
     Hull shape;
     double radius, reach;
     if (count_is(count, 6, "nearest_on_mesh") < 0 || as_shape(args[0], args[1], &shape, &radius) < 0 ||
-        !(mesh.boxes = block(args[2], "boxes", 2, boxes)) || has_length(boxes[1], 6, "boxes") < 0 ||
-        !(mesh.corners = block(args[3], "corners", 2, corners)) || has_length(corners[1], 9, "corners") < 0 ||
-        as_double(args[5], "reach", &reach) < 0)
+        read_mesh(args + 2, &mesh) < 0 || as_double(args[5], "reach", &reach) < 0)
         return NULL;
-    mesh.nodes = boxes[0], mesh.triangles = corners[0], mesh.in_leaf = PyLong_AsSsize_t(args[4]);
-    if (mesh.in_leaf == -1 && PyErr_Occurred())
-        return NULL;
-    if (shape.count < 1 || mesh.nodes < 2 || mesh.in_leaf < 1 || mesh.in_leaf * (mesh.nodes / 2) < mesh.triangles)
+    if (shape.count < 1 || !is_whole(&mesh))
         return PyTuple_New(0);
     Nearest found = {.shape = shape, .place.distance = reach + radius};
-    for (int c = 0; c < 3; c++) {
-        found.low[c] = INFINITY, found.high[c] = -INFINITY;
-        for (npy_intp k = 0; k < shape.count; k++) {
-            found.low[c] = fmin(found.low[c], shape.points[3 * k + c]);
-            found.high[c] = fmax(found.high[c], shape.points[3 * k + c]);
-        }
-    }
+    take_box(&found);
     take_plane(&found, (double[]){0.0, 0.0, -1.0});
     return answer_of_place(look_at_mesh(&mesh, &found), &found.place, radius, (double[]){0.0, 0.0, 0.0});
+}
+
+/* Whether a shape comes as near to a triangle of a node as `found` says: 1, 0, or -1 undecided. */
+static int comes_to_node(const Mesh *mesh, npy_intp node, Nearest *found)
+{
+    const double *box = mesh->boxes + 6 * node;
+    const npy_intp leaves = mesh->nodes / 2;
+    if (box_gap(box, found) >= found->place.distance || is_beyond(box, found))
+        return 0;
+    if (node < leaves) {
+        const int first = comes_to_node(mesh, 2 * node, found);
+        return first ? first : comes_to_node(mesh, 2 * node + 1, found);
+    }
+    const npy_intp begin = (node - leaves) * mesh->in_leaf, end = begin + mesh->in_leaf;
+    for (npy_intp k = begin; k < end && k < mesh->triangles; k++) {
+        const Hull other = {mesh->corners + 9 * k, 3};
+        double guess[3];
+        memcpy(guess, found->across, sizeof(guess));
+        const int nearer = come_nearer(furthest_on_hull, &found->shape, &other, found->place.distance, guess);
+        if (nearer)
+            return nearer;
+        take_plane(found, guess);
+    }
+    return 0;
+}
+
+/* which cells of a grid around a closed mesh are inside of it; none where the mesh is not closed */
+typedef struct {
+    Frame frame;
+    const npy_uint8 *side; /* 0 outside, 1 inside, 2 the surface */
+    int any;
+} Sides;
+
+static int read_sides(PyObject *const *args, Sides *sides)
+{
+    if (is_array(args[OF_FRAME], "sides", NPY_UINT8, 1) < 0)
+        return -1;
+    PyArrayObject *array = (PyArrayObject *)args[OF_FRAME];
+    sides->any = PyArray_DIM(array, 0) > 0;
+    if (!sides->any)
+        return 0;
+    if (read_frame(args, &sides->frame) < 0 || !has_cells(PyArray_DIM(array, 0), &sides->frame))
+        return -1;
+    if (!PyArray_IS_C_CONTIGUOUS(array)) {
+        PyErr_SetString(PyExc_ValueError, "sides: an array in one piece is wanted");
+        return -1;
+    }
+    sides->side = PyArray_DATA(array);
+    return 0;
+}
+
+/* Where points of a shape are that touches no triangle: 1 inside, 0 outside, -1 unknown. A point inside is enough of any. */
+static int is_within(const Sides *sides, const double *points, npy_intp count)
+{
+    int found = sides->any ? -1 : 0;
+    for (npy_intp k = 0; k < count && sides->any; k++) {
+        int inside;
+        const npy_intp cell = cell_at(&sides->frame, points + 3 * k, &inside);
+        if (inside && sides->side[cell] == 1)
+            return 1;
+        if (!inside || sides->side[cell] == 0)
+            found = 0;
+    }
+    return found;
+}
+
+/* Whether the piece with these corners, around which a hull is, keeps a distance: a verdict of `kept_over_mesh`. */
+static int kept_by_mesh(const Mesh *mesh, const Sides *sides, const Hull *shape, double radius, double least)
+{
+    const double reach = radius + least;
+    if (!isfinite(reach) || !(least > 0.0) || shape->count < 1)
+        return -1;
+    for (npy_intp k = 0; k < 3 * shape->count; k++)
+        if (!isfinite(shape->points[k]))
+            return -1;
+    const int within = is_within(sides, shape->points, shape->count);
+    if (within == 1)
+        return 0;
+    Nearest found = {.shape = *shape, .place.distance = reach};
+    take_box(&found);
+    take_plane(&found, (double[]){0.0, 0.0, -1.0});
+    const int nearer = comes_to_node(mesh, 1, &found);
+    if (nearer > 0)
+        return 0;
+    return nearer < 0 || within < 0 ? -1 : 1;
+}
+
+PyObject *kept_over_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    enum { BALLS = OF_ASKED, GRID = BALLS + 2 * OF_BALLS, MESH = GRID + OF_GRID, SIDES = MESH + 3 };
+    Asked asked;
+    Balls coarse, fine;
+    Grid grid;
+    Mesh mesh;
+    Sides sides;
+    if (count_is(count, SIDES + OF_FRAME + 1, "kept_over_mesh") < 0 || read_asked(args, &asked) < 0 ||
+        read_balls(args + BALLS, &asked, &coarse) < 0 || read_balls(args + BALLS + OF_BALLS, &asked, &fine) < 0 ||
+        read_grid(args + GRID, &grid) < 0 || read_mesh(args + MESH, &mesh) < 0 || read_sides(args + SIDES, &sides) < 0)
+        return NULL;
+    npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
+    Room room;
+    double *points = room_for(&room, (3 * asked.most + 1) * sizeof(double));
+    PyObject *found = points ? new_ind(asked.row.n, &verdict) : NULL;
+    for (npy_intp k = 0; found && k < asked.row.n; k++) {
+        const npy_intp row = INDEX(asked.row, k);
+        verdict[k] = -1;
+        if (row == given_up || !is_whole(&mesh))
+            continue;
+        if (kept_by_grid(&asked, k, &grid, &coarse) || kept_by_grid(&asked, k, &grid, &fine)) {
+            verdict[k] = 1;
+            continue;
+        }
+        const Hull shape = {points, corners_asked(&asked, k, points)};
+        verdict[k] = kept_by_mesh(&mesh, &sides, &shape, asked.radius[INDEX(asked.piece, k)], AT(asked.number, k));
+        if (verdict[k] == 0)
+            given_up = row;
+    }
+    if (points)
+        release(&room);
+    return found;
 }

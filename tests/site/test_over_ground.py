@@ -15,7 +15,8 @@ from backhoe_planner.site import build_obstacles, scene_from_dict
 from backhoe_planner.site.cluster_distances import ClusterDistances
 from backhoe_planner.site.pairs import over_ground
 from backhoe_planner.site.pairs.link_balls import LinkBalls
-from backhoe_planner.site.pairs.over_ground import KEPT, NEARER, OverGround
+from backhoe_planner.site.pairs.link_corners import KEPT, NEARER
+from backhoe_planner.site.pairs.over_ground import OverGround
 
 needs_native = pytest.mark.skipif(find_compiled() is None, reason="the compiled functions are not installed")
 

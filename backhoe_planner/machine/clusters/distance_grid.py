@@ -91,7 +91,12 @@ class DistanceGrid:
 
     def lower(self, points: Matrix) -> Vector:
         """(k,) lower bound of the distance from points (3, k) [m]; 0 where nothing is known."""
-        return lower_on_grid(points, self.frame.low, self._per_step, self._counts, self._values, self._bounds)
+        return lower_on_grid(points, *self.arrays, self._bounds)
+
+    @property
+    def arrays(self) -> tuple[Vector, float, Indices, NDArray[np.float32]]:
+        """The arguments of `lower_on_grid` about the grid, from `low` on."""
+        return self.frame.low, self._per_step, self._counts, self._values
 
 
 @compiled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache, cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -181,6 +181,13 @@ class MeshSolid:
         found = side[cell[:, 0], cell[:, 1], cell[:, 2]]
         clear = found[found != _SURFACE]
         return bool(clear[0] == _INSIDE if len(clear) else self._bodies.contain(points[:1])[0])
+
+    @cached_property
+    def triangles(self) -> tuple[Any, ...]:
+        """The arguments of `kept_over_mesh` about the mesh, from `boxes` on."""
+        frame, side = self._sides
+        sides = side.reshape(-1).astype(np.uint8) if self.is_full else np.zeros(0, dtype=np.uint8)
+        return *self._triangles.arrays, frame.low, 1.0 / frame.step, frame.counts, sides
 
     def height_bounds(self, low: Vector, high: Vector) -> None:
         """None, because a mesh is not ground."""

@@ -93,6 +93,10 @@ class Solid(Protocol):
     def voxels(self) -> tuple[Any, ...] | None:
         """Its cells as arguments of `boxes_of_voxels` from `keys` on, if they are voxels; otherwise None."""
 
+    @property
+    def triangles(self) -> tuple[Any, ...] | None:
+        """The arguments of `kept_over_mesh` about it, from `boxes` on, if it is a mesh; otherwise None."""
+
     def __len__(self) -> int:
         """The number of its cells."""
 

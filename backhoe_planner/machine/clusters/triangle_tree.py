@@ -42,12 +42,17 @@ class TriangleTree:
             boxes[leaves : 2 * leaves, 1] = children[:, :, 1].max(axis=1)
         self._boxes, self._corners = boxes.reshape(-1, 6), np.ascontiguousarray(corners.reshape(-1, 9))
 
+    @property
+    def arrays(self) -> tuple[Matrix, Matrix, int]:
+        """The arguments of `nearest_on_mesh` about the tree, from `boxes` on."""
+        return self._boxes, self._corners, _IN_LEAF
+
     def measure(self, link: Placed, reach: float) -> tuple[bool, Reading | None]:
         """Whether the distance of a convex shape from the triangles is known, and the distance if so.
 
         The distance is None if it is not less than `reach` [m].
         """
-        found = nearest_on_mesh(link.hull, link.radius, self._boxes, self._corners, _IN_LEAF, reach)
+        found = nearest_on_mesh(link.hull, link.radius, *self.arrays, reach)
         if not found:
             return found is None, None
         numbers = found[0]

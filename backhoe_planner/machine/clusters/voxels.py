@@ -76,6 +76,7 @@ class VoxelSolid:
 
     is_full = False
     ground = None
+    triangles = None
 
     def __init__(self, keys: Keys, edge: float, *, most: int) -> None:
         if len(keys) > most:

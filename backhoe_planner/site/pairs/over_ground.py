@@ -17,9 +17,9 @@ from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import Cluster, Distances, HeightMap, LinkPiece, Reading, surface_under
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
+from backhoe_planner.site.pairs.link_corners import UNKNOWN, LinkCorners
 
-KEPT, NEARER = 1, 0  # verdicts; any other value means not known
-_READ, _FAR, _SUNK, _UNKNOWN = 1, 0, 2, -1  # states of a distance
+_READ, _FAR, _SUNK = 1, 0, 2  # states of a distance; any other means not known
 
 
 class OverGround:
@@ -32,13 +32,7 @@ class OverGround:
     """
 
     def __init__(self, pieces: Sequence[LinkPiece], balls: LinkBalls) -> None:
-        counts = [len(own.piece.hull) for own in pieces]
-        self._pieces = (
-            balls.slot,
-            np.ascontiguousarray(np.vstack([own.piece.hull for own in pieces])),
-            np.cumsum([0, *counts]),
-            np.array([own.piece.radius for own in pieces]),
-        )
+        self._corners = LinkCorners(pieces, balls)
         self._balls = balls.levels[0].in_one
 
     def keep(
@@ -53,7 +47,7 @@ class OverGround:
         bounds: those of the cluster's distances.
         """
         if cluster.solid.ground is None or bounds.heights is None:
-            return np.full(len(rows), _UNKNOWN, dtype=np.intp)
+            return np.full(len(rows), UNKNOWN, dtype=np.intp)
         asked = self._asked(cluster, cluster.solid.ground, poses, rows, pieces, least)
         arguments: Any = (*asked, *self._balls, *bounds.heights.rings, bounds.bounds)
         return kept_over_ground(*arguments)
@@ -82,8 +76,7 @@ class OverGround:
     ) -> Any:  # fmt: skip
         """The arguments of `read_over_ground`."""
         return (
-            np.ascontiguousarray(poses.R), np.ascontiguousarray(poses.t), *self._pieces, rows, pieces, number,
-            np.ascontiguousarray(cluster.placement.rotation), np.array(cluster.placement.translation),
+            *self._corners.asked(cluster, poses, rows, pieces, number),
             ground.heights, ground.x, ground.y, (ground.floor, ground.top),
         )  # fmt: skip
 
@@ -110,7 +103,7 @@ def kept_over_ground(
     balls: (S, 4) centres of balls that cover the pieces, in the frames of the joints, and radii [m]; those of piece k
         begin at `ball_starts[k]`, (K + 1,). The others are arguments of `lower_over_heights`.
     """
-    return np.full(len(row), _UNKNOWN, dtype=np.intp)
+    return np.full(len(row), UNKNOWN, dtype=np.intp)
 
 
 @compiled
@@ -124,7 +117,7 @@ def read_over_ground(
     its depth is read, -1 if it is not known. This plain version reads only depths and leaves the others to coal. The
     arguments are the first of `kept_over_ground`.
     """
-    states, found = np.full(len(row), _UNKNOWN, dtype=np.intp), np.zeros((len(row), 10))
+    states, found = np.full(len(row), UNKNOWN, dtype=np.intp), np.zeros((len(row), 10))
     for k, (at, which) in enumerate(zip(row.tolist(), piece.tolist(), strict=True)):
         joint = slot[which]
         points = corners[starts[which] : starts[which + 1]] @ R[at, joint].T + t[at, joint]
