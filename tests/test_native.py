@@ -907,17 +907,17 @@ def kept_over_ground(rng: Rng) -> Arguments:
     return *asked, balls, ball_starts, *lower_over_heights(rng)[1:]
 
 
-def kept_on_grid(rng: Rng) -> Arguments:
-    *asked, coarse, coarse_starts = kept_over_ground(rng)[:17]
-    fine_starts = np.append(0, rng.integers(1, 6, len(asked[5])).cumsum())
-    fine = np.column_stack((rng.normal(scale=0.3, size=(fine_starts[-1], 3)), rng.uniform(0.05, 0.2, fine_starts[-1])))
-    return *asked[:11], coarse, coarse_starts, fine, fine_starts, *lower_on_grid(rng)[1:]
+def least_on_grid(rng: Rng) -> Arguments:
+    asked = kept_over_ground(rng)[:17]
+    starts = np.append(0, rng.integers(1, 6, len(asked[5])).cumsum())
+    fine = np.column_stack((rng.normal(scale=0.3, size=(starts[-1], 3)), rng.uniform(0.05, 0.2, starts[-1])))
+    return *asked[:11], *asked[15:], fine, starts, *lower_on_grid(rng)[1:]
 
 
 def kept_over_mesh(rng: Rng) -> Arguments:
     counts = rng.integers(1, 5, 3)
     sides = rng.integers(0, 3, int(counts.prod())).astype(np.uint8)
-    return *kept_on_grid(rng), *nearest_on_mesh(rng)[2:5], rng.uniform(-1.5, -0.5, 3), 2.0, counts, sides
+    return *least_on_grid(rng), *nearest_on_mesh(rng)[2:5], rng.uniform(-1.5, -0.5, 3), 2.0, counts, sides
 
 
 def lower_over_heights(rng: Rng) -> Arguments:
@@ -936,8 +936,8 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_energies, chain_placements,
     chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, contracted, corner_gaps, cost_of_tip,
     count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand,
-    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_on_grid,
-    kept_over_ground, kept_over_mesh, known_apart, largest_part, least_over_path, least_supplied, left_over_path,
+    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground,
+    kept_over_mesh, known_apart, largest_part, least_on_grid, least_over_path, least_supplied, left_over_path,
     line_ahead, linkage_arm_slopes, linkage_arms, lower_on_grid, lower_over_heights, margins_now, missed_up_to,
     most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows,
     nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart,
@@ -965,12 +965,12 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 # tests/site/test_beside_solids.py.
 OF_COAL = (
     first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh,
-    distances_within, kept_on_grid, kept_over_ground, kept_over_mesh, read_over_ground,
+    distances_within, kept_over_ground, kept_over_mesh, read_over_ground,
 )  # fmt: skip
 
 WITHOUT_JOINTS = (  # of these, those that answer whatever the number of joints
-    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh, kept_on_grid,
-    kept_over_ground, kept_over_mesh, read_over_ground,
+    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh, kept_over_ground,
+    kept_over_mesh, read_over_ground,
 )  # fmt: skip
 
 

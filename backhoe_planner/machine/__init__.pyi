@@ -9,6 +9,7 @@ from .clusters.cluster import Cluster as Cluster
 from .clusters.cluster import Distances as Distances
 from .clusters.covering_balls import box_around as box_around
 from .clusters.covering_balls import covering_balls as covering_balls
+from .clusters.distance_grid import lower_on_grid as lower_on_grid
 from .clusters.mesh_solid import MeshSolid as MeshSolid
 from .clusters.parts import Part as Part
 from .clusters.solid import HeightMap as HeightMap

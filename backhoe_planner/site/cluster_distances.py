@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Distances, Reading, ResultTable, Robot, reach_ball
+from backhoe_planner.machine import BatchKinematics, Distances, MeshSolid, Reading, ResultTable, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.beside_solids import BesideSolids
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
@@ -45,7 +46,7 @@ class ClusterDistances:
         self.owner, self.piece = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         pieces, self._column = np.unique(self.piece, return_inverse=True)
         own = [robot.pieces[row] for row in pieces.tolist()]
-        self._balls = LinkBalls(own, most=_MOST_BALLS) if pairs else None
+        self._balls = _balls_around(robot, tuple(pieces.tolist())) if pairs else None
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in sorted(set(self.owner.tolist()))]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
@@ -63,6 +64,7 @@ class ClusterDistances:
         ]
         self._ground = [one for one in standing if one[2].solid.ground is not None]
         self._solids = [one for one in standing if one[2].solid.ground is None]
+        self._meshes = [one for one in self._solids if isinstance(one[2].solid, MeshSolid)]
         self._over_ground = OverGround(own, self._balls) if self._balls is not None and self._ground else None
         self._beside_solids = BesideSolids(own, self._balls) if self._balls is not None and self._solids else None
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
@@ -164,9 +166,10 @@ class ClusterDistances:
             judged(found)
             if (found >= needed).all():
                 return found
+        solids = self._raise_beside_solids(poses, needed, found)
         centres = None
         for index, pairs in self._rows:
-            if judged is not None and (found[:, pairs] >= needed[:, pairs]).all():
+            if index in solids or (judged is not None and (found[:, pairs] >= needed[:, pairs]).all()):
                 continue
             grid, shift = self._grid(index), self._shifts(index, time)
             centres = first.centres(poses) if centres is None else centres
@@ -178,12 +181,32 @@ class ClusterDistances:
         if measured is not None:
             measured(found)
         for index, pairs in self._rows:
+            if index in solids:
+                continue
             grid, shift = self._grid(index), self._shifts(index, time)
             for level in finer:
                 self._refine(level, grid, pairs, shift, poses, needed, found)
         # where a ball may touch the cluster, nothing is known of how deep the piece is inside
         found[found <= 0.0] = -np.inf
         return found
+
+    def _raise_beside_solids(self, poses: Poses, needed: Matrix, found: Matrix) -> set[int]:
+        """Raise the bounds in `found` (N, K) of pairs with standing solids that are below those needed (N, K).
+
+        Returns the obstacles with which no pair is left to do: all that the machine can come near.
+        """
+        done: set[int] = set()
+        for index, pairs, cluster in self._solids:
+            grid = self._grid(index)
+            if grid.grid is None or self._beside_solids is None:
+                continue
+            done.add(index)
+            rows, those = _asked_of(found < needed, pairs)
+            if len(rows):
+                enough, pieces = needed[rows, those], self._column.take(those)
+                lower = self._beside_solids.lower(cluster, poses, rows, pieces, enough, grid)
+                found[rows, those] = np.maximum(found[rows, those], lower)
+        return done
 
     def _refine(
         self, level: BallLevel, grid: Distances, pairs: Indices, shift: Matrix | None, poses: Poses, needed: Matrix,
@@ -268,7 +291,7 @@ class ClusterDistances:
     def keep(self, least: Vector, data: pin.Data, time: float, *, q: Vector | None = None) -> bool:
         """Whether all distances are at least `least` (K,) [m]; `q` as for `lower`."""
         assert self._balls is not None
-        if not self._ground and not self._solids:
+        if not self._ground and not self._meshes:
             return self._keep(least, self.lower(data, time, q=q, needed=least), data, time)
         lower, nearer = self._judged(
             self._balls.poses_at(data), None if q is None else q[None], np.array([time]), least
@@ -304,7 +327,7 @@ class ClusterDistances:
     def _judge(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
         """The configurations in which a piece is certainly nearer than `least` (K,) [m]; raises bounds (N, K)."""
         nearer: set[int] = set()
-        for over, standing in ((self._over_ground, self._ground), (self._beside_solids, self._solids)):
+        for over, standing in ((self._over_ground, self._ground), (self._beside_solids, self._meshes)):
             for index, pairs, cluster in standing:
                 rows, those = _asked_of(lower < least, pairs)
                 if over is None or not len(rows):
@@ -353,3 +376,9 @@ def _asked_of(asked: Flags, pairs: Indices) -> tuple[Indices, Indices]:
     """The configurations and pairs (M,) that are `asked` (N, K), of some pairs."""
     rows, which = asked[:, pairs].nonzero()
     return rows, pairs.take(which)
+
+
+@lru_cache(maxsize=8)
+def _balls_around(robot: Robot, pieces: tuple[int, ...]) -> LinkBalls:
+    """Balls that cover some of the robot's pieces; computed once for a machine and its obstacles' links."""
+    return LinkBalls([robot.pieces[row] for row in pieces], most=_MOST_BALLS)

@@ -84,31 +84,47 @@ PyObject *lower_on_grid(PyObject *self, PyObject *const *args, Py_ssize_t count)
     return found;
 }
 
-int kept_by_grid(const Asked *asked, npy_intp k, const Grid *grid, const Balls *balls)
+/* A lower bound of how far away the piece of question k is, from balls around it; less where they may touch. */
+static double least_of_balls(const Asked *asked, npy_intp k, const Grid *grid, const Balls *balls)
 {
     const npy_intp piece = INDEX(asked->piece, k);
+    double least = INFINITY;
     for (npy_intp i = INDEX(balls->starts, piece); i < INDEX(balls->starts, piece + 1); i++) {
         double centre[3];
         place_asked(asked, k, balls->ball + 4 * i, centre);
         const double apart = lower_at(grid, centre) - balls->ball[4 * i + 3];
-        if (!(apart > 0.0 && apart >= AT(asked->number, k))) /* where a ball may touch, nothing is known */
-            return 0;
+        if (!(apart >= least))
+            least = apart;
     }
-    return 1;
+    return least;
 }
 
-PyObject *kept_on_grid(PyObject *self, PyObject *const *args, Py_ssize_t count)
+int read_covered(PyObject *const *args, Covered *covered)
 {
-    Asked asked;
-    Balls coarse, fine;
-    Grid grid;
-    if (count_is(count, OF_ASKED + 2 * OF_BALLS + OF_GRID, "kept_on_grid") < 0 || read_asked(args, &asked) < 0 ||
-        read_balls(args + OF_ASKED, &asked, &coarse) < 0 || read_balls(args + OF_ASKED + OF_BALLS, &asked, &fine) < 0 ||
-        read_grid(args + OF_ASKED + 2 * OF_BALLS, &grid) < 0)
+    return read_asked(args, &covered->asked) < 0 || read_balls(args + OF_ASKED, &covered->asked, &covered->coarse) < 0 ||
+                   read_balls(args + OF_ASKED + OF_BALLS, &covered->asked, &covered->fine) < 0 ||
+                   read_grid(args + OF_ASKED + 2 * OF_BALLS, &covered->grid) < 0
+               ? -1
+               : 0;
+}
+
+double least_on_grid_of(const Covered *covered, npy_intp k)
+{
+    const double coarse = least_of_balls(&covered->asked, k, &covered->grid, &covered->coarse);
+    if (coarse >= AT(covered->asked.number, k))
+        return coarse;
+    const double fine = least_of_balls(&covered->asked, k, &covered->grid, &covered->fine);
+    return fine > coarse ? fine : coarse;
+}
+
+PyObject *least_on_grid(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Covered covered;
+    double *least;
+    if (count_is(count, OF_COVERED, "least_on_grid") < 0 || read_covered(args, &covered) < 0)
         return NULL;
-    npy_intp *verdict;
-    PyObject *found = new_ind(asked.row.n, &verdict);
-    for (npy_intp k = 0; found && k < asked.row.n; k++)
-        verdict[k] = kept_by_grid(&asked, k, &grid, &coarse) || kept_by_grid(&asked, k, &grid, &fine) ? 1 : -1;
+    PyObject *found = new_vec(covered.asked.row.n, &least);
+    for (npy_intp k = 0; found && k < covered.asked.row.n; k++)
+        least[k] = least_on_grid_of(&covered, k);
     return found;
 }

@@ -25,7 +25,16 @@ int read_grid(PyObject *const *args, Grid *grid);    /* the last five arguments 
 /* The number of the cell that a point is in, or is nearest to; whether the point is inside of the grid in `inside`. */
 npy_intp cell_at(const Frame *frame, const double *point, int *inside);
 double lower_at(const Grid *grid, const double *point);
-/* Whether some balls around the piece of question k show that it is as far away as the question says. */
-int kept_by_grid(const Asked *asked, npy_intp k, const Grid *grid, const Balls *balls);
+
+/* pieces asked about, with balls around them on two levels, and a grid */
+typedef struct {
+    Asked asked;
+    Balls coarse, fine;
+    Grid grid;
+} Covered;
+
+enum { OF_COVERED = OF_ASKED + 2 * OF_BALLS + OF_GRID };
+int read_covered(PyObject *const *args, Covered *covered); /* the arguments of `least_on_grid`; 0, or -1 with an exception */
+double least_on_grid_of(const Covered *covered, npy_intp k); /* the answer of `least_on_grid` to question k */
 
 #endif

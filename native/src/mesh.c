@@ -120,6 +120,8 @@ static int look_at_mesh(const Mesh *mesh, Nearest *found)
     return nearer;
 }
 
+enum { OF_MESH = 3 };
+
 /* Three arguments of `nearest_on_mesh`, from `boxes` on; 0, or -1 with an exception. */
 static int read_mesh(PyObject *const *args, Mesh *mesh)
 {
@@ -252,31 +254,30 @@ static int kept_by_mesh(const Mesh *mesh, const Sides *sides, const Hull *shape,
 
 PyObject *kept_over_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    enum { BALLS = OF_ASKED, GRID = BALLS + 2 * OF_BALLS, MESH = GRID + OF_GRID, SIDES = MESH + 3 };
-    Asked asked;
-    Balls coarse, fine;
-    Grid grid;
+    enum { MESH = OF_COVERED, SIDES = MESH + OF_MESH };
+    Covered covered;
     Mesh mesh;
     Sides sides;
-    if (count_is(count, SIDES + OF_FRAME + 1, "kept_over_mesh") < 0 || read_asked(args, &asked) < 0 ||
-        read_balls(args + BALLS, &asked, &coarse) < 0 || read_balls(args + BALLS + OF_BALLS, &asked, &fine) < 0 ||
-        read_grid(args + GRID, &grid) < 0 || read_mesh(args + MESH, &mesh) < 0 || read_sides(args + SIDES, &sides) < 0)
+    if (count_is(count, SIDES + OF_FRAME + 1, "kept_over_mesh") < 0 || read_covered(args, &covered) < 0 ||
+        read_mesh(args + MESH, &mesh) < 0 || read_sides(args + SIDES, &sides) < 0)
         return NULL;
+    const Asked *asked = &covered.asked;
     npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
     Room room;
-    double *points = room_for(&room, (3 * asked.most + 1) * sizeof(double));
-    PyObject *found = points ? new_ind(asked.row.n, &verdict) : NULL;
-    for (npy_intp k = 0; found && k < asked.row.n; k++) {
-        const npy_intp row = INDEX(asked.row, k);
+    double *points = room_for(&room, (3 * asked->most + 1) * sizeof(double));
+    PyObject *found = points ? new_ind(asked->row.n, &verdict) : NULL;
+    for (npy_intp k = 0; found && k < asked->row.n; k++) {
+        const npy_intp row = INDEX(asked->row, k);
         verdict[k] = -1;
         if (row == given_up || !is_whole(&mesh))
             continue;
-        if (kept_by_grid(&asked, k, &grid, &coarse) || kept_by_grid(&asked, k, &grid, &fine)) {
+        const double least = AT(asked->number, k), apart = least_on_grid_of(&covered, k);
+        if (apart > 0.0 && apart >= least) { /* where a ball may touch, nothing is known */
             verdict[k] = 1;
             continue;
         }
-        const Hull shape = {points, corners_asked(&asked, k, points)};
-        verdict[k] = kept_by_mesh(&mesh, &sides, &shape, asked.radius[INDEX(asked.piece, k)], AT(asked.number, k));
+        const Hull shape = {points, corners_asked(asked, k, points)};
+        verdict[k] = kept_by_mesh(&mesh, &sides, &shape, asked->radius[INDEX(asked->piece, k)], least);
         if (verdict[k] == 0)
             given_up = row;
     }

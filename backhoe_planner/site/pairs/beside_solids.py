@@ -1,8 +1,7 @@
-"""Links beside scans and meshes: whether they keep their distances in many configurations, in one call.
+"""Links beside scans and meshes in many configurations: bounds of their distances, and verdicts, in one call.
 
-If no ball around a link comes within its distance on the grid of lower bounds, the link keeps it. Smaller balls decide
-most of the other cases. Beside a mesh, the rest is compared with its triangles; beside a scan it is left to coal, and
-so is everything without a compiler.
+A few balls around a link, and smaller ones where these are too near, bound its distance on the grid of lower bounds.
+Beside a mesh that decides little, a verdict comes from its triangles; it is left to coal without a compiler.
 """
 
 from __future__ import annotations
@@ -14,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine import Cluster, Distances, LinkPiece
+from backhoe_planner.machine import Cluster, Distances, LinkPiece, lower_on_grid
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
 from backhoe_planner.site.pairs.link_corners import UNKNOWN, LinkCorners
 
 
 class BesideSolids:
-    """Verdicts on K pieces of one machine beside solids that are no ground.
+    """K pieces of one machine beside solids that are no ground.
 
     Parameters
     ----------
@@ -34,42 +33,73 @@ class BesideSolids:
         coarse, fine = balls.levels
         self._balls = *coarse.in_one, *fine.in_one
 
+    def lower(
+        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, needed: Vector, bounds: Distances
+    ) -> Vector:  # fmt: skip
+        """(M,) lower bounds of the distances of pieces (M,) from the cluster in configurations `rows` (M,) [m].
+
+        A bound that is at least `needed` (M,) [m] may be far below the distance; one of 0 or less says nothing.
+
+        bounds: those of the cluster's distances.
+        """
+        if bounds.grid is None:
+            return np.full(len(rows), -np.inf)
+        arguments: Any = self._asked(cluster, poses, rows, pieces, needed, bounds)
+        return least_on_grid(*arguments)
+
     def keep(
         self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, least: Vector, bounds: Distances
     ) -> Indices:  # fmt: skip
-        """(M,) verdicts: whether some pieces (M,) are at least `least` (M,) [m] from the cluster in configurations.
+        """(M,) verdicts: whether some pieces (M,) are at least `least` (M,) [m] from a mesh in some configurations.
 
-        After a piece that is nearer, the others of the same configuration are not known.
+        After a piece that is nearer, the others of the same configuration are not known. If the cluster is no mesh,
+        nothing is known.
 
         rows: (M,) the configurations, in order.
         bounds: those of the cluster's distances.
         """
-        if bounds.grid is None:
-            return np.full(len(rows), UNKNOWN, dtype=np.intp)
-        grid = *bounds.grid.arrays, bounds.bounds
-        asked = *self._corners.asked(cluster, poses, rows, pieces, least), *self._balls, *grid
         triangles = cluster.solid.triangles
-        if triangles is None:
-            return kept_on_grid(*asked)
-        arguments: Any = (*asked, *triangles)
+        if triangles is None or bounds.grid is None:
+            return np.full(len(rows), UNKNOWN, dtype=np.intp)
+        arguments: Any = (*self._asked(cluster, poses, rows, pieces, least, bounds), *triangles)
         return kept_over_mesh(*arguments)
+
+    def _asked(
+        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, number: Vector, bounds: Distances
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """The arguments of `least_on_grid`."""
+        assert bounds.grid is not None
+        asked = self._corners.asked(cluster, poses, rows, pieces, number)
+        return *asked, *self._balls, *bounds.grid.arrays, bounds.bounds
 
 
 @compiled
-def kept_on_grid(
+def least_on_grid(
     R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
-    least: Vector, frame: Matrix, origin: Vector, coarse: Matrix, coarse_starts: Indices, fine: Matrix,
+    needed: Vector, frame: Matrix, origin: Vector, coarse: Matrix, coarse_starts: Indices, fine: Matrix,
     fine_starts: Indices, low: Vector, per_step: float, counts: Indices, values: NDArray[np.float32], bounds: Matrix, /,
-) -> Indices:  # fmt: skip
-    """(M,) verdicts on pieces in configurations, see `BesideSolids.keep`. This plain version leaves all to coal.
+) -> Vector:  # fmt: skip
+    """(M,) lower bounds of the distances of pieces in configurations, see `BesideSolids.lower` [m].
 
     Parameters
     ----------
     R, ..., origin: the first arguments of `kept_over_ground`.
-    coarse, coarse_starts, fine, fine_starts: balls as there, on two levels.
+    coarse, coarse_starts, fine, fine_starts: balls as there, on two levels; the second is used if the first gives less
+        than `needed` (M,) [m].
     low, ..., bounds: the last arguments of `lower_on_grid`.
     """
-    return np.full(len(row), UNKNOWN, dtype=np.intp)
+    found = np.empty(len(row))
+    for k, (at, which) in enumerate(zip(row.tolist(), piece.tolist(), strict=True)):
+        place, least = (at, slot[which]), -np.inf
+        for balls, firsts in ((coarse, coarse_starts), (fine, fine_starts)):
+            own = balls[firsts[which] : firsts[which + 1]]
+            centres = (own[:, :3] @ R[place].T + t[place] - origin) @ frame
+            away = lower_on_grid(np.ascontiguousarray(centres.T), low, per_step, counts, values, bounds) - own[:, 3]
+            least = max(least, float(away.min(initial=np.inf)))
+            if least >= needed[k]:
+                break
+        found[k] = least
+    return found
 
 
 @compiled
@@ -84,7 +114,7 @@ def kept_over_mesh(
 
     Parameters
     ----------
-    R, ..., bounds: as for `kept_on_grid`.
+    R, ..., bounds: as for `least_on_grid`.
     boxes, triangles, in_leaf: as for `nearest_on_mesh`.
     side_low, sides_per_step, side_counts: (3,) lowest corner [m], cells per metre, and (3,) cells of a grid around it.
     sides: of all its cells, the last axis varying fastest: 0 outside, 1 inside, 2 at the surface. None, (0,), if the
