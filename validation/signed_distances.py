@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import load_mesh
 from backhoe_planner.site.schema import obstacle_shapes
 
 SignedDistance = Callable[[Matrix], NDArray[np.float64]]
@@ -139,8 +138,7 @@ def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> Si
     if isinstance(spec, obstacle_shapes.Cylinder):
         return lambda points: cylinder_distance(local(points), spec.radius, spec.length)
     if isinstance(spec, obstacle_shapes.Mesh):
-        mesh = load_mesh(scene.folder / spec.file)
-        mesh.apply_scale(spec.scale)
+        mesh = spec.loaded(scene.folder)
         return lambda points: -np.asarray(trimesh.proximity.signed_distance(mesh, local(points)))
     if isinstance(spec, obstacle_shapes.HeightMap):
         far = height_map_distance(np.loadtxt(scene.folder / spec.file, delimiter=",", ndmin=2), spec.size)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import load_mesh
+from backhoe_planner.machine import load_mesh, mesh_frame
 from validation.signed_distances import SignedDistance, box_distance, cylinder_distance, hull_distance, sphere_distance
 
 Indices = NDArray[np.intp]
@@ -181,8 +181,10 @@ def _shape(robot: bp.Robot, geometry) -> tuple[Matrix, float, SignedDistance]:  
     path = robot.urdf.mesh_path(geometry.mesh.filename)
     assert path is not None
     mesh = load_mesh(path)
-    if geometry.mesh.scale is not None:
-        mesh.apply_scale(geometry.mesh.scale)
+    scale = np.full(3, 1.0 if geometry.mesh.scale is None else geometry.mesh.scale, dtype=float)
+    factors, T_shape_file = mesh_frame(path, scale)
+    mesh.apply_scale(factors)
+    mesh.apply_transform(T_shape_file.homogeneous)
     points, _ = trimesh.sample.sample_surface(mesh, _ON_MESH, seed=0)
     hull = mesh.convex_hull
     return np.vstack((mesh.vertices, points)), 0.0, lambda p: hull_distance(p, hull)

@@ -29,6 +29,7 @@ from .description.base import Base as Base
 from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
 from .description.link_shapes import LinkPiece as LinkPiece
 from .description.link_shapes import Visual as Visual
+from .description.link_shapes import mesh_frame as mesh_frame
 from .description.urdf import example_names as example_names
 from .description.urdf import read_urdf as read_urdf
 from .description.urdf import shipped_file as shipped_file

@@ -235,6 +235,7 @@ def input_warnings(robot: Robot, scene: Scene | None = None, *, with_task: bool 
             "them may count as free; where it is solid, fill its holes (in MeshLab: Close Holes)"
             for file, names in scene.open_meshes().items()
         ]
+        found += scene.doubtful_meshes()
     return tuple(found)
 
 

@@ -27,6 +27,7 @@ from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 
 _ALONG = 1e-12  # of a cosine: a normal that leans less is along an axis
 _FAR = 50.0  # times the machine's reach, beyond which an obstacle is probably given in other units; chosen
+_TINY = 1e-3  # times the machine's reach, below which a mesh is probably given in other units; chosen
 _SWEPT_BOXES = 4_000  # cells of the grid that replaces a cluster that moves; chosen
 
 
@@ -45,6 +46,7 @@ class Obstacle:
     spec: the scene's own record.
     zone: the scene's record of the zone whose solid this is; None for an obstacle.
     cluster: the solid if it has thousands of cells, in world coordinates at the time of appearance.
+    folder: the folder to which the name of its file is relative.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Obstacle:
     spec: obstacle_shapes.ObstacleSpec
     zone: ZoneSpec | None = None
     cluster: Cluster | None = None
+    folder: Path = Path()
 
     def __post_init__(self) -> None:
         check_kind(self.name, str, key="name")
@@ -91,7 +94,12 @@ class Obstacle:
 
 
 def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]:
-    """Warnings of probable mistakes: obstacles as far away as if given in other units, and scans with gaps."""
+    """Warnings of probable mistakes: obstacles that may be given in other units, and scans with gaps.
+
+    Raises
+    ------
+    InputError: the file of a mesh is gone.
+    """
     centre, radius = reach_ball(robot)
     found = []
     for obstacle in obstacles:
@@ -102,6 +110,8 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
                 f"{obstacle.name} is {away:,.0f} m away, {away / radius:,.0f} times as far as the machine reaches; "
                 f"sizes, positions and points of files are in metres{_map_origin(obstacle)}"
             )
+        if isinstance(obstacle.spec, obstacle_shapes.Mesh) and (words := _odd_size(obstacle, obstacle.spec, radius)):
+            found.append(words)
         solid = None if obstacle.cluster is None else obstacle.cluster.solid
         if isinstance(solid, VoxelSolid) and (closed := solid.closed_edge()) > solid.finest:
             found.append(
@@ -112,6 +122,22 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
     return tuple(found)
 
 
+def _odd_size(obstacle: Obstacle, spec: obstacle_shapes.Mesh, radius: float) -> str | None:
+    """Words about a mesh that is so large or small as if it were in other units; None about any other one."""
+    low, high = obstacle.bounds
+    size = float(np.max(high - low))
+    if _TINY * radius <= size <= _FAR * radius:
+        return None
+    scale = spec.frame(obstacle.folder)[0]
+    used = " x ".join(dict.fromkeys(f"{factor:g}" for factor in scale))
+    stated = "" if spec.scale is not None else ", which its file states" if used != "1" else ", as its file states none"
+    large = f"{size:,.0f} m" if size > 1.0 else f"{1000.0 * size:.2g} mm"
+    return (
+        f"{obstacle.name} ({spec.file}) is {large} large, {size / radius:.2g} times as far as the machine reaches, "
+        f"at a scale of {used}{stated}: `scale` is 0.001 for a file in millimetres, 1 for one in metres"
+    )
+
+
 def _map_origin(obstacle: Obstacle) -> str:
     """The key that puts the middle of a far file at its position, in words; "" for what has no such key."""
     spec = obstacle.spec
@@ -119,8 +145,8 @@ def _map_origin(obstacle: Obstacle) -> str:
         return ""
     low, high = obstacle.bounds
     middle = spec.placement.actInv(np.array([*(low + high)[:2] / 2.0, low[2]]))
-    scale = np.asarray(spec.scale if isinstance(spec, obstacle_shapes.Mesh) else 1.0)
-    found = np.round(middle / scale + spec.map_origin).astype(int).tolist()
+    scale, turn = spec.frame(obstacle.folder) if isinstance(spec, obstacle_shapes.Mesh) else (np.ones(3), np.eye(3))
+    found = np.round(turn.T @ middle / scale + spec.map_origin).astype(int).tolist()
     return f"; `map_origin: {found}` puts the middle of its file at its position"
 
 
@@ -221,6 +247,7 @@ def build_obstacle(
         spec=spec,
         zone=zone,
         cluster=cluster,
+        folder=folder,
     )
 
 

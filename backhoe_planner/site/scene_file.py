@@ -190,6 +190,15 @@ class Scene(FileRecord):
                     found[one.file] = (*found.get(one.file, ()), one.name)
         return found
 
+    def doubtful_meshes(self) -> tuple[str, ...]:
+        """Of which mesh files another axis may be up, in words, with the key that says so."""
+        found = list[str]()
+        for one in self._shapes:
+            with contextlib.suppress(InputError):
+                if isinstance(one, Mesh) and (doubt := one.doubt(self.folder)):
+                    found.append(f"the mesh {one.file} ({one.name}) {doubt}")
+        return tuple(found)
+
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain data that `scene_from_dict` reads again."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)

@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError
+from backhoe_planner.files.mesh_axes import along_file_axes, mesh_axes, upright
 from backhoe_planner.machine.description.urdf import Urdf, se3
 from backhoe_planner.machine.description.urdf_tree import Geometry, Mesh
 from backhoe_planner.machine.shape.cover_cache import mesh_cover
@@ -22,6 +23,8 @@ from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, s
 # volume of a mesh's hull over the mesh's own, up to which the hull represents the link: a solid link with recesses
 # is below, an open bucket, whose cavity the hull would close, far above
 _LINK_HULL_EXCESS = 2.0
+# times the distances between joints, added up: a mesh of another size is probably in other units; chosen
+_LARGE, _TINY = 50.0, 1e-4
 _PIECES_PER_LINK_MESH = 8  # at most; chosen, few because each is one more pair with every obstacle
 
 
@@ -64,6 +67,8 @@ class LinkSolid:
 class _Solid(NamedTuple):
     piece_at: Callable[[pin.SE3], Piece]
     cached: bool | None = None
+    T_shape_file: pin.SE3 | None = None  # of the file of a mesh in its shape; None if they are the same
+    size: float = 0.0  # of a whole mesh, along its longest axis [m]; 0 if it is not a piece of one
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,25 @@ def _mesh_scale(mesh: Mesh) -> Vector:
     return np.full(3, 1.0 if mesh.scale is None else mesh.scale, dtype=float)
 
 
+def mesh_frame(path: Path, scale: Vector) -> tuple[Vector, pin.SE3]:
+    """How the coordinates of a mesh file of a link become those of its shape in the URDF, as in RViz.
+
+    Parameters
+    ----------
+    scale: (3,) the URDF's factors, along the axes of the shape.
+
+    Returns
+    -------
+    (3,) the factors along the axes of the file, with its unit [m]; and T_shape_file, which turns y of a glTF upwards.
+
+    Raises
+    ------
+    InputError: see `mesh_axes`.
+    """
+    axes = mesh_axes(path)
+    return axes.unit * along_file_axes(scale, axes.up), pin.SE3(upright(axes.up), np.zeros(3))
+
+
 def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
     """Convex solids that contain the collision shape of every link. Dividing a mesh for the first time takes long.
 
@@ -106,7 +130,8 @@ def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
 
     Returns
     -------
-    The solids; and warnings in words about links that have a visual and no collision shape.
+    The solids; and warnings in words about links that have a visual and no collision shape, and about meshes that
+    may be in other units.
 
     Raises
     ------
@@ -115,7 +140,8 @@ def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
     links = urdf.robot.links
     drawn = not any(link.collisions for link in links)
     kind = "visual" if drawn else "collision"
-    found, bare = [], []
+    found, bare, odd = [], [], dict[str, None]()
+    apart = sum(float(np.linalg.norm(se3(joint.origin).translation)) for joint in urdf.robot.joints)
     for link in links:
         shapes = link.visuals if drawn else link.collisions
         if link.visuals and not shapes:
@@ -125,13 +151,24 @@ def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
                 solids = _solids_of(urdf, shape.geometry)
             except InputError as error:
                 raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > {kind}") from error
-            found += [LinkSolid(link.name, se3(shape.origin), *solid) for solid in solids]
+            size = max((solid.size for solid in solids), default=0.0)
+            mesh = shape.geometry.mesh
+            if mesh is not None and apart and not _TINY * apart <= size <= _LARGE * apart:
+                odd[f"{link.name} ({mesh.filename}, {size:.2g} m)"] = None
+            for solid in solids:
+                placement = se3(shape.origin) * (solid.T_shape_file or pin.SE3.Identity())
+                found.append(LinkSolid(link.name, placement, solid.piece_at, solid.cached))
     warnings = []
     if drawn and found:
         warnings.append("no link has a <collision>: what is drawn of the links is taken as their shape")
     if bare:
         warnings.append(
             f"links that are drawn but have no <collision>, so that nothing is proven of them: {', '.join(bare)}"
+        )
+    if odd:
+        warnings.append(
+            f"links whose meshes do not fit the distances between the joints, in all {apart:.2g} m: {', '.join(odd)}; "
+            "`scale` of their <mesh> takes the units of the file to metres"
         )
     return tuple(found), tuple(warnings)
 
@@ -159,10 +196,11 @@ def _solids_of(urdf: Urdf, geometry: Geometry) -> list[_Solid]:
     path = urdf.mesh_path(geometry.mesh.filename)
     if path is None:
         raise InputError("mesh file not found", found=geometry.mesh.filename)
-    scale = _mesh_scale(geometry.mesh)
+    scale, T_shape_file = mesh_frame(path, _mesh_scale(geometry.mesh))
     cover = mesh_cover(path, scale, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)
+    size = float(np.ptp(np.vstack(cover.pieces), axis=0).max())
     return [
-        _Solid(partial(convex, points, surface=surface), cover.cached)
+        _Solid(partial(convex, points, surface=surface), cover.cached, T_shape_file, size)
         for points, surface in zip(cover.pieces, cover.surfaces, strict=True)
     ]
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
+from backhoe_planner.files.mesh_parts import check_all_read
 from backhoe_planner.files.obj_lines import obj_lines, plain_obj
 from backhoe_planner.files.ply_faces import ply_of_triangles
 from backhoe_planner.files.whole_mesh import check_whole
@@ -50,9 +51,12 @@ _FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 def load_mesh(path: Path) -> trimesh.Trimesh:
     """One triangle mesh from a file (STL, OBJ, PLY, DAE, ...), with all its parts placed as in the file.
 
+    Coordinates are as they stand in the file: `mesh_axes` has its unit and upward axis.
+
     Raises
     ------
-    InputError: the file is missing, empty, of another format, or not a mesh; a coordinate is not finite.
+    InputError: the file is missing, empty, of another format, or not a mesh; a coordinate is not finite; a part of it
+        would be left out.
     """
     import trimesh
 
@@ -65,6 +69,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise InputError("is not a mesh that can be read", file=path, found=found, allowed=", ".join(_FORMATS))
     try:
         check_whole(path)
+        check_all_read(path)
         with np.errstate(all="ignore"):  # the coordinates are checked below
             scene = _scene(path)
             parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]

@@ -8,7 +8,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from backhoe_planner.machine import Robot, Visual
+from backhoe_planner.files.mesh_parts import check_all_read
+from backhoe_planner.machine import Robot, Visual, mesh_frame
 from backhoe_planner.show.drawing.palette import MACHINE, Rgba
 from backhoe_planner.show.drawing.solids import Facets, facets, solid
 
@@ -69,20 +70,22 @@ def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]
 
 def _visual(visual: Visual) -> list[tuple[Rgba, trimesh.Trimesh]]:
     """Meshes and their colours, in the frame of the visual's joint."""
-    placement = visual.placement.homogeneous
     if visual.kind != "mesh":
         made = _primitive(visual)
-        made.apply_transform(placement)
+        made.apply_transform(visual.placement.homogeneous)
         return [(_rgba(visual.rgba), made)]
     if visual.mesh is None:
         raise FileNotFoundError("mesh file not found")
+    check_all_read(visual.mesh)
+    scale, T_visual_file = mesh_frame(visual.mesh, np.asarray(visual.size))
+    placement = (visual.placement * T_visual_file).homogeneous
     loaded = trimesh.load_scene(visual.mesh)
     found = []
     for mesh in loaded.dump():
         if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
             continue
         rgba = _rgba(visual.rgba) if visual.rgba is not None else _own_colour(mesh)
-        plain = trimesh.Trimesh(mesh.vertices * np.asarray(visual.size), mesh.faces, process=False)
+        plain = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
         plain.merge_vertices(merge_tex=True, merge_norm=True)
         plain.apply_transform(placement)
         if np.linalg.det(np.diag(visual.size)) < 0.0:

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import Cluster, load_mesh
+from backhoe_planner.machine import Cluster
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
 from backhoe_planner.site import Obstacle, Scene, read_heights
@@ -82,8 +82,7 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     if isinstance(spec, obstacle_shapes.HeightMap):
         return _ground(obstacle, _terrain(spec, scene))
     if isinstance(spec, obstacle_shapes.Mesh):
-        drawn = load_mesh(scene.folder / spec.file)
-        drawn.apply_scale(spec.scale)
+        drawn = spec.loaded(scene.folder)
         drawn.apply_transform(spec.placement.homogeneous)
         drawn = trimesh.Trimesh(drawn.vertices, drawn.faces)
     else:

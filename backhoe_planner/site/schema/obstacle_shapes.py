@@ -14,7 +14,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, field_validator, model_validator
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.files.mesh_axes import Axis, mesh_axes, upright
 from backhoe_planner.files.records import Record
 from backhoe_planner.machine import (
     Cluster,
@@ -59,6 +60,7 @@ _MOST_VOXELS = 4_000_000  # of a scan: some 300 MB
 _MOST_TRIANGLES = 500_000  # of a mesh: some 300 MB
 _MOST_PIECES = 20_000  # of one obstacle that moves; chosen: with the 20 pieces of a machine that is 400,000 pairs
 _FLATTEST = 1e-5  # of the radius: no hull can be built of a flatter prism
+_UPRIGHT = 0.5  # cosine of the tilt from which an orientation lays a thing on its side; chosen
 _ONE_POINT = 1e-9  # m: a shorter axis has no direction
 
 
@@ -212,24 +214,26 @@ class Mesh(PlacedRecord):
     shape: Literal["mesh"]
     file: str
     """STL, OBJ, PLY, ...; relative to the scene file."""
-    scale: Positive | tuple[Positive, Positive, Positive] = 1.0
-    """Scale from the file's units to metres."""
+    scale: Positive | tuple[Positive, Positive, Positive] | None = None
+    """Scale from the file's units to metres; by default the unit that a DAE or 3MF states, otherwise 1."""
+    up: Axis | None = None
+    """The axis of the file's coordinates that is up; by default y for glTF, otherwise z."""
     map_origin: MapPoint = (0.0, 0.0, 0.0)
     """The point of the file's coordinates that is put at `position`, in the file's units; subtracted before scaling."""
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Hulls that cover every triangle of the mesh."""
-        scale = np.asarray(self.scale, dtype=float)
+        scale, turn = self.frame(folder)
         cover = mesh_cover(folder / self.file, scale)
         self._check_near(np.vstack(cover.pieces) / scale, folder)
         offset = scale * np.array(self.map_origin)
-        return [shapes.convex(points - offset, self.placement) for points in cover.pieces]
+        return [shapes.convex((points - offset) @ turn.T, self.placement) for points in cover.pieces]
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
         """Hulls, or the triangles if the mesh is fine and hollowed and does not move."""
         if any(self.velocity):
             return self.pieces(folder)
-        mesh = self._loaded(folder)
+        mesh = self.loaded(folder)
         if len(mesh.faces) <= _FEW_TRIANGLES or is_nearly_convex(mesh):
             return self.pieces(folder)
         return Cluster(MeshSolid(mesh, most=_MOST_TRIANGLES), self.placement)
@@ -241,20 +245,53 @@ class Mesh(PlacedRecord):
         ------
         InputError: the file cannot be read.
         """
-        mesh = self._loaded(folder)
+        mesh = self.loaded(folder)
         return not is_closed(mesh) and not is_nearly_convex(mesh)
 
-    def _loaded(self, folder: Path) -> trimesh.Trimesh:
-        """The mesh [m], in its own frame."""
+    def frame(self, folder: Path) -> tuple[Vector, Matrix]:
+        """(3,) the factors along the axes of the file [m], and (3, 3) the rotation that turns it upright after that.
+
+        Raises
+        ------
+        InputError: the file is missing, or states a unit that is none.
+        """
+        axes = mesh_axes(folder / self.file)
+        scale = axes.unit if self.scale is None else self.scale
+        return np.full(3, scale, dtype=float), upright(self.up or axes.up)
+
+    def doubt(self, folder: Path) -> str | None:
+        """In words, why another axis of the file may be up, and the key that says so; None if there is no doubt.
+
+        Raises
+        ------
+        InputError: as `frame`.
+        """
+        axes = mesh_axes(folder / self.file)
+        if self.up is not None:
+            return None
+        if axes.up != "z" and self.placement.rotation[2, 2] < _UPRIGHT:
+            return f"has {axes.up} up and is turned so that z is up, and its rpy or quaternion turns it again: `up: z`"
+        return axes.doubt
+
+    def loaded(self, folder: Path) -> trimesh.Trimesh:
+        """The mesh [m], upright, with its `map_origin` at the origin.
+
+        Raises
+        ------
+        InputError: the file cannot be read, or the mesh lies too far away.
+        """
         mesh = load_mesh(folder / self.file)
         self._check_near(np.asarray(mesh.vertices), folder)
+        scale, turn = self.frame(folder)
+        T_mesh_file = np.eye(4)
+        T_mesh_file[:3, :3] = turn * scale
         mesh.apply_translation(-np.array(self.map_origin))
-        mesh.apply_scale(self.scale)
+        mesh.apply_transform(T_mesh_file)
         return mesh
 
     def _check_near(self, vertices: Matrix, folder: Path) -> None:
-        scale = np.asarray(self.scale, dtype=float)
-        check_near(vertices, folder / self.file, map_origin=self.map_origin, scale=scale, what="vertex")
+        scale, turn = self.frame(folder)
+        check_near(vertices, folder / self.file, map_origin=self.map_origin, scale=scale, turn=turn, what="vertex")
 
 
 class HeightMap(PlacedRecord):

@@ -182,13 +182,15 @@ def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Mat
 
 
 def check_near(
-    points: Matrix, path: Path, *, map_origin: Sequence[float] | None, scale: Vector | float = 1.0, what: str = "point"
-) -> None:
+    points: Matrix, path: Path, *, map_origin: Sequence[float] | None, scale: Vector | float = 1.0,
+    turn: Matrix | None = None, what: str = "point",
+) -> None:  # fmt: skip
     """Check that points (n, 3) of a file lie on the site once `map_origin` (3,) is subtracted; see `read_points`.
 
     Parameters
     ----------
     scale: from the file's units to metres; that of each axis (3,), or of all.
+    turn: (3, 3) the rotation that turns the points upright; None if they are.
 
     Raises
     ------
@@ -197,8 +199,10 @@ def check_near(
     origin = np.zeros(3) if map_origin is None else np.array(map_origin)
     far = None
     if (np.abs(points) <= FURTHEST).all():
-        low, high = points.min(axis=0), points.max(axis=0)
-        middle = np.round([*(low + high)[:2] / 2.0, low[2]]).astype(int).tolist()
+        turn = np.eye(3) if turn is None else turn
+        stood = points @ turn.T
+        low, high = stood.min(axis=0), stood.max(axis=0)
+        middle = np.round(turn.T @ [*(low + high)[:2] / 2.0, low[2]]).astype(int).tolist()
         do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}` in the scene"
         far = f"map coordinates are too large: {do} puts the middle of the survey at 0, 0, or take the machine's place"
         rounding = float(np.max(np.spacing(np.float32(np.abs(points).max())) * scale))
