@@ -6,11 +6,10 @@ import hashlib
 from pathlib import Path
 from weakref import WeakValueDictionary
 
-from backhoe_planner.files.found_file import is_file
+from backhoe_planner.files.files_beside import files_beside
 from backhoe_planner.machine import SPLIT_FORMATS, Cluster
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.schema import obstacle_shapes
-from backhoe_planner.site.surveys.geotiff import NOTED_BESIDE
 
 # keys of an obstacle's record on which its solid does not depend
 _BESIDE = {"name", "clearance", "links", "legs", "appears_at"}
@@ -41,7 +40,7 @@ def body_of(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Pie
 def _key(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> tuple[str, bytes] | None:
     """What the solid depends on; None if there is no file, none that can be read, or other files beside it."""
     name = getattr(spec, "file", None)
-    if name is None or name.lower().endswith(SPLIT_FORMATS) or is_file(folder / f"{name}{NOTED_BESIDE}"):
+    if name is None or name.lower().endswith(SPLIT_FORMATS) or files_beside(folder / name):
         return None
     try:
         content = (folder / name).read_bytes()

@@ -314,3 +314,120 @@ def test_terrain_in_use_is_read_again_when_a_file_beside_it_changes(tmp_path: Pa
     (tmp_path / "hill.tif.aux.xml").write_text(band, encoding="utf-8")
     second = build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
     assert (first.bounds[1, 2], second.bounds[1, 2]) == pytest.approx((3.0, 6.0), abs=1e-9)
+
+
+UTM = (
+    'PROJCS["ETRS_1989_UTM_Zone_32N",GEOGCS["GCS_ETRS_1989",DATUM["D_ETRS_1989",SPHEROID["GRS_1980",6378137.0,298.26]],'
+    'PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+    'PARAMETER["False_Easting",500000.0],UNIT["{}",{}]]'
+)
+METRE, FOOT = UTM.format("Meter", "1.0"), UTM.format("Foot_US", "0.304800609601219")
+DEGREES = 'GEOGCS["GCS_WGS_1984",DATUM["D",SPHEROID["S",6378137.0,298.26]],UNIT["Degree",0.0174532925199433]]'
+UTM_2 = (
+    'PROJCRS["UTM",BASEGEOGCRS["WGS 84",DATUM["W",ELLIPSOID["W",6378137,298.26,LENGTHUNIT["metre",1]]]],CONVERSION["z",'
+    'PARAMETER["False easting",500000,LENGTHUNIT["metre",1]]],CS[Cartesian,2],AXIS["(E)",east],AXIS["(N)",north],{}]'
+)
+HEIGHTS_OF = ',VERTCS["EGM96",VDATUM["E"],PARAMETER["Direction",{}],UNIT["{}",{}]]'
+
+
+def world_file(path: Path, *numbers: float) -> None:
+    path.write_text("".join(f"{number}\n" for number in numbers), encoding="utf-8")
+
+
+def noted(path: Path, transform: str, system: str) -> None:
+    text = f"<PAMDataset><SRS>{system}</SRS><GeoTransform>{transform}</GeoTransform></PAMDataset>"
+    path.with_name(path.name + ".aux.xml").write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["a.tfw", "a.TFW", "a.tifw", "a.wld"])
+def test_a_world_file_places_the_middle_of_the_first_cell(name: str, tmp_path: Path) -> None:
+    """Five rows of 0.5 m from 5.4e6 m on southwards: the last one is 2 m further south."""
+    file = write_tiff(tmp_path / "a.tif", image(HEIGHTS))
+    world_file(tmp_path / name, 0.5, 0.0, 0.0, -0.5, 6e5, 5.4e6)
+    found = read_height_grid(file)
+    np.testing.assert_allclose(np.array(found.low), [6e5, 5.4e6 - 2.0])
+    assert found.cell == 0.5
+    np.testing.assert_array_equal(read_heights(file, size=(1.0, 2.0)), HEIGHTS)
+    with pytest.raises(InputError, match=r"a\.tif: size: is of another size than the scene says; found \[10, 20\]"):
+        read_heights(file, size=(10.0, 20.0))
+
+
+def test_gdal_notes_the_corner_of_the_first_cell_beside_the_file(tmp_path: Path) -> None:
+    file = write_tiff(tmp_path / "a.tif", image(HEIGHTS))
+    noted(file, "6.0e5, 0.5, 0.0, 5.4e6, 0.0, -0.5", "EPSG:25832")
+    np.testing.assert_allclose(np.array(read_height_grid(file).low), [6e5 + 0.25, 5.4e6 - 2.25])
+    noted(file, "6.0e5, 0.5, 0.0, 5.4e6, 0.0, -0.5", DEGREES.replace('"', "&quot;"))
+    with pytest.raises(InputError, match=r"a\.tif: SRS in its \.aux\.xml: is in degrees"):
+        read_height_grid(file)
+
+
+def test_places_that_differ_are_refused_and_equal_ones_are_not(tmp_path: Path) -> None:
+    """The corner in the tags is half a cell from the middle in the world file."""
+    file = write_tiff(tmp_path / "a.tif", image(HEIGHTS, tags=placed({1024: 1, 3072: 25832})))
+    world_file(tmp_path / "a.tfw", 0.5, 0.0, 0.0, -0.5, 6e5 + 0.25, 5.4e6 - 0.25)
+    np.testing.assert_allclose(np.array(read_height_grid(file).low), [6e5 + 0.25, 5.4e6 - 2.25])
+    world_file(tmp_path / "a.tfw", 0.5, 0.0, 0.0, -0.5, 6e5 + 7.25, 5.4e6 - 0.25)
+    with pytest.raises(InputError, match=r"says two things; found 600000\.25, .* in its tags and 600007\.25.*a\.tfw"):
+        read_height_grid(file)
+
+
+WRONG_PLACES = {
+    "degrees": (
+        (1e-5, 0.0, 0.0, -1e-5, 11.5, 48.1),
+        r"a\.tif: may be in degrees; found cells of 1e-05 at 11\.5, 48\.1",
+    ),
+    "turned": ((0.5, 0.1, 0.1, -0.5, 6e5, 5.4e6), r"a\.tif: is turned against north"),
+    "oblong": ((0.5, 0.0, 0.0, -0.6, 6e5, 5.4e6), r"a\.tif: its cells are not square; found 0\.5 x 0\.6 m"),
+    "flipped": ((0.5, 0.0, 0.0, 0.5, 6e5, 5.4e6), r"a\.tif: is flipped; found rows from south to north"),
+    "five numbers": ((0.5, 0.0, 0.0, -0.5, 6e5), r"a\.tfw: its lines: is not a place; .*allowed: six numbers"),
+    "not finite": ((0.5, 0.0, 0.0, -0.5, 6e5, NAN), r"a\.tfw: its lines: is not a place"),
+}
+
+
+@pytest.mark.parametrize(("numbers", "said"), WRONG_PLACES.values(), ids=WRONG_PLACES.keys())
+def test_a_world_file_that_says_no_place_in_metres_is_refused(
+    numbers: tuple[float, ...], said: str, tmp_path: Path
+) -> None:
+    file = write_tiff(tmp_path / "a.tif", image(HEIGHTS))
+    world_file(tmp_path / "a.tfw", *numbers)
+    with pytest.raises(InputError, match=said):
+        read_height_grid(file)
+
+
+SYSTEMS = {
+    "metres": (METRE, None),
+    "US feet": (FOOT, r"is not in metres; found Foot_US 0\.304800609601219; allowed: metres"),
+    "degrees": (DEGREES, "is in degrees"),
+    "WKT 2, metres": (UTM_2.format('LENGTHUNIT["metre",1]'), None),
+    "WKT 2, feet": (UTM_2.format('LENGTHUNIT["foot",0.3048]'), r"is not in metres; found foot 0\.3048"),
+    "heights": (METRE + HEIGHTS_OF.format("1.0", "Meter", "1.0"), None),
+    "heights in feet": (
+        METRE + HEIGHTS_OF.format("1.0", "Foot", "0.3048"),
+        "its heights are not in metres; found Foot",
+    ),
+    "depths": (METRE + HEIGHTS_OF.format("-1.0", "Meter", "1.0"), "its heights are depths"),
+    "down": ('COMPD_CS["x",' + METRE + ',VERT_CS["v",UNIT["metre",1],AXIS["D",DOWN]]]', "its heights are depths"),
+    "a code in metres": ("EPSG:25832", None),
+    "a code in feet": ("EPSG:2229", "is not known to be in metres; found EPSG:2229"),
+    "something else": ("UTM 32", "is no reference system that can be read; found UTM 32; allowed: WKT"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), SYSTEMS.values(), ids=SYSTEMS.keys())
+def test_a_projection_file_counts_where_the_geotiff_names_no_system(
+    text: str, said: str | None, tmp_path: Path
+) -> None:
+    file = write_tiff(tmp_path / "a.tif", image(HEIGHTS))
+    (tmp_path / "a.prj").write_text(text, encoding="utf-8")
+    if said is None:
+        np.testing.assert_array_equal(read_height_grid(file).heights, HEIGHTS)
+    else:
+        with pytest.raises(InputError, match=rf"a\.prj: the system of a\.tif: {said}"):
+            read_height_grid(file)
+    write_tiff(file, image(HEIGHTS, tags=placed({1024: 1, 3072: 25832})))
+    np.testing.assert_array_equal(read_height_grid(file).heights, HEIGHTS)
+
+
+def test_the_largest_number_of_16_bits_is_a_missing_height(tmp_path: Path) -> None:
+    file = write_tiff(tmp_path / "a.tif", image(np.array([[1, 65535], [3, 4]]), kind="<u2"))
+    np.testing.assert_array_equal(read_height_grid(file).heights, [[1, NAN], [3, 4]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import typing
@@ -342,3 +343,23 @@ def test_every_figure_has_its_unit() -> None:
 )
 def test_units_are_those_of_the_plan_file(name: str, kind: Any, objective: str | None, unit: str) -> None:
     assert find_metric(name, kind, objective=objective).unit == unit
+
+
+def test_a_study_takes_the_files_beside_those_of_its_scene_along(tmp_path: Path) -> None:
+    """The scale of heights is in the .aux.xml of a GeoTIFF, the numbers of a glTF are in the files that it names."""
+    (tmp_path / "ground.tif").touch()
+    (tmp_path / "rock.gltf").write_text(json.dumps({"buffers": [{"uri": "rock%201.bin"}, {"uri": "data:,"}]}))
+    beside = {"ground.tif.aux.xml", "ground.tfw", "ground.prj", "rock 1.bin"}
+    for name in (*beside, "other.bin", "ground.csv"):
+        (tmp_path / name).touch()
+    scene = {
+        "version": 1, "start": {"joints": {}}, "task": {"goal": {"joints": {}}},
+        "obstacles": [
+            {"name": "ground", "shape": "heightmap", "file": "ground.tif", "size": [1, 1]},
+            {"name": "rock", "shape": "mesh", "file": "rock.gltf"},
+        ],
+    }  # fmt: skip
+    (tmp_path / "scene.yaml").write_text(json.dumps(scene))
+    content = {"version": 1, "machine": "example:planar4", "scene": "scene.yaml", "parameters": {"clearance": [0.1]}}
+    _, inputs = build_template(study_from_dict(content, folder=tmp_path))
+    assert {file.name for file in inputs.files} == {"ground.tif", "rock.gltf", *beside}

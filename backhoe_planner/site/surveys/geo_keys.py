@@ -51,6 +51,11 @@ class GeoKeys:
         """Whether a height is that of its place, not of the area around it."""
         return self._values.get(_RASTER) == _POINT
 
+    @property
+    def has_system(self) -> bool:
+        """Whether a key names a reference system, or the unit of x and y."""
+        return any(key in self._values for key in (_GEODETIC, _PROJECTED, _UNIT))
+
     def check_metres(self) -> None:
         """Check that x, y and heights are in metres, as far as the keys say.
 

@@ -3,7 +3,7 @@
 The following is read: one band of numbers, of any size in strips or tiles that are plain or deflated, and up to
 32 bits in other compressions; ModelPixelScale and ModelTiepoint, or a ModelTransformation without rotation;
 GDAL's tags for missing heights, and for the scale, offset and unit of numbers; its masks; and the keys for
-whether a number is that of a point or of an area, and for units.
+whether a number is that of a point or of an area, and for units. `raster_place` has the place.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.files_beside import NOTED_BESIDE
 from backhoe_planner.files.found_file import is_file
-from backhoe_planner.site.surveys.geo_keys import GeoKeys, numbers_of
+from backhoe_planner.site.surveys.raster_place import place_of
 from backhoe_planner.site.surveys.tiff_directory import Tags, TiffFile, read_tiff
 from backhoe_planner.site.surveys.tiff_numbers import (
     BITS,
@@ -33,20 +34,18 @@ from backhoe_planner.site.surveys.tiff_numbers import (
 )
 
 # numbers of tags in the standard
-_SCALE, _TIEPOINT, _TRANSFORMATION, _METADATA, _NO_DATA = 33550, 33922, 34264, 42112, 42113
+_METADATA, _NO_DATA = 42112, 42113
 _KIND, _OLD_KIND, _PHOTOMETRIC, _ORIENTATION, _BANDS = 254, 255, 262, 274, 277
 _BYTE_COUNTS = (279, 325)  # of strips and of tiles
 _REDUCED, _MASK, _OLD_REDUCED = 1, 4, 2  # kinds of image
 _UNSIGNED, _SIGNED = 1, 2
 _WHITE_IS_ZERO, _PALETTE, _NORTH_WEST_FIRST = 0, 3, 1
-_SQUARE_WITHIN = 1e-6  # of the cell: the two scales of square cells differ by rounding only
 _FORMATS = ("F", "I", "L", "I;16", "I;16B", "I;16L", "I;16N")  # Pillow's names of one band of numbers
 _MOST = 89_000_000  # heights: 0.7 GB; Pillow warns of more
 _COMPRESSIONS = {
     5: "LZW", 7: "JPEG", 32773: "PackBits", 34887: "LERC", 34925: "LZMA", 50000: "Zstandard", 50001: "WebP",
     50002: "JPEG XL",
 }  # fmt: skip
-NOTED_BESIDE = ".aux.xml"  # the end of the name of a file in which GDAL notes what it cannot note in tags
 _NOTED = ("scale", "offset", "unittype", "nodatavalue")  # of what GDAL notes of a band, what changes its heights
 _METRES = ("m", "metre", "meter", "metres", "meters")
 _AGAIN = "gdal_translate -ot Float32 -co COMPRESS=DEFLATE makes another file of it"
@@ -97,7 +96,7 @@ def read_geotiff(path: Path) -> HeightTable:
         heights[np.isclose(heights, missing, rtol=1e-6, atol=0.0)] = np.nan
     scale, offset = _scaling(said, path)
     heights = scale * heights + offset
-    return HeightTable(heights, *_place(tags, heights.shape[0], path))
+    return HeightTable(heights, *place_of(tags, heights.shape[0], path, _noted_of_place(path)))
 
 
 def _by_pillow(tiff: TiffFile, tags: Tags, path: Path) -> NDArray[Any]:
@@ -216,6 +215,18 @@ def _said_of_heights(tags: Tags, path: Path) -> dict[str, str]:
     return {key: text.strip("\0 \n") for key, text in said.items()}
 
 
+def _noted_of_place(path: Path) -> dict[str, str]:
+    """The texts of GeoTransform and SRS in the file of the same name that ends in .aux.xml, as far as it has them."""
+    beside = path.with_name(path.name + NOTED_BESIDE)
+    if not is_file(beside):
+        return {}
+    from xml.etree import ElementTree  # only when a GeoTIFF is read
+
+    root = ElementTree.fromstring(beside.read_bytes())  # `_said_of_heights` has found it sound
+    texts = ((key, (root.findtext(key) or "").strip()) for key in ("GeoTransform", "SRS"))
+    return {key: text for key, text in texts if text}
+
+
 def _are_same(text: str, other: str) -> bool:
     """Whether two texts are the same, or the same number but for rounding."""
     one, two = _number(text), _number(other)
@@ -244,39 +255,3 @@ def _scaling(said: dict[str, str], path: Path) -> tuple[float, float]:
             hint="gdal_calc.py makes metres of them",
         )  # fmt: skip
     return scale, offset
-
-
-def _place(tags: Tags, rows: int, path: Path) -> tuple[Vector | None, float]:
-    """(2,) x, y of the south-western height [m], and the distance between heights [m]."""
-    keys = GeoKeys(tags, path)
-    keys.check_metres()
-    if _TRANSFORMATION in tags:
-        m = numbers_of(tags, _TRANSFORMATION, 16, path, "ModelTransformation").reshape(4, 4)
-        if abs(m[0, 1]) + abs(m[1, 0]) > _SQUARE_WITHIN * abs(m[0, 0]):
-            raise InputError("is turned against north", file=path, hint="resample it along x and y")
-        corner, scale, upward = m[:2, 3], np.array([m[0, 0], -m[1, 1]]), (m[2, 2], m[2, 3])
-    elif _SCALE in tags and _TIEPOINT in tags:
-        pixel = numbers_of(tags, _SCALE, 3, path, "ModelPixelScale")
-        scale, of_heights = pixel[:2], pixel[2]
-        i, j, k, x, y, z = numbers_of(tags, _TIEPOINT, 6, path, "ModelTiepoint")
-        corner, upward = np.array([x - i * scale[0], y + j * scale[1]]), (of_heights, z - k * of_heights)
-    else:
-        return None, 0.0
-    if upward[0] not in (0.0, 1.0) or upward[1] != 0.0:
-        raise InputError(
-            "its place has a scale or an offset of heights", file=path, found=f"{upward[0]:g} and {upward[1]:g} m",
-            allowed="1 and 0", hint="apply them to the heights",
-        )  # fmt: skip
-    if min(scale) < 0.0:
-        found = " and ".join(
-            words for of, words in zip(scale, ("columns from east to west", "rows from south to north"), strict=True)
-            if of < 0.0
-        )  # fmt: skip
-        hint = "gdalwarp turns it"
-        raise InputError("is flipped", file=path, found=found, allowed="from west to east, north to south", hint=hint)
-    if min(scale) == 0.0 or abs(scale[0] - scale[1]) > _SQUARE_WITHIN * scale[0]:
-        found = f"{scale[0]:g} x {scale[1]:g} m"
-        raise InputError("its cells are not square", file=path, found=found, hint="resample it")
-    cell = float(scale[0])
-    middle = 0.0 if keys.places_are_points else 0.5  # of a cell, from the place in the tags to the height
-    return np.array([corner[0] + middle * cell, corner[1] - (rows - 1 + middle) * cell]), cell

@@ -11,8 +11,8 @@ from backhoe_planner.arrays import Flags, Matrix, Vector
 
 COMMENTS = ("#", "//")  # beginnings of comment lines
 
-# customary numbers in place of a missing height: no site is so deep
-_MISSING = (-9999.0, -32767.0, -32768.0, -99999.0)
+# customary numbers in place of a missing height: no site is so deep or so high
+_MISSING = (-9999.0, -32767.0, -32768.0, -99999.0, 65535.0)
 _LARGEST_OF_32_BITS = float(np.finfo(np.float32).max)  # with either sign, also used for a missing height
 _FEWEST_NUMBERED = 3  # rows from which on a rising first column counts as row numbers; chosen
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from backhoe_planner.errors import InputError, RobotError, SceneError, StudyError, nearest_name
+from backhoe_planner.files.files_beside import files_beside
 from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.job import SITE_KEYS, Job, job_from_dict, load_job
 from backhoe_planner.machine import Robot
@@ -338,4 +339,5 @@ def _inputs(study: Study, template: Scene | Job, made: Template) -> Inputs:
             texts = values.listed or study.parameters[name].get("choice", ())
             found = (Path(made.site_folder if site else made.folder, text) for text in texts if isinstance(text, str))
             files |= {file for file in found if file.is_file()}  # a row whose file is missing says so
+    files |= {beside for file in files for beside in files_beside(file)}
     return Inputs(tuple(robots), tuple(sorted({Path(absolute(file)) for file in files})))
