@@ -21,8 +21,8 @@ _TYPES = {
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-_HEADER = 1_000_000  # bytes in which the header ends
+ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+HEADER = 1_000_000  # bytes in which the header ends
 _CORNERS = ("vertex_indices", "vertex_index")  # names of a face's list of vertices
 _TRIANGLES = """ply
 format binary_little_endian 1.0
@@ -36,16 +36,20 @@ end_header
 """
 
 
-class _Property(NamedTuple):
+class Property(NamedTuple):
+    """A number of each row of an element, or a list of numbers."""
+
     name: str
     kind: str  # of numpy
     counted: str = ""  # the kind of a list's length; "" for a single number
 
 
-class _Element(NamedTuple):
+class Element(NamedTuple):
+    """What the header says of an element."""
+
     name: str
     rows: int
-    properties: list[_Property]
+    properties: list[Property]
 
 
 def ply_of_triangles(path: Path) -> BinaryIO | None:
@@ -70,17 +74,17 @@ def ply_of_triangles(path: Path) -> BinaryIO | None:
 
 
 def _with_equal_faces(content: bytes, path: Path) -> bytes | None:
-    head, end, _ = content[:_HEADER].partition(b"end_header")
+    head, end, _ = content[:HEADER].partition(b"end_header")
     words = [line.split() for line in head.decode("latin-1").splitlines()]
-    order = next((_ORDERS.get(line[1], "") for line in words if line[:1] == ["format"] and len(line) > 1), "")
+    order = next((ORDERS.get(line[1], "") for line in words if line[:1] == ["format"] and len(line) > 1), "")
     if not end or not order:
         return None
     at, columns, are_equal = content.index(b"\n", len(head)) + 1, dict[str, dict[str, Any]](), True
-    for element in _elements(words):
-        table, size = _equal_rows(content, element, at, order)
+    for element in elements_of(words):
+        table, size = equal_rows(content, element, at, order)
         if table is None:
             are_equal = False
-            columns[element.name], at = _rows(content, element, at, order)
+            columns[element.name], at = unequal_rows(content, element, at, order)
         else:
             columns[element.name], at = {name: table[name] for name in table.dtype.names or ()}, at + size
     if are_equal:
@@ -101,21 +105,36 @@ def _with_equal_faces(content: bytes, path: Path) -> bytes | None:
     return _TRIANGLES.format(len(vertices), len(faces)).encode() + vertices.tobytes() + faces.tobytes()
 
 
-def _elements(words: list[list[str]]) -> list[_Element]:
-    """The elements of a header."""
-    found = list[_Element]()
+def elements_of(words: list[list[str]]) -> list[Element]:
+    """The elements of a header, given the words of its lines.
+
+    Raises
+    ------
+    LookupError, ValueError: a line of it is not complete, or has an unknown type.
+    """
+    found = list[Element]()
     for line in words:
         if line[:1] == ["element"]:
-            found.append(_Element(line[1], int(line[2]), []))
+            found.append(Element(line[1], int(line[2]), []))
         elif line[:2] == ["property", "list"]:
-            found[-1].properties.append(_Property(line[4], _TYPES[line[3]], _TYPES[line[2]]))
+            found[-1].properties.append(Property(line[4], _TYPES[line[3]], _TYPES[line[2]]))
         elif line[:1] == ["property"]:
-            found[-1].properties.append(_Property(line[2], _TYPES[line[1]]))
+            found[-1].properties.append(Property(line[2], _TYPES[line[1]]))
     return found
 
 
-def _equal_rows(content: bytes, element: _Element, at: int, order: str) -> tuple[NDArray[Any] | None, int]:
-    """The rows of an element, and their size in bytes; None if their lists have different lengths."""
+def equal_rows(content: bytes, element: Element, at: int, order: str) -> tuple[NDArray[Any] | None, int]:
+    """The rows of an element that begins at a byte, and their size in bytes; None if they differ in length.
+
+    Parameters
+    ----------
+    at: the byte.
+    order: of the bytes in a number, as in `struct`.
+
+    Raises
+    ------
+    ValueError: the file is cut short.
+    """
     fields = list[tuple[Any, ...]]()
     for each in element.properties:
         if not each.counted:
@@ -136,8 +155,13 @@ def _equal_rows(content: bytes, element: _Element, at: int, order: str) -> tuple
     return (table if all(np.all(each == each[:1]) for each in lengths) else None), size
 
 
-def _rows(content: bytes, element: _Element, at: int, order: str) -> tuple[dict[str, list[Any]], int]:
-    """The columns of an element with lists of different lengths, and where the next element begins."""
+def unequal_rows(content: bytes, element: Element, at: int, order: str) -> tuple[dict[str, list[Any]], int]:
+    """The columns of an element with lists of different lengths, and where the next element begins.
+
+    Raises
+    ------
+    struct.error: the file is cut short.
+    """
     columns: dict[str, list[Any]] = {each.name: [] for each in element.properties}
     letters = {kind: np.dtype(kind).char for each in element.properties for kind in (each.kind, each.counted) if kind}
     for _ in range(element.rows):

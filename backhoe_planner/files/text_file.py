@@ -34,6 +34,8 @@ def read_text(path: Path, *, what: str, error: type[InputError] = InputError, fo
         raise error(f"cannot be read: {problem.strerror}", file=path) from problem
     except ValueError as problem:  # the name has a character that no name can have
         raise error(f"no such {what} file", file=path) from problem
+    if formats is not None and "\0" in text:
+        raise error("is not text: it has bytes of 0", file=path, allowed=formats)
     if not text.strip():
         raise error("the file is empty", file=path, allowed=f"a {what}")
     return text

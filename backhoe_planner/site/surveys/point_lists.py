@@ -25,7 +25,7 @@ from backhoe_planner.site.surveys.number_tables import (
     number_in,
 )
 
-POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .obj, .stl"
+POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .pcd, .las, .obj, .stl"
 
 MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")
@@ -82,6 +82,11 @@ def read_point_list(path: Path) -> Matrix:
         header, point numbers or decimal commas.
     """
     all_lines = read_text(path, what="point cloud", formats=POINT_FORMATS).splitlines()
+    if all_lines[0].lower().startswith("ncols"):
+        raise InputError(
+            "is an ESRI grid of heights, not a list of points", file=path, key="line 1", found=all_lines[0].strip(),
+            hint="make a heightmap of it: gdal_translate ground.asc ground.tif",
+        )  # fmt: skip
     head = _read_head(all_lines, path)
     lines = [line for line in all_lines[head.lines :] if line.strip() and not line.startswith(COMMENTS)]
     if not lines:

@@ -10,7 +10,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
-from backhoe_planner.files.ply_faces import ply_of_triangles
+from backhoe_planner.files.ply_points import ply_points
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.whole_mesh import check_whole, has_single_precision
 from backhoe_planner.site.surveys.extent import FURTHEST, LARGEST
@@ -24,13 +24,17 @@ from backhoe_planner.site.surveys.number_tables import (
     plain_table,
 )
 from backhoe_planner.site.surveys.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
+from backhoe_planner.site.surveys.scan_files import pcd_has_single_precision, read_las, read_pcd
 
 _FEWEST = 2  # heights along x and along y, so that there is ground between them
 _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
 _COARSEST = 0.01  # m: what floats of 32 bits may be rounded to, about the noise of a scanner; chosen
-_OTHER_CLOUDS = (".las", ".laz", ".e57", ".pcd", ".rcp", ".rcs", ".fls")
+_OTHER_CLOUDS = (".laz", ".e57", ".rcp", ".rcs", ".fls")
+_MESHES = (".off", ".dae", ".glb", ".gltf", ".3mf")
+_DEGREES_WITHIN = 0.05  # degrees: some kilometres; chosen
+_STEEPEST = 500.0  # times as high as wide: points in metres are not; chosen, flat ground in degrees is steeper
 
 
 def read_heights(path: Path, *, size: tuple[float, float] | None = None) -> Matrix:
@@ -138,7 +142,7 @@ def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> flo
 
 
 def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Matrix:
-    """(n, 3) points [m] from a PLY, or from text; see `read_point_list`.
+    """(n, 3) points [m] from a PLY, PCD, LAS, OBJ or STL, or from text; see `read_point_list`.
 
     Parameters
     ----------
@@ -151,22 +155,29 @@ def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Mat
     """
     if not is_file(path):
         raise InputError("no such point cloud file", file=path)
+    if path.stat().st_size == 0:
+        raise InputError("the file is empty", file=path, allowed="a point cloud")
     kind = path.suffix.lower()
-    if kind in _OTHER_CLOUDS:
-        raise InputError(
-            f"is a {kind} file, which is not read", file=path, allowed=POINT_FORMATS,
-            hint="pdal translate or CloudCompare make a PLY of it",
+    if kind in (*_OTHER_CLOUDS, *_MESHES):
+        hint = "CloudCompare makes a PLY of it, or it is a mesh" if kind in _MESHES else (
+            "pdal translate or CloudCompare make a LAS or PLY of it"
         )  # fmt: skip
+        raise InputError(f"is a {kind} file, which is not read", file=path, allowed=POINT_FORMATS, hint=hint)
     if kind == ".obj":
         points = read_obj_vertices(path)
-    elif kind in (".ply", ".stl"):
+    elif kind == ".ply":
+        check_whole(path)
+        points = ply_points(path)
+    elif kind == ".pcd":
+        points = read_pcd(path)
+    elif kind == ".las":
+        points = read_las(path)
+    elif kind == ".stl":
         import trimesh
 
         try:
             check_whole(path)
-            rewritten = ply_of_triangles(path)
-            source = path if rewritten is None else rewritten
-            loaded = trimesh.load(source, file_type=kind[1:], process=False)
+            loaded = trimesh.load(path, file_type="stl", process=False)
         except InputError:
             raise
         except Exception as error:  # trimesh passes on any exception of its format readers
@@ -177,8 +188,22 @@ def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Mat
         points = read_point_list(path)
     if len(points) == 0:
         raise InputError("holds no points", file=path)
+    _check_not_degrees(points, path)
     check_near(points, path, map_origin=map_origin)
     return points if map_origin is None else points - np.array(map_origin)
+
+
+def _check_not_degrees(points: Matrix, path: Path) -> None:
+    """Raise an InputError if points (n, 3) are all at one place but at many heights, like longitude and latitude."""
+    if len(points) < _FEWEST_POINTS or not (np.abs(points[:, :2]) <= (180.0, 180.0)).all():
+        return
+    wide, high = np.ptp(points[:, :2], axis=0), float(np.ptp(points[:, 2]))
+    if wide.min() > 0.0 and wide.max() < _DEGREES_WITHIN and high > _STEEPEST * wide.max():
+        found = f"{wide[0]:.2g} along x, {wide[1]:.2g} along y and {high:.2g} along z, at {points[0, 0]:.6g}, "
+        raise InputError(
+            "looks like degrees", file=path, found=f"{found}{points[0, 1]:.6g}", allowed="x, y, z in metres",
+            hint="project it, such as to UTM",
+        )  # fmt: skip
 
 
 def check_near(
@@ -206,7 +231,8 @@ def check_near(
         do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}` in the scene"
         far = f"map coordinates are too large: {do} puts the middle of the survey at 0, 0, or take the machine's place"
         rounding = float(np.max(np.spacing(np.float32(np.abs(points).max())) * scale))
-        if map_origin is not None and rounding > _COARSEST and has_single_precision(path):
+        is_single = pcd_has_single_precision if path.suffix.lower() == ".pcd" else has_single_precision
+        if map_origin is not None and rounding > _COARSEST and is_single(path):
             raise InputError(
                 f"its coordinates are floats of 32 bits, rounded to {rounding:g} m so far from 0", file=path,
                 found=f"coordinates up to {np.abs(points).max():,.0f}", allowed=f"up to {_COARSEST:g} m",

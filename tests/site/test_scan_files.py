@@ -1,0 +1,250 @@
+"""Scans in PLY, PCD and LAS written by hand, byte by byte: what is read, and what is refused."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.job import Terrain
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import build_obstacle, obstacle_from_dict, read_points
+
+POINTS = [[1.5, 2.5, 3.5], [4.0, 5.0, 6.0], [-7.0, 8.0, 9.25]]
+LETTERS = {"float": "f", "double": "d", "uchar": "B", "int": "i", "short": "h"}
+
+
+def ply(kind: str, properties: list[tuple[str, str]], rows: list[list[float]], *, before: str = "") -> bytes:
+    lines = [f"property {form} {name}" for form, name in properties]
+    head = "\n".join(["ply", f"format {kind} 1.0", *before.split("\n")[:-1], f"element vertex {len(rows)}", *lines])
+    if kind == "ascii":
+        body = "".join(" ".join(f"{number:g}" for number in row) + "\n" for row in rows).encode()
+    else:
+        order = "<" if "little" in kind else ">"
+        body = b"".join(struct.pack(order + "".join(LETTERS[form] for form, _ in properties), *row) for row in rows)
+    return f"{head}\nend_header\n".encode() + body
+
+
+FLOATS, DOUBLES = ([(form, axis) for axis in "xyz"] for form in ("float", "double"))
+KINDS = ("ascii", "binary_little_endian", "binary_big_endian")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_vertices_of_a_ply_are_points_whatever_else_it_has(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "scan.ply"
+    camera = "element camera 0\nproperty float view_px\n"
+    coloured = [("uchar", "red"), ("double", "z"), ("float", "nx"), ("float", "y"), ("short", "x")]
+    whole = [[1, 5, 3], [4, 7, 6]]
+    for content, expected in (
+        (ply(kind, FLOATS, POINTS), POINTS),
+        (ply(kind, DOUBLES, POINTS, before=camera), POINTS),
+        (ply(kind, coloured, [[7, z, 0.5, y, x] for x, y, z in whole]), whole),
+        (ply(kind, FLOATS, POINTS).replace(b"\n", b"\r\n", 6 if kind != "ascii" else -1), POINTS),
+        (ply(kind, FLOATS, [*POINTS, POINTS[0]]), [*POINTS, POINTS[0]]),
+    ):
+        file.write_bytes(content)
+        np.testing.assert_array_equal(read_points(file), expected)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_lists_at_the_vertices_of_a_ply_may_have_different_lengths(order: str, tmp_path: Path) -> None:
+    head = "element vertex 3\nproperty list uchar int seen\nproperty float x\nproperty float y\nproperty float z\n"
+    kind = "little" if order == "<" else "big"
+    body = b"".join(
+        struct.pack(f"{order}B{seen}i3f", seen, *range(seen), *point)
+        for seen, point in zip((2, 0, 3), POINTS, strict=True)
+    )
+    (tmp_path / "a.ply").write_bytes(f"ply\nformat binary_{kind}_endian 1.0\n{head}end_header\n".encode() + body)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.ply"), POINTS)
+    text = "2 0 1 1.5 2.5 3.5\n0 4 5 6\n3 0 1 2 -7 8 9.25\n"
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\n{head}end_header\n{text}", encoding="utf-8")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.ply"), POINTS)
+
+
+BINARY = ply("binary_little_endian", FLOATS, POINTS)
+TEXT = ply("ascii", FLOATS, POINTS)
+WRONG_PLY = {
+    "no z": (ply("ascii", FLOATS[:2], [[1, 2]]), "element vertex: does not name x, y and z once each; found x, y; "),
+    "capitals": (TEXT.replace(b"float x", b"float X"), "element vertex: .* found X, y, z; allowed: properties x, y"),
+    "no vertices": (TEXT.replace(b"vertex", b"corner"), "header: has no points; found corner; allowed: element vertex"),
+    "no end": (TEXT.replace(b"end_header", b""), "header: is not a PLY; found no line with end_header"),
+    "another format": (
+        TEXT.replace(b"ascii", b"binary"),
+        "format: is not a PLY; found binary; allowed: ascii, binary_",
+    ),
+    "an unknown type": (TEXT.replace(b"float y", b"half y"), "header: is not a PLY: its header cannot be read"),
+    "a short line": (TEXT.replace(b"4 5 6", b"4 5"), r"line 9: is no point; found 4 5; allowed: numbers for x, y, z"),
+    "a word": (TEXT.replace(b"4 5 6", b"4 5 deep"), "line 9: is no point; found 4 5 deep"),
+    "cut short": (BINARY[:-1], "is a PLY that is cut short or damaged"),
+    "too long": (BINARY + b"\n", r"the file holds more than its header says; found \d+ bytes, not \d+"),
+    "no points": (ply("binary_little_endian", FLOATS, []), "holds no points"),
+    "not finite": (ply("ascii", FLOATS, [[1, 2, np.inf]]), "point 1, coordinate 3: a coordinate is not finite"),
+    "missing": (ply("ascii", FLOATS, [[1, 2, np.nan]]), "point 1, coordinate 3: a coordinate is missing"),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), WRONG_PLY.values(), ids=WRONG_PLY.keys())
+def test_a_ply_without_points_is_refused_by_its_line_or_key(content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_bytes(content)
+    with pytest.raises(InputError, match=rf"scan\.ply: {said}"):
+        read_points(tmp_path / "scan.ply")
+
+
+def pcd(data: str, body: bytes, *, rows: int = 3, **changes: str) -> bytes:
+    head = {
+        "VERSION": "0.7", "FIELDS": "intensity x y z _", "SIZE": "2 4 4 4 1", "TYPE": "U F F F U", "COUNT": "1 1 1 1 2",
+        "WIDTH": str(rows), "HEIGHT": "1", "VIEWPOINT": "0 0 0 1 0 0 0", "POINTS": str(rows), "DATA": data,
+    } | changes  # fmt: skip
+    return ("# .PCD v0.7\n" + "".join(f"{key} {words}\n" for key, words in head.items() if words)).encode() + body
+
+
+def rows_of(points: list[list[float]]) -> bytes:
+    return b"".join(struct.pack("<H3f2B", 9, *point, 1, 2) for point in points)
+
+
+def test_points_of_a_pcd_are_read_in_each_of_its_forms(tmp_path: Path) -> None:
+    """Compressed by hand: a run of 6 bytes, 9 0 three times, is 9 0 and a copy of 4 bytes from 2 before."""
+    text = "".join(f"9 {x} {y} {z} 1 2\n" for x, y, z in POINTS).encode()
+    numbers = b"".join(struct.pack("<f", point[axis]) for axis in range(3) for point in POINTS) + b"\1\2\1\2\1\2"
+    literal = [bytes([len(part) - 1]) + part for part in (numbers[:30], numbers[30:])]
+    small = b"\x01\x09\x00" + bytes([(4 - 2) << 5, 1]) + b"".join(literal)
+    packed = struct.pack("<II", len(small), 6 + len(numbers)) + small
+    for content in (pcd("ascii", text), pcd("binary", rows_of(POINTS)), pcd("binary_compressed", packed)):
+        (tmp_path / "scan.pcd").write_bytes(content)
+        np.testing.assert_array_equal(read_points(tmp_path / "scan.pcd"), POINTS)
+
+
+def test_points_of_a_pcd_without_an_echo_are_left_out(tmp_path: Path) -> None:
+    silent = [POINTS[0], [np.nan] * 3, *POINTS[1:]]
+    (tmp_path / "scan.pcd").write_bytes(pcd("binary", rows_of(silent), rows=4))
+    np.testing.assert_array_equal(read_points(tmp_path / "scan.pcd"), POINTS)
+    (tmp_path / "scan.pcd").write_bytes(pcd("binary", rows_of([[1.0, np.nan, 2.0]]), rows=1))
+    with pytest.raises(InputError, match="point 1, coordinate 2: a coordinate is missing"):
+        read_points(tmp_path / "scan.pcd")
+
+
+WHOLE = rows_of(POINTS)
+WRONG_PCD = {
+    "no fields": (pcd("binary", WHOLE, FIELDS=""), "header: is not a PCD; found no FIELDS"),
+    "another form": (pcd("zip", WHOLE), "DATA: is not a PCD; found zip; allowed: ascii, binary, binary_compressed"),
+    "no z": (pcd("binary", WHOLE, FIELDS="i x y w _"), "FIELDS: does not name x, y and z once each; found i x y w _"),
+    "moved": (pcd("binary", WHOLE, VIEWPOINT="1 0 0 1 0 0 0"), "VIEWPOINT: has a viewpoint, .* found 1 0 0 1 0 0 0"),
+    "cut short": (pcd("binary", WHOLE[:-1]), "is a PCD that is cut short or damaged"),
+    "few sizes": (pcd("binary", WHOLE, SIZE="4 4 4"), "is a PCD that is cut short or damaged"),
+    "few lines": (pcd("ascii", b"9 1 2 3 1 2\n"), "is a PCD that is cut short or damaged: 1 lines, not 3"),
+    "few numbers": (pcd("ascii", b"9 1 2 3\n" * 3), "cut short or damaged: 4 numbers in a line, not 6"),
+    "packed": (pcd("binary_compressed", struct.pack("<II", 3, 60) + b"\x20\0\0"), "60 bytes of points, not 48"),
+    "copies": (pcd("binary_compressed", struct.pack("<II", 2, 48) + b"\x20\0"), "a copy of bytes before the first"),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), WRONG_PCD.values(), ids=WRONG_PCD.keys())
+def test_a_pcd_that_cannot_be_read_is_refused(content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scan.pcd").write_bytes(content)
+    with pytest.raises(InputError, match=rf"scan\.pcd: {said}|scan\.pcd: .*{said}"):
+        read_points(tmp_path / "scan.pcd")
+
+
+def test_a_pcd_of_32_bits_in_map_coordinates_is_refused(tmp_path: Path) -> None:
+    far = [[x + 500_000.0, y + 5_400_000.0, z] for x, y, z in POINTS]
+    (tmp_path / "scan.pcd").write_bytes(pcd("binary", rows_of(far)))
+    with pytest.raises(InputError, match=r"floats of 32 bits, rounded to 0\.5 m so far from 0"):
+        read_points(tmp_path / "scan.pcd", map_origin=(500_000, 5_400_000, 0))
+
+
+def las(*records: tuple[int, bytes], minor: int = 2, form: int = 0, user: bytes = b"LASF_Projection") -> bytes:
+    """Points at 500000 + 0.01 x, 5400000 + 0.01 y, 0.001 z, with 8 other bytes each."""
+    listed = b"".join(struct.pack("<H16sHH32s", 0, user, number, len(data), b"") + data for number, data in records)
+    size = 375 if minor >= 4 else 227
+    numbers = [(round(100 * x), round(100 * y), round(1000 * z)) for x, y, z in POINTS]
+    head = bytearray(size)
+    head[:4], head[24:26] = b"LASF", bytes([1, minor])
+    legacy = 0 if minor >= 4 else len(numbers)
+    struct.pack_into("<HIIBHI", head, 94, size, size + len(listed), len(records), form, 20, legacy)
+    struct.pack_into("<6d", head, 131, 0.01, 0.01, 0.001, 5e5, 5.4e6, 0.0)
+    if minor >= 4:
+        struct.pack_into("<Q", head, 247, len(numbers))
+    return bytes(head) + listed + b"".join(struct.pack("<3i8x", *each) for each in numbers)
+
+
+def keys(*pairs: tuple[int, int]) -> bytes:
+    return struct.pack(f"<{4 + 4 * len(pairs)}H", 1, 1, 0, len(pairs), *(n for k, v in pairs for n in (k, 0, 1, v)))
+
+
+@pytest.mark.parametrize("minor", [0, 2, 4])
+def test_points_of_a_las_are_read_in_map_coordinates(minor: int, tmp_path: Path) -> None:
+    (tmp_path / "scan.las").write_bytes(las((34735, keys((1024, 1), (3072, 25832))), minor=minor))
+    found = read_points(tmp_path / "scan.las", map_origin=(500_000, 5_400_000, 0))
+    np.testing.assert_allclose(found, POINTS, atol=2e-9)
+    with pytest.raises(InputError, match=r"`map_origin: \[499998, 5400005, 4\]`"):
+        read_points(tmp_path / "scan.las", map_origin=(0, 0, 0))
+
+
+WRONG_LAS = {
+    "degrees": (las((34735, keys((1024, 2), (2048, 4326)))), "its reference system: is in degrees"),
+    "feet": (las((34735, keys((1024, 1), (3072, 2229)))), "its reference system: is not in metres; found EPSG 2229"),
+    "heights in feet": (
+        las((34735, keys((1024, 1), (3072, 25832), (4099, 9002)))),
+        "its reference system: its heights are not in metres",
+    ),
+    "WKT": (las((2112, b'GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]\0'), minor=4), "its WKT record: is in deg"),
+    "LAZ": (las(form=0x80), "is compressed, a LAZ; found point format 128"),
+    "no LAS": (b"LASX" + las()[4:], "is not a LAS; found b'LASX'"),
+    "cut short": (las()[:-1], "is a LAS that is cut short or damaged"),
+    "cut in its header": (las()[:100], "is a LAS that is cut short or damaged"),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), WRONG_LAS.values(), ids=WRONG_LAS.keys())
+def test_a_las_that_cannot_be_read_or_is_not_in_metres_is_refused(content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scan.las").write_bytes(content)
+    with pytest.raises(InputError, match=rf"scan\.las: {said}"):
+        read_points(tmp_path / "scan.las")
+
+
+def test_records_of_others_in_a_las_are_not_looked_at(tmp_path: Path) -> None:
+    (tmp_path / "scan.las").write_bytes(las((34735, keys((1024, 2))), user=b"somebody"))
+    np.testing.assert_allclose(read_points(tmp_path / "scan.las", map_origin=(5e5, 5.4e6, 0)), POINTS, atol=2e-9)
+
+
+def test_scans_are_obstacles_and_ground(planar4: Robot, tmp_path: Path) -> None:
+    """Three voxels of 0.5 m, one around each point."""
+    (tmp_path / "scan.pcd").write_bytes(pcd("binary", WHOLE))
+    record = {"name": "scan", "shape": "pointcloud", "file": "scan.pcd", "resolution": 0.5}
+    found = build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
+    np.testing.assert_allclose(found.bounds, [[-7.0, 2.5, 3.5], [4.5, 8.5, 9.5]], atol=1e-9)
+    ground = Terrain.from_file(tmp_path / "scan.pcd", low=(-8.0, 2.0), high=(5.0, 9.0), cell=1.0, fill=20.0)
+    assert ground.surface.max() == pytest.approx(9.25)
+
+
+OTHERS = {
+    "scan.laz": (b"LASF", r"is a \.laz file, which is not read; allowed: text with x, y, z.* make a LAS or PLY of it"),
+    "scan.glb": (b"glTF", r"is a \.glb file, which is not read; .* or it is a mesh"),
+    "scan.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", r"is a \.off file, which is not read"),
+    "scan.asc": (b"ncols 3\nnrows 1\n1 2 3\n", "line 1: is an ESRI grid of heights, not a list of points"),
+    "scan.xyz": (b"LASF\0\0\0\0", "is not text: it has bytes of 0"),
+}
+
+
+@pytest.mark.parametrize(("name", "content", "said"), [(name, *rest) for name, rest in OTHERS.items()], ids=OTHERS)
+def test_files_that_are_no_points_are_refused(name: str, content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        read_points(tmp_path / name)
+
+
+def test_longitude_and_latitude_are_refused_and_a_thin_pole_is_not(tmp_path: Path) -> None:
+    """A hundred points within 100 m are within 0.001 degrees; a pole of 5 m and 2 cm is 250 times as high as wide."""
+    rng = np.random.default_rng(5)
+    places = np.column_stack(
+        (11.5 + rng.uniform(0, 1e-3, 100), 48.1 + rng.uniform(0, 1e-3, 100), rng.uniform(0, 9, 100))
+    )
+    np.savetxt(tmp_path / "scan.xyz", places, fmt="%.9f")
+    with pytest.raises(InputError, match=r"scan\.xyz: looks like degrees; found .* along z, at 11\.5.*UTM"):
+        read_points(tmp_path / "scan.xyz")
+    pole = np.column_stack((rng.uniform(0, 0.02, (100, 2)), np.linspace(0, 5, 100)))
+    np.savetxt(tmp_path / "pole.xyz", pole, fmt="%.9f")
+    np.testing.assert_allclose(read_points(tmp_path / "pole.xyz"), pole, atol=1e-9)
