@@ -67,8 +67,7 @@ def mesh_axes(path: Path) -> MeshAxes:
 
     Raises
     ------
-    InputError: there is no such file, the unit that it states is none, or it is no XML or archive.
-    OSError: the file cannot be read.
+    InputError: there is no such file, it cannot be read, the unit that it states is none, or it is no XML or archive.
     """
     if not is_file(path):
         raise InputError("no such mesh file", file=path)
@@ -81,7 +80,11 @@ def mesh_axes(path: Path) -> MeshAxes:
             return _axes_of_collada(path)
         if kind == ".3mf":
             return MeshAxes(unit=_unit_of_3mf(path))
-    except (etree.XMLSyntaxError, zipfile.BadZipFile, KeyError) as error:
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from error
+    except Exception as error:  # zipfile and lxml pass on whatever their decoders raise
         raise InputError(f"is not a mesh that can be read: {error}", file=path) from error
     return MeshAxes()
 

@@ -18,6 +18,7 @@ import pytest
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.files.mesh_axes import mesh_axes
 from backhoe_planner.machine import Robot, load_mesh, load_robot
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.site_meshes import site_mesh
@@ -184,6 +185,20 @@ def test_a_unit_that_is_none_is_refused(unit: str, planar4: Robot, tmp_path: Pat
         build_obstacles(scene_of(tmp_path, "block.3mf"), planar4)
 
 
+@pytest.mark.parametrize("kind", ["3mf", "dae", "glb"])
+def test_a_mesh_cut_anywhere_is_refused(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / f"block.{kind}"
+    write(file, kind)
+    whole = file.read_bytes()
+    for length in range(0, len(whole) - 1, 150):
+        file.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=rf"block\.{kind}"):
+            load_mesh(file)
+        if kind == "3mf":
+            with pytest.raises(InputError, match=r"block\.3mf"):
+                mesh_axes(file)
+
+
 def test_an_axis_that_may_not_be_up_is_warned_of_until_the_scene_says_it(planar4: Robot, tmp_path: Path) -> None:
     (tmp_path / "y.dae").write_text(collada("<up_axis>Y_UP</up_axis>"), encoding="utf-8")
     (tmp_path / "z.dae").write_text(collada(), encoding="utf-8")
@@ -213,7 +228,7 @@ def test_a_mesh_as_large_or_small_as_in_other_units_is_warned_of(planar4: Robot,
     (tmp_path / "block.dae").write_text(collada(), encoding="utf-8")
     write(tmp_path / "block.3mf", "3mf")
     for file, keys, said in (
-        ("block.dae", {"scale": 1000.0}, "block (block.dae) is 3,000 m large, 7.5e+02 times as far as the machine"),
+        ("block.dae", {"scale": 1000.0}, "block (block.dae) is 3,000 m large, 750 times as far as the machine"),
         ("block.3mf", {}, "is 3 mm large, 0.00075 times as far as the machine reaches, at a scale of 0.001, which its"),
         ("block.3mf", {"scale": 0.1}, None),
         ("block.dae", {}, None),
@@ -246,6 +261,19 @@ def test_links_of_a_urdf_count_and_are_drawn_alike(
     assert warnings == ()
     for points in (solid, drawn.facets.vertices):
         np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [low, high], atol=1e-7)
+
+
+@pytest.mark.parametrize(("scale", "said"), [("1000 1 1", "drawn 1e+03 m"), ("0.001 0.001 0.001", "drawn 0.003 m")])
+def test_a_link_that_is_drawn_in_other_units_than_it_counts_is_warned_of(scale: str, said: str, tmp_path: Path) -> None:
+    """It counts as 1 by 2 by 3 m."""
+    (tmp_path / "block.dae").write_text(collada(), encoding="utf-8")
+    head, visual, end = URDF.format("block.dae").replace("1 2 3", "1 1 1").partition("<visual>")
+    for factor, warned in ((scale, True), ("0.1 0.1 0.1", False)):
+        text = head + visual + end.replace("1 1 1", factor)
+        (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+        _, warnings = machine_meshes(load_robot(tmp_path / "arm.urdf"))
+        expected = f"link arm: it is {said} large, and its collision shape is 3 m large; `scale`"
+        assert [warning.startswith(expected) for warning in warnings] == [True] * warned
 
 
 @pytest.mark.parametrize(("scale", "size"), [("1000 1 1", "1e+03 m"), ("1e-5 1e-5 1e-5", "3e-05 m"), ("1 1 1", None)])

@@ -134,6 +134,7 @@ WRONG_PCD = {
     "moved": (pcd("binary", WHOLE, VIEWPOINT="1 0 0 1 0 0 0"), "VIEWPOINT: has a viewpoint, .* found 1 0 0 1 0 0 0"),
     "cut short": (pcd("binary", WHOLE[:-1]), "is a PCD that is cut short or damaged"),
     "few sizes": (pcd("binary", WHOLE, SIZE="4 4 4"), "is a PCD that is cut short or damaged"),
+    "no numbers": (pcd("binary", WHOLE, COUNT="1 0 1 1 2"), "is a PCD that is cut short or damaged"),
     "few lines": (pcd("ascii", b"9 1 2 3 1 2\n"), "is a PCD that is cut short or damaged: 1 lines, not 3"),
     "few numbers": (pcd("ascii", b"9 1 2 3\n" * 3), "cut short or damaged: 4 numbers in a line, not 6"),
     "packed": (pcd("binary_compressed", struct.pack("<II", 3, 60) + b"\x20\0\0"), "60 bytes of points, not 48"),

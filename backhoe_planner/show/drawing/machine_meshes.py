@@ -8,12 +8,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.mesh_parts import check_all_read
 from backhoe_planner.machine import Robot, Visual, mesh_frame
 from backhoe_planner.show.drawing.palette import MACHINE, Rgba
 from backhoe_planner.show.drawing.solids import Facets, facets, solid
 
 _PLAIN: Rgba = (*MACHINE, 1.0)
+_ODD = 100.0  # times as large or small: a shape is probably in other units than another one; chosen
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]
             continue
         for rgba, mesh in drawn:
             parts.setdefault((visual.link, visual.joint, rgba), []).append(mesh)
+    warnings += _odd_sizes(robot, parts)
     if not robot.visuals:
         warnings.append("the URDF has no visuals; the collision shapes are drawn")
         replaced.update(robot.link_names)
@@ -66,6 +69,26 @@ def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]
         for (link, joint, rgba), meshes in parts.items()
     )
     return found, tuple(warnings)
+
+
+def _odd_sizes(robot: Robot, drawn: dict[tuple[str, int, Rgba], list[trimesh.Trimesh]]) -> list[str]:
+    """Words about links that are drawn so much larger or smaller than they count as if in other units."""
+    visible, counted = dict[str, list[Matrix]](), dict[str, list[Matrix]]()
+    for (link, _, _), meshes in drawn.items():
+        visible.setdefault(link, []).extend(np.asarray(mesh.bounds) for mesh in meshes)
+    for piece in robot.pieces:
+        hull, radius = piece.piece.hull, piece.piece.radius
+        counted.setdefault(piece.link, []).append(np.array([hull.min(axis=0) - radius, hull.max(axis=0) + radius]))
+    found = []
+    for link in visible.keys() & counted.keys():
+        ends = (np.stack(boxes) for boxes in (visible[link], counted[link]))
+        sizes = [float(np.max(each[:, 1].max(axis=0) - each[:, 0].min(axis=0))) for each in ends]
+        if max(sizes) > _ODD * min(sizes):
+            found.append(
+                f"link {link}: it is drawn {sizes[0]:.3g} m large, and its collision shape is {sizes[1]:.3g} m large; "
+                "`scale` of its <mesh> takes the units of a file to metres"
+            )
+    return sorted(found)
 
 
 def _visual(visual: Visual) -> list[tuple[Rgba, trimesh.Trimesh]]:

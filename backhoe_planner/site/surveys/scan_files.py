@@ -59,11 +59,11 @@ def read_pcd(path: Path) -> Matrix:
             table = _text_of_pcd(content[begin:], fields, rows)
         else:
             table = _bytes_of_pcd(content[begin:], fields, rows, packed=head["DATA"][0] == "binary_compressed")
+        points = np.column_stack([table[names.index(axis)][:, 0] for axis in _AXES]).astype(float)
     except InputError:
         raise
     except (LookupError, ValueError, TypeError, struct.error) as error:
         raise InputError(f"is a PCD that is cut short or damaged: {error}", file=path) from error
-    points = np.column_stack([table[names.index(axis)][:, 0] for axis in _AXES]).astype(float)
     return np.asarray(points[~np.isnan(points).all(axis=1)])
 
 
