@@ -45,6 +45,7 @@ from .schema.obstacle_shapes import HalfSpace as HalfSpace
 from .schema.obstacle_shapes import scan_body as scan_body
 from .schema.obstacle_shapes import terrain_body as terrain_body
 from .schema.quantities import Finite as Finite
+from .schema.quantities import MapPoint as MapPoint
 from .schema.quantities import Moment as Moment
 from .schema.quantities import Slope as Slope
 from .schema.tasks import JointsGoal as JointsGoal

@@ -159,7 +159,7 @@ def test_the_map_origin_in_a_message_is_in_the_axes_of_the_file(planar4: Robot, 
     """A node 110 km along x, 300 m along y, which is up, and 120 km along z."""
     moved = gltf(nodes=[{"mesh": 0, "translation": [1.1e5, 300, 1.2e5]}])
     (tmp_path / "far.gltf").write_text(json.dumps(moved), encoding="utf-8")
-    with pytest.raises(SceneError, match=r"`map_origin: \[11000[01], 300, 12000[12]\]` in the scene"):
+    with pytest.raises(SceneError, match=r"`map_origin: \[11000[01], 300, 12000[12]\]` puts"):
         build_obstacles(scene_of(tmp_path, "far.gltf"), planar4)
 
 

@@ -570,7 +570,7 @@ def test_a_survey_in_map_coordinates_is_refused_with_the_map_origin_to_write(pla
     ):
         with pytest.raises(SceneError, match=r"a coordinate is too large.*`map_origin: ") as caught:
             build(planar4, tmp_path, **keys)
-        assert f"`map_origin: {written}` in the scene" in str(caught.value)
+        assert f"`map_origin: {written}` puts" in str(caught.value)
         found = build(planar4, tmp_path, **keys, map_origin=[float(x) for x in written.strip("[]").split(",")])
         assert np.abs(extent(found)).max() < 10.0
     with pytest.raises(InputError, match=r"subtract \[500001, 5400003, 300\] from all points"):

@@ -33,7 +33,7 @@ class Scanned:
 
 def scanned(
     known: Terrain, file: str | Path, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
-    fill: float = 0.0, noise: float = _NOISE,
+    fill: float = 0.0, noise: float = _NOISE, map_origin: Sequence[float] | Vector | None = None,
 ) -> Scanned:  # fmt: skip
     """The ground according to a file, on the grid of the known ground.
 
@@ -47,6 +47,7 @@ def scanned(
     low: (2,) x, y of the file's first height [m]; required for a CSV.
     cell: distance between the file's heights [m]; required for a CSV.
     fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
+    map_origin: (3,) of points, as in `Terrain.from_file`.
     noise: the ground is unchanged where the scan is this close to the known surface [m].
 
     Raises
@@ -56,7 +57,9 @@ def scanned(
     check_kind(known, Terrain, key="known")
     file, noise = check_path(file, key="file"), as_number(noise, key="noise", least=0.0)
     onto = HeightGrid(known.low, known.cell, np.full(known.shape, np.nan))
-    heights = filled(survey_on(file, onto, low=low, cell=cell), as_number(fill, key="fill", least=0.0)).z
+    heights = filled(
+        survey_on(file, onto, low=low, cell=cell, map_origin=map_origin), as_number(fill, key="fill", least=0.0)
+    ).z
     unknown = np.isnan(heights)
     if unknown.all():
         raise InputError(

@@ -17,8 +17,9 @@ _POINTS = (".ply", ".pcd", ".las", ".obj", ".stl", ".xyz", ".txt", ".pts")
 
 
 def read_survey(
-    file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None
-) -> HeightGrid:
+    file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None,
+    map_origin: Sequence[float] | Vector | None = None,
+) -> HeightGrid:  # fmt: skip
     """The heights in a file, see `Terrain.from_file`; NaN where there is none.
 
     Raises
@@ -26,12 +27,13 @@ def read_survey(
     InputError: the file is missing or malformed, or does not contain its position.
     """
     if file.suffix.lower() in _POINTS:
-        points = read_points(file)
+        points = read_points(file, map_origin=_origin(map_origin))
         start = points[:, :2].min(axis=0) if low is None else low
         end = points[:, :2].max(axis=0) if high is None else high
         return column_means(points, empty_grid(start, end, CELL if cell is None else cell))
-    grid = _read_table(file, low, cell, moved=high is None)
-    if high is None and (cell is None or cell == grid.cell):
+    moved = high is None and map_origin is None
+    grid = _read_table(file, low, cell, map_origin, moved=moved)
+    if high is None and (moved or low is None) and (cell is None or cell == grid.cell):
         return grid
     start = grid.low if low is None else low
     step = CELL if cell is None else cell
@@ -39,26 +41,44 @@ def read_survey(
 
 
 def survey_on(
-    file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None = None, cell: float | None = None
-) -> HeightGrid:
+    file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
+    map_origin: Sequence[float] | Vector | None = None,
+) -> HeightGrid:  # fmt: skip
     """The heights in a file at the nodes of a grid; NaN where the file does not reach.
 
     Parameters
     ----------
     low, cell: position and spacing of the heights, as in `Terrain.from_file`; points and a GeoTIFF need neither.
+    map_origin: of points, as in `Terrain.from_file`.
 
     Raises
     ------
     InputError: as for `read_survey`.
     """
     if file.suffix.lower() in _POINTS:
-        return column_means(read_points(file), onto)
-    return resampled(_read_table(file, low, cell, moved=True), onto)
+        return column_means(read_points(file, map_origin=_origin(map_origin)), onto)
+    return resampled(_read_table(file, low, cell, None, moved=True), onto)
 
 
-def _read_table(file: Path, low: Sequence[float] | Vector | None, cell: float | None, *, moved: bool) -> HeightGrid:
+def _origin(map_origin: Sequence[float] | Vector | None) -> tuple[float, ...]:
+    """The point of a file's coordinates that is the origin of the site [m], checked."""
+    return (0.0,) * 3 if map_origin is None else tuple(as_vector(map_origin, 3, key="map_origin").tolist())
+
+
+def _read_table(
+    file: Path, low: Sequence[float] | Vector | None, cell: float | None, map_origin: Sequence[float] | Vector | None,
+    *, moved: bool,
+) -> HeightGrid:  # fmt: skip
     """The heights in a file; `moved` puts their first height at `low`, whatever position the file gives."""
     table = read_height_grid(file)
+    if map_origin is not None:
+        x, y, z = _origin(map_origin)
+        if table.low is None:
+            raise InputError(
+                "does not place its heights on a map", file=file, key="map_origin", found=f"{x:g}, {y:g}, {z:g}",
+                hint="low is the place of its first height on the site",
+            )  # fmt: skip
+        table = table._replace(low=table.low - np.array([x, y]), heights=table.heights - z)
     start = None if low is None else as_vector(low, 2, key="low")
     if table.low is not None:
         grid = HeightGrid(table.low, as_cell(table.cell), table.heights)

@@ -129,6 +129,7 @@ class Terrain:
         cls, file: str | Path, *, low: Sequence[float] | Vector | None = None,
         high: Sequence[float] | Vector | None = None, cell: float | None = None, soil: Soil | None = None,
         swell: float = SWELL, repose: float = REPOSE, fill: float = 0.0,
+        map_origin: Sequence[float] | Vector | None = None,
     ) -> Terrain:  # fmt: skip
         """Ground from a survey; all of it is undisturbed.
 
@@ -142,13 +143,15 @@ class Terrain:
         cell: distance between nodes [m]; by default 0.05, for a CSV the distance between its heights.
         soil, swell, repose: as in the class.
         fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
+        map_origin: (3,) the point of the file's coordinates that is the origin of the site [m]: of points and of a
+            GeoTIFF. By default their coordinates are those of the site.
 
         Raises
         ------
         InputError: the file is missing or malformed, or a height is missing; says which, and where.
         """
         file = check_path(file, key="file")
-        heights = read_survey(file, low=low, high=high, cell=cell)
+        heights = read_survey(file, low=low, high=high, cell=cell, map_origin=map_origin)
         return cls._of(heights, fill=fill, soil=soil, swell=swell, repose=repose, file=file)
 
     @classmethod

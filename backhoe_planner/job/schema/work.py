@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Record, exactly_one
-from backhoe_planner.site import Finite, Slope, Soil
+from backhoe_planner.site import Finite, MapPoint, Slope, Soil
 
 _LEAST_BUCKET = 0.002  # m^3; chosen: no cut is found that takes much less
 _LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
@@ -185,6 +185,8 @@ class Ground(Record):
     """Height z of level ground [m]; 0 if there is no file either."""
     file: str | None = None
     """Heights as CSV (rows along y, columns along x) or GeoTIFF, or a point cloud; relative to the job file."""
+    map_origin: MapPoint | None = None
+    """The point of the file's coordinates that is the origin of the site [m]; of a point cloud or a GeoTIFF."""
     fill: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 0.0
     """Holes in the file are filled from their rims up to this distance from a known column [m]; 0 by default: none."""
     cell: Annotated[float, Field(strict=True, ge=0.02, le=0.5)] = 0.05
@@ -201,6 +203,8 @@ class Ground(Record):
     def _one_source(self) -> Ground:
         if self.level is not None and self.file is not None:
             raise ValueError("only one of level, file may be given")
+        if self.map_origin is not None and self.file is None:
+            raise ValueError("map_origin is given without file")
         if self.high is not None and self.low is None:
             raise ValueError("high is given without low")
         if self.low is not None and self.high is None and self.file is None:

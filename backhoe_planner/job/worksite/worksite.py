@@ -211,6 +211,7 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
             cell=given.cell,
             soil=soil,
             fill=given.fill,
+            map_origin=given.map_origin,
             **loose,
         )
     except InputError as error:
@@ -240,7 +241,7 @@ def read_ground(job: Job, file: Path) -> Scanned:
             allowed=f"{own.shape[0]} x {own.shape[1]} heights, {own.cell:g} m apart from x {own.low[0]:g}, "
             f"y {own.low[1]:g} m", hint="ground.low, high and cell of the job say how large it is",
         )  # fmt: skip
-    found = scanned(own, file, low=own.low, cell=own.cell, fill=job.ground.fill)
+    found = scanned(own, file, low=own.low, cell=own.cell, fill=job.ground.fill, map_origin=job.ground.map_origin)
     holes = found.unknown & np.isfinite(site.design_heights())
     if holes.any():
         x, y = site.nodes[holes][0].tolist()

@@ -228,7 +228,7 @@ def check_near(
         stood = points @ turn.T
         low, high = stood.min(axis=0), stood.max(axis=0)
         middle = np.round(turn.T @ [*(low + high)[:2] / 2.0, low[2]]).astype(int).tolist()
-        do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}` in the scene"
+        do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}`"
         far = f"map coordinates are too large: {do} puts the middle of the survey at 0, 0, or take the machine's place"
         rounding = float(np.max(np.spacing(np.float32(np.abs(points).max())) * scale))
         is_single = pcd_has_single_precision if path.suffix.lower() == ".pcd" else has_single_precision

@@ -54,6 +54,31 @@ def write_geotiff(
     return path
 
 
+MAP = (500_000.0, 4_100_000.0, 120.0)
+
+
+def test_ground_in_map_coordinates_is_moved_by_its_map_origin(tmp_path: Path) -> None:
+    """Heights of a plane over 0 to 3 m along x and 0 to 2 m along y of the site, 120 m above the sea."""
+    places = nodes((0.0, 0.0), (5, 7), 0.5)
+    heights = plane(places)
+    corner = (MAP[0] - 0.25, MAP[1] + 2.25)
+    points = np.column_stack((places.reshape(-1, 2), heights.ravel())) + MAP
+    np.savetxt(tmp_path / "ground.xyz", points, fmt="%.6f")
+    files = (write_geotiff(tmp_path / "ground.tif", heights + MAP[2], corner=corner), tmp_path / "ground.xyz")
+    for file in files:
+        found = Terrain.from_file(file, cell=0.5, map_origin=MAP)
+        np.testing.assert_allclose(found.low, [0.0, 0.0], atol=1e-6)
+        np.testing.assert_allclose(found.surface, heights, atol=1e-5)
+        part = Terrain.from_file(file, cell=0.5, low=(1.0, 0.5), map_origin=MAP)
+        np.testing.assert_allclose(part.low, [1.0, 0.5], atol=1e-6)
+        np.testing.assert_allclose(part.surface, heights[1:, 2:], atol=1e-5)
+    with pytest.raises(InputError, match=r"`map_origin: \[50000[12], 4100001, 120\]` puts the middle of the survey"):
+        Terrain.from_file(tmp_path / "ground.xyz", cell=0.5)
+    np.savetxt(tmp_path / "ground.csv", heights, delimiter=",")
+    with pytest.raises(InputError, match="map_origin: does not place its heights on a map"):
+        Terrain.from_file(tmp_path / "ground.csv", low=(0.0, 0.0), cell=0.5, map_origin=MAP)
+
+
 def test_a_geotiff_places_its_heights(tmp_path: Path) -> None:
     # pixels are areas: the north-west corner is half a cell off the first height
     low, counts = (500_001.0, 4_100_003.0), (5, 7)
