@@ -2,7 +2,8 @@
 
 What other programs do, and why this package does the same:
 
-- glTF is in metres with y up by its standard. Blender, Drake and (since 2025) RViz turn it so that z is up.
+- glTF is in metres with y up by its standard. Blender, Drake and (since 2025) RViz turn it so that z is up. trimesh
+  writes coordinates as they are, and nearly always z is up in the program that calls it.
 - A DAE states a unit, which RViz and Gazebo apply. It also states an upward axis, which RViz ignores: MeshLab and
   trimesh write `Y_UP` into every DAE, whatever is up, and so most such files of published robots have z up.
 - 3MF states a unit and has z up. STL, OBJ, PLY and OFF state nothing.
@@ -27,8 +28,8 @@ Axis = Literal["x", "y", "z"]
 _GLTF = (".glb", ".gltf")
 _TRIMESH, _HEADER = b"mikedh/trimesh", 4096  # the generator, within the first bytes of a glTF
 _BY_TRIMESH = (
-    "was written by trimesh, which does not turn axes; y counts as up in it, as in every glTF: `up: z` if z is up, "
-    "`up: y` confirms y"
+    "was written by trimesh, which does not turn axes; z counts as up in it, not y as in other glTF files: `up: y` if "
+    "y is up, `up: z` confirms z"
 )
 _SAID_BY_COLLADA = (
     "says that {axis} is up, which is not applied, because many programs write the same into every DAE: `up: {axis}` "
@@ -53,7 +54,7 @@ class MeshAxes(NamedTuple):
     Attributes
     ----------
     unit: what 1 is in it [m].
-    up: the axis that is up by the standard of its format.
+    up: the axis that is up by the standard of its format, or as its program writes it.
     doubt: in words, why another axis may be up, and what to do about it in a scene; None if there is no doubt.
     """
 
@@ -75,7 +76,7 @@ def mesh_axes(path: Path) -> MeshAxes:
     try:
         if kind in _GLTF:
             with path.open("rb") as file:
-                return MeshAxes(up="y", doubt=_BY_TRIMESH if _TRIMESH in file.read(_HEADER) else None)
+                return MeshAxes(doubt=_BY_TRIMESH) if _TRIMESH in file.read(_HEADER) else MeshAxes(up="y")
         if kind == ".dae":
             return _axes_of_collada(path)
         if kind == ".3mf":
