@@ -1,4 +1,11 @@
-from .clearance_screen import ClearanceScreen as ClearanceScreen
+from .distances.clearance_screen import ClearanceScreen as ClearanceScreen
+from .distances.proximity import Proximity as Proximity
+from .distances.zone_log import Level as Level
+from .distances.zone_log import Transgression as Transgression
+from .distances.zone_log import ZoneLog as ZoneLog
+from .distances.zone_log import pace as pace
+from .distances.zone_log import worst_first as worst_first
+from .distances.zone_log import zone_log as zone_log
 from .fixed_parts import InTheWay as InTheWay
 from .fixed_parts import check_standing as check_standing
 from .fixed_parts import stands_in as stands_in
@@ -29,7 +36,6 @@ from .obstacles import offset_at as offset_at
 from .obstacles import sweep as sweep
 from .obstruction import Obstruction as Obstruction
 from .pairs.nearby import Nearby as Nearby
-from .proximity import Proximity as Proximity
 from .scene_file import Gains as Gains
 from .scene_file import Scene as Scene
 from .scene_file import load_scene as load_scene
@@ -62,9 +68,3 @@ from .soil import soil_force as soil_force
 from .surveys.survey_files import read_height_grid as read_height_grid
 from .surveys.survey_files import read_heights as read_heights
 from .surveys.survey_files import read_points as read_points
-from .zones import Level as Level
-from .zones import Transgression as Transgression
-from .zones import ZoneLog as ZoneLog
-from .zones import pace as pace
-from .zones import worst_first as worst_first
-from .zones import zone_log as zone_log

@@ -12,7 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.motion import SAMPLE_PERIOD, build_problem, limit_usage
 from backhoe_planner.proof import motion_is_clear
 from backhoe_planner.proof.clearances import find_clearances
-from backhoe_planner.site.cluster_distances import ClusterDistances
+from backhoe_planner.site.distances.cluster_distances import ClusterDistances
 
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"/>
 <link name="rod"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>

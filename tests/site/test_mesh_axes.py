@@ -18,7 +18,7 @@ import pytest
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.files.mesh_axes import mesh_axes
+from backhoe_planner.files.meshes.mesh_axes import mesh_axes
 from backhoe_planner.machine import Robot, load_mesh, load_robot
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.site_meshes import site_mesh

@@ -12,7 +12,7 @@ from backhoe_planner import Robot
 from backhoe_planner.machine import BatchKinematics, Cluster, LinkPiece, Reading, TerrainSolid
 from backhoe_planner.native import find_compiled, plain_versions
 from backhoe_planner.site import build_obstacles, scene_from_dict
-from backhoe_planner.site.cluster_distances import ClusterDistances
+from backhoe_planner.site.distances.cluster_distances import ClusterDistances
 from backhoe_planner.site.pairs import over_ground
 from backhoe_planner.site.pairs.link_balls import LinkBalls
 from backhoe_planner.site.pairs.link_corners import KEPT, NEARER

@@ -21,7 +21,7 @@ from backhoe_planner.site import (
     read_heights,
     read_points,
 )
-from backhoe_planner.site.cluster_distances import EXACT_WITHIN
+from backhoe_planner.site.distances.cluster_distances import EXACT_WITHIN
 
 
 @pytest.fixture(scope="module")

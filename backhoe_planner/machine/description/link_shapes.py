@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError
-from backhoe_planner.files.mesh_axes import along_file_axes, mesh_axes, upright
+from backhoe_planner.files.meshes.mesh_axes import along_file_axes, mesh_axes, upright
 from backhoe_planner.machine.description.urdf import Urdf, se3
 from backhoe_planner.machine.description.urdf_tree import Geometry, Mesh
 from backhoe_planner.machine.shape.cover_cache import mesh_cover

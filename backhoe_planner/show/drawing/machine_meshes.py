@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.files.mesh_parts import check_all_read
+from backhoe_planner.files.meshes.mesh_parts import check_all_read
 from backhoe_planner.machine import Robot, Visual, mesh_frame
 from backhoe_planner.show.drawing.palette import MACHINE, Rgba
 from backhoe_planner.show.drawing.solids import Facets, facets, solid

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pydantic import Field, field_validator, model_validator
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.files.mesh_axes import Axis, mesh_axes, upright
+from backhoe_planner.files.meshes.mesh_axes import Axis, mesh_axes, upright
 from backhoe_planner.files.records import Record
 from backhoe_planner.machine import (
     Cluster,

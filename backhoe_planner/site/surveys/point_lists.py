@@ -12,7 +12,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.files.obj_lines import obj_lines
+from backhoe_planner.files.meshes.obj_lines import obj_lines
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.site.surveys.number_tables import (
     COMMENTS,

@@ -16,8 +16,8 @@ import pinocchio as pin
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import self_pieces
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.distances.proximity import Proximity
 from backhoe_planner.site.pairs.certainly_clear import CertainlyClear
-from backhoe_planner.site.proximity import Proximity
 
 _MOST_PAIRS = 3_000  # pairs that are examined one by one before coal is called; chosen
 # configurations that are examined pair by pair first, and the most pairs in doubt in one of them; measured: a broad

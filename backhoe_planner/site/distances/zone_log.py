@@ -18,9 +18,9 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector, as_array, as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
+from backhoe_planner.site.distances.proximity import Proximity
 from backhoe_planner.site.limits import joints_on_site, swing_sectors
 from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema.zone_kinds import ZoneSpec
 

@@ -30,10 +30,10 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.machine import ResultTable, Robot, bend_weights, self_pieces
 from backhoe_planner.native import find_compiled
-from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
+from backhoe_planner.site.distances.cluster_distances import EXACT_WITHIN, ClusterDistances
+from backhoe_planner.site.distances.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
 from backhoe_planner.site.obstacles import Obstacle, as_obstacles, offset_at
 from backhoe_planner.site.obstruction import Obstruction
-from backhoe_planner.site.pair_listing import ball_within, list_pairs, travel_of_pieces, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.hull_distances import HullDistances

@@ -9,7 +9,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.files.ply_faces import HEADER, ORDERS, Element, elements_of, equal_rows, unequal_rows
+from backhoe_planner.files.meshes.ply_faces import HEADER, ORDERS, Element, elements_of, equal_rows, unequal_rows
 
 _AXES = "xyz"
 _FORMATS = ("ascii", *ORDERS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.files.obj_lines import obj_lines
+from backhoe_planner.files.meshes.obj_lines import obj_lines
 
 _HEADER = 1_000_000  # bytes in which the header of a PLY ends
 _NUMBERS = (3, 4, 6, 7)  # of a vertex in an OBJ: position, perhaps a weight, perhaps a colour

@@ -10,7 +10,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import LinkPiece, Robot, reach_ball, self_pairs, self_pieces, tracking_room, travel_bounds
-from backhoe_planner.site.cluster_distances import ClusterDistances
+from backhoe_planner.site.distances.cluster_distances import ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Pair
 

@@ -1,0 +1,1 @@
+"""What files of meshes say, and what programs that read them leave out."""
