@@ -267,6 +267,10 @@ def calls() -> dict[str, Call]:
         "Keep.holds_each": call(keep().holds_each, q=(stepped, Kind(SAMPLES.bad[:-2]))),
         "Keep.broken": call(keep().broken, q=q4),
         "Keep.rows_each": call(keep().rows_each, q=(stepped, Kind(SAMPLES.bad[:-2]))),
+        "Keep.facets_each": call(keep().facets_each, q=(stepped, Kind(SAMPLES.bad[:-2]))),
+        "Keep.with_wider_cones": call(
+            lambda least: len(keep().with_wider_cones(least).conditions), least=(0.01, Kind((*NUMBER.bad, -0.1, 4.0)))
+        ),
         "Keep.segment_holds": call(keep().segment_holds, q_a=q4, q_b=q4),
         "Keep.motion_holds": call(keep().motion_holds, q=(stepped, Kind(SAMPLES.bad[:-2]))),
         "Keep.corner_holds": call(keep().corner_holds, q_a=q4, corner=q4, q_b=q4, sagitta=q4),

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_number, as_vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import KEPT_TO, Condition, Cone, PitchBand
@@ -69,6 +69,17 @@ class Keep:
         q = as_array(q, None, self.robot.n, key="q")
         margins, gradients = zip(*(condition.rows(q) for condition in self.conditions), strict=True)
         return np.concatenate(margins, axis=1), np.concatenate(gradients, axis=1)
+
+    def facets_each(self, q: Matrix) -> tuple[Matrix, Array, Indices]:
+        """(N, K) margins at each of `q` (N, n) in several directions of every cone, and their (N, K, n) gradients.
+
+        The least margin of a condition is that of `margins`. The third result has the index of the condition of each
+        row, (K,).
+        """
+        q = as_array(q, None, self.robot.n, key="q")
+        margins, gradients = zip(*(condition.facets(q) for condition in self.conditions), strict=True)
+        owner = np.repeat(np.arange(len(margins)), [each.shape[1] for each in margins])
+        return np.concatenate(margins, axis=1), np.concatenate(gradients, axis=1), owner
 
     def holds(self, q: Vector) -> bool:
         """Whether every condition holds at the joints `q` (n,)."""
@@ -138,6 +149,17 @@ class Keep:
             self.robot, [one.widened(self.robot, -by) if isinstance(one, Cone) else one for one in self.conditions]
         )
 
+    def with_wider_cones(self, least: float) -> Keep:
+        """The same conditions, with every cone in which less than `least` [rad] is usable as wide as that."""
+        least = as_number(least, key="least", least=0.0, most=np.pi)
+        return Keep(
+            self.robot,
+            [
+                one.widened(self.robot, least - one.usable) if isinstance(one, Cone) and one.usable < least else one
+                for one in self.conditions
+            ],
+        )
+
     def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
         """A configuration (n,) near `q` (n,) where all conditions hold, within `lower` and `upper` (n,), or None.
 
@@ -146,12 +168,13 @@ class Keep:
         lower, upper = as_vector(lower, self.robot.n, key="lower"), as_vector(upper, self.robot.n, key="upper")
         found = np.clip(self.robot.check_q(q), lower, upper)
         for _ in range(_NEWTON):
-            if self.holds(found):
+            of_each = [condition.rows(found[None]) for condition in self.conditions]
+            margins = np.concatenate([margin[0] for margin, _ in of_each])
+            if margins.min() >= -KEPT_TO:
                 return found
-            margins, gradients = (each[0] for each in self.rows_each(found[None]))
             rows = margins < 0.0
-            G, missing = gradients[rows], (self._into - margins)[rows]
-            step = G.T @ np.linalg.lstsq(G @ G.T + _DAMPED * np.eye(len(G)), missing, rcond=None)[0]
+            G = np.concatenate([gradient[0] for _, gradient in of_each])[rows]
+            step = _least_step(G, (self._into - margins)[rows])
             longest = float(np.max(np.abs(step), initial=0.0))
             found = np.clip(found + step * min(1.0, _LONGEST_STEP / max(longest, _LONGEST_STEP)), lower, upper)
         return found if self.holds(found) else None
@@ -208,6 +231,13 @@ class Keep:
                 return True
             places = np.sort(np.append(places, (0.5 * (places[:-1] + places[1:]))[open_]))
         return False
+
+
+def _least_step(G: Matrix, missing: Vector) -> Vector:
+    """(n,) the shortest step by which rows G (K, n) grow by what is `missing` (K,)."""
+    if len(G) == 1:
+        return np.asarray(G[0] * (missing[0] / (G[0].dot(G[0]) + _DAMPED)))
+    return np.asarray(G.T @ np.linalg.solve(G @ G.T + _DAMPED * np.eye(len(G)), missing))
 
 
 def _into(condition: Condition) -> float:

@@ -9,6 +9,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.kept_margins import KeptMargins
 from backhoe_planner.planning.descent.linear_model import find_margins
 from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
@@ -48,6 +49,8 @@ def test_margins_are_the_same_without_known_distances(
     monkeypatch.setattr(without, "near_in_each_unchecked", lambda *_: None)
     if not together:
         monkeypatch.setattr(with_it, "near_in_each_unchecked", lambda *_: None)
+    keep = problem.keep
+    kept = None if keep is None else KeptMargins(keep, spare=0.003, allowed=0.0015)
     for size in (0.1, 0.05, 0.02, 0.01, 0.01, 0.005):
         step = rng.normal(0.0, size, curve.control.shape)
         curve = curve.moved_to(np.clip(curve.control + step, limits.lower, limits.upper))
@@ -57,7 +60,7 @@ def test_margins_are_the_same_without_known_distances(
         reach = rng.choice([0.08, 0.08, 0.4], len(places))
         found, plain = (
             find_margins(
-                proximity, problem.keep, q, spare=0.003, reach=reach, time=0.0, places=places, seen=own
+                proximity, kept, q, spare=0.003, reach=reach, time=0.0, places=places, seen=own
             )
             for proximity, own in ((with_it, seen), (without, None))
         )  # fmt: skip

@@ -258,7 +258,7 @@ class Descent:
         """One descent, see `run`; for another cost than the time, the result's cost is without rounded kinks."""
         free = goal if goal.q is None else None
         looks, self._longest, self._width = self._looks(curve, spare, density, free), longest, _LEAST_WIDTH
-        here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
+        here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
         price = self._times_missed * MISSED_WORTH * here.cost
@@ -498,13 +498,18 @@ class Descent:
     ) -> Timed | None:
         """The curve with its end moved onto the goal, see `_timed`; None if that is impossible."""
         if goal is not None:
-            end = self._onto(goal, control[-1])
+            end = self._onto(goal, control[-1], looks)
             if end is None:
                 return None
             limits = self._problem.limits
             # a jump at the end alone would cost much
             control = np.clip(here.moved_to(control).ending_at(end).control, limits.lower, limits.upper)
-        return self._timed(here.moved_to(control), duration, looks, below=below)
+        return self._timed(self._within_cones(here.moved_to(control), looks), duration, looks, below=below)
+
+    def _within_cones(self, curve: JointCurve, looks: Looks) -> JointCurve:
+        """The curve with its inner control points moved back into the cones that have to be kept."""
+        cones = looks.cones
+        return curve if cones is None else cones.moved(curve, self._problem.limits)
 
     def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
         """The curve with its fastest motion; None if it has none.
@@ -536,17 +541,19 @@ class Descent:
             hurried=self._hurried, fixed=list(curve.control[[0] if goal is not None else [0, -1]]),
         )  # fmt: skip
 
-    def _onto(self, goal: Goal, q: Vector) -> Vector | None:
-        """(n,) joints near `q` (n,) on a goal; None if Newton's method does not find them."""
-        kinematics, limits = self._kinematics, self._problem.limits
+    def _onto(self, goal: Goal, q: Vector, looks: Looks) -> Vector | None:
+        """(n,) joints near `q` (n,) on a goal, within the cones to be kept; None if Newton's method finds none."""
+        kinematics, limits, cones = self._kinematics, self._problem.limits, looks.cones
         for _ in range(_TO_GOAL_STEPS):
             at = kinematics.at(q)
             error = goal.error(at)
-            if float(np.max(np.abs(error))) <= _ON_GOAL:
+            missing, G = (np.zeros(0), np.zeros((0, len(q)))) if cones is None else cones.missing(q[None])[:2]
+            if float(np.max(np.abs(error))) <= _ON_GOAL and not len(missing):
                 return q
             J = goal.jacobian(at)
             asked = movable_rows(J)
-            q = np.clip(q + step_onto(J[asked], error[asked], q, limits), limits.lower, limits.upper)
+            J, error = np.vstack((J[asked], G)), np.concatenate((error[asked], missing))
+            q = np.clip(q + step_onto(J, error, q, limits), limits.lower, limits.upper)
         return None
 
 

@@ -16,9 +16,10 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_with_near_rows
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
-from backhoe_planner.motion import Drive, Goal, Keep, Problem
+from backhoe_planner.motion import Drive, Goal, Problem
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
+from backhoe_planner.planning.descent.kept_margins import KeptMargins
 from backhoe_planner.planning.descent.kinks import NearKinks, rounded
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.planning.descent.tight_ends import TightEnds
@@ -46,7 +47,6 @@ _PARTS_FOR_TIME, _PARTS_FOR_COST = 2, 8
 # less in a smaller one: as the tip moves on arcs, it leaves the ball nevertheless; chosen
 _UNUSED, _WIDE_BOX = 0.01, 0.25
 _CLEARANCE = "clearance"  # the name of the rows that may be missed by the slack
-_SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for kept conditions [rad or m]; chosen
 
 
 def _directions(parts: int) -> Matrix:
@@ -76,7 +76,7 @@ class Margin:
 
 
 def find_margins(
-    proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float | Vector, time: float,
+    proximity: Proximity, kept: KeptMargins | None, q: Matrix, *, spare: float, reach: float | Vector, time: float,
     places: Indices | None = None, seen: SeenDistances | None = None, ends: TightEnds | None = None,
 ) -> tuple[float, list[Margin]]:  # fmt: skip
     """The least margin over places q (K, n), infinite if nothing is near, and all margins below `reach` [m].
@@ -85,8 +85,8 @@ def find_margins(
 
     Parameters
     ----------
-    keep: conditions to be kept besides the clearances.
-    spare: to be kept beyond every clearance [m]; a tenth of it for the conditions [rad or m].
+    kept: conditions to be kept besides the clearances, with their own spares.
+    spare: to be kept beyond every clearance [m].
     time: at which the positions of the obstacles are taken [s].
     places: (K,) their indices; by default they are counted.
     seen: known lower bounds of the distances there, for the same `time`; the new ones are added.
@@ -98,22 +98,20 @@ def find_margins(
     proximity.cover_unchecked(q)
     bounds = seen.bounds(places, q, proximity.travel)
     near = (bounds <= proximity.clearance + margins[:, None]).any(axis=1)
-    kept = None if keep is None else keep.rows_each(q)
+    conditions = None if kept is None else kept.at(q)
     of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time)
     least, found = np.inf, []
     for row, place in enumerate(places.tolist()):
-        here = []
         if near[row]:
             pairs, margin, gradient, lower = next(of_pairs)
             seen.keep(place, q[row], lower)
             beyond = ends.spares(q[row], pairs) if ends else spare
-            here.append(Margin(place, margin - beyond, gradient))
-        if kept is not None and place > 0:  # the start cannot be changed
-            here.append(Margin(place, kept[0][row] - _SPARE_OF_KEPT * spare, kept[1][row]))
-        for one in here:
-            if len(one.margin):
-                least = min(least, float(one.margin.min()))
-                found.append(one)
+            if len(margin):
+                found.append(Margin(place, margin - beyond, gradient))
+                least = min(least, float(found[-1].margin.min()))
+        if conditions is not None and place > 0:  # the start cannot be changed
+            found.append(Margin(place, conditions[0][row], conditions[1][row]))
+            least = min(least, float(conditions[2][row]))
     proximity.clusters.forget_expected()
     return least, found
 

@@ -14,6 +14,8 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.into_cones import IntoCones
+from backhoe_planner.planning.descent.kept_margins import KeptMargins
 from backhoe_planner.planning.descent.linear_model import Margin, find_margins
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.planning.descent.tight_ends import TightEnds
@@ -46,6 +48,8 @@ class Looks:
     ----------
     places: the number of equally spaced places that are distinguished; `Margin.place` counts these.
     allowed: a curve that misses the spare by no more than this counts as clear [m].
+    kept: the margins of what has to be kept; None if there is nothing.
+    cones: move curves into the cones that have to be kept; None if there are none.
     """
 
     def __init__(
@@ -53,9 +57,11 @@ class Looks:
         steps: int, spare: float, time: float, hurried: bool = False,
         fixed: Sequence[Vector] = (),
     ) -> None:  # fmt: skip
-        self._proximity, self._screen, self._keep = proximity, screen, keep
+        self._proximity, self._screen = proximity, screen
         self._spare, self._time = spare, time
         self.allowed = KEPT_PART * spare
+        self.kept = None if keep is None else KeptMargins(keep, spare=spare, allowed=self.allowed, ends=fixed)
+        self.cones = None if self.kept is None or not self.kept.keep.cones else IntoCones(self.kept)
         self.places = _FINER * steps + 1
         self._u = np.linspace(0.0, 1.0, self.places)
         self._looked_at = np.arange(0, self.places, _FINER)
@@ -89,7 +95,7 @@ class Looks:
 
     def _margins_at(self, curve: JointCurve, places: Indices) -> tuple[float, list[Margin]]:
         return find_margins(
-            self._proximity, self._keep, curve.at(self._u[places]),
+            self._proximity, self.kept, curve.at(self._u[places]),
             spare=self._spare, reach=self._reach[places], time=self._time, places=places, seen=self._seen,
             ends=self._ends,
         )  # fmt: skip

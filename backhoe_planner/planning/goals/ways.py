@@ -25,6 +25,9 @@ _MAP_SPARE = 0.002  # m kept beyond every clearance in a roadmap; chosen small, 
 _LOOKS_FOR_ONE = 3  # sampled checks for one of `Effort.motions`, which count proofs; a check takes a tenth of a proof
 _MOTIONS = 2_000  # checked for one sampled route if another is known; chosen, a sixth of what the first may use
 _PLACES = 12  # along a motion, by which a roadmap knows its route; chosen
+# rad: cones are at least as wide for the straight motions of a route. Its corners are in the true ones, and a descent
+# brings what is between them there; chosen
+_LEAST_CONE = 0.1
 _SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different routes
 
 
@@ -68,6 +71,10 @@ class Ways:
     def __init__(self, world: World, start: Vector, ends: GoalEnds, *, time: float, hurried: bool) -> None:
         self._world, self._start, self._ends, self._time, self._hurried = world, start, ends, time, hurried
         self._problem, self._drive = world.problem, drive_of(world.problem)
+        keep = self._problem.keep
+        self._sampled = self._problem  # for which routes are sampled
+        if keep is not None and keep.cones:
+            self._sampled = replace(self._problem, keep=keep.with_wider_cones(_LEAST_CONE))
         work = world.work
         more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
         self._sampling = Work(replace(work.effort, **more), work.brake)
@@ -99,7 +106,7 @@ class Ways:
             most = min(max(_MOTIONS, self._needed) * again, work.effort.motions_per_search)
         path = sample_path(
             check, self._start, goals, seed=seed, work=self._sampling, most_motions=most, longest=longest,
-            straight=self._line is None,
+            straight=self._line is None, keep=self._problem.keep,
         )  # fmt: skip
         if path is not None and most is None:
             self._needed = before - self._sampling.motions
@@ -145,7 +152,7 @@ class Ways:
 
     def _check(self, goals: Sequence[Vector], spare: float) -> SampledCheck:
         return SampledCheck(
-            self._problem, self._world.proximity, [self._start, *goals],
+            self._sampled, self._world.proximity, [self._start, *goals],
             spare=spare, time=self._time, brake=self._world.work.brake, hurried=self._hurried,
         )  # fmt: skip
 

@@ -122,7 +122,7 @@ class MotionCheck:
         dq = q_b - q_a
         if not self._within_limits(q_b) or not self._within_limits(q_a):
             return False
-        if self._keep is not None and not self._keep.segment_holds(q_a, q_b):
+        if not self._keeps_segment(q_a, q_b):
             return False
         return self._is_clear(q_a, q_b, lambda t: q_a + t * dq, np.abs(dq), self._nothing)
 
@@ -138,7 +138,7 @@ class MotionCheck:
         ------
         OutOfTime: the budget of the brake is used up.
         """
-        if self._keep is not None and not self._keep.corner_holds(q_a, corner, q_b, sagitta=sagitta):
+        if not self._keeps_corner(q_a, corner, q_b, sagitta):
             return False
         first, second = corner - q_a, q_b - corner
         turn = second - first
@@ -152,6 +152,12 @@ class MotionCheck:
     def _within_limits(self, q: Vector) -> bool:
         limits = self.problem.limits
         return bool(np.count_nonzero((q >= limits.lower) & (q <= limits.upper)) == len(q))
+
+    def _keeps_segment(self, q_a: Vector, q_b: Vector) -> bool:
+        return self._keep is None or self._keep.segment_holds(q_a, q_b)
+
+    def _keeps_corner(self, q_a: Vector, corner: Vector, q_b: Vector, sagitta: Vector) -> bool:
+        return self._keep is None or self._keep.corner_holds(q_a, corner, q_b, sagitta=sagitta)
 
     # --- the proof ---------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 _TOGETHER = 16  # places checked at once if there are clusters; chosen
 _APART = 0.04  # m between two places, of the point that moves most; chosen: 20 to 60 places for a motion of 1 s
 _APART_HURRIED = 0.08  # m: the same in a hurry; chosen: saves a seventh of a quick plan at a shelf, motions are as good
+_KEPT_EVERY = 0.05  # s of the slowest joint between two places where kept conditions are checked; chosen
 
 
 class SampledCheck(MotionCheck):
@@ -49,12 +50,23 @@ class SampledCheck(MotionCheck):
         self.brake.check()
         if self._near is not None and not self._stays_near(point, rate):
             return False
+        steps = int((rate @ self._transposed).max(initial=0.0) / self._apart) + 1
+        if self._keep is not None:
+            q = point(_column_of_places(max(steps, int(np.max(rate / self.rate) / _KEPT_EVERY) + 1)))
+            if not self._keep.holds_each(q).all():
+                return False
         if not len(self._pairs):
             return True
-        q = point(_column_of_places(int((rate @ self._transposed).max() / self._apart) + 1))
+        q = point(_column_of_places(steps))
         if not self._screen.has_clusters:
             return self._are_clear_at(q)
         return all(self._are_clear_at(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER))
+
+    def _keeps_segment(self, q_a: Vector, q_b: Vector) -> bool:
+        return True  # checked at places, see `_is_clear`
+
+    def _keeps_corner(self, q_a: Vector, corner: Vector, q_b: Vector, sagitta: Vector) -> bool:
+        return True
 
     def _are_clear_at(self, q: Matrix) -> bool:
         """Whether all of `q` (N, n) keep every clearance and its spare."""

@@ -11,6 +11,7 @@ import itertools
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,13 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.search.chart import Chart
 from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.search.first_order import FirstOrder
 from backhoe_planner.planning.search.kept_trees import KeptTrees
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.reach import Reach, beyond_limits
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
+_OF_PROJECTION = 3  # sampled checks of motions, as which a projection counts: it takes as long; measured
 # least length of such a motion, for slow machines, and largest, as parts of the box's diagonal; chosen, so that trees
 # cross the box in some hundred motions, and branch
 _LEAST_OF_BOX, _MOST_OF_BOX = 0.025, 0.4
@@ -59,6 +62,7 @@ def sample_path(
     most_motions: int | None = None,
     longest: float = np.inf,
     straight: bool = True,
+    keep: Keep | None = None,
 ) -> JointPath | None:
     """A route that keeps every clearance and joint limit, as far as `check` proves it; or None.
 
@@ -75,6 +79,7 @@ def sample_path(
         0 for the straight motions alone.
     straight: whether straight motions to the goals are tried first.
     longest: configurations are left out if every motion through them from the start to an end takes longer [s].
+    keep: what the corners of a route satisfy, if it is narrower than what `check` requires of its motions.
 
     Returns
     -------
@@ -100,7 +105,7 @@ def sample_path(
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
-    search, keep = _Search(check, work, most_motions, longest), check.problem.keep
+    search, keep = _Search(check, work, most_motions, longest), keep or check.problem.keep
     if keep is not None and keep.cones:
         return search.run_kept(keep, start, open_goals, seed)
     return search.run(start, open_goals, seed)
@@ -138,14 +143,17 @@ class _Search:
         self._reach = Reach(limits, start, np.array(goals), self._longest)
         lower, upper = Reach(limits, start, np.array(goals)).box()
 
+        of_projection = 1 if self._check.proves else _OF_PROJECTION
+
         def project(q: Vector) -> Vector | None:
+            self._work.motions -= of_projection
             found = keep.project(q, lower, upper)
-            if found is None:  # takes as long as a motion, and where all of them fail, no motion is checked
-                self._work.motions -= 1
-                self._check.brake.check()
+            self._check.brake.check()
             return found
 
-        trees = KeptTrees(rate=self._rate, project=project, allows=allows, ended=self._ended)
+        trees = KeptTrees(
+            rate=self._rate, project=project, limits_at=partial(FirstOrder.at, keep), allows=allows, ended=self._ended
+        )
         q = trees.connect(start, goals, lower, upper, np.random.default_rng(seed))
         return None if q is None else JointPath(q)
 
