@@ -26,6 +26,7 @@ from backhoe_planner.motion import (
     RotationCone,
     TipPath,
 )
+from backhoe_planner.planning.search.contradictions import find_contradiction
 from backhoe_planner.planning.world.outcome import Outcome, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint
@@ -69,10 +70,16 @@ def in_middle_of_cone(problem: Problem) -> Problem | None:
 
 
 def waypoint_breaks_keep(world: World, path: TipPath) -> Outcome | None:
-    """The outcome for the first waypoint at which a kept condition cannot hold; None if there is none."""
+    """The outcome for conditions that contradict each other, or for the first waypoint at which one cannot hold.
+
+    None if there is neither.
+    """
     keep = world.problem.keep
     if keep is None:
         return None
+    contradiction = find_contradiction(keep, world.problem.limits)
+    if contradiction:
+        return _breaks_keep(world, contradiction)
     tried = np.linspace(0, len(path.waypoints) - 1, min(len(path.waypoints), _MOST_WAYPOINTS)).astype(int).tolist()
     for index, waypoint in enumerate(path.waypoints):
         what = f"waypoint {path.number(index)} of the path"

@@ -25,6 +25,7 @@ from backhoe_planner.machine import (
 )
 from backhoe_planner.motion import Goal, Keep
 from backhoe_planner.planning.result.plan_file import Reason
+from backhoe_planner.planning.search.contradictions import find_contradiction
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
@@ -138,6 +139,9 @@ def _postures_on(
     nearest = _nearest_to_kept(
         world, keep, replace(target, position=free.goal.search_target.position), free.clear, time
     )
+    contradiction = find_contradiction(keep, world.problem.limits)
+    if contradiction:
+        return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", contradiction)
     message = f"at the {goal.name} {keep.broken(nearest)}"
     if narrowed is not None:  # the goal's own angles leave room for the kept condition
         message = f"no posture was found on the {goal.name} that keeps it: at best {keep.broken(nearest)}"
