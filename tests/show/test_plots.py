@@ -13,7 +13,7 @@ import pytest
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, build_problem, limit_usage
-from backhoe_planner.planning import Plan, measure_motion
+from backhoe_planner.planning import Plan, measure_motion, plan
 from backhoe_planner.proof import certify
 from backhoe_planner.show import plot_envelope, plot_plan
 from backhoe_planner.show.drawing.timeline import timeline
@@ -114,6 +114,24 @@ def test_kept_ranges_have_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) 
     text = svg(replace(plan, problem=build_problem(backhoe, scene_from_dict(content))), tmp_path)
     for words in ("left to keep [deg]", "left to keep [m]", "-131.8 to -63.03 deg", "at least -2 m", "at most 4 m"):
         assert words in text
+
+
+def test_what_a_single_leg_keeps_has_a_curve_over_that_leg_alone(backhoe: Robot, tmp_path: Path) -> None:
+    start = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    legs = [
+        {"name": "out", "goal": {"joints": start | {"swing": 0.3}}},
+        {"name": "level", "goal": {"joints": start | {"swing": 0.6}}, "keep": {"pitch": [-2.3, -1.9]}},
+    ]
+    scene = scene_from_dict({"version": 1, "start": {"joints": start}, "task": {"sequence": legs}})
+    found = plan(backhoe, scene, effort="quick")
+    assert found.verified, found.message
+    text = svg(found, tmp_path)
+    assert "left to keep [deg]" in text
+    assert "-131.8 to -108.9 deg" in text
+    (before, ends, nothing), (begins, _, conditions) = plots.kept_parts(found)
+    assert before == 0.0
+    assert ends == begins == found.legs[1].begins
+    assert [len(nothing), [one.name for one in conditions]] == [0, ["pitch"]]
 
 
 def test_the_limit_used_has_no_gaps_between_the_samples_of_a_smooth_motion(panda: Robot) -> None:

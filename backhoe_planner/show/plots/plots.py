@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.digits import margin_text
-from backhoe_planner.motion import SAMPLE_PERIOD, Moments, Problem, Trajectory, limit_usage, trajectory_energy
+from backhoe_planner.motion import (
+    SAMPLE_PERIOD,
+    Condition,
+    Moments,
+    Problem,
+    Trajectory,
+    limit_usage,
+    trajectory_energy,
+)
 from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
@@ -82,7 +90,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
             panels.append(partial(_velocities, which=which, unit=unit, label=f"joint rate [{name.split('[')[1]}/s]"))
     if frames.obstacles:
         panels.append(_clearance)
-    kept = () if problem.keep is None else problem.keep.conditions
+    kept = [one for _, _, conditions in kept_parts(plan) for one in conditions]
     panels += [partial(_kept, unit=unit) for unit in ("rad", "m") if any(one.unit == unit for one in kept)]
     if problem.path is not None:
         panels.append(_deviation)
@@ -182,16 +190,33 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
 
 def _kept(axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, unit: str) -> None:
     """The remaining margins of the conditions of this unit."""
-    assert problem.keep is not None
     scale, shown = (np.degrees(1.0), "deg") if unit == "rad" else (1.0, "m")
-    for number, condition in enumerate(problem.keep.conditions):
-        if condition.unit == unit:
-            left = scale * condition.margins(condition.values(frames.q))
-            _curve(axes, frames.time, left, _colour(number), f"{condition.name},\n{condition.allowed}")
+    colours: dict[str, str] = {}  # of each condition; the same one in several legs is named once
+    for begins, ends, conditions in kept_parts(plan):
+        within = (frames.time >= begins) & (frames.time <= ends)
+        for condition in conditions:
+            if condition.unit == unit and within.any():
+                left = scale * condition.margins(condition.values(frames.q[within]))
+                name = f"{condition.name},\n{condition.allowed}"
+                label = "" if name in colours else name
+                colour = colours.setdefault(name, _colour(len(colours)))
+                _curve(axes, frames.time[within], left, colour, label)
     axes.axhline(0.0, color=_WRONG, linewidth=1.1)
     axes.set_ylabel(f"left to keep [{shown}]")
     _legend(axes)
     _say(axes, "how far within what is to be kept")
+
+
+def kept_parts(plan: Plan) -> list[tuple[float, float, tuple[Condition, ...]]]:
+    """When each part of the motion begins and ends [s], and what is to be kept in it; a part is a leg of a sequence."""
+    if not plan.legs:
+        keep = plan.problem.keep
+        return [(0.0, np.inf, () if keep is None else keep.conditions)]
+    ends = [*(leg.begins for leg in plan.legs[1:]), np.inf]
+    return [
+        (leg.begins, end, () if leg.problem.keep is None else leg.problem.keep.conditions)
+        for leg, end in zip(plan.legs, ends, strict=True)
+    ]
 
 
 def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
