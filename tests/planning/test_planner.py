@@ -330,6 +330,9 @@ def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
     assert obstruction(plan).obstacle.startswith("wall")
     assert "attempts" in plan.message
+    assert "--method" not in plan.message
+    alone = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls), method="reactive", effort="quick")
+    assert alone.message.endswith("the law alone was tried: --method auto searches for other ways as well")
     assert plan.certificate.safe
     assert not plan.certificate.verified
 

@@ -23,6 +23,7 @@ from backhoe_planner.planning.world.outcome import Outcome, bad_posture
 from backhoe_planner.planning.world.world import World
 
 _STANDS_ON = 1e-6  # rad or m by which a machine that stands on a goal may be off it: the residual of inverse kinematics
+_MORE = "the law alone was tried: --method auto searches for other ways as well"
 _MOST_POSTURES = 8  # to which the law drives the joints, one attempt each; chosen
 
 
@@ -93,7 +94,10 @@ class ToGoal:
     def by_law(self, world: World, stepper: Stepper) -> Outcome:
         """A motion from rest by the completed law alone."""
         found = self._found_exactly(world, stepper)
-        return found if isinstance(found, Outcome) else self._attempts(world, stepper, found)
+        if isinstance(found, Outcome):
+            return found
+        outcome = self._attempts(world, stepper, found)
+        return replace(outcome, message=f"{outcome.message}; {_MORE}") if outcome.reason == "blocked" else outcome
 
     def by_paper(self, world: World, stepper: Stepper) -> Outcome:
         """A motion to the first goal by the paper's iteration as printed; its steps are timed afterwards."""
