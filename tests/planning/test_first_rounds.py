@@ -49,7 +49,10 @@ def test_much_cheaper_starts_in_an_obstacle_are_pushed_out_and_ranked_by_their_n
     found = after_first_rounds(starts_at(1.0, 2.0, 3.0, 4.0, 5.0), rounds, far_off=0.06, pushed=4)
     assert rounds.pushed == ["3.0", "2.0", "4.0"]
     assert [(cost, start.way) for cost, start in found.clear] == [(8.0, "2.0"), (pytest.approx(10.6), "1.0")]
-    assert found.blocked == 3.0
+    assert [(cost, start.way) for cost, start in found.blocked] == [
+        (3.0, "3.0"), (4.0, "2.0"), (6.9, "4.0"), (9.0, "5.0"),
+    ]  # fmt: skip
+    assert found.least_blocked == 3.0
     again = Rounds(first, {"3.0": None})
     assert len(after_first_rounds(starts_at(1.0, 2.0, 3.0), again, far_off=0.06, pushed=1).clear) == 1
     assert again.pushed == ["3.0"]
@@ -58,7 +61,8 @@ def test_much_cheaper_starts_in_an_obstacle_are_pushed_out_and_ranked_by_their_n
 def test_no_cost_is_blocked_if_all_starts_get_clear() -> None:
     found = after_first_rounds(starts_at(1.0), Rounds({"1.0": (10.0, 0.0)}, {}), far_off=0.06, pushed=4)
     assert [cost for cost, _ in found.clear] == [10.0]
-    assert found.blocked == np.inf
+    assert found.blocked == []
+    assert found.least_blocked == np.inf
 
 
 def test_a_curve_leaves_an_obstacle_only_if_clearance_comes_first(backhoe: bp.Robot) -> None:

@@ -25,6 +25,25 @@ def test_a_curve_is_a_clamped_cubic_b_spline(pieces: int, derivative: int) -> No
     )
 
 
+def test_a_curve_through_places_of_a_curve_is_that_curve(planar4: bp.Robot) -> None:
+    """Straight lines between 2001 places are off a curve with second derivative b by b / (8 * 2000^2) at most."""
+    limits, s = planar4.limits, np.linspace(0.0, 1.0, 2001)
+    control = np.random.default_rng(5).uniform(limits.lower, limits.upper, size=(9, 4))
+    curve = JointCurve(control)
+    near = float(np.max(np.abs(curve(s, 2)))) / (8.0 * 2000.0**2)
+    through = JointCurve.through(s, curve(s), 8, limits)
+    np.testing.assert_allclose(through(s), curve(s), atol=10.0 * near)
+
+
+def test_a_curve_through_places_keeps_its_ends_and_the_limits(planar4: bp.Robot) -> None:
+    limits = planar4.limits
+    corners = np.array([np.zeros(4), limits.upper, np.zeros(4)])
+    curve = JointCurve.through(np.array([0.0, 0.3, 1.0]), corners, 8, limits)
+    np.testing.assert_allclose(curve(np.array([0.0, 1.0])), 0.0, atol=1e-15)
+    assert np.all(curve.control <= limits.upper)
+    assert curve.control.max() > 0.5 * limits.upper.max()
+
+
 def test_a_curve_is_at_rest_at_its_ends() -> None:
     control = np.random.default_rng(0).normal(size=(6, 4))
     curve, ends = JointCurve(control), np.array([0.0, 1.0])

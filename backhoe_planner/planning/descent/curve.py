@@ -119,10 +119,14 @@ class JointCurve:
     ) -> JointCurve:
         """The curve within joint limits that is nearest to a motion over its time, with the same ends."""
         s = _place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1), knots)
-        q = motion.at(motion.duration * s)
-        control = _control_near(q, pieces, knots)
-        control[1:-1] = np.clip(control[1:-1], limits.lower, limits.upper)
-        return cls(control, knots)
+        return cls(_within(limits, _control_near(motion.at(motion.duration * s), pieces, knots)), knots)
+
+    @classmethod
+    def through(cls, s: Vector, q: Matrix, pieces: int, limits: JointLimits) -> JointCurve:
+        """The curve within joint limits that is nearest to straight lines between q (K, n) at s (K,), 0 to 1."""
+        at = np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1)
+        lines = np.column_stack([np.interp(at, s, column) for column in q.T])
+        return cls(_within(limits, _control_near(lines, pieces, ())))
 
 
 def from_rest_to_rest(part: Array) -> Array:
@@ -158,6 +162,12 @@ def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:
     control = np.zeros((pieces + 1, q.shape[1]))
     control[0], control[-1] = q[0], q[-1]
     control[1:-1] = np.linalg.lstsq(weights[:, 1:-1], q - weights @ control, rcond=None)[0]
+    return control
+
+
+def _within(limits: JointLimits, control: Matrix) -> Matrix:
+    """(pieces + 1, n) control points, those between the ends moved into the limits."""
+    control[1:-1] = np.clip(control[1:-1], limits.lower, limits.upper)
     return control
 
 

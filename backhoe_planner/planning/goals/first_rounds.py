@@ -33,11 +33,16 @@ class FirstRounds:
     Attributes
     ----------
     clear: the starts that got clear, or nearly, as far as they were bent, with their costs; the cheapest first.
-    blocked: the least cost of a start that was still in an obstacle after its first rounds; infinite if none was.
+    blocked: the starts that were still in an obstacle after their first rounds, likewise.
     """
 
     clear: list[tuple[float, Start]]
-    blocked: float
+    blocked: list[tuple[float, Start]]
+
+    @property
+    def least_blocked(self) -> float:
+        """The least cost of a start that was still in an obstacle; infinite if none was."""
+        return self.blocked[0][0] if self.blocked else np.inf
 
 
 def after_first_rounds(starts: Iterable[Start], bend: FewRounds, *, far_off: float, pushed: int) -> FirstRounds:
@@ -68,7 +73,7 @@ def after_first_rounds(starts: Iterable[Start], bend: FewRounds, *, far_off: flo
             if found is not None and found.missed <= _NEARLY:
                 clear.append((_worth(found), _as_far(start, found)))
     clear.sort(key=lambda one: one[0])
-    return FirstRounds(clear, blocked[0][0] if blocked else np.inf)
+    return FirstRounds(clear, blocked)
 
 
 def _worth(found: Timed) -> float:

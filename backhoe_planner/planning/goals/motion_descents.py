@@ -108,6 +108,7 @@ class MotionDescents:
         self._reserved = 0  # rounds that are kept for later descents
         self.longest = longest
         self.blocked = self.early = np.inf
+        self._left_blocked: list[tuple[float, Start]] = []  # starts that stayed in an obstacle, with their costs
         self.best: FoundMotion | None = None
         self._unrefined: FoundMotion | None = None  # the best before it was refined; None until then
         self._unrefined_after: int | None = None  # rounds until then
@@ -158,6 +159,11 @@ class MotionDescents:
         """The starting curves of the descents in `descend_cheapest`."""
         return tuple(self._begun)
 
+    def take_blocked(self) -> list[tuple[float, Start]]:
+        """The starts that stayed in an obstacle since the last call, as far as they were bent; the cheapest first."""
+        found, self._left_blocked = sorted(self._left_blocked, key=lambda one: one[0]), []
+        return found
+
     def goes_straight(self, found: FoundMotion) -> bool:
         """Whether this motion came from a straight line, if the cost is not the time: it goes around nothing.
 
@@ -183,7 +189,8 @@ class MotionDescents:
         found = after_first_rounds(
             (one.start for one in chosen), self._few_rounds, far_off=far_off, pushed=ways // _WAYS_FOR_ONE
         )
-        self.blocked = min(self.blocked, found.blocked)
+        self.blocked = min(self.blocked, found.least_blocked)
+        self._left_blocked += found.blocked
         tried = found.clear
         for index, (cost, start) in enumerate(tried):
             if clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
@@ -214,6 +221,8 @@ class MotionDescents:
             if self._hurried and not is_time:
                 self._reserved = 0  # a curve that is not quite clear may use them: in a hurry no descent follows
             if found is None or found.missed > (_NEARLY if self._rounds_left_of_cost() > 0 else KEPT_PART * spare):
+                if found is not None:
+                    self._left_blocked.append((found.cost, replace(start, curve=found.curve, duration=found.duration)))
                 return False
             if self._goes_where_another_ended(found):
                 return True

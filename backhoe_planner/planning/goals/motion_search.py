@@ -52,6 +52,7 @@ _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
 _NEAR = 1.1  # times the least time to any posture, up to which a motion counts as near the best possible; chosen
 _MORE_POSTURES = 4  # times the usual starting points, if more postures are looked for; chosen
 _MORE_FOR_COST = 12  # the same for another cost than the time, which depends mostly on the end; measured
+_SIDES = 2  # sampled detours for a start that is blocked, which may pass it on different sides; chosen
 _VAIN = 2  # a search that found no route at all counts as so many that gained nothing; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 # for another cost than the time and for each of `Effort.ways_at_once`: how many of the cheapest straight lines are
@@ -337,10 +338,25 @@ class MotionSearch:
                 return
             before = self.best.cost
             sampled = not mapped or (not is_time and turn % 2 == 1)
+            if not is_time:
+                self._go_around(turn)
             found = self._follow(self._sampled(turn) if sampled else self._mapped(turn, dull))
             turn += 1
             gained = self.best.cost < (1.0 - _GAIN) * before
             dull = 0 if gained else dull + (1 if found or mapped else _VAIN)
+
+    def _go_around(self, turn: int) -> None:
+        """Descents from the cheapest starts that stayed in an obstacle, with detours around it.
+
+        Such a start is tried once, if it cost less after its first rounds than all that got clear.
+        """
+        ways, least = self._world.work.effort.ways_at_once, self._descents.early
+        blocked = [start for cost, start in self._descents.take_blocked() if cost < least][:ways]
+        tried = [self._ways.around(start, turn + number) for start in blocked for number in range(_SIDES)]
+        starts = [start for start in tried if start is not None]
+        if starts:
+            prices = self._descents.prices(self._screen)
+            self._descents.descend_cheapest(prices.cheapest(prices.in_order(starts), ways))
 
     def _follow(self, ways: Iterable[FoundMotion]) -> bool:
         """Descents from the routes that are worth one; whether there are any routes."""

@@ -1,4 +1,7 @@
-"""Routes to postures on the goals, from which descents begin: sampled ones, and different ones through a roadmap."""
+"""Routes to postures on the goals, from which descents begin: sampled ones, and different ones through a roadmap.
+
+A start that goes through obstacles becomes one that goes around them, along sampled detours.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.starts import Start
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -24,6 +28,7 @@ _SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled route, in 
 _MAP_SPARE = 0.002  # m kept beyond every clearance in a roadmap; chosen small, because a roadmap is for narrow passages
 _LOOKS_FOR_ONE = 3  # sampled checks for one of `Effort.motions`, which count proofs; a check takes a tenth of a proof
 _MOTIONS = 2_000  # checked for one sampled route if another is known; chosen, a sixth of what the first may use
+_STATIONS = 101  # along a start, that are checked, and between which its detours begin and end; chosen
 _PLACES = 12  # along a motion, by which a roadmap knows its route; chosen
 # rad: cones are at least as wide for the straight motions of a route. Its corners are in the true ones, and a descent
 # brings what is between them there; chosen
@@ -120,6 +125,54 @@ class Ways:
         found = self._motion(check, path, which, seed=seed, way="sampled")
         self.reached.append(self._ends.postures[self._ends.nearest(which, found.motion.q[-1])])
         return found
+
+    def around(self, blocked: Start, turn: int) -> Start | None:
+        """A start that is `blocked`, with a sampled and shortened detour around each obstacle on its way.
+
+        A detour is run at the mean pace of the stretch that it replaces. None if no detour is found, or if one end of
+        the start is in an obstacle.
+
+        Parameters
+        ----------
+        turn: another one gives other detours.
+        """
+        limits, s = self._problem.limits, np.linspace(0.0, 1.0, _STATIONS)
+        q = np.clip(blocked.curve(s), limits.lower, limits.upper)
+        keeps = self._check([], _MAP_SPARE).keeps(q)
+        if keeps.all() or not (keeps[0] and keeps[-1]):
+            return None
+        seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
+        spans, corners = [np.zeros(1)], [q[:1]]
+        last = 0
+        while last < len(s) - 1:
+            first, last = last, int(np.flatnonzero(keeps[last + 1 :])[0]) + last + 1
+            between = q[first : last + 1]
+            if last > first + 1:
+                found = self._detour(q[first], q[last], seed)
+                if found is None:
+                    return None
+                pace = self._lengths(between).sum() / (s[last] - s[first])
+                between = found.q
+                spans.append(self._lengths(between) / pace)
+            else:
+                spans.append(np.diff(s[first : last + 1]))
+            corners.append(between[1:])
+        time = np.cumsum(np.concatenate(spans))
+        curve = JointCurve.through(time / time[-1], np.vstack(corners), blocked.curve.pieces, limits)
+        return Start(curve, blocked.duration, blocked.goal, "around an obstacle")
+
+    def _detour(self, a: Vector, b: Vector, seed: int) -> JointPath | None:
+        """A sampled and shortened route between two clear configurations (n,); None if none is found."""
+        check = SampledCheck(
+            self._problem, self._world.proximity, [a, b],
+            spare=_MAP_SPARE, time=self._time, brake=self._world.work.brake, hurried=self._hurried,
+        )  # fmt: skip
+        path = sample_path(check, a, [b], seed=seed, work=self._sampling, most_motions=_MOTIONS)
+        return None if path is None else shorten(check, path, seed=seed)
+
+    def _lengths(self, q: Matrix) -> Vector:
+        """(K - 1,) joint times between successive q (K, n) [s]."""
+        return np.asarray(np.linalg.norm(np.diff(q, axis=0) / self._problem.limits.velocity, axis=1))
 
     def through_roadmap(
         self, which: Sequence[int], turn: int, *, nodes: int, longest: float, price: Price, known: Sequence[Matrix],

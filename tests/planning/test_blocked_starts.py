@@ -1,0 +1,93 @@
+"""Starts that go through obstacles: kept once they cannot get clear, and led around along sampled detours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bar_scenes import BAR, STRETCHED, TURNED, Data, problem_of
+
+import backhoe_planner as bp
+from backhoe_planner.motion import OBJECTIVES
+from backhoe_planner.planning import EFFORTS, Work, World
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.starts import PricedStart, Start
+from backhoe_planner.planning.goals.motion_descents import MotionDescents
+from backhoe_planner.planning.goals.ways import Ways
+from backhoe_planner.planning.search.goal_ends import GoalEnds
+
+PIECES = 60  # so many that a curve follows a detour to within millimetres
+# a second bar, further along the arc
+SECOND = BAR | {"name": "second", "size": [0.6, 0.1, 1.0], "position": [0.6, 3.6, 0.0], "rpy": [0, 0, 1.4]}
+
+
+def line_through(robot: bp.Robot, *obstacles: Data, turned: float = 1.5) -> tuple[World, Ways, Start]:
+    """The straight line by which the stretched arm sweeps across the obstacles, and ways among them."""
+    end = TURNED * (turned / TURNED[0])
+    problem = replace(problem_of(robot, STRETCHED, end, list(obstacles)), objective=OBJECTIVES["velocity_norm"])
+    world = World(problem, seed=3, work=Work(EFFORTS["normal"]))
+    ends = GoalEnds(problem, STRETCHED)
+    ends.take([end], [problem.goals[0]])
+    start = Start(JointCurve.straight(STRETCHED, end, PIECES), 6.0, problem.goals[0], "straight")
+    return world, Ways(world, STRETCHED, ends, time=0.0, hurried=False), start
+
+
+def margins(world: World, curve: JointCurve) -> np.ndarray:
+    """The least margin at each of 101 places of a curve; 1 m if nothing is near."""
+    proximity = world.proximity
+    return np.array(
+        [float(np.min(proximity.at(q, margin=1.0).margin, initial=1.0)) for q in curve(np.linspace(0.0, 1.0, 101))]
+    )
+
+
+@pytest.mark.parametrize(("obstacles", "turned"), [([BAR], 1.5), ([BAR, SECOND], 1.9)])
+def test_a_blocked_start_is_led_around_every_obstacle_and_stays_as_it_is_elsewhere(
+    planar4: bp.Robot, obstacles: list[Data], turned: float
+) -> None:
+    world, ways, line = line_through(planar4, *obstacles, turned=turned)
+    before = margins(world, line.curve)
+    runs = np.count_nonzero(np.diff((before < 0.0).astype(int)) == 1)
+    assert runs == len(obstacles)
+    assert before.min() < -0.05
+    around = ways.around(line, 0)
+    assert around is not None
+    assert margins(world, around.curve).min() > -0.01
+    np.testing.assert_allclose(around.curve.control[[0, -1]], line.curve.control[[0, -1]], atol=1e-12)
+    # near both ends only the first joint moves, as along the line
+    first = around.curve(np.linspace(0.0, 0.1, 5))
+    assert np.abs(first[:, 1:]).max() < 0.02
+    assert (around.goal, around.duration) == (line.goal, line.duration)
+
+
+def test_a_clear_start_and_one_that_ends_in_an_obstacle_have_no_detour(planar4: bp.Robot) -> None:
+    far = BAR | {"position": [0.0, -3.0, 0.0]}
+    _, ways, line = line_through(planar4, far)
+    assert ways.around(line, 0) is None
+    _, ways, line = line_through(planar4, BAR)
+    halfway = replace(line, curve=JointCurve.straight(STRETCHED, 0.4 * TURNED, PIECES))
+    assert ways.around(halfway, 0) is None
+
+
+def test_starts_that_stay_in_an_obstacle_are_handed_out_once_the_cheapest_first(planar4: bp.Robot) -> None:
+    """Both ends are fixed and a wall is between them, as wide as the arm is long: a few rounds do not lead past it."""
+    wall: Data = {
+        "name": "wall",
+        "shape": "box",
+        "size": [8.0, 0.1, 1.0],
+        "position": [4.1, 2.0, 0.0],
+        "rpy": [0, 0, 0.6],
+    }
+    world, _, line = line_through(planar4, wall)
+    ends = GoalEnds(world.problem, STRETCHED)
+    ends.take([TURNED], [line.goal])
+    descents = MotionDescents(world, STRETCHED, ends, time=0.0, longest=6.0)
+    short = replace(line, curve=JointCurve.straight(STRETCHED, TURNED, 8))
+    control = short.curve.control.copy()
+    control[4, 3] += 0.3
+    bent = replace(short, curve=short.curve.moved_to(control))
+    descents.descend_cheapest([PricedStart(short, 1.0), PricedStart(bent, 2.0)])
+    found = descents.take_blocked()
+    assert len(found) == 2
+    assert [cost for cost, _ in found] == sorted(cost for cost, _ in found)
+    assert descents.take_blocked() == []
