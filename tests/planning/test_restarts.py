@@ -14,7 +14,10 @@ import backhoe_planner as bp
 from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Timed
+from backhoe_planner.planning.descent.starts import PricedStart, Start
+from backhoe_planner.planning.goals import motion_descents
 from backhoe_planner.planning.goals import searches as goal_searches
+from backhoe_planner.planning.goals.first_rounds import FirstRounds
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.motion_descents import MotionDescents
@@ -266,6 +269,40 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
     assert begun == begun_with
     assert descents.best.cost == best
     assert descents.gained_by_refining == pytest.approx(1.0 - best / 10.0)
+
+
+@pytest.mark.parametrize(
+    ("known", "dear", "begun"),
+    [
+        ("", 1.0, "ab"),  # two motions
+        ("b", 1.0, "abc"),  # the second goes where the first ended
+        ("bc", 1.0, "abc"),  # no more than three starts
+        ("b", 3.0, "ab"),  # the third costs more than twice as much as the first
+    ],
+)
+def test_a_descent_that_goes_where_another_one_ended_is_followed_by_one_from_the_next_start(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, known: str, dear: float, begun: str
+) -> None:
+    """Four starts are clear after their first rounds; of three the normal effort descends to two motions."""
+    world, _, search = ended_search(planar4)
+    descents, goal, curve = search._descents, world.problem.goals[0], JointCurve.straight(START, END, 12)
+    starts = {name: Start(curve, DURATION, goal, name) for name in "abcd"}
+    costs = {"a": 10.0, "b": 11.0, "c": 12.0 * dear, "d": 13.0 * dear}
+    rounds = FirstRounds([(costs[name], start) for name, start in starts.items()], [])
+    monkeypatch.setattr(motion_descents, "after_first_rounds", lambda *_, **__: rounds)
+    run = ""
+
+    def descend(start: Start) -> bool:
+        nonlocal run
+        run += start.way
+        if start.way not in known:
+            motion = time_evenly(curve, DURATION)
+            descents.ended.append(FoundMotion(motion, costs[start.way], goal, start.way, curve))
+        return True
+
+    monkeypatch.setattr(descents, "descend", descend)
+    descents.descend_cheapest([PricedStart(start, 1.0) for start in starts.values()])
+    assert run == begun
 
 
 def test_what_an_earlier_search_has_refined_is_not_refined_again(planar4: bp.Robot) -> None:

@@ -185,7 +185,7 @@ class MotionDescents:
             self.descend(replace(start, duration=max(start.duration, self.longest)))
             return
         far_off = _FURTHER_OFF if self.best is None else _FAR_OFF
-        ways, clear = work.effort.ways_at_once, 0
+        ways, is_clear, before = work.effort.ways_at_once, False, len(self.ended)
         found = after_first_rounds(
             (one.start for one in chosen), self._few_rounds, far_off=far_off, pushed=ways // _WAYS_FOR_ONE
         )
@@ -193,13 +193,14 @@ class MotionDescents:
         self._left_blocked += found.blocked
         tried = found.clear
         for index, (cost, start) in enumerate(tried):
-            if clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
+            if is_clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
                 break
             if self.descend(start):
-                clear, self.early = clear + 1, min(self.early, cost)
+                is_clear, self.early = True, min(self.early, cost)
             else:
                 self.blocked = min(self.blocked, cost)
-            if clear >= ways / _WAYS_FOR_ONE:
+            # a descent that goes where another one ended adds none
+            if len(self.ended) - before >= ways / _WAYS_FOR_ONE:
                 break
 
     def descend(self, start: Start) -> bool:
