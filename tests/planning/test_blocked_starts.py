@@ -9,10 +9,12 @@ import pytest
 from bar_scenes import BAR, STRETCHED, TURNED, Data, problem_of
 
 import backhoe_planner as bp
+from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.starts import PricedStart, Start
+from backhoe_planner.planning.goals.lift import Lift
 from backhoe_planner.planning.goals.motion_descents import MotionDescents
 from backhoe_planner.planning.goals.ways import Ways
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -91,3 +93,19 @@ def test_starts_that_stay_in_an_obstacle_are_handed_out_once_the_cheapest_first(
     assert len(found) == 2
     assert [cost for cost, _ in found] == sorted(cost for cost, _ in found)
     assert descents.take_blocked() == []
+
+
+def test_a_cost_is_near_the_lift_up_to_a_twentieth_and_what_is_worth_a_search(backhoe: bp.Robot) -> None:
+    """Raising the boom lifts known masses; going down lifts nothing."""
+    low, high = backhoe.middle, backhoe.middle.copy()
+    high[1] += 0.3
+    joints = dict(zip(backhoe.joint_names, low.tolist(), strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"joints": joints}}}
+    lift = Lift(bp.build_problem(backhoe, bp.scene_from_dict(content)))
+    lifted = lift.least(low, [high])
+    assert lifted > 1_000.0
+    assert lift.worth == pytest.approx(5e-5 * GRAVITY * sum(i.mass for i in list(backhoe.model.inertias)[1:]), rel=1e-6)
+    assert lift.is_near(1.049 * lifted, low, [high])
+    assert not lift.is_near(1.051 * lifted + lift.worth, low, [high])
+    assert lift.is_near(0.9 * lift.worth, high, [low])
+    assert not lift.is_near(1.1 * lift.worth, high, [low])

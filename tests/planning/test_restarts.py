@@ -184,16 +184,16 @@ def test_thorough_costs_no_more_than_normal_even_if_its_own_searches_find_worse_
     assert thorough.metrics.energy["hydraulic"] <= normal.metrics.energy["hydraulic"] * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 3)])
+@pytest.mark.parametrize(("leads_round", "count"), [(False, 1), (True, 2)])
 def test_the_normal_effort_searches_again_if_the_best_makes_a_detour(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, leads_round: bool, count: int
 ) -> None:
-    found = iter([(10.0, DURATION), (9.0, 4.0), (8.0, 4.0)])
+    found = iter([(10.0, DURATION), (9.0, 4.0)])
     way, searches = way_of(
         planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], leads_round=leads_round
     )  # fmt: skip
     assert (way, len(searches.seeds)) == (f"search {count}", count)
-    assert searches.before == [None, searches, searches][:count]  # each continues the one before
+    assert searches.before == [None, searches][:count]  # it continues the one before
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Problem
 
 _WORTH = 5e-5  # m: lifting all moving masses so far takes the energy that is worth another search; chosen
+_NEAR = 0.05  # part of what is lifted, by which a cost may exceed it if another search is not worth its time; chosen
 
 
 class Lift:
@@ -26,6 +27,10 @@ class Lift:
         self._dynamics = Dynamics(problem.robot, payload=scene.payload, payload_at=scene.payload_at)
         masses, _ = self._dynamics.bodies()
         self.worth = float(np.sum(masses)) * GRAVITY * _WORTH
+
+    def is_near(self, cost: float, start: Vector, ends: Iterable[Vector]) -> bool:
+        """Whether a motion from `start` (n,) at this cost [J] takes little more than the lift to the lowest end."""
+        return cost <= (1.0 + _NEAR) * self.least(start, ends) + self.worth
 
     def least(self, start: Vector, ends: Iterable[Vector]) -> float:
         """By how much `start` (n,) is below the lowest of `ends`, (n,) each [J]; 0 if it is not below."""

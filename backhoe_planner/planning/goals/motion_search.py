@@ -24,6 +24,7 @@ from backhoe_planner.planning.goals.allowed_time import (
     has_room,
 )
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.goals.lift import Lift
 from backhoe_planner.planning.goals.motion_descents import FINE_ROUNDS, LEAST_GAIN, MotionDescents, holds_end
 from backhoe_planner.planning.goals.straight_lines import StraightLines
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
@@ -107,6 +108,7 @@ class MotionSearch:
         self._ways = Ways(world, start, self._ends, time=time, hurried=self._hurried)
         self._goes_on = before is not None and before.allowed_time is not None
         known: MotionDescents | None = None if before is None else before._descents
+        self._lift = Lift(world.problem) if world.problem.objective.lifts else None
         self._descents: MotionDescents = MotionDescents(
             world, start, self._ends, time=time, longest=longest, before=known
         )
@@ -176,7 +178,7 @@ class MotionSearch:
     @property
     def leads_round(self) -> bool:
         """Whether the best motion goes around an obstacle, or may cost more than one that does; see `goes_straight`."""
-        return self.best is not None and not self._costs_nothing and not self._descents.goes_straight(self.best)
+        return self.best is not None and not self._is_least and not self._descents.goes_straight(self.best)
 
     @property
     def is_for_time(self) -> bool:
@@ -194,6 +196,13 @@ class MotionSearch:
     def _costs_nothing(self) -> bool:
         """Whether the best costs so little that nothing can be gained."""
         return self.best is not None and not self._problem.objective.is_time and self.best.cost <= NO_COST
+
+    @property
+    def _is_least(self) -> bool:
+        """Whether the best costs nothing, or little more than the lift to the lowest posture, if the cost lifts."""
+        if self._lift is None or self.best is None:
+            return self._costs_nothing
+        return self._lift.is_near(self.best.cost, self._start, self._ends.postures)
 
     @property
     def _is_worth_refining(self) -> bool:
@@ -472,7 +481,7 @@ class MotionSearch:
 
     def _is_optimal(self) -> bool:
         """Whether no motion can be better by more than `LEAST_GAIN`, or one is as fast as `enough`."""
-        if self._is_enough() or self._costs_nothing:
+        if self._is_enough() or self._is_least:
             return True
         if self.best is None or not self._problem.objective.is_time or self._hurried:
             return False

@@ -24,9 +24,7 @@ from backhoe_planner.planning.world.world import World
 # find a much cheaper motion; chosen: two sites in three have more
 _HARD = 28
 _FEWER = 3  # times fewer further searches for a cost that jumps, as each takes several times as long; chosen
-# parts of the cost: the excess over what is lifted, below which another search is not worth its time, and the
-# difference below which the results of two searches count as equal; chosen
-_LIFTED, _ALIKE = 0.05, 0.03
+_ALIKE = 0.03  # part of the cost: the results of two searches count as equal if they differ by less; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +127,11 @@ def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: G
     alike, least = world.work.effort.alike, min(costs)
     if not alike:
         return True
-    worth = lifted = 0.0
+    worth = 0.0
     if world.problem.objective.lifts:
         lift = Lift(world.problem)
-        worth, lifted = lift.worth, lift.least(start, found.clear)
+        if lift.is_near(least, start, found.clear):
+            return False
+        worth = lift.worth
     near = max((1.0 + _ALIKE) * least, least + worth)
-    return least > (1.0 + _LIFTED) * lifted + worth and sum(cost <= near for cost in costs) < alike
+    return sum(cost <= near for cost in costs) < alike

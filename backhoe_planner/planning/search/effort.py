@@ -112,7 +112,7 @@ _NORMAL = Effort(
     begins_with="",
     restarts=3,
     alike=2,
-    restarts_round=2,
+    restarts_round=1,
     restarts_long=1,
     rough=True,
 )
