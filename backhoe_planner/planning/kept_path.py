@@ -26,7 +26,7 @@ from backhoe_planner.motion import (
     RotationCone,
     TipPath,
 )
-from backhoe_planner.planning.search.contradictions import find_contradiction
+from backhoe_planner.planning.world.contradictions import find_contradiction
 from backhoe_planner.planning.world.outcome import Outcome, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint

@@ -9,7 +9,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Keep, build_problem
-from backhoe_planner.planning.search.contradictions import find_contradiction
+from backhoe_planner.planning.world.contradictions import find_contradiction
 
 Data = dict[str, Any]
 

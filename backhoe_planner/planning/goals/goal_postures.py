@@ -25,9 +25,9 @@ from backhoe_planner.machine import (
 )
 from backhoe_planner.motion import Goal, Keep
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.search.contradictions import find_contradiction
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
+from backhoe_planner.planning.world.contradictions import find_contradiction
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
