@@ -77,7 +77,8 @@ def waypoint_breaks_keep(world: World, path: TipPath) -> Outcome | None:
     keep = world.problem.keep
     if keep is None:
         return None
-    contradiction = find_contradiction(keep, world.problem.limits)
+    start = world.problem.start_q
+    contradiction = find_contradiction(keep, world.problem.limits, [] if start is None else [start])
     if contradiction:
         return _breaks_keep(world, contradiction)
     tried = np.linspace(0, len(path.waypoints) - 1, min(len(path.waypoints), _MOST_WAYPOINTS)).astype(int).tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.motion import Keep, build_problem
 from backhoe_planner.planning.world.contradictions import find_contradiction
+from validation.pose_arms import write_arm
 
 Data = dict[str, Any]
 
@@ -46,3 +48,13 @@ def test_a_path_whose_conditions_contradict_each_other_is_not_told_to_be_out_of_
     found = bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": {"path": PATH, "keep": keep}}), effort="quick")
     assert found.reason == "goal_breaks_keep"
     assert "contradict each other" in found.message
+
+
+def test_conditions_of_a_machine_with_continuous_joints_are_compared_too(tmp_path: Path) -> None:
+    """The z axis of a tip that is turned by nothing points up, half a turn from down."""
+    arm = bp.load_robot(write_arm("gen3", tmp_path))
+    upright = {"rpy": [0.0, 0.0, 0.0], "tolerance": 0.1}
+    up, down = ({"axis": [0.0, 0.0, z], "tolerance": 0.1} for z in (1.0, -1.0))
+    assert not find_contradiction(keep_of(arm, rotation=upright, tilt=up), arm.limits)
+    told = find_contradiction(keep_of(arm, rotation=upright, tilt=down), arm.limits)
+    assert "`keep.rotation` and `keep.tilt` contradict each other" in told

@@ -139,7 +139,7 @@ def _postures_on(
     nearest = _nearest_to_kept(
         world, keep, replace(target, position=free.goal.search_target.position), free.clear, time
     )
-    contradiction = find_contradiction(keep, world.problem.limits)
+    contradiction = find_contradiction(keep, world.problem.limits, [near])
     if contradiction:
         return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", contradiction)
     message = f"at the {goal.name} {keep.broken(nearest)}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,37 +13,46 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Condition, Keep
 
 _TRIED = 24  # random postures, from which conditions are sought; chosen: mostly the first leads to all of them
+_TRIED_MORE = 100  # the same before a contradiction is told; chosen: narrow conditions need up to some dozen
+_BEYOND = 2.0 * np.pi  # rad by which the search may leave the postures of a continuous joint; chosen: a turn
 
 
-def find_contradiction(keep: Keep, limits: JointLimits) -> str:
+def find_contradiction(keep: Keep, limits: JointLimits, known: Sequence[Vector] = ()) -> str:
     """Which two conditions hold together in no posture that is found, in words; empty if there are no such.
 
-    Each of them must hold by itself somewhere. From random postures Newton's method looks for one in which both hold;
-    where only the first does, the value of the second that comes nearest is told.
+    Each of them must hold by itself somewhere. From such postures, and from random ones, Newton's method looks for one
+    in which both hold; where only the first does, the value of the second that comes nearest is told.
+
+    Parameters
+    ----------
+    known: (n,) each, postures that may keep all, such as the start [rad or m].
     """
-    if len(keep.conditions) < 2:
+    if len(keep.conditions) < 2 or any(keep.holds(q) for q in known):
         return ""
+    low, high = (np.clip(one, limits.lower, limits.upper) for one in keep.robot.finite_range)
     rng = np.random.default_rng(0)
-    tried = rng.uniform(*keep.robot.finite_range, (_TRIED, keep.robot.n))
-    if _first_within(keep, tried, limits) is not None:
+    tried, more = (rng.uniform(low, high, (count, keep.robot.n)) for count in (_TRIED, _TRIED_MORE))
+    limits = replace(
+        limits, lower=np.maximum(limits.lower, low - _BEYOND), upper=np.minimum(limits.upper, high + _BEYOND)
+    )
+    if next(_within(keep, tried, limits), None) is not None:
         return ""
     for pair in itertools.combinations(keep.conditions, 2):
-        alone = [Keep(keep.robot, [one]) for one in pair]
-        if any(_first_within(one, tried, limits) is None for one in alone):
+        alone = [list(_within(Keep(keep.robot, [one]), tried, limits)) for one in pair]
+        if not all(alone):
             continue
-        if _first_within(Keep(keep.robot, pair), tried, limits) is None:
-            return _told(alone[0], *pair, tried, limits)
+        if next(_within(Keep(keep.robot, pair), np.array([*alone[0], *alone[1], *more]), limits), None) is None:
+            return _told(*pair, np.array(alone[0]))
     return ""
 
 
-def _first_within(keep: Keep, tried: Matrix, limits: JointLimits) -> Vector | None:
-    """(n,) the first posture that keeps all, found from one of `tried` (N, n); None if there is none."""
-    return next((q for q in (keep.project(q, limits.lower, limits.upper) for q in tried) if q is not None), None)
+def _within(keep: Keep, tried: Matrix, limits: JointLimits) -> Iterator[Vector]:
+    """(n,) each, postures that keep all, found from those of `tried` (N, n)."""
+    return (q for q in (keep.project(q, limits.lower, limits.upper) for q in tried) if q is not None)
 
 
-def _told(first: Keep, one: Condition, other: Condition, tried: Matrix, limits: JointLimits) -> str:
-    there = [q for q in (first.project(q, limits.lower, limits.upper) for q in tried) if q is not None]
-    values = other.values(np.array(there))
+def _told(one: Condition, other: Condition, within: Matrix) -> str:
+    values = other.values(within)
     nearest = other.describe(float(values[int(np.argmax(other.margins(values)))]))
     return (
         f"`keep.{one.name}` and `keep.{other.name}` contradict each other: no posture was found in which both hold; "
