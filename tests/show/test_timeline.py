@@ -19,6 +19,7 @@ obstacles:
   - {name: field, shape: heightmap, file: field.csv, size: [16.0, 16.0], position: [0, 0, -0.6], clearance: 0.05}
   - {name: stone, shape: sphere, radius: 0.4, position: [3.5, 1.2, -0.2], clearance: 0.1}
   - {name: far, shape: sphere, radius: 0.4, position: [30.0, 0.0, 0.0]}
+  - {name: heap, shape: pointcloud, file: heap.csv, resolution: 0.2}
 """
 
 
@@ -26,11 +27,13 @@ def test_the_nearest_point_of_each_obstacle_is_that_of_all_pairs(backhoe: Robot,
     """Near ground one pair is measured before the others, and which one changes from frame to frame."""
     rng, within = np.random.default_rng(5), 1.2
     np.savetxt(tmp_path / "field.csv", rng.uniform(-0.15, 0.15, (40, 40)), delimiter=",")
+    heap = rng.uniform([4.5, 1.5, 0.0], [6.0, 3.0, 0.6], (400, 3))
+    np.savetxt(tmp_path / "heap.csv", heap, delimiter=",", fmt="%.4f")
     (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
     problem = build_problem(backhoe, load_scene(tmp_path / "scene.yaml"))
     proximity, alone = (Proximity(backhoe, problem.obstacles) for _ in range(2))
-    names, owners = obstacle_names(problem, proximity), [0, 1, 2, -1]
-    assert names == ("field", "stone", "far", ITSELF)
+    names, owners = obstacle_names(problem, proximity), [0, 1, 2, 3, -1]
+    assert names == ("field", "stone", "far", "heap", ITSELF)
     links = set()
     for part in np.linspace(0.0, 1.0, 25):
         q = np.array([0.8 * part, 0.7 - 0.5 * part, -1.9 + 1.2 * part, -1.6 + 2.4 * part])

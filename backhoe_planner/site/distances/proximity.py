@@ -259,7 +259,7 @@ class Proximity:
         Parameters
         ----------
         within: largest distance [m].
-        margin: largest distance beyond the clearance to be kept, one number or (P,) [m].
+        margin: largest distance beyond the clearance to be kept, one number or (P,) [m]; none within minus infinity.
         known: (P,) known lower bounds of the distances [m].
         """
         q, time = self._checked(q, time)
@@ -271,7 +271,8 @@ class Proximity:
         if within < np.inf:
             reach = np.minimum(reach, within)
         self._place(q, time)
-        return self._rows(*self._measure_within(self._known.every, reach, self._lower_with(known, q, time), q, time))
+        near, found, reach = self._measure_within(self._known.every, reach, self._lower_with(known, q, time), q, time)
+        return self._rows(near[asked := reach > -np.inf], found[asked], reach[asked])
 
     def at_unchecked(
         self, q: Vector, *, time: float, margin: float, v: Vector, fastest: Vector, stop: float, longest: float
