@@ -400,6 +400,7 @@ def test_inspect_prints_the_extent_of_each_obstacle(run: Run, tmp_path: Path) ->
         "   clearance: 0.2}\n"
         "- {name: heap, shape: pointcloud, file: scan.csv, resolution: 1}\n"
         "- {name: ground, shape: halfspace, point: [0, 0, -2], normal: [0, 0, 1]}\n"
+        "- {name: hall beside the field, shape: box, size: [200, 200, 5], position: [-190, -190, 2.499]}\n"
         "- {name: slope, shape: halfspace, point: [0, 0, -9], normal: [1, 0, 1]}\n"
         "zones:\n- {name: wires, kind: ceiling, height: 8, stop: 0.5, slow: 1.2, warn: 2, links: [boom, stick]}\n"
     )
@@ -410,6 +411,8 @@ def test_inspect_prints_the_extent_of_each_obstacle(run: Run, tmp_path: Path) ->
     assert rows["heap"].startswith("heap pointcloud 5.00..7.00 0.00..2.00 0.00..2.00")
     assert rows["ground"] == "ground halfspace no end no end up to -2.00 1 piece"
     assert rows["slope"] == "slope halfspace no end no end no end 1 piece"
+    hall = "hall beside the field box -290.00..-90.00 -290.00..-90.00 0.00..5.00 1 piece"
+    assert hall in map(" ".join, map(str.split, said.splitlines()))  # a log cuts nothing, and no 0 has a sign
     assert "wires zone, ceiling no end no end from 8.00 1 piece" in map(" ".join, map(str.split, said.splitlines()))
     assert "site a clearance of 0.05 m, where no other is given" in " ".join(said.split())
     assert "  crate has a clearance of 0.2 m\n" in said

@@ -149,8 +149,14 @@ def _levels(zone: site.ZoneSpec, scale: float, unit: str) -> str:
 
 def _span(low: float, high: float) -> str:
     if math.isfinite(low) and math.isfinite(high):
-        return f"{low:.2f}..{high:.2f}"
-    return f"up to {high:.2f}" if math.isfinite(high) else f"from {low:.2f}" if math.isfinite(low) else "no end"
+        return f"{_fixed(low, 2)}..{_fixed(high, 2)}"
+    return (
+        f"up to {_fixed(high, 2)}"
+        if math.isfinite(high)
+        else f"from {_fixed(low, 2)}"
+        if math.isfinite(low)
+        else "no end"
+    )
 
 
 def _parts_of(obstacle: bp.Obstacle) -> str:

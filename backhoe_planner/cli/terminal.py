@@ -33,6 +33,7 @@ PlanUrdf = Annotated[
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
 DEGREES = math.degrees(1.0)  # in a radian
 _FIRST_LINE, _NEXT_LINE = 3.0, 10.0  # s from the beginning, and from each line of a log to the next; chosen
+_LOG_WIDTH = 1_000  # characters in a line of a log, which has no edge; chosen, more than any table has
 _FORCING = {"FORCE_COLOR", "TTY_COMPATIBLE"}  # environment variables that make rich treat any stream as a terminal
 
 
@@ -55,9 +56,12 @@ class Stream:
         """rich's, on the same stream."""
         from rich.console import Console
 
-        return Console(
+        console = Console(
             stderr=self._name == "stderr", highlight=False, markup=False, emoji=False, soft_wrap=True
         )  # fmt: skip
+        if not console.is_terminal:
+            console.width = _LOG_WIDTH
+        return console
 
     @property
     def is_terminal(self) -> bool:
@@ -164,7 +168,7 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def table_of(*heads: str) -> Table:
-    """An empty table with a column below each of the `heads`."""
-    from rich.table import Table
+    """An empty table with a column below each of the `heads`; too wide cells go on in the next line."""
+    from rich.table import Column, Table
 
-    return Table(*heads, box=None, pad_edge=False)
+    return Table(*(Column(head, overflow="fold") for head in heads), box=None, pad_edge=False)
