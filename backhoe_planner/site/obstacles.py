@@ -131,9 +131,10 @@ def _odd_size(obstacle: Obstacle, spec: obstacle_shapes.Mesh, radius: float) -> 
     scale = spec.frame(obstacle.folder)[0]
     used = " x ".join(dict.fromkeys(f"{factor:g}" for factor in scale))
     stated = "" if spec.scale is not None else ", which its file states" if used != "1" else ", as its file states none"
+    times = f"{size / radius:,.0f}" if size > radius else f"{size / radius:.3g}"
     large = f"{size:,.0f} m" if size > 1.0 else f"{1000.0 * size:.2g} mm"
     return (
-        f"{obstacle.name} ({spec.file}) is {large} large, {size / radius:.3g} times as far as the machine reaches, "
+        f"{obstacle.name} ({spec.file}) is {large} large, {times} times as far as the machine reaches, "
         f"at a scale of {used}{stated}: `scale` is 0.001 for a file in millimetres, 1 for one in metres"
     )
 

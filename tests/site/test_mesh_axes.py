@@ -230,6 +230,7 @@ def test_a_mesh_as_large_or_small_as_in_other_units_is_warned_of(planar4: Robot,
     write(tmp_path / "block.3mf", "3mf")
     for file, keys, said in (
         ("block.dae", {"scale": 1000.0}, "block (block.dae) is 3,000 m large, 750 times as far as the machine"),
+        ("block.dae", {"scale": 1e4}, "is 30,000 m large, 7,"),
         ("block.3mf", {}, "is 3 mm large, 0.00075 times as far as the machine reaches, at a scale of 0.001, which its"),
         ("block.3mf", {"scale": 0.1}, None),
         ("block.dae", {}, None),

@@ -577,7 +577,9 @@ def test_a_survey_in_map_coordinates_is_refused_with_the_map_origin_to_write(pla
         read_points(tmp_path / "scan.xyz")
 
 
-@pytest.mark.parametrize(("name", "keys"), [("box.ply", {}), ("box.stl", {}), ("box.ply", {"velocity": [1, 0, 0]})])
+@pytest.mark.parametrize(
+    ("name", "keys"), [("box.ply", {}), ("box.stl", {}), ("box.dae", {}), ("box.ply", {"velocity": [1, 0, 0]})]
+)
 def test_floats_of_32_bits_in_map_coordinates_are_refused(
     name: str, keys: dict[str, object], planar4: Robot, tmp_path: Path
 ) -> None:

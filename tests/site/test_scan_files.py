@@ -132,7 +132,10 @@ WRONG_PCD = {
     "another form": (pcd("zip", WHOLE), "DATA: is not a PCD; found zip; allowed: ascii, binary, binary_compressed"),
     "no z": (pcd("binary", WHOLE, FIELDS="i x y w _"), "FIELDS: does not name x, y and z once each; found i x y w _"),
     "moved": (pcd("binary", WHOLE, VIEWPOINT="1 0 0 1 0 0 0"), "VIEWPOINT: has a viewpoint, .* found 1 0 0 1 0 0 0"),
-    "cut short": (pcd("binary", WHOLE[:-1]), "is a PCD that is cut short or damaged"),
+    "cut short": (
+        pcd("binary", WHOLE[:-1]),
+        f"is a PCD that is cut short or damaged: {len(WHOLE) - 1} bytes of points, not {len(WHOLE)}",
+    ),
     "few sizes": (pcd("binary", WHOLE, SIZE="4 4 4"), "is a PCD that is cut short or damaged"),
     "no numbers": (pcd("binary", WHOLE, COUNT="1 0 1 1 2"), "is a PCD that is cut short or damaged"),
     "few lines": (pcd("ascii", b"9 1 2 3 1 2\n"), "is a PCD that is cut short or damaged: 1 lines, not 3"),
@@ -184,6 +187,13 @@ def test_points_of_a_las_are_read_in_map_coordinates(minor: int, tmp_path: Path)
         read_points(tmp_path / "scan.las", map_origin=(0, 0, 0))
 
 
+def test_coordinates_that_no_map_in_metres_has_are_told_to_be_of_other_units(tmp_path: Path) -> None:
+    """A northing of 5,400 km is 17,716,535 feet."""
+    (tmp_path / "scan.xyz").write_text("1640420 17716535 13\n1640421 17716535 13\n")
+    with pytest.raises(InputError, match=r"up to 17,716,535, which no map in metres has: they may be feet"):
+        read_points(tmp_path / "scan.xyz", map_origin=(500_000, 5_400_000, 0))
+
+
 WRONG_LAS = {
     "degrees": (las((34735, keys((1024, 2), (2048, 4326)))), "its reference system: is in degrees"),
     "feet": (las((34735, keys((1024, 1), (3072, 2229)))), "its reference system: is not in metres; found EPSG 2229"),
@@ -191,7 +201,10 @@ WRONG_LAS = {
         las((34735, keys((1024, 1), (3072, 25832), (4099, 9002)))),
         "its reference system: its heights are not in metres",
     ),
-    "WKT": (las((2112, b'GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]\0'), minor=4), "its WKT record: is in deg"),
+    "WKT": (
+        las((2112, b'GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]\0'), minor=4),
+        "its WKT record: is in deg.*pdal",
+    ),
     "LAZ": (las(form=0x80), "is compressed, a LAZ; found point format 128"),
     "no LAS": (b"LASX" + las()[4:], "is not a LAS; found b'LASX'"),
     "cut short": (las()[:-1], "is a LAS that is cut short or damaged"),

@@ -36,7 +36,7 @@ def check_whole(path: Path) -> None:
 
 
 def has_single_precision(path: Path) -> bool:
-    """Whether the coordinates in a file of points or triangles are floats of 32 bits.
+    """Whether the coordinates in a file of points or triangles are floats of 32 bits, or are read as such (DAE).
 
     Raises
     ------
@@ -51,7 +51,7 @@ def has_single_precision(path: Path) -> bool:
             head[at : at + 3] in ([b"property", b"float", b"x"], [b"property", b"float32", b"x"])
             for at in range(len(head))
         )
-    return kind in (".glb", ".gltf") or (kind == ".stl" and not _is_text_stl(beginning))
+    return kind in (".dae", ".glb", ".gltf") or (kind == ".stl" and not _is_text_stl(beginning))
 
 
 def _check_ply(path: Path, content: bytes) -> None:

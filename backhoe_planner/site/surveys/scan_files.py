@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +116,8 @@ def _bytes_of_pcd(
     """The columns of each field; in a packed file, one field comes after the other."""
     kind = np.dtype(fields)
     if not packed:
+        if len(body) < rows * kind.itemsize:
+            raise ValueError(f"{len(body)} bytes of points, not {rows * kind.itemsize}")
         table = np.frombuffer(body, kind, rows)
         return [table[name] for name, _, _ in fields]
     small, large = struct.unpack_from("<II", body)
@@ -193,7 +197,9 @@ def _check_system_of_las(content: bytes, at: int, records: int, path: Path) -> N
         if user.rstrip(b"\0") != _SYSTEM:
             continue
         if number == _WKT and data.strip(b"\0 \n"):
-            check_system_in_metres(data.decode("utf-8", errors="replace").strip("\0 \n"), path, key="its WKT record")
+            text = data.decode("utf-8", errors="replace").strip("\0 \n")
+            with _hint_for_points(path, "its WKT record"):
+                check_system_in_metres(text, path, key="its WKT record")
             return  # it replaces keys
         elif number == _KEYS:
             tags[number] = struct.unpack_from(f"<{length // 2}H", data)
@@ -201,12 +207,18 @@ def _check_system_of_las(content: bytes, at: int, records: int, path: Path) -> N
             tags[number] = struct.unpack_from(f"<{length // 8}d", data)
         elif number == _WORDS:
             tags[number] = data.decode("latin-1")
-    if _KEYS not in tags:
-        return
+    if _KEYS in tags:
+        with _hint_for_points(path, "its reference system"):
+            GeoKeys(tags, path).check_metres()
+
+
+@contextmanager
+def _hint_for_points(path: Path, key: str) -> Iterator[None]:
+    """What is said of a raster in other units, with the program that makes metres of points."""
     try:
-        GeoKeys(tags, path).check_metres()
+        yield
     except InputError as error:
         raise InputError(
-            error.problem, file=path, key="its reference system", found=error.found, allowed=error.allowed,
+            error.problem, file=path, key=key, found=error.found, allowed=error.allowed,
             hint="filters.reprojection of pdal makes metres of it",
         ) from None  # fmt: skip

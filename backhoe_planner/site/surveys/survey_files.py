@@ -222,8 +222,9 @@ def check_near(
     InputError: they do not, or a coordinate is not finite, or of 32 bits and rounded to more than 1 cm.
     """
     origin = np.zeros(3) if map_origin is None else np.array(map_origin)
-    far = None
-    if (np.abs(points) <= FURTHEST).all():
+    largest = float(np.max(np.abs(points), initial=0.0))
+    far = f"its numbers go up to {largest:,.0f}, which no map in metres has: they may be feet or millimetres"
+    if largest <= FURTHEST:
         turn = np.eye(3) if turn is None else turn
         stood = points @ turn.T
         low, high = stood.min(axis=0), stood.max(axis=0)
