@@ -210,3 +210,19 @@ def test_what_the_next_leg_keeps_narrows_only_goals_that_leave_it_open(panda: bp
             assert target.rotation is not None
             np.testing.assert_allclose(target.rotation, DOWN, atol=1e-12)
             assert 0.0 < target.rotation_tolerance <= 0.54 + 1e-12
+
+
+def test_the_law_begins_within_the_acceleration_where_a_narrow_tilt_shortens_its_first_step(panda: bp.Robot) -> None:
+    """From rest a shortened step has only its own time to reach its velocity, not half of the usual step as well."""
+    start = (-0.020996, 0.947373, 0.305992, -0.916855, -0.083088, 2.769581, -0.867994)
+    tilt = {"axis": [0.100274, 0.803068, -0.587390], "direction": [0.000802, 0.000598, 1.0], "tolerance": 0.001}
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(panda.joint_names, start, strict=True))},
+            "task": {"goal": {"position": [0.6, 0.57, 0.29]}, "keep": {"tilt": tilt}},
+        }
+    )
+    motion = bp.plan(panda, scene, method="reactive").trajectory
+    assert motion.time[1] < 0.01  # it is shortened
+    assert float(np.max(np.abs(motion.corner_accelerations()[0]) / panda.limits.acceleration)) < 1.0 + 1e-9

@@ -133,8 +133,8 @@ class Stepper:
         kept = None if keep is None else Kept(*(each[0] for each in keep.rows_each(self.q[None])))
         for _ in range(_HALVINGS):
             extra: Vector | float = _BUFFER
-            # the change of velocity is spread over half of this step and half of the last one
-            span = 0.5 * (dt + self._last_dt)
+            # the change of velocity is spread over half of this step and half of the last one, from rest over this step
+            span = dt if len(self._times) == 1 and not np.any(self.v) else 0.5 * (dt + self._last_dt)
             for _ in range(_CORRECTIONS):
                 shielded = self._shield.filter_unchecked(
                     wish, q=self.q, v_before=self.v, dt=span, nearby=nearby, J_tip=J_tip, extra_margin=extra, kept=kept
