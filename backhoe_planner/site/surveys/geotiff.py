@@ -89,14 +89,14 @@ def read_geotiff(path: Path) -> HeightTable:
         )  # fmt: skip
     numbers = decode(tiff, tags, path) if can_decode(tags) else _by_pillow(tiff, tags, path)
     heights = np.where(_is_masked(tiff, path), np.nan, numbers.astype(float))[::-1]
-    said = _said_of_heights(tags, path)
+    said, of_place = _said_of(tags, path)
     missing = _number(said.get("nodatavalue"))
     if missing is not None:
         # the tag is decimal text, but heights are often 32-bit floats
         heights[np.isclose(heights, missing, rtol=1e-6, atol=0.0)] = np.nan
     scale, offset = _scaling(said, path)
     heights = scale * heights + offset
-    return HeightTable(heights, *place_of(tags, heights.shape[0], path, _noted_of_place(path)))
+    return HeightTable(heights, *place_of(tags, heights.shape[0], path, of_place))
 
 
 def _by_pillow(tiff: TiffFile, tags: Tags, path: Path) -> NDArray[Any]:
@@ -187,10 +187,13 @@ def _number(text: object) -> float | None:
         return None
 
 
-def _said_of_heights(tags: Tags, path: Path) -> dict[str, str]:
-    """What GDAL has noted of the first band: scale, offset, unittype and nodatavalue, as far as it has, as text.
+def _said_of(tags: Tags, path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """What GDAL has noted, as far as it has, as text.
 
-    It notes them in tags, or in a file of the same name that ends in .aux.xml.
+    Returns
+    -------
+    Of the first band: scale, offset, unittype and nodatavalue, in tags or in the file of the same name that ends in
+    .aux.xml; and of the place: GeoTransform and SRS, in that file.
 
     Raises
     ------
@@ -212,19 +215,8 @@ def _said_of_heights(tags: Tags, path: Path) -> dict[str, str]:
         if key in _NOTED and text and not _are_same(said.setdefault(key, text), text):
             found = f"{said[key]}, and {text} in {beside.name}"
             raise InputError("says two things", file=path, key=element.tag, found=found, hint="delete the wrong one")
-    return {key: text.strip("\0 \n") for key, text in said.items()}
-
-
-def _noted_of_place(path: Path) -> dict[str, str]:
-    """The texts of GeoTransform and SRS in the file of the same name that ends in .aux.xml, as far as it has them."""
-    beside = path.with_name(path.name + NOTED_BESIDE)
-    if not is_file(beside):
-        return {}
-    from xml.etree import ElementTree  # only when a GeoTIFF is read
-
-    root = ElementTree.fromstring(beside.read_bytes())  # `_said_of_heights` has found it sound
-    texts = ((key, (root.findtext(key) or "").strip()) for key in ("GeoTransform", "SRS"))
-    return {key: text for key, text in texts if text}
+    of_place = ((key, (root.findtext(key) or "").strip()) for key in ("GeoTransform", "SRS"))
+    return {key: text.strip("\0 \n") for key, text in said.items()}, {key: text for key, text in of_place if text}
 
 
 def _are_same(text: str, other: str) -> bool:
