@@ -16,7 +16,7 @@ SOURCES = (
     "ground",
     "rings",
     "grids",
-    "mesh",
+    "cell_trees",
     "voxels",
     "law",
     "shield",

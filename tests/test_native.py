@@ -868,9 +868,10 @@ def cheapest_with_turns(rng: Rng) -> Arguments:
     return steps, rng.normal(size=(joints(rng), layers - 1, width, width)), closed, rng.uniform(0.0, 1.0)
 
 
-def nearest_on_mesh(rng: Rng) -> Arguments:
-    """A hull near a few triangles, in a tree of four leaves."""
-    corners = rng.normal(size=(some(rng, 9), 9))
+def nearest_on_cells(rng: Rng) -> Arguments:
+    """A hull near a few triangles or cubes, in a tree of four leaves."""
+    cells, half = rng.normal(size=(some(rng, 9), int(rng.choice([3, 9])))), rng.uniform(0.0, 0.5)
+    corners = cells if cells.shape[1] == 9 else np.tile(cells, 2) + half * np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
     boxes = np.full((8, 6), np.inf)
     boxes[:, 3:] = -np.inf
     for leaf in range(4):
@@ -881,7 +882,7 @@ def nearest_on_mesh(rng: Rng) -> Arguments:
         children = boxes[2 * node : 2 * node + 2]
         boxes[node] = *children[:, :3].min(axis=0), *children[:, 3:].max(axis=0)
     hull = rng.normal([0.0, 0.0, 3.0], 1.0, (1 + some(rng, 9), 3))
-    return hull, rng.uniform(0.0, 0.1), boxes, corners, 4, rng.choice([0.5, 5.0])
+    return hull, rng.uniform(0.0, 0.1), boxes, cells, 4, half, rng.choice([0.5, 5.0])
 
 
 def read_over_ground(rng: Rng) -> Arguments:
@@ -914,10 +915,10 @@ def least_on_grid(rng: Rng) -> Arguments:
     return *asked[:11], *asked[15:], fine, starts, *lower_on_grid(rng)[1:]
 
 
-def kept_over_mesh(rng: Rng) -> Arguments:
+def kept_over_cells(rng: Rng) -> Arguments:
     counts = rng.integers(1, 5, 3)
     sides = rng.integers(0, 3, int(counts.prod())).astype(np.uint8)
-    return *least_on_grid(rng), *nearest_on_mesh(rng)[2:5], rng.uniform(-1.5, -0.5, 3), 2.0, counts, sides
+    return *least_on_grid(rng), *nearest_on_cells(rng)[2:6], rng.uniform(-1.5, -0.5, 3), 2.0, counts, sides
 
 
 def lower_over_heights(rng: Rng) -> Arguments:
@@ -936,10 +937,10 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     boxes_of_cells, boxes_of_voxels, braking_line, cells_of_tiles, chain_energies, chain_placements,
     chain_torque_slopes, chain_torques, changes_of_end, cheapest_with_turns, contracted, corner_gaps, cost_of_tip,
     count_travel, damped_steps, distances_within, extent_along, fastest_run, first_not_apart, force_on_hand,
-    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_ground,
-    kept_over_mesh, known_apart, largest_part, least_on_grid, least_over_path, least_supplied, left_over_path,
+    gaps_along_path, hulls_apart, inexact_boxes, keep_placements, keep_proven, keeps_rows, kept_over_cells,
+    kept_over_ground, known_apart, largest_part, least_on_grid, least_over_path, least_supplied, left_over_path,
     line_ahead, linkage_arm_slopes, linkage_arms, lower_on_grid, lower_over_heights, margins_now, missed_up_to,
-    most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_ground, nearest_on_mesh, nearest_rows,
+    most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_cells, nearest_on_ground, nearest_rows,
     nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart,
     pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead,
     reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits,
@@ -964,13 +965,13 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 # in tests/machine/test_clusters.py, tests/site/test_clearance_screen.py, tests/site/test_over_ground.py,
 # tests/site/test_beside_solids.py.
 OF_COAL = (
-    first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh,
-    distances_within, kept_over_ground, kept_over_mesh, read_over_ground,
+    first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_cells,
+    distances_within, kept_over_ground, kept_over_cells, read_over_ground,
 )  # fmt: skip
 
 WITHOUT_JOINTS = (  # of these, those that answer whatever the number of joints
-    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_mesh, kept_over_ground,
-    kept_over_mesh, read_over_ground,
+    boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_cells, kept_over_ground,
+    kept_over_cells, read_over_ground,
 )  # fmt: skip
 
 

@@ -270,7 +270,7 @@ def test_the_compiled_distance_to_triangles_equals_that_of_coals_tree(kind: str)
     for number in range(90):
         link, place = LINKS[number % 3], random_place(rng, 1.5)
         placed, reach = Placed(link, place.rotation, place.translation), float(rng.choice([0.05, 0.3, 2.0]))
-        is_known, found = solid._triangles.measure(placed, reach)
+        is_known, found = solid._cells.measure(placed, reach)
         true = solid._tree.measure(link.shape, placed.shifted(np.zeros(3)), reach)
         if not is_known:
             counts["left"] += 1
@@ -284,6 +284,36 @@ def test_the_compiled_distance_to_triangles_equals_that_of_coals_tree(kind: str)
             assert gap(link, place, speck(found.point)) < 1e-7
             nearest = trimesh.triangles.closest_point(mesh.triangles, np.tile(found.other_point, (len(mesh.faces), 1)))
             assert np.linalg.norm(nearest - found.other_point, axis=1).min() < 1e-8
+            counts["near"] += 1
+    assert counts["near"] > 15
+    assert counts["far"] > 5
+    assert counts["left"] < 60
+
+
+@needs_native
+def test_the_compiled_distance_to_voxels_equals_that_of_coals_tree() -> None:
+    rng, edge = np.random.default_rng(13), 0.08
+    keys = voxel_keys(rng.normal(0.0, 0.4, (600, 3)) + np.array([40.0, -7.0, 3.0]), edge)
+    solid, counts, middle = VoxelSolid(keys, edge, most=10**5), {"far": 0, "near": 0, "left": 0}, edge * (keys + 0.5)
+    for number in range(90):
+        link, place = LINKS[number % 3], random_place(rng, 1.5)
+        place.translation[:] += [40.0, -7.0, 3.0]
+        placed, reach = Placed(link, place.rotation, place.translation), float(rng.choice([0.05, 0.3, 2.0]))
+        is_known, found = solid._cells.measure(placed, reach)
+        true = solid._tree.measure(link.shape, placed.shifted(-edge * solid._base), reach)
+        if not is_known:
+            assert true is not None
+            assert true.distance < 1e-6
+            counts["left"] += 1
+        elif found is None:
+            assert true is None
+            counts["far"] += 1
+        else:
+            assert true is not None
+            assert found.distance == pytest.approx(true.distance, abs=1e-9)
+            np.testing.assert_allclose(found.other_point, found.point + found.distance * found.normal, atol=1e-8)
+            assert gap(link, place, speck(found.point)) < 1e-7
+            assert np.abs(middle - found.other_point).max(axis=1).min() == pytest.approx(0.5 * edge, abs=1e-9)
             counts["near"] += 1
     assert counts["near"] > 15
     assert counts["far"] > 5

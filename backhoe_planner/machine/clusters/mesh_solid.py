@@ -10,12 +10,12 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
+from backhoe_planner.machine.clusters.cell_tree import CellTree
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed, clustered
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, surface_tree
-from backhoe_planner.machine.clusters.triangle_tree import TriangleTree
 from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
 
 if TYPE_CHECKING:
@@ -77,8 +77,8 @@ class MeshSolid:
         return surface_tree(*_with_area(self._vertices, self._faces), most_touched=_MOST_TOUCHED)
 
     @cached_property
-    def _triangles(self) -> TriangleTree:
-        return TriangleTree(self._corners)
+    def _cells(self) -> CellTree:
+        return CellTree.of_triangles(self._corners)
 
     @cached_property
     def _tiles(self) -> tuple[Tiles, Array]:
@@ -88,7 +88,7 @@ class MeshSolid:
 
     def prepare(self) -> None:
         """Build the trees, and find what is inside."""
-        self._tree, self._triangles, self._depths  # noqa: B018
+        self._tree, self._cells, self._depths  # noqa: B018
 
     def prepare_near(self) -> None:
         """Sort the triangles into tiles, and find what is inside."""
@@ -183,11 +183,11 @@ class MeshSolid:
         return bool(clear[0] == _INSIDE if len(clear) else self._bodies.contain(points[:1])[0])
 
     @cached_property
-    def triangles(self) -> tuple[Any, ...]:
-        """The arguments of `kept_over_mesh` about the mesh, from `boxes` on."""
+    def cells(self) -> tuple[Any, ...]:
+        """The arguments of `kept_over_cells` about the triangles, from `boxes` on."""
         frame, side = self._sides
         sides = side.reshape(-1).astype(np.uint8) if self.is_full else np.zeros(0, dtype=np.uint8)
-        return *self._triangles.arrays, frame.low, 1.0 / frame.step, frame.counts, sides
+        return *self._cells.arrays, frame.low, 1.0 / frame.step, frame.counts, sides
 
     def height_bounds(self, low: Vector, high: Vector) -> None:
         """None, because a mesh is not ground."""
@@ -214,7 +214,7 @@ class MeshSolid:
 
     def _nearest(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from the triangles if it is less than `reach` [m]; negative if the shape touches some."""
-        is_known, found = self._triangles.measure(link, reach)
+        is_known, found = self._cells.measure(link, reach)
         if is_known:
             return found
         T = link.shifted(_NO_SHIFT)

@@ -94,8 +94,8 @@ class Solid(Protocol):
         """Its cells as arguments of `boxes_of_voxels` from `keys` on, if they are voxels; otherwise None."""
 
     @property
-    def triangles(self) -> tuple[Any, ...] | None:
-        """The arguments of `kept_over_mesh` about it, from `boxes` on, if it is a mesh; otherwise None."""
+    def cells(self) -> tuple[Any, ...] | None:
+        """The arguments of `kept_over_cells` about its cells, from `boxes` on; None if it is ground."""
 
     def __len__(self) -> int:
         """The number of its cells."""

@@ -54,7 +54,7 @@ class TerrainSolid:
 
     is_full = True
     voxels = None
-    triangles = None
+    cells = None
 
     def __init__(self, heights: Matrix, size: tuple[float, float], *, depth: float, most: int) -> None:
         rows, columns = heights.shape

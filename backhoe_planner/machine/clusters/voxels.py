@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
+from backhoe_planner.machine.clusters.cell_tree import CellTree
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
@@ -76,7 +77,6 @@ class VoxelSolid:
 
     is_full = False
     ground = None
-    triangles = None
 
     def __init__(self, keys: Keys, edge: float, *, most: int) -> None:
         if len(keys) > most:
@@ -118,6 +118,10 @@ class VoxelSolid:
         return voxel_tree(self._edge * (self._keys - self._base + 0.5), self._edge)
 
     @cached_property
+    def _cells(self) -> CellTree:
+        return CellTree.of_cubes(self._low() + 0.5 * self._edge, self._edge)
+
+    @cached_property
     def _tiles(self) -> tuple[Tiles, NDArray[np.int32]]:
         """The tiles of its voxels, and (3, n) the voxels' keys relative to its middle, in the tiles' order."""
         low = self._low()
@@ -125,8 +129,8 @@ class VoxelSolid:
         return tiles, np.ascontiguousarray((self._keys[tiles.order] - self._base).T, dtype=np.int32)
 
     def prepare(self) -> None:
-        """Build the tree."""
-        self._tree  # noqa: B018
+        """Build the trees."""
+        self._tree, self._cells  # noqa: B018
 
     def prepare_near(self) -> None:
         """Sort the voxels into tiles."""
@@ -142,6 +146,9 @@ class VoxelSolid:
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape if it is less than `reach` [m], otherwise None."""
+        is_known, found = self._cells.measure(link, reach)
+        if is_known:
+            return found
         base = self._edge * self._base
         found = self._tree.measure(link.shape, link.shifted(-base), reach)
         if found is None:
@@ -159,6 +166,11 @@ class VoxelSolid:
         middle += (self._base + 0.5)[:, None]
         middle *= self._edge
         return CellSet.of_cubes(middle, 0.5 * self._edge)
+
+    @cached_property
+    def cells(self) -> tuple[Any, ...]:
+        """The arguments of `kept_over_cells` about the voxels, from `boxes` on: none is inside of them."""
+        return *self._cells.arrays, np.zeros(3), 1.0, np.zeros(3, dtype=np.intp), np.zeros(0, dtype=np.uint8)
 
     @cached_property
     def voxels(self) -> tuple[Any, ...]:

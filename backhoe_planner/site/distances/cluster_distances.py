@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Distances, MeshSolid, Reading, ResultTable, Robot, reach_ball
+from backhoe_planner.machine import BatchKinematics, Distances, Reading, ResultTable, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.beside_solids import BesideSolids
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
@@ -64,7 +64,6 @@ class ClusterDistances:
         ]
         self._ground = [one for one in standing if one[2].solid.ground is not None]
         self._solids = [one for one in standing if one[2].solid.ground is None]
-        self._meshes = [one for one in self._solids if isinstance(one[2].solid, MeshSolid)]
         self._over_ground = OverGround(own, self._balls) if self._balls is not None and self._ground else None
         self._beside_solids = BesideSolids(own, self._balls) if self._balls is not None and self._solids else None
         stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
@@ -291,7 +290,7 @@ class ClusterDistances:
     def keep(self, least: Vector, data: pin.Data, time: float, *, q: Vector | None = None) -> bool:
         """Whether all distances are at least `least` (K,) [m]; `q` as for `lower`."""
         assert self._balls is not None
-        if not self._ground and not self._meshes:
+        if not self._ground and not self._solids:
             return self._keep(least, self.lower(data, time, q=q, needed=least), data, time)
         lower, nearer = self._judged(
             self._balls.poses_at(data), None if q is None else q[None], np.array([time]), least
@@ -327,7 +326,7 @@ class ClusterDistances:
     def _judge(self, lower: Matrix, least: Vector, poses: Poses) -> set[int]:
         """The configurations in which a piece is certainly nearer than `least` (K,) [m]; raises bounds (N, K)."""
         nearer: set[int] = set()
-        for over, standing in ((self._over_ground, self._ground), (self._beside_solids, self._meshes)):
+        for over, standing in ((self._over_ground, self._ground), (self._beside_solids, self._solids)):
             for index, pairs, cluster in standing:
                 rows, those = _asked_of(lower < least, pairs)
                 if over is None or not len(rows):

@@ -1,7 +1,7 @@
 """Links beside scans and meshes in many configurations: bounds of their distances, and verdicts, in one call.
 
 A few balls around a link, and smaller ones where these are too near, bound its distance on the grid of lower bounds.
-Beside a mesh that decides little, a verdict comes from its triangles; it is left to coal without a compiler.
+Verdicts come from the solid's own cells where the grid does not decide; they are left to coal without a compiler.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ class BesideSolids:
     def keep(
         self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, least: Vector, bounds: Distances
     ) -> Indices:  # fmt: skip
-        """(M,) verdicts: whether some pieces (M,) are at least `least` (M,) [m] from a mesh in some configurations.
+        """(M,) verdicts: whether some pieces (M,) are at least `least` (M,) [m] from a solid in some configurations.
 
-        After a piece that is nearer, the others of the same configuration are not known. If the cluster is no mesh,
+        After a piece that is nearer, the others of the same configuration are not known. If the cluster is ground,
         nothing is known.
 
         rows: (M,) the configurations, in order.
         bounds: those of the cluster's distances.
         """
-        triangles = cluster.solid.triangles
-        if triangles is None or bounds.grid is None:
+        cells = cluster.solid.cells
+        if cells is None or bounds.grid is None:
             return np.full(len(rows), UNKNOWN, dtype=np.intp)
-        arguments: Any = (*self._asked(cluster, poses, rows, pieces, least, bounds), *triangles)
-        return kept_over_mesh(*arguments)
+        arguments: Any = (*self._asked(cluster, poses, rows, pieces, least, bounds), *cells)
+        return kept_over_cells(*arguments)
 
     def _asked(
         self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, number: Vector, bounds: Distances
@@ -103,21 +103,21 @@ def least_on_grid(
 
 
 @compiled
-def kept_over_mesh(
+def kept_over_cells(
     R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
     least: Vector, frame: Matrix, origin: Vector, coarse: Matrix, coarse_starts: Indices, fine: Matrix,
     fine_starts: Indices, low: Vector, per_step: float, counts: Indices, values: NDArray[np.float32], bounds: Matrix,
-    boxes: Matrix, triangles: Matrix, in_leaf: int, side_low: Vector, sides_per_step: float, side_counts: Indices,
-    sides: NDArray[np.uint8], /,
+    boxes: Matrix, cells: Matrix, in_leaf: int, half: float, side_low: Vector, sides_per_step: float,
+    side_counts: Indices, sides: NDArray[np.uint8], /,
 ) -> Indices:  # fmt: skip
     """(M,) verdicts on pieces in configurations, see `BesideSolids.keep`. This plain version leaves all to coal.
 
     Parameters
     ----------
     R, ..., bounds: as for `least_on_grid`.
-    boxes, triangles, in_leaf: as for `nearest_on_mesh`.
+    boxes, cells, in_leaf, half: as for `nearest_on_cells`.
     side_low, sides_per_step, side_counts: (3,) lowest corner [m], cells per metre, and (3,) cells of a grid around it.
-    sides: of all its cells, the last axis varying fastest: 0 outside, 1 inside, 2 at the surface. None, (0,), if the
-        mesh has no inside.
+    sides: of all its cells, the last axis varying fastest: 0 outside, 1 inside, 2 at the surface. None, (0,), if it
+        has no inside.
     """
     return np.full(len(row), UNKNOWN, dtype=np.intp)

@@ -1,5 +1,5 @@
-/* How near a convex shape is to the triangles of a mesh: machine/clusters/triangle_tree.py, and whether pieces of a machine
- * keep their distances from it: site/pairs/beside_solids.py. */
+/* How near a convex shape is to triangles or cubes in a tree of boxes: machine/clusters/cell_tree.py, and whether pieces of
+ * a machine keep their distances from them: site/pairs/beside_solids.py. */
 #include "arrays.h"
 #include "asked.h"
 #include "distance.h"
@@ -10,13 +10,26 @@
 #include <math.h>
 #include <string.h>
 
-enum { DEEPEST = 64 }; /* levels of a tree, far more than any mesh has */
+enum { DEEPEST = 64, OF_TRIANGLE = 9, OF_CUBE = 3, MOST_CORNERS = 8 }; /* levels of a tree, far more than any has */
 
 /* node k of the tree has the children 2 k and 2 k + 1; the last half of the nodes are its leaves */
 typedef struct {
-    const double *boxes, *corners; /* (nodes, 6) lowest and highest corner; (triangles, 9) */
-    npy_intp nodes, triangles, in_leaf;
-} Mesh;
+    const double *boxes, *cells;           /* (nodes, 6) lowest and highest corner; (count, width) */
+    npy_intp nodes, count, width, in_leaf; /* width: of a triangle all corners, of a cube the middle */
+    double half;                           /* edge of a cube */
+} Cells;
+
+/* The hull of a cell; the corners of a cube are put into `corners`. */
+static Hull cell_at_place(const Cells *cells, npy_intp k, double *corners)
+{
+    const double *own = cells->cells + cells->width * k;
+    if (cells->width == OF_TRIANGLE)
+        return (Hull){own, 3};
+    for (int corner = 0; corner < MOST_CORNERS; corner++)
+        for (int c = 0; c < 3; c++)
+            corners[3 * corner + c] = own[c] + (corner >> c & 1 ? cells->half : -cells->half);
+    return (Hull){corners, MOST_CORNERS};
+}
 
 /* the shape, the box around it, and the nearest place found so far */
 typedef struct {
@@ -59,57 +72,56 @@ static int is_beyond(const double *box, const Nearest *found)
     return nearest >= found->place.distance;
 }
 
-/* Look at the triangles of a leaf for what is nearer than `found`: 1 where something is, 0, or -1 undecided. */
-static int look_at_leaf(const Mesh *mesh, npy_intp leaf, Nearest *found)
+/* Look at the cells of a leaf for what is nearer than `found`: 1 where something is, 0, or -1 undecided. */
+static int look_at_leaf(const Cells *cells, npy_intp leaf, Nearest *found)
 {
-    const npy_intp begin = leaf * mesh->in_leaf, end = begin + mesh->in_leaf;
+    const npy_intp begin = leaf * cells->in_leaf, end = begin + cells->in_leaf;
     int nearer = 0;
-    for (npy_intp k = begin; k < end && k < mesh->triangles; k++) {
-        const double *points = mesh->corners + 9 * k;
-        double least = INFINITY, guess[3], distance, normal[3], on_shape[3], on_mesh[3];
-        for (int corner = 0; corner < 3; corner++)
-            least = fmin(least, along(found->across, points + 3 * corner));
+    for (npy_intp k = begin; k < end && k < cells->count; k++) {
+        double corners[3 * MOST_CORNERS], least = INFINITY, guess[3], distance, normal[3], on_shape[3], on_cell[3];
+        const Hull other = cell_at_place(cells, k, corners);
+        for (npy_intp corner = 0; corner < other.count; corner++)
+            least = fmin(least, along(found->across, other.points + 3 * corner));
         if (least - found->face >= found->place.distance)
             continue;
-        const Hull other = {points, 3};
         memcpy(guess, found->across, sizeof(guess));
         if (come_nearer(furthest_on_hull, &found->shape, &other, found->place.distance, guess) == 0) {
             take_plane(found, guess);
             continue;
         }
-        if (hull_distance(&found->shape, &other, &distance, normal, on_shape, on_mesh) < 0)
+        if (hull_distance(&found->shape, &other, &distance, normal, on_shape, on_cell) < 0)
             return -1;
         if (distance < found->place.distance) {
             found->place.distance = distance, nearer = 1;
             take_plane(found, normal);
             memcpy(found->place.normal, normal, sizeof(normal));
             memcpy(found->place.on_shape, on_shape, sizeof(on_shape));
-            memcpy(found->place.on_other, on_mesh, sizeof(on_mesh));
+            memcpy(found->place.on_other, on_cell, sizeof(on_cell));
         }
     }
     return nearer;
 }
 
-/* Look at all triangles, nearer nodes first; as `look_at_leaf`. */
-static int look_at_mesh(const Mesh *mesh, Nearest *found)
+/* Look at all cells, nearer nodes first; as `look_at_leaf`. */
+static int look_at_cells(const Cells *cells, Nearest *found)
 {
-    const npy_intp leaves = mesh->nodes / 2;
+    const npy_intp leaves = cells->nodes / 2;
     npy_intp open[DEEPEST] = {1};
-    double gaps[DEEPEST] = {box_gap(mesh->boxes + 6, found)};
+    double gaps[DEEPEST] = {box_gap(cells->boxes + 6, found)};
     int count = 1, nearer = 0;
     while (count) {
         const npy_intp node = open[--count];
-        if (gaps[count] >= found->place.distance || is_beyond(mesh->boxes + 6 * node, found))
+        if (gaps[count] >= found->place.distance || is_beyond(cells->boxes + 6 * node, found))
             continue;
         if (node >= leaves) {
-            const int more = look_at_leaf(mesh, node - leaves, found);
+            const int more = look_at_leaf(cells, node - leaves, found);
             if (more < 0)
                 return -1;
             nearer |= more;
             continue;
         }
         const npy_intp first = 2 * node;
-        const double gap[2] = {box_gap(mesh->boxes + 6 * first, found), box_gap(mesh->boxes + 6 * (first + 1), found)};
+        const double gap[2] = {box_gap(cells->boxes + 6 * first, found), box_gap(cells->boxes + 6 * (first + 1), found)};
         const int near = gap[1] < gap[0]; /* the nearer one is looked at first, so it is put last */
         for (int k = 0; k < 2; k++) {
             const int which = k ? near : !near;
@@ -120,23 +132,28 @@ static int look_at_mesh(const Mesh *mesh, Nearest *found)
     return nearer;
 }
 
-enum { OF_MESH = 3 };
+enum { OF_CELLS = 4 };
 
-/* Three arguments of `nearest_on_mesh`, from `boxes` on; 0, or -1 with an exception. */
-static int read_mesh(PyObject *const *args, Mesh *mesh)
+/* Four arguments of `nearest_on_cells`, from `boxes` on; 0, or -1 with an exception. */
+static int read_cells(PyObject *const *args, Cells *cells)
 {
-    npy_intp boxes[2], corners[2];
-    if (!(mesh->boxes = block(args[0], "boxes", 2, boxes)) || has_length(boxes[1], 6, "boxes") < 0 ||
-        !(mesh->corners = block(args[1], "corners", 2, corners)) || has_length(corners[1], 9, "corners") < 0)
+    npy_intp boxes[2], shape[2];
+    if (!(cells->boxes = block(args[0], "boxes", 2, boxes)) || has_length(boxes[1], 6, "boxes") < 0 ||
+        !(cells->cells = block(args[1], "cells", 2, shape)) || as_double(args[3], "half", &cells->half) < 0)
         return -1;
-    mesh->nodes = boxes[0], mesh->triangles = corners[0], mesh->in_leaf = PyLong_AsSsize_t(args[2]);
-    return mesh->in_leaf == -1 && PyErr_Occurred() ? -1 : 0;
+    if (shape[1] != OF_TRIANGLE && shape[1] != OF_CUBE) {
+        PyErr_SetString(PyExc_ValueError, "cells: 9 numbers of each triangle or 3 of each cube are wanted");
+        return -1;
+    }
+    cells->nodes = boxes[0], cells->count = shape[0], cells->width = shape[1];
+    cells->in_leaf = PyLong_AsSsize_t(args[2]);
+    return cells->in_leaf == -1 && PyErr_Occurred() ? -1 : 0;
 }
 
-/* Whether all triangles are in leaves. */
-static int is_whole(const Mesh *mesh)
+/* Whether all cells are in leaves. */
+static int is_whole(const Cells *cells)
 {
-    return mesh->nodes >= 2 && mesh->in_leaf >= 1 && mesh->in_leaf * (mesh->nodes / 2) >= mesh->triangles;
+    return cells->nodes >= 2 && cells->in_leaf >= 1 && cells->in_leaf * (cells->nodes / 2) >= cells->count;
 }
 
 /* The box around the corners of the shape. */
@@ -151,37 +168,37 @@ static void take_box(Nearest *found)
     }
 }
 
-PyObject *nearest_on_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count)
+PyObject *nearest_on_cells(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Mesh mesh;
+    Cells cells;
     Hull shape;
     double radius, reach;
-    if (count_is(count, 6, "nearest_on_mesh") < 0 || as_shape(args[0], args[1], &shape, &radius) < 0 ||
-        read_mesh(args + 2, &mesh) < 0 || as_double(args[5], "reach", &reach) < 0)
+    if (count_is(count, 7, "nearest_on_cells") < 0 || as_shape(args[0], args[1], &shape, &radius) < 0 ||
+        read_cells(args + 2, &cells) < 0 || as_double(args[6], "reach", &reach) < 0)
         return NULL;
-    if (shape.count < 1 || !is_whole(&mesh))
+    if (shape.count < 1 || !is_whole(&cells))
         return PyTuple_New(0);
     Nearest found = {.shape = shape, .place.distance = reach + radius};
     take_box(&found);
     take_plane(&found, (double[]){0.0, 0.0, -1.0});
-    return answer_of_place(look_at_mesh(&mesh, &found), &found.place, radius, (double[]){0.0, 0.0, 0.0});
+    return answer_of_place(look_at_cells(&cells, &found), &found.place, radius, (double[]){0.0, 0.0, 0.0});
 }
 
-/* Whether a shape comes as near to a triangle of a node as `found` says: 1, 0, or -1 undecided. */
-static int comes_to_node(const Mesh *mesh, npy_intp node, Nearest *found)
+/* Whether a shape comes as near to a cell of a node as `found` says: 1, 0, or -1 undecided. */
+static int comes_to_node(const Cells *cells, npy_intp node, Nearest *found)
 {
-    const double *box = mesh->boxes + 6 * node;
-    const npy_intp leaves = mesh->nodes / 2;
+    const double *box = cells->boxes + 6 * node;
+    const npy_intp leaves = cells->nodes / 2;
     if (box_gap(box, found) >= found->place.distance || is_beyond(box, found))
         return 0;
     if (node < leaves) {
-        const int first = comes_to_node(mesh, 2 * node, found);
-        return first ? first : comes_to_node(mesh, 2 * node + 1, found);
+        const int first = comes_to_node(cells, 2 * node, found);
+        return first ? first : comes_to_node(cells, 2 * node + 1, found);
     }
-    const npy_intp begin = (node - leaves) * mesh->in_leaf, end = begin + mesh->in_leaf;
-    for (npy_intp k = begin; k < end && k < mesh->triangles; k++) {
-        const Hull other = {mesh->corners + 9 * k, 3};
-        double guess[3];
+    const npy_intp begin = (node - leaves) * cells->in_leaf, end = begin + cells->in_leaf;
+    for (npy_intp k = begin; k < end && k < cells->count; k++) {
+        double corners[3 * MOST_CORNERS], guess[3];
+        const Hull other = cell_at_place(cells, k, corners);
         memcpy(guess, found->across, sizeof(guess));
         const int nearer = come_nearer(furthest_on_hull, &found->shape, &other, found->place.distance, guess);
         if (nearer)
@@ -216,7 +233,7 @@ static int read_sides(PyObject *const *args, Sides *sides)
     return 0;
 }
 
-/* Where points of a shape are that touches no triangle: 1 inside, 0 outside, -1 unknown. A point inside is enough of any. */
+/* Where points of a shape are that touches no cell: 1 inside, 0 outside, -1 unknown. A point inside is enough of any. */
 static int is_within(const Sides *sides, const double *points, npy_intp count)
 {
     int found = sides->any ? -1 : 0;
@@ -231,8 +248,8 @@ static int is_within(const Sides *sides, const double *points, npy_intp count)
     return found;
 }
 
-/* Whether the piece with these corners, around which a hull is, keeps a distance: a verdict of `kept_over_mesh`. */
-static int kept_by_mesh(const Mesh *mesh, const Sides *sides, const Hull *shape, double radius, double least)
+/* Whether the piece with these corners, around which a hull is, keeps a distance: a verdict of `kept_over_cells`. */
+static int kept_by_cells(const Cells *cells, const Sides *sides, const Hull *shape, double radius, double least)
 {
     const double reach = radius + least;
     if (!isfinite(reach) || !(least > 0.0) || shape->count < 1)
@@ -246,20 +263,20 @@ static int kept_by_mesh(const Mesh *mesh, const Sides *sides, const Hull *shape,
     Nearest found = {.shape = *shape, .place.distance = reach};
     take_box(&found);
     take_plane(&found, (double[]){0.0, 0.0, -1.0});
-    const int nearer = comes_to_node(mesh, 1, &found);
+    const int nearer = comes_to_node(cells, 1, &found);
     if (nearer > 0)
         return 0;
     return nearer < 0 || within < 0 ? -1 : 1;
 }
 
-PyObject *kept_over_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count)
+PyObject *kept_over_cells(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    enum { MESH = OF_COVERED, SIDES = MESH + OF_MESH };
+    enum { CELLS = OF_COVERED, SIDES = CELLS + OF_CELLS };
     Covered covered;
-    Mesh mesh;
+    Cells cells;
     Sides sides;
-    if (count_is(count, SIDES + OF_FRAME + 1, "kept_over_mesh") < 0 || read_covered(args, &covered) < 0 ||
-        read_mesh(args + MESH, &mesh) < 0 || read_sides(args + SIDES, &sides) < 0)
+    if (count_is(count, SIDES + OF_FRAME + 1, "kept_over_cells") < 0 || read_covered(args, &covered) < 0 ||
+        read_cells(args + CELLS, &cells) < 0 || read_sides(args + SIDES, &sides) < 0)
         return NULL;
     const Asked *asked = &covered.asked;
     npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
@@ -269,7 +286,7 @@ PyObject *kept_over_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count
     for (npy_intp k = 0; found && k < asked->row.n; k++) {
         const npy_intp row = INDEX(asked->row, k);
         verdict[k] = -1;
-        if (row == given_up || !is_whole(&mesh))
+        if (row == given_up || !is_whole(&cells))
             continue;
         const double least = AT(asked->number, k), apart = least_on_grid_of(&covered, k);
         if (apart > 0.0 && apart >= least) { /* where a ball may touch, nothing is known */
@@ -277,7 +294,7 @@ PyObject *kept_over_mesh(PyObject *self, PyObject *const *args, Py_ssize_t count
             continue;
         }
         const Hull shape = {points, corners_asked(asked, k, points)};
-        verdict[k] = kept_by_mesh(&mesh, &sides, &shape, asked->radius[INDEX(asked->piece, k)], least);
+        verdict[k] = kept_by_cells(&cells, &sides, &shape, asked->radius[INDEX(asked->piece, k)], least);
         if (verdict[k] == 0)
             given_up = row;
     }
