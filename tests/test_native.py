@@ -921,6 +921,10 @@ def kept_over_cells(rng: Rng) -> Arguments:
     return *least_on_grid(rng), *nearest_on_cells(rng)[2:6], rng.uniform(-1.5, -0.5, 3), 2.0, counts, sides
 
 
+def read_over_cells(rng: Rng) -> Arguments:
+    return *read_over_ground(rng)[:11], *kept_over_cells(rng)[20:]
+
+
 def lower_over_heights(rng: Rng) -> Arguments:
     counts, rings = rng.integers(1, 6, 2), 1 + some(rng, 4)
     highest = np.sort(rng.normal(size=(int(counts.prod()), rings)), axis=1).astype(np.float32)
@@ -943,8 +947,9 @@ SOURCES: list[Callable[[Rng], Arguments]] = [
     most_urgent_boxes, near_gaps, near_now, near_rows, nearest_on_cells, nearest_on_ground, nearest_rows,
     nearest_safe_program, next_within, not_proven, note_gaps, off_turned_box, oil_taken, pairs_not_apart,
     pairs_within, place_on_line, place_tip, placed_arrays, plane_rows, put_planes, quick_terms, reach_of_lead,
-    reachable_velocities, read_over_ground, read_results, rod_flow_slopes, rod_forces, rod_limit_slopes, rod_limits,
-    rows_by_velocity, rows_of_path, second_order, soft_solution, solve_poses, split_by_plane, stalest_pair,
+    reachable_velocities, read_over_cells, read_over_ground, read_results, rod_flow_slopes, rod_forces,
+    rod_limit_slopes, rod_limits, rows_by_velocity, rows_of_path, second_order, soft_solution,
+    solve_poses, split_by_plane, stalest_pair,
     step_conditions, straight_towards, tightest_pair, turn_along_surface, unproven_of_near, velocity_held_as_before,
     velocity_within_rows, ways_of_links, ways_of_pairs,
 ]  # fmt: skip
@@ -966,12 +971,12 @@ WRITERS: dict[Callable[[Rng], Arguments], int] = {
 # tests/site/test_beside_solids.py.
 OF_COAL = (
     first_not_apart, pairs_not_apart, boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_cells,
-    distances_within, kept_over_ground, kept_over_cells, read_over_ground,
+    distances_within, kept_over_ground, kept_over_cells, read_over_cells, read_over_ground,
 )  # fmt: skip
 
 WITHOUT_JOINTS = (  # of these, those that answer whatever the number of joints
     boxes_of_cells, boxes_of_voxels, hulls_apart, nearest_on_ground, nearest_on_cells, kept_over_ground,
-    kept_over_cells, read_over_ground,
+    kept_over_cells, read_over_cells, read_over_ground,
 )  # fmt: skip
 
 

@@ -109,7 +109,8 @@ int eigenvectors(double *A, int n, double *U);
     F(tightest_pair) F(known_apart) F(boxes_of_cells) F(boxes_of_voxels) F(put_planes) F(hulls_apart) \
     F(most_urgent_boxes) F(lower_on_grid) F(velocity_held_as_before) \
     F(nearest_on_ground) F(kept_over_ground) F(read_over_ground) F(distances_within) \
-    F(lower_over_heights) F(nearest_on_cells) F(least_on_grid) F(kept_over_cells) F(cheapest_with_turns) F(rod_limits) F(rod_limit_slopes) F(rod_forces) \
+    F(lower_over_heights) F(nearest_on_cells) F(least_on_grid) F(kept_over_cells) F(read_over_cells) \
+    F(cheapest_with_turns) F(rod_limits) F(rod_limit_slopes) F(rod_forces) \
     F(oil_taken) F(rod_flow_slopes) F(least_supplied) F(chain_torques) F(chain_torque_slopes) F(chain_energies) \
     F(missed_up_to) F(contracted) F(second_order) F(linkage_arms) F(linkage_arm_slopes) F(ways_of_pairs)
 #define DECLARED(name) PyObject *name(PyObject *, PyObject *const *, Py_ssize_t);

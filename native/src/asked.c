@@ -1,6 +1,8 @@
 /* What is asked of pieces of a machine in some configurations, each with a number: site/pairs/link_corners.py. */
 #include "asked.h"
 
+#include <string.h>
+
 int read_asked(PyObject *const *args, Asked *a)
 {
     npy_intp R[4], t[3], corner[2], radius[1], turn[2], at[1];
@@ -52,4 +54,50 @@ npy_intp corners_asked(const Asked *a, npy_intp k, double *points)
     for (npy_intp i = 0; i < count; i++)
         place_asked(a, k, a->corner + 3 * (first + i), points + 3 * i);
     return count > 0 ? count : 0;
+}
+
+void put_reading(const double *R, const double *t, double distance, const double *own, double *to)
+{
+    to[0] = distance;
+    for (int part = 0; part < 3; part++, own += 3, to += 3)
+        for (int r = 0; r < 3; r++)
+            to[1 + r] = R[3 * r] * own[0] + R[3 * r + 1] * own[1] + R[3 * r + 2] * own[2] + (part ? t[r] : 0.0);
+}
+
+PyObject *verdicts_on(const Asked *a, Judge judge, const void *around)
+{
+    npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
+    Room room;
+    double *points = room_for(&room, (3 * a->most + 1) * sizeof(double));
+    PyObject *found = points ? new_ind(a->row.n, &verdict) : NULL;
+    for (npy_intp k = 0; found && k < a->row.n; k++) {
+        const npy_intp row = INDEX(a->row, k);
+        verdict[k] = row == given_up ? -1 : judge(around, k, points);
+        if (verdict[k] == 0)
+            given_up = row;
+    }
+    if (points)
+        release(&room);
+    return found;
+}
+
+PyObject *readings_of(const Asked *a, Read read, const void *around)
+{
+    npy_intp *state;
+    double *reading;
+    Room room;
+    double *points = room_for(&room, (3 * a->most + 1) * sizeof(double));
+    PyObject *states = points ? new_ind(a->row.n, &state) : NULL;
+    PyObject *readings = states ? new_mat(a->row.n, 10, &reading) : NULL;
+    for (npy_intp k = 0; readings && k < a->row.n; k++) {
+        memset(reading + 10 * k, 0, 10 * sizeof(double));
+        state[k] = read(around, k, points, reading + 10 * k);
+    }
+    if (points)
+        release(&room);
+    if (!readings) {
+        Py_XDECREF(states);
+        return NULL;
+    }
+    return Py_BuildValue("(NN)", states, readings);
 }

@@ -29,4 +29,16 @@ void place_asked(const Asked *asked, npy_intp k, const double *own, double *poin
 /* Put the corners of that piece there into `points`; how many. */
 npy_intp corners_asked(const Asked *asked, npy_intp k, double *points);
 
+/* Ten numbers in the world of a reading in the frame R, t of what is around: a distance, and three vectors. */
+void put_reading(const double *R, const double *t, double distance, const double *own, double *to);
+
+/* Whether the piece of question k keeps the distance `number`: 1, 0, or -1 unknown. `points` has room for its corners. */
+typedef int (*Judge)(const void *around, npy_intp k, double *points);
+/* (M,) the verdicts on all questions. After a piece that is nearer, the others of its configuration are unknown. */
+PyObject *verdicts_on(const Asked *asked, Judge judge, const void *around);
+/* The distance in question k: 1 and its (10,) numbers in `to`, 0 where it is not less than `number`, -1 unknown. */
+typedef int (*Read)(const void *around, npy_intp k, double *points, double *to);
+/* (M,) the states of all questions, and (M, 10) their numbers, 0 where none are read. */
+PyObject *readings_of(const Asked *asked, Read read, const void *around);
+
 #endif

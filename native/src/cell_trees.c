@@ -10,7 +10,8 @@
 #include <math.h>
 #include <string.h>
 
-enum { DEEPEST = 64, OF_TRIANGLE = 9, OF_CUBE = 3, MOST_CORNERS = 8 }; /* levels of a tree, far more than any has */
+enum { DEEPEST = 64 }; /* levels of a tree, far more than any has */
+enum { OF_TRIANGLE = 9, OF_CUBE = 3, MOST_CORNERS = 8 };
 
 /* node k of the tree has the children 2 k and 2 k + 1; the last half of the nodes are its leaves */
 typedef struct {
@@ -248,57 +249,85 @@ static int is_within(const Sides *sides, const double *points, npy_intp count)
     return found;
 }
 
-/* Whether the piece with these corners, around which a hull is, keeps a distance: a verdict of `kept_over_cells`. */
-static int kept_by_cells(const Cells *cells, const Sides *sides, const Hull *shape, double radius, double least)
+/* the cells around a machine, and what is asked of its pieces */
+typedef struct {
+    Cells cells;
+    Sides sides;
+    Covered covered;
+} Around;
+
+enum { AROUND = OF_CELLS + OF_FRAME + 1 };
+
+/* The arguments of `kept_over_cells` from `boxes` on; 0, or -1 with an exception. */
+static int read_around(PyObject *const *args, Around *around)
 {
-    const double reach = radius + least;
-    if (!isfinite(reach) || !(least > 0.0) || shape->count < 1)
+    return read_cells(args, &around->cells) < 0 ? -1 : read_sides(args + OF_CELLS, &around->sides);
+}
+
+/* The corners of the piece of question k, around which a hull is, and how near it may come; 0, or -1 where that is not
+ * to be answered here. */
+static int ask_near(const Around *around, const Asked *asked, npy_intp k, double *points, Nearest *found)
+{
+    const double number = AT(asked->number, k), reach = asked->radius[INDEX(asked->piece, k)] + number;
+    *found = (Nearest){.shape = {points, corners_asked(asked, k, points)}, .place.distance = reach};
+    if (!is_whole(&around->cells) || !isfinite(reach) || !(number > 0.0) || found->shape.count < 1)
         return -1;
-    for (npy_intp k = 0; k < 3 * shape->count; k++)
-        if (!isfinite(shape->points[k]))
+    for (npy_intp i = 0; i < 3 * found->shape.count; i++)
+        if (!isfinite(points[i]))
             return -1;
-    const int within = is_within(sides, shape->points, shape->count);
-    if (within == 1)
-        return 0;
-    Nearest found = {.shape = *shape, .place.distance = reach};
-    take_box(&found);
-    take_plane(&found, (double[]){0.0, 0.0, -1.0});
-    const int nearer = comes_to_node(cells, 1, &found);
-    if (nearer > 0)
-        return 0;
-    return nearer < 0 || within < 0 ? -1 : 1;
+    take_box(found);
+    take_plane(found, (double[]){0.0, 0.0, -1.0});
+    return 0;
+}
+
+static int judge_over_cells(const void *what, npy_intp k, double *points)
+{
+    const Around *around = what;
+    const Asked *asked = &around->covered.asked;
+    const double apart = least_on_grid_of(&around->covered, k);
+    Nearest found;
+    if (apart > 0.0 && apart >= AT(asked->number, k)) /* where a ball may touch, nothing is known */
+        return 1;
+    if (ask_near(around, asked, k, points, &found) < 0)
+        return -1;
+    const int within = is_within(&around->sides, points, found.shape.count);
+    const int nearer = within == 1 ? 1 : comes_to_node(&around->cells, 1, &found);
+    return nearer > 0 ? 0 : nearer < 0 || within < 0 ? -1 : 1;
 }
 
 PyObject *kept_over_cells(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    enum { CELLS = OF_COVERED, SIDES = CELLS + OF_CELLS };
-    Covered covered;
-    Cells cells;
-    Sides sides;
-    if (count_is(count, SIDES + OF_FRAME + 1, "kept_over_cells") < 0 || read_covered(args, &covered) < 0 ||
-        read_cells(args + CELLS, &cells) < 0 || read_sides(args + SIDES, &sides) < 0)
+    Around around;
+    if (count_is(count, OF_COVERED + AROUND, "kept_over_cells") < 0 || read_covered(args, &around.covered) < 0 ||
+        read_around(args + OF_COVERED, &around) < 0)
         return NULL;
-    const Asked *asked = &covered.asked;
-    npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
-    Room room;
-    double *points = room_for(&room, (3 * asked->most + 1) * sizeof(double));
-    PyObject *found = points ? new_ind(asked->row.n, &verdict) : NULL;
-    for (npy_intp k = 0; found && k < asked->row.n; k++) {
-        const npy_intp row = INDEX(asked->row, k);
-        verdict[k] = -1;
-        if (row == given_up || !is_whole(&cells))
-            continue;
-        const double least = AT(asked->number, k), apart = least_on_grid_of(&covered, k);
-        if (apart > 0.0 && apart >= least) { /* where a ball may touch, nothing is known */
-            verdict[k] = 1;
-            continue;
-        }
-        const Hull shape = {points, corners_asked(asked, k, points)};
-        verdict[k] = kept_by_cells(&cells, &sides, &shape, asked->radius[INDEX(asked->piece, k)], least);
-        if (verdict[k] == 0)
-            given_up = row;
-    }
-    if (points)
-        release(&room);
-    return found;
+    return verdicts_on(&around.covered.asked, judge_over_cells, &around);
+}
+
+static int read_near_cells(const void *what, npy_intp k, double *points, double *to)
+{
+    const Around *around = what;
+    const Asked *asked = &around->covered.asked;
+    Nearest found;
+    if (ask_near(around, asked, k, points, &found) < 0 || is_within(&around->sides, points, found.shape.count) != 0)
+        return -1;
+    const double radius = asked->radius[INDEX(asked->piece, k)];
+    const int nearer = look_at_cells(&around->cells, &found);
+    if (nearer <= 0)
+        return nearer;
+    if (!(found.place.distance > radius))
+        return -1;
+    double own[9];
+    vectors_of(&found.place, radius, (double[]){0.0, 0.0, 0.0}, own);
+    put_reading(asked->frame, asked->origin, found.place.distance - radius, own, to);
+    return 1;
+}
+
+PyObject *read_over_cells(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    Around around;
+    if (count_is(count, OF_ASKED + AROUND, "read_over_cells") < 0 || read_asked(args, &around.covered.asked) < 0 ||
+        read_around(args + OF_ASKED, &around) < 0)
+        return NULL;
+    return readings_of(&around.covered.asked, read_near_cells, &around);
 }

@@ -232,15 +232,6 @@ static Lowest lowest_corner(const Ground *g, const double *points, npy_intp coun
     return lowest;
 }
 
-/* Ten numbers in the world of a reading in the frame of the ground: a distance, and three vectors. */
-static void put_reading(const Ground *g, double distance, const double *own, double *to)
-{
-    to[0] = distance;
-    for (int part = 0; part < 3; part++)
-        for (int r = 0; r < 3; r++)
-            to[1 + 3 * part + r] = along(g->R + 3 * r, own + 3 * part) + (part ? g->t[r] : 0.0);
-}
-
 /* How deep the lowest corner of a shape is under the plane of the ground above it. */
 static void read_sunk(const Ground *g, const double *corner, double radius, const Lowest *lowest, double *to)
 {
@@ -253,7 +244,7 @@ static void read_sunk(const Ground *g, const double *corner, double radius, cons
         own[3 + c] = corner[c] + radius * normal[c];
         own[6 + c] = own[3 + c] + distance * normal[c];
     }
-    put_reading(g, distance, own, to);
+    put_reading(g->R, g->t, distance, own, to);
 }
 
 /* The number of a cell, among `count`. */
@@ -335,7 +326,7 @@ static int read_shape(const Ground *g, double *points, npy_intp count, double ra
         return -1;
     double own[9];
     vectors_of(&found, radius, map.base, own);
-    put_reading(g, found.distance - radius, own, to);
+    put_reading(g->R, g->t, found.distance - radius, own, to);
     return 1;
 }
 
@@ -365,51 +356,55 @@ static npy_intp corners_over(const Question *q, npy_intp k, double *points)
     return q->ground.x.n < 2 || q->ground.y.n < 2 ? 0 : corners_asked(&q->asked, k, points);
 }
 
+/* what is asked, with balls around the pieces and the heights around the balls */
+typedef struct {
+    Question question;
+    Rings rings;
+    Balls balls;
+} Judged;
+
 /* Whether balls around a piece show that it is as far from the ground as question k says. */
-static int kept_by_balls(const Question *q, const Rings *rings, const Balls *balls, npy_intp k)
+static int kept_by_balls(const Judged *judged, npy_intp k)
 {
-    const npy_intp piece = INDEX(q->asked.piece, k);
+    const Asked *asked = &judged->question.asked;
+    const Balls *balls = &judged->balls;
+    const npy_intp piece = INDEX(asked->piece, k);
     for (npy_intp i = INDEX(balls->starts, piece); i < INDEX(balls->starts, piece + 1); i++) {
         double centre[3];
-        place_asked(&q->asked, k, balls->ball + 4 * i, centre);
-        const double apart = lower_by_rings(rings, centre) - balls->ball[4 * i + 3];
-        if (!isfinite(apart) || !(apart > 0.0 && apart >= AT(q->asked.number, k))) /* where a ball may touch, nothing is known */
+        place_asked(asked, k, balls->ball + 4 * i, centre);
+        const double apart = lower_by_rings(&judged->rings, centre) - balls->ball[4 * i + 3];
+        if (!isfinite(apart) || !(apart > 0.0 && apart >= AT(asked->number, k))) /* where a ball may touch, nothing is known */
             return 0;
     }
     return 1;
 }
 
+static int judge_over_ground(const void *around, npy_intp k, double *points)
+{
+    const Judged *judged = around;
+    const Question *q = &judged->question;
+    if (kept_by_balls(judged, k))
+        return 1;
+    const npy_intp corners = corners_over(q, k, points);
+    const double radius = q->asked.radius[INDEX(q->asked.piece, k)];
+    return corners ? kept_by_shape(&q->ground, points, corners, radius, AT(q->asked.number, k)) : -1;
+}
+
 PyObject *kept_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    Question q;
-    Rings rings;
-    Balls balls;
-    if (count_is(count, 24, "kept_over_ground") < 0 || read_question(args, &q) < 0 ||
-        read_balls(args + 15, &q.asked, &balls) < 0 || read_rings(args + 17, &rings) < 0)
+    Judged judged;
+    if (count_is(count, 24, "kept_over_ground") < 0 || read_question(args, &judged.question) < 0 ||
+        read_balls(args + 15, &judged.question.asked, &judged.balls) < 0 || read_rings(args + 17, &judged.rings) < 0)
         return NULL;
-    npy_intp *verdict, given_up = -1; /* the last configuration of which one piece is nearer */
-    Room room;
-    double *points = room_for(&room, (3 * q.asked.most + 1) * sizeof(double));
-    PyObject *found = points ? new_ind(q.asked.row.n, &verdict) : NULL;
-    for (npy_intp k = 0; found && k < q.asked.row.n; k++) {
-        const npy_intp row = INDEX(q.asked.row, k);
-        verdict[k] = -1;
-        if (row == given_up)
-            continue;
-        if (kept_by_balls(&q, &rings, &balls, k)) {
-            verdict[k] = 1;
-            continue;
-        }
-        const npy_intp corners = corners_over(&q, k, points);
-        const double radius = q.asked.radius[INDEX(q.asked.piece, k)];
-        if (corners)
-            verdict[k] = kept_by_shape(&q.ground, points, corners, radius, AT(q.asked.number, k));
-        if (verdict[k] == 0)
-            given_up = row;
-    }
-    if (points)
-        release(&room);
-    return found;
+    return verdicts_on(&judged.question.asked, judge_over_ground, &judged);
+}
+
+static int read_in_ground(const void *around, npy_intp k, double *points, double *to)
+{
+    const Question *q = around;
+    const npy_intp corners = corners_over(q, k, points);
+    const double radius = q->asked.radius[INDEX(q->asked.piece, k)];
+    return corners ? read_shape(&q->ground, points, corners, radius, AT(q->asked.number, k), to) : -1;
 }
 
 PyObject *read_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t count)
@@ -417,24 +412,5 @@ PyObject *read_over_ground(PyObject *self, PyObject *const *args, Py_ssize_t cou
     Question q;
     if (count_is(count, 15, "read_over_ground") < 0 || read_question(args, &q) < 0)
         return NULL;
-    npy_intp *state;
-    double *reading;
-    Room room;
-    double *points = room_for(&room, (3 * q.asked.most + 1) * sizeof(double));
-    PyObject *states = points ? new_ind(q.asked.row.n, &state) : NULL;
-    PyObject *readings = states ? new_mat(q.asked.row.n, 10, &reading) : NULL;
-    for (npy_intp k = 0; readings && k < q.asked.row.n; k++) {
-        double *to = reading + 10 * k;
-        const npy_intp corners = corners_over(&q, k, points);
-        const double radius = q.asked.radius[INDEX(q.asked.piece, k)];
-        memset(to, 0, 10 * sizeof(double));
-        state[k] = corners ? read_shape(&q.ground, points, corners, radius, AT(q.asked.number, k), to) : -1;
-    }
-    if (points)
-        release(&room);
-    if (!readings) {
-        Py_XDECREF(states);
-        return NULL;
-    }
-    return Py_BuildValue("(NN)", states, readings);
+    return readings_of(&q.asked, read_in_ground, &q);
 }

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from backhoe_planner import Robot
-from backhoe_planner.machine import BatchKinematics, Cluster, LinkPiece, MeshSolid, VoxelSolid, voxel_keys
+from backhoe_planner.machine import BatchKinematics, Cluster, LinkPiece, MeshSolid, Reading, VoxelSolid, voxel_keys
 from backhoe_planner.native import find_compiled
 from backhoe_planner.site.pairs.beside_solids import BesideSolids
 from backhoe_planner.site.pairs.link_balls import LinkBalls
@@ -65,7 +65,7 @@ def test_verdicts_on_many_links_equal_the_distance_of_each(backhoe: Robot, solid
     balls = LinkBalls(pieces, most=(4, 24))
     beside, around = BesideSolids(pieces, balls), SOLIDS[solid]()
     kinematics, data = BatchKinematics(backhoe), backhoe.model.createData()
-    verdicts, inside, bounded = [], 0, 0
+    verdicts, inside, bounded, read = [], 0, 0, 0
     for _ in range(6):
         turned = pin.rpy.rpyToMatrix(*rng.uniform(-0.3, 0.3, 2), rng.uniform(-3.0, 3.0))
         cluster = Cluster(around, pin.SE3(turned, np.array([rng.uniform(2.0, 5.0), rng.uniform(-1.0, 1.0), 0.0])))
@@ -74,11 +74,19 @@ def test_verdicts_on_many_links_equal_the_distance_of_each(backhoe: Robot, solid
         least = rng.uniform(0.02, 0.4, len(rows))
         bounds = cluster.grid(np.zeros(3), 9.0)
         asked = cluster, balls.poses_of(kinematics.at(q)), rows, which, least, bounds
-        verdict, lower = beside.keep(*asked), beside.lower(*asked)
+        verdict, lower, reading = beside.keep(*asked), beside.lower(*asked), beside.measure(*asked[:-1])
         given_up: set[int] = set()
         for k, (row, number) in enumerate(zip(rows.tolist(), which.tolist(), strict=True)):
             pin.forwardKinematics(backhoe.model, data, q[row])
             found = cluster.measure(pieces[number].piece, data.oMi[pieces[number].joint], float(least[k]))
+            one = reading[k]
+            if one == "far":
+                assert found is None
+            elif isinstance(one, Reading):
+                assert found is not None
+                assert one.distance == pytest.approx(found.distance, abs=1e-9)
+                np.testing.assert_allclose(one.other_point - one.point, one.distance * one.normal, atol=1e-8)
+                read += 1
             if lower[k] > 0.0 and found is not None:
                 assert lower[k] <= found.distance
             bounded += lower[k] >= least[k]
@@ -93,6 +101,7 @@ def test_verdicts_on_many_links_equal_the_distance_of_each(backhoe: Robot, solid
                 inside += found.distance < -0.05
                 given_up.add(row)
     assert bounded > 100
+    assert read > 20
     assert verdicts.count(KEPT) > 100
     assert verdicts.count(NEARER) > 20
     assert verdicts.count(UNKNOWN) < 5

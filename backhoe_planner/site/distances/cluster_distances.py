@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Distances, Reading, ResultTable, Robot, reach_ball
+from backhoe_planner.machine import BatchKinematics, Cluster, Distances, Reading, ResultTable, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.beside_solids import BesideSolids
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
@@ -25,6 +26,8 @@ AHEAD = 0.02  # m that distances are measured beyond what is needed; chosen, hal
 _FIRST_REACH = 0.25  # m beyond the known lower bound, within which a cluster is first searched; chosen
 _LEAST_REACH = 1e-3  # m within which a cell is always searched, even if only an overlap matters; chosen
 _REMEMBERED = 16_000  # distances that were measured; chosen to bound the memory: some 16 MB
+_Standing = tuple[int, Indices, Cluster]
+"""An obstacle that does not move: its index, the pairs with it, and its cluster."""
 
 
 class ClusterDistances:
@@ -103,7 +106,7 @@ class ClusterDistances:
     def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix, sunk: bool = False) -> Matrix:
         """(N, K) the bounds of `lower_each` for all `q` (N, n), kept for `lower` until others are expected.
 
-        Distances from ground that may be less than needed are kept likewise, for `nearest`; `sunk` as for
+        Distances that may be less than needed are kept likewise, for `nearest`; `sunk` as for
         `OverGround.measure`.
         """
         if not len(self) or not len(q):
@@ -130,20 +133,26 @@ class ClusterDistances:
     def _measure_ahead(
         self, q: Matrix, poses: Poses, bounds: Matrix, needed: float | Array, *, sunk: bool
     ) -> None:  # fmt: skip
-        """Measure pairs that may be nearer to ground than needed, and raise their bounds (N, K)."""
-        if self._over_ground is None:
-            return
+        """Measure pairs with standing clusters that may be nearer than needed, and raise their bounds (N, K)."""
         needed, names = np.broadcast_to(needed, bounds.shape), [at.tobytes() for at in q]
         asked = (bounds < needed) & (needed <= EXACT_WITHIN)
-        for _, pairs, cluster in self._ground:
-            rows, those = _asked_of(asked, pairs)
-            reach = needed[rows, those] + AHEAD
-            found = self._over_ground.measure(cluster, poses, rows, self._column.take(those), reach, sunk=sunk)
-            for row, pair, within, one in zip(rows.tolist(), those.tolist(), reach.tolist(), found, strict=True):
-                if isinstance(one, Reading):
-                    self._ahead[pair, names[row]], bounds[row, pair] = (one, within), one.distance
-                elif one is not None:
-                    self._ahead[pair, names[row]], bounds[row, pair] = (None, within), within
+        ways: list[tuple[Callable[..., list[Reading | Literal["far"] | None]], list[_Standing]]] = []
+        if self._over_ground is not None:
+            ways.append((partial(self._over_ground.measure, sunk=sunk), self._ground))
+        if self._beside_solids is not None:
+            ways.append((self._beside_solids.measure, self._solids))
+        for measure, standing in ways:
+            for _, pairs, cluster in standing:
+                rows, those = _asked_of(asked, pairs)
+                if not len(rows):
+                    continue
+                reach = needed[rows, those] + AHEAD
+                found = measure(cluster, poses, rows, self._column.take(those), reach)
+                for row, pair, within, one in zip(rows.tolist(), those.tolist(), reach.tolist(), found, strict=True):
+                    if isinstance(one, Reading):
+                        self._ahead[pair, names[row]], bounds[row, pair] = (one, within), one.distance
+                    elif one is not None:
+                        self._ahead[pair, names[row]], bounds[row, pair] = (None, within), within
 
     def lower_each(self, q: Matrix, time: float | Vector, *, needed: float | Array = np.inf) -> Matrix:
         """(N, K) `lower` for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""

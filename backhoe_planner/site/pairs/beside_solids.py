@@ -7,16 +7,16 @@ Verdicts come from the solid's own cells where the grid does not decide; they ar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine import Cluster, Distances, LinkPiece, lower_on_grid
+from backhoe_planner.machine import Cluster, Distances, LinkPiece, Reading, lower_on_grid
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
-from backhoe_planner.site.pairs.link_corners import UNKNOWN, LinkCorners
+from backhoe_planner.site.pairs.link_corners import UNKNOWN, LinkCorners, found_readings
 
 
 class BesideSolids:
@@ -63,6 +63,19 @@ class BesideSolids:
             return np.full(len(rows), UNKNOWN, dtype=np.intp)
         arguments: Any = (*self._asked(cluster, poses, rows, pieces, least, bounds), *cells)
         return kept_over_cells(*arguments)
+
+    def measure(
+        self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, reach: Vector
+    ) -> list[Reading | Literal["far"] | None]:
+        """M distances of some pieces (M,) in configurations `rows` (M,) from a solid, within `reach` (M,) [m].
+
+        "far" if a distance is not less than its reach, None if it is not known: where they touch, and without a
+        compiler.
+        """
+        if cluster.solid.cells is None:
+            return [None] * len(rows)
+        arguments: Any = (*self._corners.asked(cluster, poses, rows, pieces, reach), *cluster.solid.cells)
+        return found_readings(*read_over_cells(*arguments))
 
     def _asked(
         self, cluster: Cluster, poses: Poses, rows: Indices, pieces: Indices, number: Vector, bounds: Distances
@@ -121,3 +134,17 @@ def kept_over_cells(
         has no inside.
     """
     return np.full(len(row), UNKNOWN, dtype=np.intp)
+
+
+@compiled
+def read_over_cells(
+    R: Array, t: Array, slot: Indices, corners: Matrix, starts: Indices, radius: Vector, row: Indices, piece: Indices,
+    reach: Vector, frame: Matrix, origin: Vector, boxes: Matrix, cells: Matrix, in_leaf: int, half: float,
+    side_low: Vector, sides_per_step: float, side_counts: Indices, sides: NDArray[np.uint8], /,
+) -> tuple[Indices, Matrix]:  # fmt: skip
+    """(M,) states of distances from the cells, and (M, 10) each distance as a `Reading`; see `read_over_ground`.
+
+    This plain version leaves all to coal. The arguments are the first of `kept_over_ground` and the last of
+    `kept_over_cells`.
+    """
+    return np.full(len(row), UNKNOWN, dtype=np.intp), np.zeros((len(row), 10))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Vector
-from backhoe_planner.machine import Cluster, LinkPiece
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine import Cluster, LinkPiece, Reading
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
 
 KEPT, NEARER, UNKNOWN = 1, 0, -1  # verdicts on whether a piece keeps a distance
+READ, FAR, SUNK = 1, 0, 2  # states of a distance; any other means not known
 
 
 class LinkCorners:
@@ -41,3 +42,15 @@ class LinkCorners:
             np.ascontiguousarray(poses.R), np.ascontiguousarray(poses.t), *self._pieces, rows, pieces, number,
             np.ascontiguousarray(cluster.placement.rotation), np.array(cluster.placement.translation),
         )  # fmt: skip
+
+
+def found_readings(states: Indices, found: Matrix, *, sunk: bool = False) -> list[Reading | Literal["far"] | None]:
+    """M distances from their states (M,) and numbers (M, 10): "far" if beyond the reach, None if not known.
+
+    sunk: whether the state `SUNK` counts as known.
+    """
+    told = (READ, SUNK) if sunk else (READ,)
+    return [
+        Reading(one[0], *row[1:].reshape(3, 3)) if state in told else "far" if state == FAR else None
+        for state, one, row in zip(states.tolist(), found.tolist(), found, strict=True)
+    ]

@@ -17,9 +17,7 @@ from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import Cluster, Distances, HeightMap, LinkPiece, Reading, surface_under
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.link_balls import LinkBalls, Poses
-from backhoe_planner.site.pairs.link_corners import UNKNOWN, LinkCorners
-
-_READ, _FAR, _SUNK = 1, 0, 2  # states of a distance; any other means not known
+from backhoe_planner.site.pairs.link_corners import SUNK, UNKNOWN, LinkCorners, found_readings
 
 
 class OverGround:
@@ -65,11 +63,7 @@ class OverGround:
         if cluster.solid.ground is None:
             return [None] * len(rows)
         states, found = read_over_ground(*self._asked(cluster, cluster.solid.ground, poses, rows, pieces, reach))
-        told = (_READ, _SUNK) if sunk else (_READ,)
-        return [
-            Reading(one[0], *row[1:].reshape(3, 3)) if state in told else "far" if state == _FAR else None
-            for state, one, row in zip(states.tolist(), found.tolist(), found, strict=True)
-        ]
+        return found_readings(states, found, sunk=sunk)
 
     def _asked(
         self, cluster: Cluster, ground: HeightMap, poses: Poses, rows: Indices, pieces: Indices, number: Vector
@@ -131,7 +125,7 @@ def read_over_ground(
         normal = np.array([*slopes[low], -1.0]) / np.sqrt(1.0 + slopes[low] @ slopes[low])
         distance = -above[low] * normal[2] - radius[which]
         point = points[low] + radius[which] * normal
-        states[k] = _SUNK
+        states[k] = SUNK
         found[k] = (
             distance,
             *(frame @ normal),
