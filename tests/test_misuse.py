@@ -435,6 +435,10 @@ def calls() -> dict[str, Call]:
             bp.PlanFollower, servo=(servo(), THING), plan=(motion(), THING), executor=(None, optional(THING)),
             seed=(0, COUNT), allow_failed=(False, FLAG), lists=False,
         ),
+        "PlanFollower.step": call(
+            lambda pace: bp.PlanFollower(servo(), motion()).step(pace=pace).plan_time,
+            pace=(0.5, Kind((*NUMBER.bad, -1.0, 2.0))), lists=False,
+        ),
         # jobs
         "Terrain": call(
             lambda **keys: bp.Terrain(**keys).surface, low=(np.zeros(2), vector(2)), cell=(0.5, POSITIVE),

@@ -33,11 +33,11 @@ class StopRule(NamedTuple):
     Attributes
     ----------
     keep: the conditions to be kept.
-    screen: for the static obstacles.
+    screen: for the static obstacles; None if only the conditions count.
     """
 
     keep: Keep
-    screen: ClearanceScreen
+    screen: ClearanceScreen | None
 
 
 class PlanPart(NamedTuple):
@@ -80,7 +80,8 @@ class BrakingPace:
             rows = np.flatnonzero((part == index) & (np.abs(line).max(axis=1) > _ROUNDING))
             pace[rows] = _PACES[-1]
             clear = np.zeros(count, dtype=bool)
-            clear[rows] = one.stop.screen.keeps(q[rows])  # what is on the plan itself is left to the servo
+            if one.stop.screen is not None:
+                clear[rows] = one.stop.screen.keeps(q[rows])  # what is on the plan itself is left to the servo
             for slower in _PACES[:-1]:
                 fits = _fit(slower**2 * line, rows, q, clear, limits, one.stop)
                 pace[rows[fits]] = slower
@@ -105,8 +106,9 @@ def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimi
         for condition in rule.keep.conditions:
             least = np.minimum(condition.margins(condition.values(q[rows[here]])), 0.0) - _ROUNDING
             within &= condition.margins(condition.values(places)) >= least
-        asked = np.flatnonzero(within & clear[rows[here]])
-        within[asked] = rule.screen.keeps(places[asked])
+        if rule.screen is not None:
+            asked = np.flatnonzero(within & clear[rows[here]])
+            within[asked] = rule.screen.keeps(places[asked])
         fits[here] = within
     return fits
 

@@ -24,7 +24,7 @@ from concurrent.futures import Executor
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector, as_count
+from backhoe_planner.arrays import Vector, as_count, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.detours.attempts import Attempts
@@ -66,6 +66,7 @@ _PATIENCE = 1.0  # s without progress after which a detour is searched
 _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it may pass
 _JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
 _AHEAD_AGAIN = 0.5  # s between two searches ahead of the machine, while obstacles on the plan change
+_STANDS = 0.5  # s since the last change of the surroundings after which they count as standing still; chosen
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
 
@@ -95,8 +96,8 @@ class PlanFollower:
     Along the plan of a sequence, obstacles that are present in some legs only are added and removed with
     these legs, and the load and the conditions to be kept are those of the leg.
 
-    `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own threads
-    once what they run is over.
+    `step` raises nothing, except for a wrong `pace`. `close`, or the end of a ``with`` block, ends the follower's own
+    threads once what they run is over.
     """
 
     def __init__(
@@ -126,10 +127,11 @@ class PlanFollower:
         self._plan = Reference(trajectory, servo.limits)
         self._detour: Detour | None = None
         keep = plan.problem.keep if isinstance(plan, Plan) else keep_of(robot, servo.scene)
-        self._kept = KeptFollowing(keep, servo.limits)
         self._paces = BrakingPace(self._plan, servo.limits, _parts(servo, plan, keep))
         self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
         self._track = Track(self._plan, servo.limits, servo.dt)
+        self._set_keep(keep)
+        self._asked_pace = 1.0
         self._proof = TrackProof(servo, plan, self._plan, self._track)
         self._enter_leg()
         self._steps = 0  # until it was done
@@ -167,9 +169,19 @@ class PlanFollower:
         arrived = self._plan.ended and float(np.abs(end - servo.q).max()) < ARRIVED
         return arrived and bool((np.abs(servo.v) < _RESTS_AT_END).all())
 
-    def step(self) -> FollowerState:
-        """Move on by the servo's dt."""
-        servo = self.servo
+    def step(self, *, pace: float = 1.0) -> FollowerState:
+        """Move on by the servo's dt.
+
+        Parameters
+        ----------
+        pace: the most of the plan's speed at which the machine goes on, 0 to 1. At 0 it comes to rest on the plan and
+            waits there.
+
+        Raises
+        ------
+        InputError: the pace is not such a number.
+        """
+        servo, self._asked_pace = self.servo, as_number(pace, key="pace", least=0.0, most=1.0)
         if not self._was_done:
             self._steps += 1
         self._enter_leg()
@@ -179,7 +191,7 @@ class PlanFollower:
         self._go_back()
         if self._must_hold():
             self._was_holding = True
-            state = servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
+            state = self._held()
             if not self._searches.under_way and float(np.abs(state.v).max()) < _STILL:
                 if self._holding:
                     self._search()
@@ -207,7 +219,23 @@ class PlanFollower:
         """Set the site and the conditions to those of the leg at the plan's clock; without legs do nothing."""
         if self._legs is not None and self._legs.enter(self._plan.clock):
             self._proof.follow_leg(self._legs.leg)
-            self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
+            self._set_keep(self._legs.leg.problem.keep)
+
+    def _set_keep(self, keep: Keep | None) -> None:
+        self._kept, self._track.keep = KeptFollowing(keep, self.servo.limits), keep
+
+    def _held(self) -> ServoState:
+        """One step in which the machine stops, or comes back to what it has to keep."""
+        servo = self.servo
+        return self._drive(self._kept.held(servo.q, servo.v, servo.dt))
+
+    def _drive(self, velocity: Vector) -> ServoState:
+        """One step towards a velocity (n,); if something is in the way, it gives way at little cost of `keep`."""
+        servo = self.servo
+        # what stands still does not come nearer; something that is moved from step to step by hand may
+        stands = not servo.is_moving() and servo.time > self._seen_at + _STANDS
+        kept = self._kept.rows(servo.q, firm=stands)
+        return servo.step(joint_velocity=velocity) if kept is None else servo.step_keeping_unchecked(velocity, kept)
 
     def _look_around(self) -> None:
         """Restart the patience when the site has changed, as what was in the way may be gone, and prove the rest anew.
@@ -246,11 +274,11 @@ class PlanFollower:
         deviation = float(np.abs(reference.q - servo.q).max())
         on_track = track is not None and servo.is_proven_along_unchecked(track)
         if track is not None and on_track and track.is_joined_by(servo.q, servo.v):
-            self._joins_until = -np.inf
-            state = servo.step_along_unchecked(track)
+            self._joins_until, self._kept.returns = -np.inf, False
+            state = servo.step_along_unchecked(track, pace=self._asked_pace)
         else:
             state = self._step_towards(reference, waits=track is not None and self._waits_to_join(proven=on_track))
-        if self._progress.made(reference, deviation, servo.dt):
+        if self._progress.made(reference, deviation, self._asked_pace * servo.dt):
             self._got_on()
         elif self._progress.waited > _PATIENCE and not (
             reference.ended and deviation < ARRIVED and self._detour is None
@@ -281,10 +309,13 @@ class PlanFollower:
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
         kept = self._kept.pace(servo.q, servo.v, reference, rates, time=servo.time)
         if kept is None:
-            return servo.step(joint_velocity=self._kept.held(servo.q, servo.v, servo.dt))
-        pace = min(pace, kept, self._paces.at(self._plan.clock) if self._detour is None else 1.0)
-        pace = 0.0 if waits else pace
-        state = servo.step(joint_velocity=pace * rates + pull)
+            return self._held()
+        if self._detour is None:
+            stops = self._paces.at(self._plan.clock)
+        else:
+            stops = self._detour_paces.at(self._detour.reference.clock)
+        pace = 0.0 if waits else min(pace, kept, stops, self._asked_pace)
+        state = self._drive(pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
             reference.advance(pace * servo.dt)
         return state
@@ -407,6 +438,7 @@ class PlanFollower:
         approach = stop_before(plan, servo.limits, pace_along(plan, servo.v, servo.dt), blockage)
         if approach is not None:
             track = Track(approach, servo.limits, servo.dt)
+            track.keep = self._kept.keep
             track.revision, track.carried = servo.revision, servo.robot.carried  # proven up to the blockage
             self._ahead, self._ahead_from = DetourAhead(approach, track, blockage), servo.time + _AHEAD_AGAIN
             self._search(approach.last_q, approach.place)
@@ -459,7 +491,10 @@ class PlanFollower:
 
     def _go_round(self, found: Rejoining, revision: int) -> None:
         """Begin a detour that is clear at a `revision` of the surroundings."""
-        self._detour = Detour(found, self.servo.limits, revision)
+        limits, keep = self.servo.limits, self._kept.keep
+        self._detour = Detour(found, limits, revision)
+        part = PlanPart(0.0, None if keep is None else StopRule(keep, None))
+        self._detour_paces = BrakingPace(self._detour.reference, limits, [part])
         self._progress = Progress(self._slowest)
         self._attempts.go_on()
         self._blockage = None
@@ -498,7 +533,7 @@ class PlanFollower:
             return FollowerStatus.ARRIVED, ""
         if self._attempts.blocked:
             return FollowerStatus.BLOCKED, self._attempts.blocked
-        waits = self._progress.waited > _NOTICED
+        waits = self._progress.waited > _NOTICED or self._kept.returns
         if self._ahead is not None and (self._ahead.approach.ended or not waits):
             return FollowerStatus.WAITING if waits else FollowerStatus.FOLLOWING, self._ahead.reason
         if self._holding or waits:

@@ -13,6 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.live.braking.joint_bounds import BRAKING
+from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.detours.reference import Clocked
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
@@ -23,6 +24,10 @@ _SLIDES = 0.1  # s for which sliding counts at least; chosen
 _AHEAD = 0.3  # s of the plan ahead of its clock of which the margins count; chosen, a deviation is made up for sooner
 _LEAST = 2e-4  # rad or m that may be lost beside the plan: far below what a plan leaves, above what following it takes
 _PLACES = 4  # of the plan ahead, at which its margins count; chosen
+_NEAR = (
+    0.2  # rad or m: a condition with less margin counts when the machine gives way; chosen, it moves as far meanwhile
+)
+_PART = 0.5  # part of the accelerations for braking on the way back; chosen, as on the return to the plan
 _STILL = 1e-9  # squared rad/s or m/s below which the plan has no direction
 
 
@@ -33,12 +38,18 @@ class KeptFollowing:
     ----------
     keep: the conditions; None if there are none.
     limits: of the joints.
+
+    Attributes
+    ----------
+    keep: as above.
+    returns: whether the machine, in the last step, was on its way back into what is allowed.
     """
 
     def __init__(self, keep: Keep | None, limits: JointLimits) -> None:
-        self._keep, self._limits = keep, limits
+        self.keep, self._limits = keep, limits
         self._until = -np.inf  # s: held until then
         self._lost = ""
+        self.returns = False
 
     @property
     def lost(self) -> str:
@@ -46,8 +57,30 @@ class KeptFollowing:
         return self._lost
 
     def held(self, q: Vector, v: Vector, dt: float) -> Vector:
-        """(n,) the velocity to be commanded when the machine has to stop, see `held_velocity`."""
-        return np.zeros_like(v) if self._keep is None else held_velocity(self._keep, self._limits, q, v, dt)
+        """(n,) the velocity to be commanded when the machine has to stop, or has to come back from outside.
+
+        See `held_velocity` and `velocity_back`.
+        """
+        self.returns = False
+        if self.keep is None:
+            return np.zeros_like(v)
+        broken = self.keep.broken(q)
+        if not broken:
+            return held_velocity(self.keep, self._limits, q, v, dt)
+        back = velocity_back(self.keep, self._limits, q, dt)
+        self.returns = back is not None
+        self._lost = f"{broken}; the machine returns by the shortest way" if self.returns else broken
+        return held_velocity(self.keep, self._limits, q, v, dt) if back is None else back
+
+    def rows(self, q: Vector, *, firm: bool) -> KeptRows | None:
+        """The conditions at `q` (n,) for the servo; `firm`: see `KeptRows`. None if there are none."""
+        if self.keep is None:
+            return None
+        margins, gradients, _ = self.keep.facets_each(q[None])
+        left, G = margins[0], gradients[0]
+        weights = np.clip(1.0 - left / _NEAR, 0.0, 1.0)
+        near = weights > 0.0
+        return KeptRows(G, left, weights[near, None] * G[near], firm)
 
     def pace(self, q: Vector, v: Vector, reference: Clocked, rates: Vector, *, time: float) -> float | None:
         """The part of its speed at which the plan may go on, 0 to 1; None if the machine at `q` (n,) has to stop.
@@ -59,9 +92,14 @@ class KeptFollowing:
         rates: (n,) the plan's rates at its clock.
         time: now [s].
         """
-        if self._keep is None:
+        self.returns = False
+        if self.keep is None:
             return 1.0
-        gradients, across = self._keep.gradients(q), _across(v, rates)
+        here = self.keep.margins(q)
+        if (here < np.minimum(self.keep.margins(reference.q), 0.0) - _LEAST).any():
+            self._until = time + _HELD
+            return None
+        gradients, across = self.keep.gradients(q), _across(v, rates)
         # all joints brake in proportion: sliding ends only when the joint that takes longest stands still
         straight = 0.5 * float(np.max(np.abs(v) / (BRAKING * self._limits.acceleration)))
         stopping = max(_BRAKED * float(np.max(np.abs(across) / self._limits.acceleration)), _SLIDES)
@@ -75,13 +113,12 @@ class KeptFollowing:
                 self._lost = ""
             return None if time < self._until else 1.0
         places = np.linspace(reference.clock, reference.clock + _AHEAD, _PLACES)
-        left = np.min([self._keep.margins(reference.at(place)) for place in places.tolist()], axis=0).clip(0.0)
-        here = self._keep.margins(q)
+        left = np.min([self.keep.margins(reference.at(place)) for place in places.tolist()], axis=0).clip(0.0)
         # where the machine would stand still, in a straight line; outside already, it must not lose more
-        outside = leaving & (self._keep.margins(q + straight * v) < np.where(here < 0.0, here, -_LEAST))
+        outside = leaving & (self.keep.margins(q + straight * v) < np.where(here < 0.0, here, -_LEAST))
         if (outside | (sliding < 0.0) & (left + beside + stopping * sliding < -_LEAST)).any():
             self._until = time + _HELD
-            self._lost = self._keep.broken(q) or "the machine stopped, because sliding on would violate `keep`"
+            self._lost = self.keep.broken(q) or "the machine stopped, because sliding on would violate `keep`"
         if time < self._until:
             return None
         lost = beside < -_LEAST
@@ -106,6 +143,21 @@ def held_velocity(keep: Keep, limits: JointLimits, q: Vector, v: Vector, dt: flo
         return slower
     by = gradient * limits.acceleration**2
     return np.asarray(np.clip(slower - rate / float(gradient @ by) * by, v - change, v + change))
+
+
+def velocity_back(keep: Keep, limits: JointLimits, q: Vector, dt: float) -> Vector | None:
+    """(n,) the velocity by which a machine at q (n,) that breaks a condition returns by the shortest way of the joints.
+
+    All joints arrive at once, and can brake in time. None if no place nearby keeps the conditions.
+    """
+    found = keep.project(q, limits.lower, limits.upper)
+    if found is None:
+        return None
+    off = found - q
+    size = np.abs(off)
+    moving = size > 0.0
+    fastest = np.minimum(np.sqrt(2.0 * _PART * limits.acceleration * size), limits.velocity)[moving] / size[moving]
+    return np.asarray(min(float(fastest.min(initial=np.inf)), 1.0 / dt) * off)
 
 
 def _time_along(vector: Vector, rates: Vector) -> float:

@@ -48,6 +48,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import FINEST_PARTS, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
+from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK
 from backhoe_planner.live.clearance.pair_bounds import Awake
 from backhoe_planner.live.clearance.path_check import PathCheck
@@ -90,6 +91,7 @@ class RecoveryStep:
     target, brake: (n,) the wished velocity, and the one that brakes [rad/s or m/s].
     awake: pairs that are not violated and could come too close.
     evasion: rows of approaching obstacles.
+    kept: the conditions to be kept; None if there are none.
     """
 
     state: JointState
@@ -99,6 +101,7 @@ class RecoveryStep:
     brake: Vector
     awake: Awake
     evasion: Rows
+    kept: KeptRows | None = None
 
 
 @dataclass(frozen=True)
@@ -228,12 +231,15 @@ class Recovery:
         slack = _HOLDS * (ceiling - depth)
         all_rows, all_slack = rows[measured], slack[measured]
         others: tuple[Rows, ...] = (step.evasion,)
+        kept = step.kept
+        if kept is not None and kept.firm and stands[pairs].all():
+            others = (*others, Rows("keep", -kept.G, RECOVERY * np.maximum(kept.left, 0.0)))
         tried = step.brake
         for attempt in range(ATTEMPTS + len(BLENDS)):
             if attempt < ATTEMPTS:
                 fall = way_back(
                     all_rows, all_slack, target=target, low=step.low, high=step.high,
-                    fastest=fastest, others=others, note=self._check.note,
+                    fastest=fastest, others=others, note=self._check.note, little=None if kept is None else kept.near,
                 )  # fmt: skip
                 if fall is None:
                     continue

@@ -26,6 +26,7 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, BindingSolution, Kind, QuadraticProgram, Rows, solve_with_binding_rows
 
 SMALLEST = 1e-12  # below any rate or row that matters: keeps divisions finite
+_LITTLE = 10.0  # weight of what is to change little; chosen: with it alone, a tenth of what the joints can is used
 _WISH = 1e-3  # weight of the wish beside the speed of the fall; chosen, so that it only breaks ties
 
 
@@ -39,6 +40,7 @@ def way_back(
     fastest: float,
     others: tuple[Rows, ...] = (),
     note: Callable[[BindingSolution | None], None] | None = None,
+    little: Matrix | None = None,
 ) -> tuple[Vector, float] | None:
     """The velocity (n,) by which the deepest violation falls fastest, and how fast that is [m/s].
 
@@ -51,6 +53,7 @@ def way_back(
     fastest: speed of the fall that is enough [m/s].
     others: rows of everything else.
     note: receives the solution, to count the work.
+    little: (K, n) functions of the velocity that are to change little, such as the rate of a cup's tilt.
 
     Returns
     -------
@@ -61,9 +64,15 @@ def way_back(
     middle, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), SMALLEST)
     scale = max(float(np.abs(rows * reach).sum(axis=1).max(initial=0.0)), SMALLEST)
     wished = np.minimum(np.maximum((target - middle) / reach, -1.0), 1.0)
+    H, f = _WISH * np.eye(n + 1), np.append(-_WISH * wished, -1.0)
+    if little is not None and len(little):
+        K = little * reach
+        size = max(float(np.abs(K).sum(axis=1).max()), SMALLEST)
+        H[:n, :n] += (_LITTLE / size**2) * K.T @ K
+        f[:n] += (_LITTLE / size**2) * K.T @ (little @ middle)
     program = QuadraticProgram(
-        H=_WISH * np.eye(n + 1),
-        f=np.append(-_WISH * wished, -1.0),
+        H=H,
+        f=f,
         low=np.append(np.full(n, -1.0), -UNBOUNDED),
         high=np.append(np.ones(n), fastest / scale),
         rows=(

@@ -38,6 +38,7 @@ from backhoe_planner.live.braking.joint_bounds import (
     VelocityRange,
     next_within,
 )
+from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.clearance.pair_bounds import Awake, Near
 from backhoe_planner.live.clearance.path_check import MOST_CANDIDATES, PathCheck
 from backhoe_planner.live.planes.path_rows import Candidates, rows_of_path
@@ -68,6 +69,7 @@ class VelocityWish(NamedTuple):
     null: (n,) the part of v in its null space [rad/s or m/s].
     for_tip: whether the wish is for the tip.
     range: the velocities that keep the joint limits.
+    kept: the conditions to be kept; None if there are none.
     """
 
     v: Vector
@@ -76,6 +78,7 @@ class VelocityWish(NamedTuple):
     null: Vector
     for_tip: bool
     range: VelocityRange
+    kept: KeptRows | None = None
 
 
 class SafeVelocity(NamedTuple):
@@ -347,6 +350,7 @@ class VelocityFilter:
             brake=self._braking(state.v),
             awake=awake,
             evasion=self._evasion_rows(near, low, high),
+            kept=wish.kept,
         )
         depth, found = self._recovery.choose(pairs, bounds.stands, step)
         bounds.set_distance(pairs, clearance[pairs] - depth)

@@ -32,6 +32,7 @@ from backhoe_planner.arrays import Indices, Vector, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking.braking_path import FINEST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
+from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import StepWork
 from backhoe_planner.live.clearance.box_upkeep import BoxUpkeep
 from backhoe_planner.live.clearance.pair_bounds import Near, PairBounds
@@ -402,16 +403,21 @@ class Servo:
         command = self._commands.understand(None, track.faster(q, v, pace), None)
         return self._step(command, track, pace)
 
-    def _step(self, command: Command, track: Track | None, pace: float) -> ServoState:
+    def step_keeping_unchecked(self, v: Vector, kept: KeptRows) -> ServoState:
+        """Move on by dt towards the velocity `v` (n,) of the joints, giving way as `kept` says. Nothing is raised."""
+        command = self._commands.understand(None, v, None)
+        return self._step(command, None, 1.0, kept=kept)
+
+    def _step(self, command: Command, track: Track | None, pace: float, *, kept: KeptRows | None = None) -> ServoState:
         self._steps += 1
         before = self._state
         try:
-            return self._move(command, track, pace)
+            return self._move(command, track, pace, kept)
         except Exception as error:  # noqa: BLE001  whatever the error, a way to stand still was proven before
             self.last_error = error.with_traceback(None)
             return self._brake(command, failed=True, moved=self._state is not before)
 
-    def _move(self, command: Command, track: Track | None, most: float) -> ServoState:
+    def _move(self, command: Command, track: Track | None, most: float, kept: KeptRows | None) -> ServoState:
         """Find what is near, the joint wish and the nearest safe velocity, and take the step."""
         self._drift()
         if track is not None and not self.is_proven_along_unchecked(track):
@@ -430,14 +436,15 @@ class Servo:
         request = VelocityWish(
             v=wished,
             target=self._joints.towards(wished, v),
-            task=wish.task,
+            task=wish.task if kept is None or len(kept.near) == 0 else kept.near,
             null=wish.null,
             for_tip=self._commands.tip is not None,
             range=self._joints.velocity_range(q, v, wished),
+            kept=kept,
         )
         chosen = self._filter.choose(self._state, request, near)
         if self._stop is not None:
-            if chosen.end is None or not self._joints.are_kept_at(chosen.end):
+            if chosen.end is None or not self._may_leave(self._stop, chosen.v, chosen.end):
                 return self._brake(command, failed=False)
             self._stop = None
         self._bounds.renew(near, self._at, self._steps)
@@ -455,7 +462,7 @@ class Servo:
         limits = self._joints.velocity_range(q, v, wished)
         path, awake = self._check.path(q, wished), self._check.awake(self._state, limits.look)
         found = self._check.clearance(awake, path)
-        straight = covered and found.clear and self._joints.are_kept_at(path.end)
+        straight = covered and found.clear and self._may_leave(track, wished, path.end)
         self._bounds.accept(awake.pairs, found)
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=False)
@@ -479,6 +486,12 @@ class Servo:
             # at rest the machine needs no stop: what is too near here may only be left from now on
             self._stop = None
             self._measure(self._check.awake(self._state, 0.0).pairs)
+
+    def _may_leave(self, stop: Stop, v: Vector, end: Vector) -> bool:
+        """Whether braking straight to `end` (n,), after a step at v (n,), keeps joint limits and what a track keeps."""
+        if not self._joints.are_kept_at(end):
+            return False
+        return not isinstance(stop, Track) or stop.may_be_left(self._state.q + self.dt * v, end)
 
     def _compare_again(self) -> None:
         """Compare stops once more, as something has turned up; not in every step in which an obstacle is moved."""

@@ -165,7 +165,10 @@ class Comparison:
                 self.until = begun + _AGAIN
                 return
             yield
-            for other in self._stops_from_here():  # one that touches nothing is worth more the sooner it is known
+            for number in self._order(self.best):  # one that touches nothing is worth more the sooner it is known
+                other = next(itertools.islice(self._stops_from_here(), number, None), None)
+                if other is None:
+                    continue
                 way, times = other.way_to_rest(self._state.q, self._state.v)
                 if measure(self._state.q, way, times, worst=-_TOUCH) > -_TOUCH:
                     self.best = other
@@ -209,6 +212,16 @@ class Comparison:
                 yield
         if least_bad is not None:
             self.best = next(itertools.islice(self._stops_from_here(), least_bad, None), self.best)
+
+    def _order(self, track: Track) -> list[int]:
+        """Numbers of the stops from here, first those that keep what is kept along the track, or break it the least."""
+        ways = [stop.way_to_rest(self._state.q, self._state.v)[0] for stop in self._stops_from_here()]
+        if track.keep is None:
+            return list(range(len(ways)))
+        self._choice.work += _WORK_OF_STOP
+        margins = track.keep.rows_each(np.concatenate(ways))[0].min(axis=1)
+        lost = [max(-float(part.min()), 0.0) for part in np.split(margins, len(ways))]
+        return sorted(range(len(ways)), key=lost.__getitem__)
 
     def _stops_from_here(self) -> Iterator[JointStop]:
         """The stops off the track, each from where the machine is when it is asked for."""

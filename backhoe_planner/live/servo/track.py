@@ -17,6 +17,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits, Piece
+from backhoe_planner.motion import KEPT_TO, Keep
 
 _ON_TRACK = 1e-6  # rad or m off the track within which the machine is on it; chosen, far below every tolerance
 _ROUNDING = 1e-6  # part of the acceleration: a change of velocity that is larger by no more is allowed
@@ -24,6 +25,7 @@ _PARTS = (1.0, 0.98, 0.9, 0.7, 0.4, 0.1)  # of the change of pace that is expect
 _ROUGH_STEP = 0.04  # s of a step on the way to rest, of which only about the time counts; chosen
 _STEP_TO_REST = 0.005  # s of a step on the way to rest, at least; measured: shorter ones lead to the same place
 _FARTHEST_REST, _PLACES_AHEAD = 3.0, 60  # s after which the machine rests, and places until then; chosen
+_ALONG = np.array([[0.0], [0.33], [0.67], [1.0]])  # parts of a braking line at which conditions are looked at; chosen
 _STILL = 1e-9  # rad/s or m/s: a slower machine stands still; rounding of a position, over a step
 
 
@@ -58,12 +60,14 @@ class Track:
     Attributes
     ----------
     dt: length of a step [s].
+    keep: the conditions that hold along the motion, and where the machine stops; None if there are none. May be set.
     revision: the `Servo.revision` for whose obstacles the rest of the motion is proven clear; None if it is for none.
     carried: the load, `Robot.carried`, for which it is.
     """
 
     def __init__(self, reference: ClockedMotion, limits: JointLimits, dt: float) -> None:
         self.reference = reference
+        self.keep: Keep | None = None
         self.revision: int | None = None
         self.carried: tuple[str, tuple[Piece, ...]] | None = None
         self._limits, self.dt = limits, dt
@@ -80,6 +84,16 @@ class Track:
         squared = float(rates @ rates)
         self._pace = min(max(float(rates @ v) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
         return self._allows(self._pace, q, v)
+
+    def may_be_left(self, q: Vector, end: Vector) -> bool:
+        """Whether a machine at q (n,) that brakes straight ahead to `end` (n,) keeps what is kept along the track.
+
+        A curve that keeps a cup upright leaves it where it bends, so that the straight line ahead tips the cup.
+        """
+        if self.keep is None:
+            return True
+        margins = self.keep.rows_each(q + _ALONG * (end - q))[0]
+        return bool((margins[1:] >= np.minimum(margins[0], 0.0) - KEPT_TO).all())
 
     def faster(self, q: Vector, v: Vector, most: float) -> Vector:
         """(n,) the velocity of the next step at the greatest pace up to `most` that the accelerations allow.

@@ -1,0 +1,25 @@
+"""What a machine has to keep, such as the tilt of a cup, as far as it tells velocities of the joints apart."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from backhoe_planner.arrays import Matrix, Vector
+
+
+class KeptRows(NamedTuple):
+    """The conditions to be kept, where the machine is.
+
+    Attributes
+    ----------
+    G: (K, n) gradients of the conditions' margins.
+    left: (K,) margins, negative where a condition is broken [rad or m].
+    near: (M, n) those gradients whose margins are small, times how small. A machine that gives way does so in a
+        direction that changes these little, if there is one.
+    firm: whether a machine that is too close to what stands still may not come out at the cost of a condition.
+    """
+
+    G: Matrix
+    left: Vector
+    near: Matrix
+    firm: bool
