@@ -4,6 +4,7 @@ from .conditions import Cone as Cone
 from .conditions import HeightBound as HeightBound
 from .conditions import PitchBand as PitchBand
 from .conditions import RotationCone as RotationCone
+from .conditions import TiltCone as TiltCone
 from .costs import PathCost as PathCost
 from .costs import cost_rate as cost_rate
 from .costs import motion_cost as motion_cost

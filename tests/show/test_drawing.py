@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import trimesh
 import umsgpack
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import Robot, load_robot
+from backhoe_planner.machine import Kinematics, Robot, load_robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.motion import Trajectory, build_problem
 from backhoe_planner.show import (
@@ -28,6 +29,7 @@ from backhoe_planner.show import (
     fattened,
     frame,
     grid,
+    kept_axes,
     machine_meshes,
     margin_rgb,
     node_name,
@@ -324,3 +326,22 @@ def test_the_lines_of_a_grid_lie_in_their_plane_on_round_numbers() -> None:
     both = together(lines, lines)
     assert len(both.vertices) == 2 * len(lines.vertices)
     np.testing.assert_array_equal(both.faces[len(lines.faces) :], lines.faces + len(lines.vertices))
+
+
+def test_the_axis_that_is_kept_is_drawn_at_the_tip_and_within_its_cone(backhoe: Robot) -> None:
+    """At the start, the axis of the bucket that is kept leans by 0.1 rad; 0.2 rad are allowed."""
+    pitch = START["boom"] + START["stick"] + START["bucket"] + 0.1
+    axis = [float(np.sin(pitch)), 0.0, float(np.cos(pitch))]
+    task = {"goal": {"joints": START}, "keep": {"tilt": {"axis": axis, "tolerance": 0.2}}}
+    problem = build_problem(backhoe, scene_from_dict({"version": 1, "start": {"joints": START}, "task": task}))
+    (kept,) = kept_axes(problem, scale=1.0)
+    at = Kinematics(backhoe).at(np.array(list(START.values())))
+    data = backhoe.model.createData()
+    pin.forwardKinematics(backhoe.model, data, at.q)
+    arrow = np.array([data.oMi[kept.joint].act(corner) for corner in kept.arrow.vertices]) - at.tip_position
+    assert kept.cone is not None
+    long = arrow[np.argmax(np.linalg.norm(arrow, axis=1))]
+    assert np.arccos(long[2] / np.linalg.norm(long)) == pytest.approx(0.1, abs=1e-6)
+    rim = kept.cone.vertices[np.linalg.norm(kept.cone.vertices, axis=1) > 0.1]
+    np.testing.assert_allclose(np.arccos(rim[:, 2] / np.linalg.norm(rim, axis=1)), 0.2, atol=1e-6)
+    assert kept_axes(replace(problem, keep=None), scale=1.0) == ()

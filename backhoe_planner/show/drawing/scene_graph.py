@@ -5,6 +5,7 @@
     site/<obstacle>
     clearance/<obstacle>        the surface at its clearance, hidden at first
     task/path, task/goal, task/trace
+    kept/axis, kept/cone        an axis of the tip that is kept, moved by one transform, and where it may point
     critical points/<obstacle>  a rod from the link to the obstacle, where they are nearest
     ground
 
@@ -37,9 +38,10 @@ from backhoe_planner.show.drawing.drawing import (
 )
 from backhoe_planner.show.drawing.framing import View, frame, part_behind
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
+from backhoe_planner.show.drawing.kept_axes import kept_axes
 from backhoe_planner.show.drawing.loads import load_meshes
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
-from backhoe_planner.show.drawing.palette import FAR, GOAL, LOAD, PASSED_BY, PATH, TRACE, Rgb, Rgba, margin_rgb
+from backhoe_planner.show.drawing.palette import FAR, GOAL, KEPT, LOAD, PASSED_BY, PATH, TRACE, Rgb, Rgba, margin_rgb
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline
@@ -47,7 +49,7 @@ from backhoe_planner.site import Obstacle, offset_at
 
 UP = np.array([0.0, 0.0, 1.0])
 HIDDEN = 1e-5  # scale of hidden nodes: too small to be seen; a scale of 0 would have no inverse
-_GROUPS = ("machine", "carried", "site", "clearance", "task", "critical points", "ground")
+_GROUPS = ("machine", "carried", "site", "clearance", "task", "kept", "critical points", "ground")
 _LINE_WIDTH = 0.0011  # radius of path and trace, as part of the distance to the camera; chosen, a few pixels
 _NOWHERE = np.zeros((4, 4))
 # part of the tip's reach, and m at most, that is as good as level with the ground; chosen: the top of a table before an
@@ -84,6 +86,7 @@ class SceneGraph:
         self.problem = problem
         robot = problem.robot
         self._data = robot.model.createData()
+        self._tip = robot.model.frames[robot.tip_frame]
         self._reach = _tip_reach(problem)
         meshes, self.warnings = machine_meshes(robot)
         self._joint_of = {drawn.link: drawn.joint for drawn in meshes}
@@ -121,6 +124,7 @@ class SceneGraph:
         self._draw_machine()
         self._draw_site(centre)
         self._draw_task()
+        self._draw_kept()
         for name in self._obstacles:
             self._draw_critical_point(name)
         self.move(posture, leg=problem.legs[0].name if problem.legs else None)
@@ -209,6 +213,16 @@ class SceneGraph:
             task["path"]["waypoints"].set_object(mesh(facets(trimesh.util.concatenate(marks)), (*PATH, 1.0), lit=False))
         for goal in problem.goals:
             self._draw_goal(task[goal.name], goal.target)
+
+    def _draw_kept(self) -> None:
+        self._kept = kept_axes(self.problem, self._scale)
+        for number, kept in enumerate(self._kept):
+            node = self._tree["kept"][f"axis {number}"]
+            draw(node, mesh(kept.arrow, (*KEPT, 1.0), lit=False), shadow=False)
+            draw(node["behind"], mesh(kept.arrow, (*KEPT, 0.4), lit=False, through=True), shadow=False, order=100)
+            if kept.cone is not None:
+                cone = mesh(kept.cone, (*KEPT, 0.22), lit=False, through=True)
+                draw(self._tree["kept"][f"cone {number}"], cone, shadow=False, order=99)
 
     def mark_goal(self, reached: int) -> None:
         """Draw all goals except number `reached`, counted from 1, in the colour of goals that do not count."""
@@ -332,6 +346,15 @@ class SceneGraph:
             transform = self._data.oMi[load.joint].homogeneous
             transform[:3, :3] *= 1.0 if leg in load.legs else HIDDEN
             self._place("carried", name, transform)
+        tip = self._data.oMi[self._tip.parentJoint] * self._tip.placement
+        for number, kept in enumerate(self._kept):
+            size = 1.0 if kept.legs is None or leg in kept.legs else HIDDEN
+            axis = self._data.oMi[kept.joint].homogeneous
+            axis[:3, :3] *= size
+            cone = np.diag([size, size, size, 1.0])
+            cone[:3, 3] = tip.translation
+            self._place("kept", f"axis {number}", axis)
+            self._place("kept", f"cone {number}", cone)
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
                 self.place(obstacle.name, None if time < obstacle.appears_at else offset_at(obstacle, time))
@@ -440,6 +463,14 @@ class SceneGraph:
             tracks.append(Track(path, "position", time, timeline.poses[:, load.joint, :3]))
             tracks.append(Track(path, "quaternion", time, timeline.poses[:, load.joint, 3:]))
             tracks.append(Track(path, "scale", time, np.repeat(size[:, None], 3, axis=1)))
+        for number, kept in enumerate(self._kept):
+            size = np.where(kept.kept_in(timeline.legs or ("",) * len(time)), 1.0, HIDDEN)
+            moved = timeline.poses[:, kept.joint]
+            for node, place in ((f"axis {number}", moved[:, :3]), (f"cone {number}", timeline.tip)):
+                path = f"{self._prefix}/kept/{node}"
+                tracks.append(Track(path, "position", time, place))
+                tracks.append(Track(path, "scale", time, np.repeat(size[:, None], 3, axis=1)))
+            tracks.append(Track(f"{self._prefix}/kept/axis {number}", "quaternion", time, moved[:, 3:]))
         for obstacle in self.problem.obstacles:
             legs = obstacle.spec.legs
             there = np.array([legs is None or leg in legs for leg in timeline.legs] or [True] * len(timeline.time))

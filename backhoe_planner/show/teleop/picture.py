@@ -46,7 +46,7 @@ class Picture:
     def __init__(self, session: Session, display: Display) -> None:
         self._display = display
         self._tree = display.visualizer()
-        self._problem = replace(build_problem(session.robot, session.scene), goals=(), path=None)
+        self._problem = replace(build_problem(session.robot, session.scene), goals=(), path=None, keep=None)
         first = session.snapshot()
         self._graph = SceneGraph(self._tree, self._problem, q=first.state.q)
         self.warnings = self._graph.warnings
