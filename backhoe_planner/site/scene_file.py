@@ -25,7 +25,7 @@ from backhoe_planner.site.schema.names import Title, check_name
 from backhoe_planner.site.schema.obstacle_shapes import Mesh, ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Turn, Vector3
-from backhoe_planner.site.schema.sequence import ObjectiveName, Task
+from backhoe_planner.site.schema.sequence import ObjectiveName, Task, wide_tilt
 from backhoe_planner.site.schema.tasks import PathTask, Start, Waypoint
 from backhoe_planner.site.schema.zone_kinds import Wall, ZoneSpec
 
@@ -179,7 +179,8 @@ class Scene(FileRecord):
         """
         files = dict.fromkeys(path.file for path in self._paths if path.file is not None)
         unused = (warning for file in files for warning in read_path_file(self.folder / file).warnings)
-        return (*unused, *self.task.warnings())
+        begins = None if self.start is None or self.start.tip is None else self.start.tip.tilt
+        return (*unused, *wide_tilt("start.tip.tilt", begins), *self.task.warnings())
 
     def open_meshes(self) -> dict[str, tuple[str, ...]]:
         """Files of meshes that are not closed, with the obstacles made of each; unreadable files are left out."""

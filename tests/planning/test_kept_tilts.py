@@ -226,3 +226,30 @@ def test_the_law_begins_within_the_acceleration_where_a_narrow_tilt_shortens_its
     motion = bp.plan(panda, scene, method="reactive").trajectory
     assert motion.time[1] < 0.01  # it is shortened
     assert float(np.max(np.abs(motion.corner_accelerations()[0]) / panda.limits.acceleration)) < 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("tolerance", [0.01, 0.25])
+def test_a_start_given_by_the_tip_may_lean_as_far_as_its_tilt_allows(panda: bp.Robot, tolerance: float) -> None:
+    """The axis begins within its tolerance of a slanted direction; nothing keeps it afterwards."""
+    tilt = {"axis": [0, 0, -1], "direction": [0.3, 0.0, 1.0], "tolerance": tolerance}
+    place = [0.5, 0.1, 0.4]
+    found = plan(panda, {"tip": {"position": place, "tilt": tilt}}, {"goal": upright(panda, [0.4, -0.2, 0.4])})
+    assert found.verified, found.message
+    at = bp.Kinematics(found.robot).at(found.trajectory.q[0])
+    np.testing.assert_allclose(at.tip_position, place, atol=1e-5)
+    direction = np.array([0.3, 0.0, 1.0]) / np.hypot(0.3, 1.0)
+    assert float(np.linalg.norm(np.cross(-at.tip_rotation[:, 2], direction))) <= np.sin(tolerance) + 1e-5
+    # of a start that may not lean so, the same motion is none
+    content = found.scene.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    content["start"]["tip"]["tilt"] |= {"direction": [-0.3, 0.0, 1.0], "tolerance": 0.01}
+    problems = bp.certify(found.robot, bp.scene_from_dict(content), found.trajectory).problems
+    assert any("does not begin at the start" in one for one in problems)
+
+
+def test_a_start_has_one_kind_of_orientation_and_a_wide_tilt_is_told() -> None:
+    pose: Data = {"position": [0.5, 0.1, 0.4], "tilt": {"tolerance": 2.0}}
+    content: Data = {"version": 1, "task": {"goal": {"position": [0.4, 0.0, 0.4]}}}
+    with pytest.raises(bp.SceneError, match="only one of pitch, rpy, quaternion, tilt may be given, here are rpy and"):
+        bp.scene_from_dict({**content, "start": {"tip": {**pose, "rpy": [0, 0, 0]}}})
+    (warning,) = bp.scene_from_dict({**content, "start": {"tip": pose}}).warnings()
+    assert warning == "start.tip.tilt.tolerance: 2 rad are 114.6 deg; 2 degrees are 0.03491 rad"

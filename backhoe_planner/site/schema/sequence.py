@@ -12,13 +12,21 @@ from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.names import Name, check_name
 from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
 from backhoe_planner.site.schema.quantities import NonNegative, Positive, Vector3
-from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, Keep, PathTask
+from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, Keep, PathTask, TiltRange
 
 ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
 
 _WIDE_TILT = 1.0  # tolerance of a tilt that is rather meant in degrees: no cup or fork is level at 57 deg [rad]
 _CARRIED = ("box", "capsule", "cylinder", "mesh", "sphere")
 _NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that only an obstacle on the site has
+
+
+def wide_tilt(key: str, tilt: TiltRange | None) -> tuple[str, ...]:
+    """A tilt so wide that its tolerance may be meant in degrees, in words."""
+    if tilt is None or (given := tilt.tolerance) < _WIDE_TILT:
+        return ()
+    words = f"{given:g} rad are {math.degrees(given):.1f} deg; {given:g} degrees are {math.radians(given):.4g} rad"
+    return (f"{key}.tolerance: {words}",)
 
 
 def _some_goal(goal: Any) -> Any:
@@ -178,12 +186,7 @@ class Task(Record):
         for where, part in parts:
             tilts = [("keep.tilt", None if part.kept is None else part.kept.tilt)]
             tilts += [("goal.tilt", goal.tilt) for goal in part.goals if isinstance(goal, Goal)]
-            found += [
-                f"{where}.{key}.tolerance: {given:g} rad are {math.degrees(given):.1f} deg; "
-                f"{given:g} degrees are {math.radians(given):.4g} rad"
-                for key, tilt in tilts
-                if tilt is not None and (given := tilt.tolerance) >= _WIDE_TILT
-            ]
+            found += [warning for key, tilt in tilts for warning in wide_tilt(f"{where}.{key}", tilt)]
         return tuple(dict.fromkeys(found))
 
     @property

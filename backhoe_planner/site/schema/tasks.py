@@ -143,13 +143,30 @@ class Keep(Record):
         return self
 
 
-class Goal(Pose):
+class TiltedPose(Pose):
+    """A pose of the tip that may have a tilt in place of an orientation."""
+
+    tilt: TiltRange | None = None
+    """Tilt of the tip, in place of pitch, rpy or quaternion: the heading is free."""
+
+    @model_validator(mode="after")
+    def _tilt_alone(self) -> TiltedPose:
+        given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
+        if self.tilt is not None and given:
+            raise ValueError(f"only one of pitch, rpy, quaternion, tilt may be given, here are {given[0]} and tilt")
+        return self
+
+    @property
+    def target(self) -> TipTarget:
+        """The pose as a target of the tip, with the tolerance of the tilt."""
+        return replace(super().target, tilt=None if self.tilt is None else self.tilt.tilt)
+
+
+class Goal(TiltedPose):
     """The pose at which the tip arrives."""
 
     rotation_tolerance: Angle | None = None
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
-    tilt: TiltRange | None = None
-    """Tilt of the tip, in place of pitch, rpy or quaternion: the heading is free."""
     tolerance: Length | None = None
     """How far the tip may be off the position [m]; 0.001 by default, and a search is exact. The last motion uses it to
     end where it costs least, the others of a sequence to go on without a stop."""
@@ -162,17 +179,11 @@ class Goal(Pose):
             raise ValueError("rotation_tolerance needs rpy or quaternion; a pitch has a range: pitch: [low, high]")
         return self
 
-    @model_validator(mode="after")
-    def _tilt_alone(self) -> Goal:
-        given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
-        if self.tilt is not None and given:
-            raise ValueError(f"only one of pitch, rpy, quaternion, tilt may be given, here are {given[0]} and tilt")
-        return self
-
     @property
     def target(self) -> TipTarget:
         """The pose as a target of the tip, with no tolerance."""
-        return replace(super().target, tilt=None if self.tilt is None else replace(self.tilt.tilt, tolerance=0.0))
+        found = super().target
+        return found if found.tilt is None else replace(found, tilt=replace(found.tilt, tolerance=0.0))
 
 
 class JointsGoal(Record):
@@ -212,7 +223,7 @@ class Start(Record):
 
     joints: dict[str, Finite] | None = None
     """Position of every joint by name [rad or m]."""
-    tip: Pose | None = None
+    tip: TiltedPose | None = None
     """Pose of the tip; the joints are found by inverse kinematics."""
 
     _one = exactly_one("joints", "tip")
