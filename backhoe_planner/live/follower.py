@@ -47,7 +47,7 @@ from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.plan_fit import check_fits
 from backhoe_planner.live.progress import ARRIVED, Progress
 from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
+from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState, Status
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Keep, Trajectory, keep_of
@@ -67,6 +67,7 @@ _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it 
 _JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
 _AHEAD_AGAIN = 0.5  # s between two searches ahead of the machine, while obstacles on the plan change
 _STANDS = 0.5  # s since the last change of the surroundings after which they count as standing still; chosen
+_GIVING_WAY = (Status.SLIDING, Status.STOPPED, Status.EVADING)
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
 
@@ -131,7 +132,7 @@ class PlanFollower:
         self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
         self._track = Track(self._plan, servo.limits, servo.dt)
         self._set_keep(keep)
-        self._asked_pace = 1.0
+        self._asked_pace, self._gives_way = 1.0, False
         self._proof = TrackProof(servo, plan, self._plan, self._track)
         self._enter_leg()
         self._steps = 0  # until it was done
@@ -234,8 +235,12 @@ class PlanFollower:
         servo = self.servo
         # what stands still does not come nearer; something that is moved from step to step by hand may
         stands = not servo.is_moving() and servo.time > self._seen_at + _STANDS
-        kept = self._kept.rows(servo.q, firm=stands)
-        return servo.step(joint_velocity=velocity) if kept is None else servo.step_keeping_unchecked(velocity, kept)
+        kept = self._kept.rows(servo.q, gives_way=self._gives_way, firm=stands)
+        if kept is None:
+            return servo.step(joint_velocity=velocity)
+        state = servo.step_keeping_unchecked(velocity, kept)
+        self._gives_way = state.status in _GIVING_WAY
+        return state
 
     def _look_around(self) -> None:
         """Restart the patience when the site has changed, as what was in the way may be gone, and prove the rest anew.

@@ -72,12 +72,17 @@ class KeptFollowing:
         self._lost = f"{broken}; the machine returns by the shortest way" if self.returns else broken
         return held_velocity(self.keep, self._limits, q, v, dt) if back is None else back
 
-    def rows(self, q: Vector, *, firm: bool) -> KeptRows | None:
-        """The conditions at `q` (n,) for the servo; `firm`: see `KeptRows`. None if there are none."""
+    def rows(self, q: Vector, *, gives_way: bool, firm: bool) -> KeptRows | None:
+        """The conditions at `q` (n,) for the servo; None if there are none.
+
+        gives_way: whether the machine gives way now. Then a cone has a row for each of several directions, which takes
+            ten times as long; otherwise the direction in which its edge is nearest is enough.
+        firm: see `KeptRows`.
+        """
         if self.keep is None:
             return None
-        margins, gradients, _ = self.keep.facets_each(q[None])
-        left, G = margins[0], gradients[0]
+        rows = self.keep.facets_each(q[None]) if gives_way else self.keep.rows_each(q[None])
+        left, G = rows[0][0], rows[1][0]
         weights = np.clip(1.0 - left / _NEAR, 0.0, 1.0)
         near = weights > 0.0
         return KeptRows(G, left, weights[near, None] * G[near], firm)
@@ -95,11 +100,11 @@ class KeptFollowing:
         self.returns = False
         if self.keep is None:
             return 1.0
-        here = self.keep.margins(q)
+        (here,), (gradients,) = self.keep.rows_each(q[None])
         if (here < np.minimum(self.keep.margins(reference.q), 0.0) - _LEAST).any():
             self._until = time + _HELD
             return None
-        gradients, across = self.keep.gradients(q), _across(v, rates)
+        across = _across(v, rates)
         # all joints brake in proportion: sliding ends only when the joint that takes longest stands still
         straight = 0.5 * float(np.max(np.abs(v) / (BRAKING * self._limits.acceleration)))
         stopping = max(_BRAKED * float(np.max(np.abs(across) / self._limits.acceleration)), _SLIDES)
