@@ -308,7 +308,7 @@ class PlanFollower:
         """
         servo, clock = self.servo, reference.clock
         off, rates = reference.q - servo.q, reference.rates(servo.dt)
-        pace = min(max((_TOLERANCE - _late(off, rates)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
+        pace = min(max((_TOLERANCE - reference.lag(servo.q, servo.v, servo.dt)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
         # no faster towards the plan than the machine can brake in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
@@ -580,19 +580,3 @@ def _part(begins: float, keep: Keep | None, robot: Robot, obstacles: Sequence[Ob
         return PlanPart(begins, None)
     still = [one for one in obstacles if not one.moves and one.appears_at <= 0.0]
     return PlanPart(begins, StopRule(keep, ClearanceScreen(Proximity(robot, still))))
-
-
-def _late(off: Vector, rates: Vector) -> float:
-    """How far the machine is behind or beside the plan [rad or m]; the clock must wait for that.
-
-    The clock does not wait for a machine that is ahead: if it did, it would demand harder braking of a
-    machine that brakes as hard as it can, and the machine would run further ahead.
-
-    Parameters
-    ----------
-    off, rates: (n,) from the machine to the plan [rad or m], and the plan's rates [rad/s or m/s].
-    """
-    along = float(off @ rates)
-    if along < 0.0:
-        off = off - (along / float(rates @ rates)) * rates
-    return float(np.abs(off).max())

@@ -85,6 +85,24 @@ class Clocked(ABC):
     def at(self, time: float) -> Vector:
         """(n,) joint positions at `time` [s] of the motion [rad or m]; those at the end from there on."""
 
+    def lag(self, q: Vector, v: Vector, dt: float) -> float:
+        """How far a machine at q, v (n,) is behind or beside the motion [rad or m]; the clock must wait for that.
+
+        A machine that is ahead does not lag: if the clock waited for it, it would demand harder braking of a machine
+        that brakes as hard as it can, which would run further ahead. As long as it still runs on along the motion,
+        and going on brings the motion nearer to it, what it is beside the motion does not count either: the motion
+        bends, and the machine brakes straight ahead.
+
+        dt: length of a step [s].
+        """
+        missing, rates = self.q - q, self.rates(dt)
+        along = float(missing @ rates)
+        if along < 0.0:
+            if float(v @ rates) > 0.0:
+                return 0.0
+            missing = missing - (along / float(rates @ rates)) * rates
+        return float(np.abs(missing).max())
+
 
 class Reference(Clocked):
     """A motion with a clock, from rest to rest.
