@@ -56,6 +56,22 @@ def margin_text(margin: float, places: str = "+.3f") -> str:
     return _with(0.0 if margin <= 0.0 else margin, places, 0)
 
 
+def left_text(left: float, places: str = "+.3f") -> str:
+    """What is left of a condition, in words; one above 0 is not printed as 0 either, unless it is rounding.
+
+    Of a narrow cone so little may be left everywhere that the usual digits show nothing.
+
+    Parameters
+    ----------
+    left, places: see `margin_text`.
+    """
+    for more in range(_MORE_OF_MARGIN + 1) if left > 0.0 else ():
+        text = _with(left, places, more)
+        if float(text) > 0.0:
+            return text
+    return margin_text(left, places)
+
+
 def length_text(length: float) -> str:
     """A length of 0 or more [m] in words; below a millimetre, in mm with two digits."""
     return f"{length:.3f} m" if length == 0.0 or length >= 1e-3 else f"{1e3 * length:.2g} mm"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backhoe_planner.digits import beside_bounds, margin_text
+from backhoe_planner.digits import beside_bounds, left_text, margin_text
 
 
 @pytest.mark.parametrize(
@@ -34,6 +34,21 @@ def test_digits_are_added_until_the_side_shows(
 )
 def test_a_missing_margin_is_not_printed_as_none(margin: float, text: str) -> None:
     assert margin_text(margin) == text
+
+
+@pytest.mark.parametrize(
+    ("left", "text"),
+    [
+        (0.0004, "+0.0004"),
+        (0.00061, "+0.001"),
+        (0.0, "+0.000"),
+        (1e-9, "+0.000"),
+        (-1e-9, "+0.000"),
+        (-0.0004, "-0.0004"),
+    ],
+)
+def test_what_is_left_is_not_printed_as_nothing(left: float, text: str) -> None:
+    assert left_text(left) == text
 
 
 @given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4))

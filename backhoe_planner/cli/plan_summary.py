@@ -10,7 +10,7 @@ from pathlib import Path
 import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
-from backhoe_planner.digits import margin_text
+from backhoe_planner.digits import left_text, margin_text
 
 _SAME_PLACE = 0.005  # m of path between the ends of a detour, below which it is a change of posture on the spot
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
@@ -110,7 +110,7 @@ def _print_keep(found: bp.Plan) -> None:
     """Print the margin left of every condition to be kept; nothing if there is none."""
     for use in found.certificate.keep:
         turns = use.unit == "rad"
-        figures = f"{margin_text(DEGREES * use.left, '+.2f')} deg" if turns else f"{margin_text(use.left)} m"
+        figures = f"{left_text(DEGREES * use.left, '+.2f')} deg" if turns else f"{left_text(use.left)} m"
         OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s{_of_leg(use.leg)})")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.digits import margin_text
+from backhoe_planner.digits import left_text, margin_text
 from backhoe_planner.live import is_recording, unrecorded_changes
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import (
@@ -126,8 +126,8 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
 def _left(use: KeepUse) -> str:
     """The remaining margin of a condition, with its unit."""
     if use.unit == "rad":
-        return f"{_minus(margin_text(float(np.degrees(use.left)), '.2f'))}°"
-    return f"{_metres(use.left)} m"
+        return f"{_minus(left_text(float(np.degrees(use.left)), '.2f'))}°"
+    return f"{_minus(left_text(use.left, '.3f'))} m"
 
 
 def _metres(value: float) -> str:

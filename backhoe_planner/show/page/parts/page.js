@@ -141,7 +141,7 @@ function show(recording) {
     verdict.hidden = false;
     verdict.className = content.verdict;
     get("badge").textContent = content.verdict === "verified" ? "Verified" : `Failed: ${content.reason.replaceAll("_", " ")}`;
-    get("message").textContent = content.message;
+    get("message").replaceChildren(...withWholeOptions(content.message));
     const facts = get("facts");
     facts.replaceChildren();
     for (const [label, value, more] of content.facts) {
@@ -206,6 +206,11 @@ function show(recording) {
     for (const obstacle of problem.obstacles) obstacle.away = now >= 0 && legs[now].away.includes(obstacle.name);
   }
 
+  // a text in which no line ends within an option of the command line, such as --budget
+  function withWholeOptions(text) {
+    return text.split(/(--[a-z][a-z-]*)/).map((part, k) => k % 2 ? element("span", "option", part) : part);
+  }
+
   function showKept(kept) {
     const rows = get("kept");
     rows.replaceChildren();
@@ -215,6 +220,8 @@ function show(recording) {
       one.value = element("span", "value");
       one.fill = element("div", "fill");
       one.most = Math.max(...one.margins, 1e-9);
+      // of a narrow cone so many digits that a tenth of what is left shows
+      one.digits = Math.min(Math.max(Math.ceil(1 - Math.log10(one.most)), one.angular ? 1 : 2), 6);
       bar.append(one.fill);
       row.append(element("span", "name", `${one.name} ${one.allowed}`), one.value, bar);
       rows.append(row);
@@ -225,7 +232,7 @@ function show(recording) {
   function showKeptAt(frame) {
     for (const one of plan.kept) {
       const margin = one.margins[frame];
-      const shown = (value) => one.angular ? `${number(value, 1)}°` : `${number(value, 2)} m`;
+      const shown = (value) => number(value, one.digits) + (one.angular ? "°" : " m");
       one.value.textContent = shown(margin);
       one.value.title = `now ${shown(one.values[frame])}`;
       one.value.className = margin < 0 ? "value inside" : "value";
