@@ -57,6 +57,7 @@ from backhoe_planner.machine import (
 
 _NOT_ROUND = 1e-3  # rad: chosen; two motions from one pitch to another differ by whole turns
 KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
+_MOST_DIGITS = 6  # of an angle in degrees; chosen: more is below what a condition may be missed by
 _NO_LENGTH = 1e-12  # rad: a shorter turn has no direction
 _EIGHTHS = 0.25 * np.pi * np.arange(8)
 _OCTAGON: Matrix = np.column_stack((np.cos(_EIGHTHS), np.sin(_EIGHTHS)))
@@ -335,7 +336,10 @@ class Cone(Condition):
     def _shown(self, value: float) -> tuple[str, str]:
         """An angle and what is allowed [deg]."""
         degrees = np.degrees([value, self.usable]).tolist()
-        angle, shown = beside_bounds(*degrees, places=".1f", bounds_as=".4g", rounding=float(np.degrees(KEPT_TO)))
+        # so many digits that a tenth of a narrow cone shows
+        digits = 1 if degrees[1] <= 0.0 else min(max(math.ceil(1.0 - math.log10(degrees[1])), 1), _MOST_DIGITS)
+        rounding = float(np.degrees(KEPT_TO))
+        angle, shown = beside_bounds(*degrees, places=f".{digits}f", bounds_as=".4g", rounding=rounding)
         return angle, shown
 
 

@@ -11,8 +11,8 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import tip_travel_bound
-from backhoe_planner.motion import Condition, Keep, build_problem
+from backhoe_planner.machine import Tilt, tip_travel_bound
+from backhoe_planner.motion import Condition, Keep, TiltCone, build_problem
 
 Data = dict[str, Any]
 
@@ -458,3 +458,11 @@ def test_errors_in_keep_name_the_key(keep: Data, said: str) -> None:
 def test_a_machine_without_a_pitch_cannot_keep_one(ur5: bp.Robot) -> None:
     with pytest.raises(bp.SceneError, match=r"task.keep.pitch.*pitch is not defined"):
         keep_of(ur5, pitch=[0.0, 0.3])
+
+
+def test_an_angle_in_a_narrow_cone_is_told_with_a_tenth_of_the_cone(panda: bp.Robot) -> None:
+    """0.0005 rad are 0.02865 degrees, of which 0.0004 rad are 0.0229; in a wide cone one digit is enough."""
+    axis, up = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
+    narrow, wide = (TiltCone(panda, Tilt(axis, up, one)) for one in (0.0005, 0.1))
+    assert narrow.describe(0.0004, " at 1.00 s") == "the tip is tilted by 0.023 deg at 1.00 s, allowed 0.02865 deg"
+    assert wide.describe(0.05) == "the tip is tilted by 2.9 deg, allowed 5.73 deg"
