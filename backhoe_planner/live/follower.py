@@ -209,12 +209,17 @@ class PlanFollower:
         return FollowerState(
             state=state,
             plan_time=self._plan.clock,
-            behind=max(self._steps * servo.dt - self._plan.clock, 0.0),
+            behind=self._behind,
             deviation=float(np.abs(self._plan.q - state.q).max()),
             done=done,
             status=status,
             reason=reason,
         )
+
+    @property
+    def _behind(self) -> float:
+        """How much later than planned the machine is [s]."""
+        return max(self._steps * self.servo.dt - self._plan.clock, 0.0)
 
     def _enter_leg(self) -> None:
         """Set the site and the conditions to those of the leg at the plan's clock; without legs do nothing."""
@@ -307,8 +312,10 @@ class PlanFollower:
         waits: whether the reference's clock stands still.
         """
         servo, clock = self.servo, reference.clock
+        # where the rest is not proven, going on beside it may lead where the servo has to hold the machine back
+        running = servo.v if self._was_proven else np.zeros_like(servo.v)
         off, rates = reference.q - servo.q, reference.rates(servo.dt)
-        pace = min(max((_TOLERANCE - reference.lag(servo.q, servo.v, servo.dt)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
+        pace = min(max((_TOLERANCE - reference.lag(servo.q, running, servo.dt)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
         # no faster towards the plan than the machine can brake in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
@@ -547,7 +554,7 @@ class PlanFollower:
             return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"
         if self._detour is not None:
             return FollowerStatus.GOING_ROUND, self._detour.reason
-        return FollowerStatus.FOLLOWING, ""
+        return FollowerStatus.FOLLOWING, self._proof.slowed_by if self._behind > _NOTICED else ""
 
     @staticmethod
     def _held_by(state: ServoState) -> str:

@@ -153,22 +153,18 @@ def test_a_machine_away_from_the_start_goes_there_first(backhoe: Robot) -> None:
     assert steps[-1].done
 
 
-def test_a_machine_that_is_stopped_by_hand_for_a_moment_goes_on_at_once(backhoe: Robot) -> None:
-    """The plan turns while the machine brakes straight ahead, and it runs ahead of the plan's clock beside the plan."""
+def test_a_clock_waits_for_a_machine_behind_or_beside_its_motion_and_not_for_one_that_runs_on_ahead(
+    backhoe: Robot,
+) -> None:
+    """The motion turns the swing alone."""
     time = np.linspace(0.0, 4.0, 201)
-    part, later = time / 4.0, np.clip((time - 2.0) / 1.5, 0.0, 1.0)
-    q = np.array([0.0, 0.4, -1.4, -0.6]) + np.outer(part**2 * (3.0 - 2.0 * part), [1.2, 0.0, 0.6, 0.0])
-    q[:, 1] += 0.25 * later**2 * (3.0 - 2.0 * later)
-    servo = Servo(backhoe, site(backhoe), 0.02, q=q[0])
-    follower = PlanFollower(servo, bp.Trajectory.from_steps(time, q), executor=Never())
-    followed(follower, 100)
-    for _ in range(15):
-        servo.step(joint_velocity=np.zeros(4))
-    steps = followed(follower, 300)
-    assert steps[-1].done
-    # of the 0.3 s by hand it loses at most these, and as many again to gather the speed that it lost meanwhile
-    assert servo.time - 4.0 < 0.6 + 2.0 * 0.02
-    assert {step.status for step in steps[:-1]} == {FollowerStatus.FOLLOWING}
+    q = np.outer(time**2 * (6.0 - time) / 32.0, [1.0, 0.0, 0.0, 0.0])
+    reference = Reference(bp.Trajectory.from_steps(time, q), backhoe.limits)
+    reference.clock = 2.0
+    ahead, running, still = np.array([0.1, 0.05, 0.0, 0.0]), np.array([0.3, 0.0, 0.0, 0.0]), np.zeros(4)
+    assert reference.lag(reference.q + ahead, running, DT) == 0.0
+    assert reference.lag(reference.q + ahead, still, DT) == pytest.approx(0.05)
+    assert reference.lag(reference.q - ahead, running, DT) == pytest.approx(0.1)
 
 
 def test_the_machine_waits_during_the_search_and_resumes_once_the_plan_is_free(backhoe: Robot) -> None:

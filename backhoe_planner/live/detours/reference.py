@@ -146,6 +146,11 @@ class Reference(Clocked):
         a = self._pieces.a[row]
         return self._pieces.v[row] + (time - float(self._pieces.time[row])) * a, a
 
+    def largest_accelerations(self, since: float, until: float) -> Vector:
+        """(n,) the largest accelerations between two times [s], without their signs [rad/s^2 or m/s^2]."""
+        first, last = self._pieces.time.searchsorted((since, until), side="right") - 1
+        return np.asarray(np.abs(self._pieces.a[max(int(first), 0) : int(last) + 1]).max(axis=0))
+
     def rest(self) -> Matrix:
         """(K, n) the samples after the clock's time."""
         return np.asarray(self._motion.q[int(self._motion.time.searchsorted(self.clock, side="right")) :])

@@ -22,7 +22,7 @@ from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Cluster, Piece, Robot, travel_bounds
-from backhoe_planner.motion import Problem, Trajectory, chord_sagitta
+from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity
@@ -120,12 +120,21 @@ class TrackProof:
     servo: its surroundings and its load are those of the proof.
     plan: a plan, or a trajectory alone, of which nothing is proven.
     reference, track: of that plan.
+
+    Attributes
+    ----------
+    slowed_by: why a verified plan is not proven for the machine, so that it may be late, in words; otherwise empty.
     """
 
     def __init__(self, servo: Servo, plan: Plan | Trajectory, reference: Reference, track: Track) -> None:
         self._servo, self._track, self._reference = servo, track, reference
         proven = isinstance(plan, Plan) and _is_proven(plan, reference, servo.dt)
         self._plan = plan if isinstance(plan, Plan) and proven else None
+        self.slowed_by = ""
+        if isinstance(plan, Plan) and plan.verified and not proven and not plan.problem.is_dynamic:
+            self.slowed_by = (
+                f"steps of {servo.dt:g} s keep too little to the plan to go as close past things at its speed"
+            )
         self._leg: PlannedLeg | None = None
         self._asked, self._again_at = -1, 0.0
         self._known: dict[str, _Known] = {}
@@ -289,9 +298,11 @@ def _clear_until(robot: Robot, proximity: Proximity, reference: Reference, time:
     fine = np.interp(np.arange(_PARTS * (len(time) - 1) + 1) / _PARTS, np.arange(len(time)), time)
     fine = np.concatenate(([max(reference.clock, time[0])], fine[fine > reference.clock]))
     places: Matrix = np.array([reference.at(moment) for moment in fine.tolist()])
-    off = travel_bounds(robot) @ (chord_sagitta(robot.limits) / _PARTS**2 + _off_in_a_step(robot, dt))
-    spare = float(off.max(initial=0.0)) - _WITHIN
-    for moment, (a, b) in zip(fine.tolist(), pairwise(places), strict=False):
+    travel, moments = travel_bounds(robot), fine.tolist()
+    for (moment, after), (a, b) in zip(pairwise(moments), pairwise(places), strict=True):
+        # by this the chord between the places, and a step that overlaps it, are off the curve
+        most = reference.largest_accelerations(moment - dt, after + dt)
+        spare = float((travel @ (most * ((after - moment) ** 2 + dt**2) / 8.0)).max(initial=0.0)) - _WITHIN
         if not segment_is_clear(proximity, a, b, depth=_DEPTH, spare=spare):
             return float(moment)
     return None
