@@ -24,7 +24,7 @@ from backhoe_planner import (
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import overlap
 from backhoe_planner.planning import EFFORTS, Leg, plan_legs
-from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.search.effort import Brake, Work
 from backhoe_planner.planning.sequence.plan_task import plan_problem
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
@@ -276,6 +276,34 @@ def test_a_sequence_reports_if_time_ran_out(backhoe: Robot) -> None:
         assert plan.verified
         assert plan.note.startswith(said)
         assert bool(plan.note) == bool(said)
+
+
+def test_a_sequence_is_complete_in_the_work_of_the_quick_effort_whatever_the_effort(backhoe: Robot) -> None:
+    """Time runs out soon after as much counted work as the quick effort needs."""
+
+    class Counted(Brake):
+        most = np.inf
+
+        def is_used_up(self) -> bool:
+            return self.done > self.most
+
+    legs = [Leg(leg) for leg in build_problem(backhoe, scene_of(*LEGS[:2])).legs]
+    quick = Counted()
+    cost(plan_legs(legs, effort=EFFORTS["quick"], brake=quick, ahead=False))
+    assert quick.done > 0.0
+    short = Counted()
+    short.most = quick.done + 0.02
+    cost(plan_legs(legs, effort=EFFORTS["normal"], brake=short))
+
+
+def test_counted_work_is_added_up_for_all_searches_of_a_brake() -> None:
+    """2,000 motions, 50 sweeps and 70 rounds are counted as 1 s, 1 s and 2 s."""
+    brake = Brake()
+    first, second = Work(EFFORTS["normal"], brake), Work(EFFORTS["quick"], brake)
+    first.motions -= 2_000
+    first.descent_rounds, first.way_rounds = first.descent_rounds + first.way_rounds - 70, 0
+    second.sweeps -= 50
+    assert (first.done, second.done, brake.done) == pytest.approx((3.0, 1.0, 4.0))
 
 
 @pytest.mark.long

@@ -277,6 +277,8 @@ def _denser_at_ends(grid: Vector) -> Vector:
 
 def _slow_to_limits(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> Trajectory:
     """The motion, slowed where its samples exceed a limit."""
+    if len(trajectory) < 2:  # a search that failed may give its start alone
+        return trajectory
     over = _over(trajectory, limits)
     if over > 1.0:
         trajectory = Trajectory.from_steps(trajectory.time * (over * (1.0 + 1e-9)), trajectory.q)

@@ -18,6 +18,9 @@ EffortName = Literal["quick", "normal", "thorough"]
 # s: several times what plans take on one core, so that plans end by their counts
 DEFAULT_BUDGETS: Mapping[EffortName, float] = MappingProxyType({"quick": 60.0, "normal": 60.0, "thorough": 600.0})
 
+# counts of one second, in the middle of the rates that `Effort` gives
+_A_SECOND = {"motions": 2_000.0, "law_steps": 1_000.0, "sweeps": 50.0, "rounds": 35.0}
+
 
 @dataclass(frozen=True)
 class Effort:
@@ -172,10 +175,13 @@ class Brake:
     Attributes
     ----------
     budget: computing time [s]; by default unlimited.
+
+    It also adds up the counted work of all searches that it may end.
     """
 
     def __init__(self, budget: float = math.inf) -> None:
         self.budget = budget
+        self._works: list[Work] = []
         self._soonest = clock.monotonic() + budget  # a thread's computing time never exceeds the elapsed time
         self._deadline = clock.thread_time() + budget
 
@@ -188,6 +194,15 @@ class Brake:
     def cut_short(self) -> str:
         """The message beside a motion that was found, if no time was left to look for a cheaper one; else empty."""
         return f"{self.message}; the search for a cheaper motion was not finished" if self.is_used_up() else ""
+
+    def add(self, work: Work) -> None:
+        """Count the work of one more search."""
+        self._works.append(work)
+
+    @property
+    def done(self) -> float:
+        """The counted work of all searches so far, as the time that one core takes for it about [s]."""
+        return sum(work.done for work in self._works)
 
     def is_used_up(self) -> bool:
         """Whether no time is left: for searches that can end early and keep their result."""
@@ -223,3 +238,17 @@ class Work:
         self.sweeps = effort.sweeps
         self.descent_rounds = effort.descent_rounds
         self.way_rounds = effort.way_rounds
+        self.brake.add(self)
+
+    @property
+    def done(self) -> float:
+        """What was subtracted so far, as the time that one core takes for it about [s]."""
+        effort = self.effort
+        rounds = effort.descent_rounds + effort.way_rounds - self.descent_rounds - self.way_rounds
+        done = {
+            "motions": effort.motions - self.motions,
+            "law_steps": effort.law_steps - self.law_steps,
+            "sweeps": effort.sweeps - self.sweeps,
+            "rounds": rounds,
+        }
+        return sum(count / _A_SECOND[name] for name, count in done.items())

@@ -6,6 +6,11 @@ and planned as a whole: first with the end of each leg anywhere on the goal that
 chain is still the cheapest, in exactly the postures of the chain. A motion that cannot be planned is removed
 from the graph, so that other ends are tried. The result of planning leg by leg is one of the chains, so the
 result is never dearer than that.
+
+Most chains are planned roughly, with less effort, because many are compared and few are kept. What more effort gains is
+known from the legs planned one by one both ways, and expected of the other motions too. Then the cheapest chain is
+planned anew with all the effort, until no rough one promises more. The work for chains is counted, and bounded by that
+for the legs one by one.
 """
 
 from __future__ import annotations
@@ -19,7 +24,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Goal, TipPath, motion_cost
-from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.sequence.ends import LegEnds, WayPrices, find_ends
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
@@ -31,14 +36,22 @@ _OFF = (0.2, 1.1)  # bounds of the factor on estimates of unplanned motions; cho
 _CALIBRATED = (0.5, 3.0)  # bounds of the factor that corrects estimates between two goals; chosen
 _FAILED = 2.0  # factor on the estimates between two goals for each motion that could not be planned; chosen
 _NOTHING = 1e-9  # least value of a price, in place of 0
+_GAINED = (0.2, 1.0)  # bounds of the factor on the costs of rough motions; chosen
+# parts of the counted work of planning the legs one by one: chains are planned roughly until the first of these, and
+# with all the effort until the second; chosen
+_ROUGH_WORK, _WORK = 0.25, 0.5
+# s: the least counted work of which these are parts, for the normal effort: sequences of easy legs have several
+# chains then; chosen on the sequences of seed 31
+_LEAST_WORK = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A planned motion: one edge of the graph."""
+    """A planned motion: one edge of the graph; rough if it was planned with less effort only."""
 
     done: DoneLeg
     cost: float
+    is_rough: bool
 
 
 @dataclass(eq=False)
@@ -54,10 +67,12 @@ class _Layer:
     ends: (n,) each.
     names: the goal of each end; None along a path. Empty for the last leg.
     planned: by the indices of the end before and of its own; None if no motion was found.
-    free: by the end before and the goal, the end of the motion planned to anywhere on that goal; None for none.
+    free: by the end before, the goal, and whether it was planned roughly, the end of the motion planned to anywhere on
+        that goal; None for none.
     estimates: (A, B) costs of the motions that are not planned.
     unit: by which the cost is divided.
     off: factor on the estimates.
+    gained: factor on the costs of rough motions, by which more effort is expected to make them cheaper.
     """
 
     leg: Leg
@@ -67,10 +82,11 @@ class _Layer:
     ends: list[Vector]
     names: list[str | None]
     planned: dict[tuple[int, int], _Way | None] = field(default_factory=dict)
-    free: dict[tuple[int, str], int | None] = field(default_factory=dict)
+    free: dict[tuple[int, str, bool], int | None] = field(default_factory=dict)
     estimates: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
     unit: float = 1.0
     off: float = 1.0
+    gained: float = 1.0
 
     def place(self, end: int) -> str | None:
         """The name of the goal of an end; None along a path, and if the end is left open."""
@@ -85,6 +101,10 @@ class _Layer:
         across = self.prices.between(self.known.entries, self.known.ends)
         self.estimates = np.min(to_entries[:, :, None] + across[None, :, :], axis=1)
 
+    def price(self, way: _Way) -> float:
+        """The cost of a planned motion with all the effort: that of a rough one is estimated."""
+        return self.gained * way.cost if way.is_rough else way.cost
+
 
 class Chain:
     """The search for the cheapest chain of motions through all legs.
@@ -96,14 +116,24 @@ class Chain:
     first: the result of planning leg by leg, as far as it got.
     planner: plans single legs.
     most: how many motions may be planned at most.
+    rough: an effort less than that of `planner`, and the result of planning leg by leg with it; None to plan all chains
+        with the same effort.
+    worked: the counted work of planning leg by leg [s].
     """
 
     def __init__(
-        self, legs: Sequence[Leg], ready: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int
-    ) -> None:
+        self, legs: Sequence[Leg], ready: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int,
+        rough: tuple[Effort, Sequence[DoneLeg]] | None = None, worked: float = np.inf,
+    ) -> None:  # fmt: skip
         self._legs, self._ready, self._first, self._left = tuple(legs), tuple(ready), tuple(first), most
+        self._most = most
         # legs along paths are planned for many chains, and other ways along them were compared in the first result
-        self._planner = replace(planner, effort=replace(planner.effort, other_ways=0))
+        self._fine = replace(planner, effort=replace(planner.effort, other_ways=0))
+        self._begun_roughly = () if rough is None else tuple(rough[1])
+        self._rough = self._fine if rough is None else replace(planner, effort=replace(rough[0], other_ways=0))
+        self._planner, self._begun = self._fine, planner.brake.done
+        least = _LEAST_WORK * planner.effort.motions / EFFORTS["normal"].motions
+        self._rough_work, self._work = (part * max(worked, least) for part in (_ROUGH_WORK, _WORK))
         self._moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
         self._start = first[0].motion.q[0]
         self._layers: list[_Layer] = []
@@ -114,12 +144,30 @@ class Chain:
         """The cheapest chain that was found, waits included; the first result if none is cheaper."""
         if not self._build():
             return list(self._first)
-        while self._left > 0 and not self._planner.brake.is_used_up():
-            chain = self._cheapest(estimated=True)
-            if chain is None or not self._promises(chain) or not self._plan_chain(chain):
-                break
+        if self._rough is not self._fine:
+            self._plan_chains(self._rough, self._rough_work, estimated=True)
+            self._tried.clear()
+            self._left = self._most
+        self._plan_chains(self._fine, self._work, estimated=False)
+        self._plan_chains(self._fine, self._work, estimated=True)
+        for layer in self._layers:
+            layer.gained = 1.0
         best = self._cheapest(estimated=False)
         return list(self._first) if best is None else self._with_waits(best)
+
+    def _plan_chains(self, planner: LegPlanner, until: float, *, estimated: bool) -> None:
+        """Plan the cheapest chain, again and again, until none promises to be cheaper.
+
+        until: the counted work of all motions planned for chains at which this ends [s].
+        estimated: whether motions count for which there are only estimates, not even a rough motion.
+        """
+        self._planner = planner
+        while self._left > 0 and not planner.brake.is_used_up() and planner.brake.done - self._begun < until:
+            chain = self._cheapest(estimated=estimated)
+            if chain is None or not (self._promises(chain) if estimated else self._is_rough(chain)):
+                return
+            if not self._plan_chain(chain):
+                return
 
     # --- the graph --------------------------------------------------------------------
 
@@ -144,6 +192,7 @@ class Chain:
             near = known.ends[0]
         self._estimate()
         self._take_first()
+        self._take_rough()
         return True
 
     def _estimate(self) -> None:
@@ -171,7 +220,7 @@ class Chain:
             begun = before
             before, cost = self._note(layer, before, done)
             if number is not None:
-                layer.free[begun, done.problem.goals[number - 1].name] = before
+                layer.free[begun, done.problem.goals[number - 1].name, False] = before
             layer.off = float(np.clip(cost / max(guess, _NOTHING), *_OFF))
             totals[name] += cost
         for layer in self._layers:
@@ -179,7 +228,21 @@ class Chain:
             share = sum(other.leg.problem.objective.name == name for other in self._layers)
             layer.unit = max(totals[name], _NOTHING) / share
 
-    def _note(self, layer: _Layer, before: int, done: DoneLeg) -> tuple[int, float]:
+    def _take_rough(self) -> None:
+        """Add the result of planning leg by leg roughly, which shows what more effort gains."""
+        before = 0
+        for layer, index in zip(self._layers, self._moving, strict=True):
+            if index >= len(self._begun_roughly) or self._begun_roughly[index].failed:
+                return
+            done, begun = self._begun_roughly[index], before
+            before, cost = self._note(layer, before, done, is_rough=True)
+            if done.certificate.goal is not None:
+                layer.free[begun, done.problem.goals[done.certificate.goal - 1].name, True] = before
+            if index < len(self._first) and not self._first[index].failed:
+                fine = motion_cost(done.problem, self._first[index].motion)
+                layer.gained = float(np.clip(fine / max(cost, _NOTHING), *_GAINED))
+
+    def _note(self, layer: _Layer, before: int, done: DoneLeg, *, is_rough: bool = False) -> tuple[int, float]:
         """Add a planned motion; returns the index of its end, and its cost."""
         end, cost = done.motion.q[-1], motion_cost(done.problem, done.motion)
         index = 0
@@ -202,8 +265,9 @@ class Chain:
                     row = np.hstack((row, np.full((1, missing), np.inf)))
                 after.estimates = np.vstack((after.estimates, row))
         known = layer.planned.get((before, index))
-        if known is None or cost < known.cost:
-            layer.planned[before, index] = _Way(done, cost)
+        is_rough = is_rough and (known is None or known.is_rough)
+        best = _Way(done, cost, is_rough) if known is None or cost < known.cost else replace(known, is_rough=is_rough)
+        layer.planned[before, index] = best
         return index, cost
 
     # --- chains -----------------------------------------------------------------------
@@ -213,7 +277,7 @@ class Chain:
         found = layer.off * layer.estimates if estimated else np.full(layer.estimates.shape, np.inf)
         found = found.copy()
         for (a, b), way in layer.planned.items():
-            found[a, b] = np.inf if way is None else way.cost
+            found[a, b] = np.inf if way is None else layer.price(way)
         return np.asarray(found / layer.unit)
 
     def _cheapest(self, *, estimated: bool) -> list[tuple[int, int]] | None:
@@ -235,6 +299,11 @@ class Chain:
         weights = (self._weights(layer, estimated=estimated) for layer in self._layers)
         return float(sum(matrix[way] for matrix, way in zip(weights, chain, strict=True)))
 
+    def _is_rough(self, chain: Sequence[tuple[int, int]]) -> bool:
+        """Whether some motion of a planned chain was planned roughly only."""
+        ways = [layer.planned[way] for layer, way in zip(self._layers, chain, strict=True)]
+        return any(way is not None and way.is_rough for way in ways)
+
     def _promises(self, chain: Sequence[tuple[int, int]]) -> bool:
         """Whether a chain may be cheaper than the cheapest known one."""
         best = self._cheapest(estimated=False)
@@ -243,7 +312,11 @@ class Chain:
         return self._cost(chain, estimated=True) < (1.0 - _GAIN) * self._cost(best, estimated=False)
 
     def _plan_chain(self, chain: Sequence[tuple[int, int]]) -> bool:
-        """Plan the unplanned motions of a chain, as far as possible; False if nothing was left to be planned."""
+        """Plan the motions of a chain that were not planned with this effort; False if nothing was left to be planned.
+
+        It ends at a motion that cannot be planned.
+        """
+        is_rough = self._plans_roughly
         places = tuple(layer.place(b) for layer, (_, b) in zip(self._layers, chain, strict=True))
         anywhere = places not in self._tried
         self._tried.add(places)
@@ -253,11 +326,11 @@ class Chain:
                 break
             place = layer.place(b)
             if anywhere and place is not None:
-                if (before, place) not in layer.free:
-                    layer.free[before, place] = self._plan(layer, before, b, anywhere=True)
+                if (before, place, is_rough) not in layer.free:
+                    layer.free[before, place, is_rough] = self._plan(layer, before, b, anywhere=True)
                     self._calibrate(layer, before, place)
-                end = layer.free[before, place]
-            elif (before, b) in layer.planned:
+                end = layer.free[before, place, is_rough]
+            elif self._is_planned(layer, before, b):
                 end = None if layer.planned[before, b] is None else b
             else:
                 end = self._plan(layer, before, b, anywhere=False)
@@ -266,9 +339,20 @@ class Chain:
             before = end
         return anywhere or self.tried > planned
 
+    @property
+    def _plans_roughly(self) -> bool:
+        return self._planner is not self._fine
+
+    def _is_planned(self, layer: _Layer, before: int, end: int) -> bool:
+        """Whether a motion was planned with the present effort or more, or could not be planned."""
+        if (before, end) not in layer.planned:
+            return False
+        way = layer.planned[before, end]
+        return way is None or self._plans_roughly or not way.is_rough
+
     def _calibrate(self, layer: _Layer, before: int, place: str) -> None:
         """Correct the estimates of all motions between two goals by the cost of a planned one."""
-        end = layer.free[before, place]
+        end = layer.free[before, place, self._plans_roughly]
         rows, columns = self._between_the_same_goals(layer, before, place)
         own = layer.estimates[before, columns]
         least = float(np.min(own[np.isfinite(own)], initial=np.inf))
@@ -276,7 +360,7 @@ class Chain:
             return
         way = layer.planned[before, end]
         assert way is not None
-        factor = float(np.clip(way.cost / max(layer.off * least, _NOTHING), *_CALIBRATED))
+        factor = float(np.clip(layer.price(way) / max(layer.off * least, _NOTHING), *_CALIBRATED))
         layer.estimates[np.ix_(rows, columns)] *= factor
 
     def _plan(self, layer: _Layer, a: int, b: int, *, anywhere: bool) -> int | None:
@@ -302,8 +386,11 @@ class Chain:
             layer.planned.setdefault((a, b), None)
         if done.failed:
             layer.estimates[np.ix_(*self._between_the_same_goals(layer, a, layer.place(b)))] *= _FAILED
+            known = layer.planned.get((a, b))
+            if known is not None and not self._plans_roughly:  # more effort does not make it cheaper
+                layer.planned[a, b] = replace(known, is_rough=False)
             return None
-        return self._note(layer, a, done)[0]
+        return self._note(layer, a, done, is_rough=self._plans_roughly)[0]
 
     def _between_the_same_goals(self, layer: _Layer, before: int, place: str | None) -> tuple[list[int], list[int]]:
         """The ends before a leg on the same goal as `before`, and its own ends on the goal `place`; all if None."""

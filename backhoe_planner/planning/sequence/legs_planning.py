@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.motion import Problem, Trajectory, motion_cost
@@ -88,10 +90,19 @@ def plan_legs(
     legs = tuple(_ending_exactly(leg) if index in moving[:-1] else leg for index, leg in enumerate(legs))
     planner = LegPlanner(method, seed, effort, brake or Brake(), watch)
     ready = ready_for_next(legs)
+    ahead = ahead and len(moving) > 1 and method in ("auto", "optimal")
+    ahead = ahead and not any(leg.problem.is_dynamic for leg in legs)
+    rough = _rough(effort) if ahead else None
+    roughly = None if rough is None else (rough, _one_by_one(legs, ready, replace(planner, effort=rough)))
+    before = planner.brake.done
     done = _one_by_one(legs, ready, planner)
     tried = 0
-    if ahead and len(moving) > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
-        chain = Chain(legs, ready, done, planner, most=(_CHAINS + effort.ways_at_once) * len(moving))
+    if roughly is not None and done[-1].failed and not roughly[1][-1].failed:
+        done = roughly[1]
+    if ahead:
+        worked = np.inf if roughly is None else planner.brake.done - before
+        most = (_CHAINS + effort.ways_at_once) * len(moving)
+        chain = Chain(legs, ready, done, planner, most=most, rough=roughly, worked=worked)
         # an end that was chosen may be one posture: which goals are left out is known from the legs by themselves
         known = [leg.outcome.findings.left_out for leg in done]
         done, tried = chain.run(), chain.tried
@@ -100,6 +111,13 @@ def plan_legs(
             for index, leg in enumerate(done)
         ]
     return _outcome(legs, done, tried)
+
+
+def _rough(effort: Effort) -> Effort | None:
+    """The effort with which many chains are compared; None for the same."""
+    if effort.is_hurried:
+        return None
+    return EFFORTS[effort.begins_with or "quick"]
 
 
 def _ending_exactly(leg: Leg) -> Leg:
