@@ -23,6 +23,7 @@ from .following.waypoint_steps import longest_step as longest_step
 from .goals import ANGLE_TOLERANCE as ANGLE_TOLERANCE
 from .goals import JOINT_TOLERANCE as JOINT_TOLERANCE
 from .goals import Goal as Goal
+from .keep import TO_THE_RIM as TO_THE_RIM
 from .keep import Keep as Keep
 from .legs import LegPart as LegPart
 from .legs import leg_parts as leg_parts

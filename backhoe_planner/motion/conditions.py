@@ -36,6 +36,7 @@ from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.digits import beside_bounds
@@ -285,8 +286,11 @@ class Cone(Condition):
         """(B, 3) the rotation vectors in world axes that bring the tip into the middle of the cone [rad]."""
 
     @abstractmethod
-    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
-        """The target within the cone, or within as much of it as `tolerance` [rad]; itself if it cannot express it."""
+    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget | None:
+        """The target within the cone, or within as much of it as `tolerance` [rad]; itself if it cannot express it.
+
+        None if an orientation of the target with its tolerance is nowhere within that.
+        """
 
     @abstractmethod
     def narrowed_batch(self, targets: TargetBatch, tolerance: float | Vector) -> TargetBatch:
@@ -358,11 +362,22 @@ class RotationCone(Cone):
         sines = np.linalg.norm([turn[:, i, j] - turn[:, j, i] for i, j in ((1, 0), (2, 0), (2, 1))], axis=0)
         return np.asarray(np.arctan2(sines, np.trace(turn, axis1=1, axis2=2) - 1.0))
 
-    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
-        """The target; one without an orientation or a pitch within `tolerance` [rad] of the one to be kept."""
-        if target.rotation is not None or target.pitch is not None:
+    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget | None:
+        """The target; one without an exact orientation or a pitch within `tolerance` [rad] of the one to be kept.
+
+        Of two balls of orientations, a ball that is in both: its middle is on the shortest turn between their middles.
+        """
+        if target.pitch is not None or (target.rotation is not None and target.rotation_tolerance == 0.0):
             return target
-        return replace(target, rotation=self.rotation, rotation_tolerance=tolerance)
+        if target.rotation is None:
+            return replace(target, rotation=self.rotation, rotation_tolerance=tolerance)
+        turn = rotation_vectors((self.rotation @ target.rotation.T)[None])[0]
+        angle, own = float(np.linalg.norm(turn)), target.rotation_tolerance
+        radius = min(0.5 * (own + tolerance - angle), own, tolerance)
+        if radius < 0.0:
+            return None
+        part = min(max(own - radius, 0.0) / max(angle, _NO_LENGTH), 1.0)
+        return replace(target, rotation=pin.exp3(part * turn) @ target.rotation, rotation_tolerance=radius)
 
     def narrowed_batch(self, targets: TargetBatch, tolerance: float | Vector) -> TargetBatch:
         """The targets, those without an orientation within `tolerance` [rad], also (B,), of the one to be kept."""
@@ -447,11 +462,17 @@ class TiltCone(Cone):
         gradient = at.axes[0].dot(np.array(across)) * (self._hinges / sine)
         return np.array([[margin]]), gradient[None, None]
 
-    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget:
+    def narrowed(self, target: TipTarget, tolerance: float) -> TipTarget | None:
         """The target with the axis within `tolerance` [rad]; itself if it has an orientation or another tilt."""
         given = target.tilt
         if target.rotation is not None and target.rotation_tolerance == 0.0:
             return target
+        # a turn by the tolerance of an orientation tilts the axis by no more than that
+        if (
+            target.rotation is not None
+            and self.angles(target.rotation[None])[0] > target.rotation_tolerance + tolerance
+        ):
+            return None
         if given is None:
             return replace(target, tilt=replace(self.tilt, tolerance=min(tolerance, np.pi)))
         same = np.array_equal(given.axis, self.tilt.axis) and np.array_equal(given.direction, self.tilt.direction)

@@ -14,6 +14,7 @@ from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import KEPT_TO, Condition, Cone, PitchBand
 
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
+TO_THE_RIM = 0.9999  # the same where that part has no room; chosen: the rest is more than inverse kinematics is off
 _NEWTON = 20  # steps of a projection; chosen: near the solution, each step doubles the correct digits
 # rad or m inside the allowed range that a projection aims for, if its middle is not nearer; chosen, more than a step
 # misses near it
@@ -179,9 +180,13 @@ class Keep:
             found = np.clip(found + step * min(1.0, _LONGEST_STEP / max(longest, _LONGEST_STEP)), lower, upper)
         return found if self.holds(found) else None
 
-    def narrowed(self, target: TipTarget) -> TipTarget | None:
-        """The target combined with the conditions, as far as a target can express them; None if they contradict."""
+    def narrowed(self, target: TipTarget, *, to_the_rim: bool = False) -> TipTarget | None:
+        """The target combined with the conditions, as far as a target can express them; None if they contradict.
+
+        to_the_rim: whether all of a cone may be used, not just the part in which a search has room.
+        """
         check_kind(target, TipTarget, key="target")
+        part = TO_THE_RIM if to_the_rim else _SEARCHED
         for condition in self.conditions:
             if isinstance(condition, PitchBand) and target.rotation is None:
                 pitch = _common(target.pitch, (condition.low + condition.room, condition.high - condition.room))
@@ -189,7 +194,10 @@ class Keep:
                     return None
                 target = replace(target, pitch=pitch)
             elif isinstance(condition, Cone):
-                target = condition.narrowed(target, _SEARCHED * condition.usable)
+                within = condition.narrowed(target, part * condition.usable)
+                if within is None:
+                    return None
+                target = within
         return target
 
     def _holds_between(self, condition: Condition, q_a: Vector, q_b: Vector) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot
 from backhoe_planner.motion import (
     KEPT_TO,
@@ -32,6 +32,7 @@ from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Waypoint
 
 _SPARE = 1e-3  # rad kept inside the band at either end; chosen, ten times what rounded corners were seen to use
+_OFF = 0.5  # part of a path's tolerance of its angles, by which they are turned into a cone at most; chosen
 _WHOLE_POSE = 6  # dimensions of position and orientation
 _PITCHED = 4  # joints: an arm with so many or fewer has only single configurations at a position with a pitch
 _TURNED = 5  # joints: an arm with so many or fewer may be unable to take an orientation at a position
@@ -51,7 +52,9 @@ def narrow_path(problem: Problem, *, in_middle: bool = False) -> Problem:
     path, keep = problem.path, problem.keep
     if path is None or keep is None:
         return problem
-    asked = [_narrow(keep, waypoint, in_middle=in_middle) for waypoint in path.waypoints]
+    given = problem.scene.task.path
+    spare = _SPARE if given is None else min(_SPARE, _OFF * given.rotation_tolerance)
+    asked = [_narrow(keep, waypoint, in_middle=in_middle, spare=spare) for waypoint in path.waypoints]
     numbers = [path.number(index) for index in range(len(asked))]
     return replace(problem, path=TipPath(asked, numbers=numbers))
 
@@ -123,8 +126,12 @@ def _nearest_posture(world: World, keep: Keep, waypoint: Waypoint) -> Vector | N
     """
     if waypoint.rotation is not None or world.problem.robot.n > (_PITCHED if waypoint.pitch is not None else _TURNED):
         return None
+    start = world.problem.start_q
+    if start is not None and _stands_on(world, start, waypoint):
+        return start
     nearest: Vector | None = None
-    for target in filter(None, (keep.narrowed(waypoint.target), waypoint.target)):
+    narrowed = (keep.narrowed(waypoint.target, to_the_rim=to_the_rim) for to_the_rim in (False, True))
+    for target in filter(None, (*narrowed, waypoint.target)):
         found = world.postures.anywhere(target, count=_STARTS)
         nearest = max(found, key=lambda q: float(np.min(keep.margins(q))), default=None)
         if nearest is not None and keep.holds(nearest):
@@ -132,9 +139,18 @@ def _nearest_posture(world: World, keep: Keep, waypoint: Waypoint) -> Vector | N
     return nearest
 
 
-def _narrow(keep: Keep, waypoint: Waypoint, *, in_middle: bool) -> Waypoint:
+def _stands_on(world: World, start: Vector, waypoint: Waypoint) -> bool:
+    """Whether the machine keeps the conditions at the start (n,), and stands on a waypoint there."""
+    path, keep = world.problem.scene.task.path, world.problem.keep
+    if path is None or keep is None or not keep.holds(start):
+        return False
+    position, angle = waypoint.target.distances(world.kinematics.at(start))
+    return position <= path.tolerance and angle <= path.rotation_tolerance
+
+
+def _narrow(keep: Keep, waypoint: Waypoint, *, in_middle: bool, spare: float) -> Waypoint:
     if waypoint.rotation is not None:
-        return waypoint
+        return _off_the_rim(keep, waypoint, spare)
     narrowed = keep.narrowed(waypoint.target)
     if narrowed is not None and narrowed.pitch is not None:
         low, high = narrowed.pitch
@@ -142,9 +158,27 @@ def _narrow(keep: Keep, waypoint: Waypoint, *, in_middle: bool) -> Waypoint:
         return Waypoint(position=waypoint.position, pitch=_one_turn(low + spare, high - spare))
     cone = next((one for one in keep.conditions if isinstance(one, RotationCone)), None)
     if cone is not None and waypoint.pitch is None and in_middle:
-        turned = pin.Quaternion(cone.rotation)
-        return Waypoint(position=waypoint.position, quaternion=(turned.w, turned.x, turned.y, turned.z))
+        return _turned(waypoint, cone.rotation)
     return waypoint
+
+
+def _off_the_rim(keep: Keep, waypoint: Waypoint, spare: float) -> Waypoint:
+    """The waypoint, turned into the cones to be kept by at most `spare` [rad], if it is on the rim of one."""
+    assert waypoint.rotation is not None
+    rotation = waypoint.rotation
+    for cone in keep.cones:
+        turn = cone.turns(rotation[None])[0]
+        angle = float(np.linalg.norm(turn))
+        by = min(angle - cone.usable + spare, spare + KEPT_TO, angle)
+        if by > 0.0 and angle <= cone.usable + KEPT_TO:
+            rotation = pin.exp3(turn * (by / angle)) @ rotation
+    return waypoint if rotation is waypoint.rotation else _turned(waypoint, rotation)
+
+
+def _turned(waypoint: Waypoint, rotation: Matrix) -> Waypoint:
+    """A waypoint at the same position with an orientation (3, 3)."""
+    turned = pin.Quaternion(rotation)
+    return Waypoint(position=waypoint.position, quaternion=(turned.w, turned.x, turned.y, turned.z))
 
 
 def _takes_any_orientation(robot: Robot) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics
-from backhoe_planner.motion import build_problem
+from backhoe_planner.motion import RotationCone, build_problem
 from backhoe_planner.planning.sequence.leg import Leg
 from backhoe_planner.planning.sequence.next_leg import ready_for_next
 
@@ -253,3 +253,69 @@ def test_a_start_has_one_kind_of_orientation_and_a_wide_tilt_is_told() -> None:
         bp.scene_from_dict({**content, "start": {"tip": {**pose, "rpy": [0, 0, 0]}}})
     (warning,) = bp.scene_from_dict({**content, "start": {"tip": pose}}).warnings()
     assert warning == "start.tip.tilt.tolerance: 2 rad are 114.6 deg; 2 degrees are 0.03491 rad"
+
+
+def tilted(angle: float) -> NDArray[np.float64]:
+    """The hand tilted by an angle [rad] from straight down, about a horizontal axis."""
+    return np.asarray(pin.exp3(angle * np.array([0.6, 0.8, 0.0])) @ DOWN)
+
+
+@pytest.mark.parametrize("kept", ["tilt", "rotation"])
+def test_a_path_of_poses_exactly_on_the_rim_of_a_cone_is_followed(panda: bp.Robot, kept: str) -> None:
+    """The certificate allows 1e-6 rad beyond the rim, and the angles of a path may be off by 0.01 rad."""
+    turned = quaternion(tilted(0.1))
+    path = {"waypoints": [{"position": at, "quaternion": turned} for at in ([0.5, 0.1, 0.4], [0.48, -0.1, 0.38])]}
+    keep = {"tilt": CUP} if kept == "tilt" else {"rotation": {"quaternion": quaternion(DOWN), "tolerance": 0.1}}
+    found = plan(panda, None, {"path": path, "keep": keep})
+    assert found.verified, found.message
+    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+    assert found.certificate.tracking.max_angle_error <= 0.01
+
+
+@pytest.mark.parametrize("kept", ["tilt", "rotation"])
+def test_a_goal_is_reached_where_its_tolerance_and_a_cone_only_overlap_at_their_rims(
+    panda: bp.Robot, kept: str
+) -> None:
+    """At 0.145 rad with 0.05 rad, 0.005 rad of a cone of 0.1 rad are left; at 0.151 rad there is nothing in both."""
+    start = upright(panda, [0.5, 0.1, 0.4])
+    keep = {"tilt": CUP} if kept == "tilt" else {"rotation": {"quaternion": quaternion(DOWN), "tolerance": 0.1}}
+
+    def to(angle: float) -> bp.Plan:
+        pose = {"position": [0.4, -0.35, 0.35], "quaternion": quaternion(tilted(angle)), "rotation_tolerance": 0.05}
+        return plan(panda, start, {"goal": pose, "keep": keep})
+
+    found = to(0.145)
+    assert found.verified, found.message
+    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+    end = BatchKinematics(panda).at(found.trajectory.q[-1:]).tip_rotation[0]
+    assert np.linalg.norm(pin.log3(tilted(0.145).T @ end)) <= 0.05
+    assert to(0.151).reason == "goal_breaks_keep"
+
+
+def test_a_position_that_only_the_rim_of_a_tilt_allows_is_reached(panda: bp.Robot) -> None:
+    """0.8 m away the stretched arm tilts the hand by at least 0.23 rad: inverse kinematics finds nothing below."""
+    tilt = CUP | {"tolerance": 0.2427}
+    found = plan(
+        panda, upright(panda, [0.5, 0.1, 0.4]), {"goal": {"position": [0.8, 0.1, 0.4]}, "keep": {"tilt": tilt}}
+    )
+    assert found.verified, found.message
+    assert 0.22 <= greatest_tilt(found, tilt) <= 0.2427 + 1e-6
+
+
+def test_a_ball_within_two_balls_of_orientations_is_in_both(ur5: bp.Robot) -> None:
+    rng = np.random.default_rng(5)
+    for angle, own in ((0.3, 0.25), (0.05, 0.4), (0.0, 0.1), (0.2, 0.01)):
+        axis = rng.normal(size=3)
+        given = pin.exp3(angle * axis / np.linalg.norm(axis)) @ DOWN
+        target = bp.TipTarget(np.zeros(3), rotation=given, rotation_tolerance=own)
+        cone = RotationCone(ur5, DOWN, 0.2)
+        within = cone.narrowed(target, 0.2)
+        assert within is not None
+        assert within.rotation is not None
+        for _ in range(50):
+            turn = rng.normal(size=3)
+            inside = pin.exp3(within.rotation_tolerance * turn / np.linalg.norm(turn)) @ within.rotation
+            assert np.linalg.norm(pin.log3(inside @ given.T)) <= own + 1e-9
+            assert np.linalg.norm(pin.log3(inside @ DOWN.T)) <= 0.2 + 1e-9
+    far = bp.TipTarget(np.zeros(3), rotation=pin.exp3(np.array([0.31, 0.0, 0.0])) @ DOWN, rotation_tolerance=0.1)
+    assert cone.narrowed(far, 0.2) is None

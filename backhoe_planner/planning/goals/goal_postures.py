@@ -23,7 +23,7 @@ from backhoe_planner.machine import (
     solve_batch,
     solve_inverse_kinematics,
 )
-from backhoe_planner.motion import Goal, Keep
+from backhoe_planner.motion import TO_THE_RIM, Goal, Keep
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
@@ -35,6 +35,7 @@ from backhoe_planner.site import ClearanceScreen
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is reported to be in collision; chosen
 _MOVED = 0.9  # part of a goal's tolerance by which its aim is moved at most; chosen: no rounding exceeds the rest
 _PLACES = 25  # on the way to a posture, where it is checked whether the tip is within the tolerance; chosen
+_BEGINS = 8  # random postures from which that is searched too, for each of these cones; chosen, 0.1 s in all
 _NEARER = 16  # cones between the nearest posture and what is kept, as for a path; chosen
 _ANGLES_FIRST = 30.0  # m per rad in the search for the nearest pose: chosen, its angles are then off by mrad at most
 # if several goals fail, the mildest reason is reported; the mildest first
@@ -127,6 +128,9 @@ def _postures_on(
     if kept:
         assert isinstance(within, _OnGoal)
         return _OnGoal(within.goal, kept)
+    at_rim = _at_the_rim(world, keep, goal, near, time, more, travel)
+    if at_rim is not None:
+        return at_rim
     # find out whether the goal itself fails, or `keep` at the goal
     free = _on_target(world, target, goal, near, time, more, travel)
     if isinstance(free, Outcome):
@@ -139,6 +143,8 @@ def _postures_on(
     nearest = _nearest_to_kept(
         world, keep, replace(target, position=free.goal.search_target.position), free.clear, time
     )
+    if keep.holds(nearest):
+        return _OnGoal(free.goal, (nearest,))
     contradiction = find_contradiction(keep, world.problem.limits, [near])
     if contradiction:
         return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", contradiction)
@@ -148,10 +154,42 @@ def _postures_on(
     return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", message)
 
 
-def _nearest_to_kept(world: World, keep: Keep, target: TipTarget, clear: Sequence[Vector], time: float) -> Vector:
-    """(n,) the clear posture on a target that comes nearest to what is kept: one of `clear`, or one searched from it.
+def _at_the_rim(
+    world: World, keep: Keep, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None
+) -> _OnGoal | None:
+    """Postures between the part of a cone, or of the tolerance of a goal's angles, that a search uses, and its rim.
 
-    The search asks for cones that are wider than the kept ones, by less and less.
+    Where a part of the tolerance of the goal does not do, the goal is one of these postures, so that its end is held.
+    """
+    if not keep.cones:
+        return None
+    for target in (goal.search_target, _to_the_rim(goal)):
+        whole = keep.narrowed(target, to_the_rim=True)
+        found = None if whole is None else _on_target(world, whole, goal, near, time, more, travel, is_narrowed=True)
+        kept = tuple(q for q in found.clear if keep.holds(q)) if isinstance(found, _OnGoal) else ()
+        if kept and isinstance(found, _OnGoal):
+            if target is goal.search_target:
+                return _OnGoal(found.goal, kept)
+            return _OnGoal(replace(goal, q=kept[0], tolerance=None, rotation_tolerance=None), kept[:1])
+        if goal.rotation_tolerance is None:
+            break
+    return None
+
+
+def _to_the_rim(goal: Goal) -> TipTarget:
+    """The target of a search with all of the tolerance of the goal's angles, but for rounding."""
+    target = goal.search_target
+    if goal.q is not None or goal.rotation_tolerance is None:
+        return target
+    turned = TO_THE_RIM * goal.rotation_tolerance
+    tilt = None if target.tilt is None else replace(target.tilt, tolerance=turned)
+    return replace(target, rotation_tolerance=turned, tilt=tilt)
+
+
+def _nearest_to_kept(world: World, keep: Keep, target: TipTarget, clear: Sequence[Vector], time: float) -> Vector:
+    """(n,) the clear posture on a target that comes nearest to what is kept: one of `clear`, or one searched.
+
+    The search, from that one and from random ones, asks for cones that are wider than the kept ones, by less and less.
     """
     nearest = max(clear, key=lambda q: float(np.min(keep.margins(q))))
     wider, missed = keep.widened(nearest), -float(np.min(keep.margins(nearest)))
@@ -163,7 +201,7 @@ def _nearest_to_kept(world: World, keep: Keep, target: TipTarget, clear: Sequenc
     found, reached = solve_batch(
         BatchKinematics(world.problem.robot), TargetBatch.of(asked), np.tile(nearest, (len(asked), 1))
     )
-    found = found[reached]
+    found = np.concatenate((found[reached], *(world.postures.anywhere(one, count=_BEGINS) for one in asked)))
     kept = found[ClearanceScreen(world.proximity, time=time, spare=POSTURE_SPARE).keeps(found)]
     return max((nearest, *kept), key=lambda q: float(np.min(keep.margins(q))))
 

@@ -303,7 +303,7 @@ class MotionSearch:
     def _as_given(self, goal: Goal) -> Goal:
         """The goal of the problem with its tolerance, if `goal` is the same without one."""
         given = next((one for one in self._problem.goals if one.name == goal.name), goal)
-        return goal if given.exactly is given else given
+        return goal if given.exactly is given or goal.q is not None else given
 
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, within a time [s] or anywhere; the indices of the new ones, the soonest first."""

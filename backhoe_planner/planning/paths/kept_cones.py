@@ -46,7 +46,7 @@ class KeptCones:
         """A target without an orientation within the cones; of a target with a pitch only its position is required."""
         found = TipTarget(target.position)
         for cone, tolerance in zip(self._keep.cones, self.tolerances.tolist(), strict=True):
-            found = cone.narrowed(found, tolerance)
+            found = cone.narrowed(found, tolerance) or found
         return found
 
     def holds_each(self, q: Matrix) -> Flags:
