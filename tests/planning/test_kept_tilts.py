@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import RotationCone, build_problem
+from backhoe_planner.planning.search.effort import OutOfTime
+from backhoe_planner.planning.search.kept_trees import KeptTrees
 from backhoe_planner.planning.sequence.leg import Leg
 from backhoe_planner.planning.sequence.next_leg import ready_for_next
 
@@ -319,3 +322,39 @@ def test_a_ball_within_two_balls_of_orientations_is_in_both(ur5: bp.Robot) -> No
             assert np.linalg.norm(pin.log3(inside @ DOWN.T)) <= 0.2 + 1e-9
     far = bp.TipTarget(np.zeros(3), rotation=pin.exp3(np.array([0.31, 0.0, 0.0])) @ DOWN, rotation_tolerance=0.1)
     assert cone.narrowed(far, 0.2) is None
+
+
+def test_a_search_in_a_tilt_that_ends_by_its_budget_says_how_many_motions_it_sampled(
+    panda: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Time runs out after 40 branches of the trees; the hand does not fit through a hole of 0.16 m."""
+    z, half = 0.305, 0.08
+
+    def box(name: str, low: list[float], high: list[float]) -> Data:
+        size = np.subtract(high, low).tolist()
+        return {"name": name, "shape": "box", "size": size, "position": np.mean([low, high], axis=0).tolist()}
+
+    plate = (
+        ("left", [0.2, half, z - 0.005], [1.3, 1.3, z + 0.005]),
+        ("right", [0.2, -1.3, z - 0.005], [1.3, -half, z + 0.005]),
+        ("near", [0.2, -half, z - 0.005], [0.5 - half, half, z + 0.005]),
+        ("far", [0.5 + half, -half, z - 0.005], [1.3, half, z + 0.005]),
+        ("curtain", [0.2, -1.3, -1.0], [0.21, 1.3, z]),
+    )
+    allowed, checked = KeptTrees._grow, [0]
+
+    def grow(self: KeptTrees, *given: Any) -> Any:
+        checked[0] += 1
+        if checked[0] > 40:
+            raise OutOfTime("time ran out")
+        return allowed(self, *given)
+
+    monkeypatch.setattr(KeptTrees, "_grow", grow)
+    task = {"goal": {"position": [0.5, 0.0, 0.15]}, "keep": {"tilt": CUP | {"tolerance": 0.05}}}
+    start = upright(panda, [0.45, 0.25, 0.6])
+    found = plan(panda, start, task, *(box(*one) for one in plate), clearance=0.002)
+    assert found.reason == "budget"
+    counted = re.search(r"none of the ([\d,]+) motions that were sampled leads there", found.message)
+    assert counted, found.message
+    assert int(counted[1].replace(",", "")) >= 40
+    assert "within the tilt of `keep`: a greater tolerance" in found.message

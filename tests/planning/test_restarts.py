@@ -53,7 +53,7 @@ class Searches:
         self.before: list[Any] = []
         self.earlier: list[int] = []
         self.allowed_time = 5.0
-        self.looked_at = 0
+        self.looked_at = self.routes = 0
         self.best: FoundMotion | None = None
 
     def __call__(

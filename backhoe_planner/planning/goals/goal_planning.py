@@ -12,7 +12,7 @@ from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, aimed, find_goal_postures
-from backhoe_planner.planning.goals.searches import search_motion
+from backhoe_planner.planning.goals.searches import Searched, search_motion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
@@ -25,6 +25,9 @@ from backhoe_planner.planning.world.world import World
 _STANDS_ON = 1e-6  # rad or m by which a machine that stands on a goal may be off it: the residual of inverse kinematics
 _MORE = "the law alone was tried: --method auto searches for other ways as well"
 _MOST_POSTURES = 8  # to which the law drives the joints, one attempt each; chosen
+# times fewer steps of the law where a search along a cone of orientations has failed; chosen: such a step takes
+# several ms, and a law that sees only what is near hardly finds what a search did not
+_FEWER_IN_CONES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +71,7 @@ class ToGoal:
                 allowed = min(stepper.time + allowed, world.problem.max_duration)
             findings = Findings(way=best.way, allowed_time=allowed, left_out=found.left_out)
             return Outcome(branch.trajectory(), message=message, findings=findings)
-        sampled = f"none of the {searched.looked_at:,} motions that were sampled leads there"
-        if not searched.looked_at:
-            sampled = "no motions were sampled"
+        sampled = _describe_search(world, searched)
         if self.search_alone or ended:
             reason: Reason = "budget" if ended else "blocked"
             message = f"{ended}; {sampled}" if ended else sampled
@@ -78,6 +79,8 @@ class ToGoal:
         exact = self._found_exactly(world, stepper, found)
         if isinstance(exact, Outcome):  # there are postures within a tolerance, but no position that the law can aim at
             return Outcome(stepper.trajectory(), "blocked", sampled, Findings(left_out=found.left_out))
+        if world.problem.keep is not None and world.problem.keep.cones:
+            world.work.law_steps = min(world.work.law_steps, world.work.effort.law_steps // _FEWER_IN_CONES)
         outcome = self._attempts(world, stepper, exact)
         if not outcome.reason and not world.keeps(outcome.trajectory):
             outcome = replace(outcome, reason="blocked", message="the law arrives, but does not satisfy `keep`")
@@ -174,6 +177,21 @@ class ToGoal:
         if arrived is not None:
             return _sped_up(world, stepper, arrived, len(attempts)).adding(left_out=found.left_out)
         return describe_attempts(attempts, world.work.brake).adding(left_out=found.left_out)
+
+
+def _describe_search(world: World, searched: Searched) -> str:
+    """What a search without a motion has done, and what may help, in words."""
+    sampled = "no motions were sampled"
+    if searched.looked_at:
+        sampled = f"none of the {searched.looked_at:,} motions that were sampled leads there"
+    elif searched.routes:
+        lead = "route leads" if searched.routes == 1 else "routes lead"
+        sampled = f"{searched.routes} sampled {lead} there, but no motion along it was proven"
+    keep = world.problem.keep
+    if keep is None or not keep.cones:
+        return sampled
+    names = " and ".join(cone.name for cone in keep.cones)
+    return f"{sampled} within the {names} of `keep`: a greater tolerance, or another start or goal, may help"
 
 
 def _sped_up(world: World, stepper: Stepper, attempt: Attempt, attempts: int) -> Outcome:

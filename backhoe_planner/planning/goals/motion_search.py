@@ -116,6 +116,7 @@ class MotionSearch:
         self._tried = [curve for one in earlier if not one.leads_round for curve in one._descents.begun]
         self._refined = [one._descents.unrefined_cost for one in earlier]
         self.repeats = False
+        self._for_time = (0, 0)  # motions looked at, and routes found, by searches for a fast motion
         self._bound = 0.0  # lower bound of the duration [s]; computed if the best is not near the least time
         self._looked_within = np.inf  # s: the last search for further postures was for those within this time
 
@@ -132,7 +133,12 @@ class MotionSearch:
     @property
     def looked_at(self) -> int:
         """How many motions were checked in samplings that found no route."""
-        return self._ways.looked_at
+        return self._ways.looked_at + self._for_time[0]
+
+    @property
+    def routes(self) -> int:
+        """How many routes were found by sampling."""
+        return len(self._ways.reached) + self._for_time[1]
 
     def run(self) -> str:
         """Search until the effort is used up or nothing is gained; the result is `best`.
@@ -298,6 +304,8 @@ class MotionSearch:
             return None
         search = MotionSearch(world, self._start, found, time=self._time, enough=enough)
         search.run()
+        looked_at, routes = self._for_time
+        self._for_time = looked_at + search.looked_at, routes + search.routes
         return search
 
     def _as_given(self, goal: Goal) -> Goal:

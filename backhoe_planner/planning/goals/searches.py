@@ -36,12 +36,14 @@ class Searched:
     best: the best motion; None if none was found.
     allowed_time: how long a motion may take [s], see `MotionSearch.allowed_time`.
     looked_at: how many motions the first search checked in samplings that found no route.
+    routes: how many routes it found by sampling.
     ended: that time ran out, in words; otherwise empty.
     """
 
     best: FoundMotion | None
     allowed_time: float | None
     looked_at: int
+    routes: int
     ended: str
 
 
@@ -63,7 +65,7 @@ def search_motion(world: World, start: Vector, found: GoalPostures, goals: Seque
     searched = _search(world, start, found, goals, time=time)
     if usual is None or usual.best is None or (searched.best is not None and searched.best.cost <= usual.best.cost):
         return searched
-    return replace(usual, looked_at=searched.looked_at, ended=searched.ended)
+    return replace(usual, looked_at=searched.looked_at, routes=searched.routes, ended=searched.ended)
 
 
 def _begin(world: World, start: Vector, goals: Sequence[Goal], *, time: float) -> Searched | None:
@@ -76,7 +78,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     """The best motion of a first search and of further ones, none longer than the first allows."""
     search = MotionSearch(world, start, found, time=time)
     ended, is_long = search.run(), search.takes_long
-    best, allowed, looked_at = search.best, search.allowed_time, search.looked_at
+    best, allowed, looked_at, routes = search.best, search.allowed_time, search.looked_at, search.routes
     longest = math.inf if allowed is None else allowed
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
@@ -101,7 +103,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
         costs = [best.cost] if goes_on else [*costs, min(costs) if search.repeats else cost]
         if ended or (is_long and other is not None and not search.takes_long):
             break
-    return Searched(best, allowed, looked_at, ended)
+    return Searched(best, allowed, looked_at, routes, ended)
 
 
 def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:

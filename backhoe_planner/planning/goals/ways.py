@@ -109,14 +109,18 @@ class Ways:
         most = None
         if again:
             most = min(max(_MOTIONS, self._needed) * again, work.effort.motions_per_search)
-        path = sample_path(
-            check, self._start, goals, seed=seed, work=self._sampling, most_motions=most, longest=longest,
-            straight=self._line is None, keep=self._problem.keep,
-        )  # fmt: skip
+        path = None
+        try:
+            path = sample_path(
+                check, self._start, goals, seed=seed, work=self._sampling, most_motions=most, longest=longest,
+                straight=self._line is None, keep=self._problem.keep,
+            )  # fmt: skip
+        finally:  # also if time runs out
+            if path is None:
+                self.looked_at += before - self._sampling.motions
         if path is not None and most is None:
             self._needed = before - self._sampling.motions
         if path is None:
-            self.looked_at += before - self._sampling.motions
             return None
         if len(path.q) == 2:
             if self._line is not None and np.array_equal(path.q[-1], self._line):
