@@ -80,7 +80,7 @@ SUITES = {
     "files": ["", "meshes"],
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "dynamics", "capability"],
     "site": ["surveys", "schema", "pairs", "", "distances"],
-    "motion": ["", "timing", "following"],
+    "motion": ["keeping", "", "timing", "following"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "world", "goals", "", "sequence"],
     "live": ["braking", "boxes", "planes", "clearance", "recovery", "servo", "detours", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],

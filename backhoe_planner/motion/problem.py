@@ -11,9 +11,10 @@ import numpy as np
 from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
-from backhoe_planner.motion.conditions import Condition, HeightBound, PitchBand, RotationCone, TiltCone
 from backhoe_planner.motion.goals import Goal
-from backhoe_planner.motion.keep import Keep
+from backhoe_planner.motion.keeping.conditions import Condition, HeightBound, PitchBand
+from backhoe_planner.motion.keeping.cones import RotationCone, TiltCone
+from backhoe_planner.motion.keeping.keep import Keep
 from backhoe_planner.motion.objectives import Objective, find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import (

@@ -10,7 +10,7 @@ route that has less: for the pairs concerned the spare is half of what they have
 end, and grows with the distance from it (by `_SLOPE`, so the bound B counts
 1 + `_SLOPE` times).
 
-The conditions that the problem keeps along the motion are proven as well (`motion.keep`).
+The conditions that the problem keeps along the motion are proven as well (`motion.keeping`).
 """
 
 from __future__ import annotations

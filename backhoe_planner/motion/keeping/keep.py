@@ -11,7 +11,8 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
-from backhoe_planner.motion.conditions import KEPT_TO, Condition, Cone, PitchBand
+from backhoe_planner.motion.keeping.conditions import KEPT_TO, Condition, PitchBand
+from backhoe_planner.motion.keeping.cones import Cone
 
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
 TO_THE_RIM = 0.9999  # the same where that part has no room; chosen: the rest is more than inverse kinematics is off

@@ -1,0 +1,1 @@
+"""What is to be kept along a whole motion: conditions with their margins, gradients and proven bounds."""
