@@ -11,11 +11,15 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, build_problem
+from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.starts import Start
 from backhoe_planner.planning.goals.first_rounds import after_first_rounds
+from backhoe_planner.planning.goals.motion_descents import MotionDescents
+from backhoe_planner.planning.goals.straight_lines import STRAIGHT
 from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.search.goal_ends import GoalEnds
 from validation.goal_runs import with_objective
 from validation.habitats import load_machine
 from validation.sites import SiteKey, random_site
@@ -92,6 +96,37 @@ def test_a_curve_leaves_an_obstacle_only_if_clearance_comes_first(backhoe: bp.Ro
         missed[clear_first] = found.missed
     assert missed[True] <= 0.0015
     assert missed[False] > 0.1
+
+
+def test_the_first_rounds_of_a_straight_line_are_twice_as_many_on_a_coarse_curve_and_count_less(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six rounds on 6 pieces count as two; three of a sampled way on 12 pieces count as three."""
+    start, end = backhoe.middle, backhoe.middle + 0.3
+    joints = [dict(zip(backhoe.joint_names, q.tolist(), strict=True)) for q in (start, end)]
+    content: Any = {"version": 1, "start": {"joints": joints[0]}, "task": {"goal": {"joints": joints[1]}}}
+    problem = replace(build_problem(backhoe, bp.scene_from_dict(content)), objective=OBJECTIVES["work"])
+    world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
+    ends, goal = GoalEnds(problem, start), problem.goals[0]
+    ends.take([end], [goal])
+    descents = MotionDescents(world, start, ends, time=0.0, longest=12.0)
+    run, made = descents._descent.run, list[tuple[int, int]]()
+
+    def note(curve: JointCurve, *given: Any, most_rounds: int, **how: Any) -> Timed | None:
+        made.append((curve.pieces, most_rounds))
+        descents._descent.rounds += most_rounds
+        return run(curve, *given, most_rounds=0, **how)
+
+    monkeypatch.setattr(descents._descent, "run", note)
+    counted = [0]
+    for way in (STRAIGHT, "sampled"):
+        found = descents._few_rounds(Start(JointCurve.straight(start, end, 12), 6.0, goal, way), 3)
+        assert found is not None
+        np.testing.assert_allclose(found.curve.control[[0, -1]], [start, end], atol=1e-9)
+        assert found.curve.pieces == 12
+        counted.append(descents.rounds_before_refining)
+    assert made == [(6, 6), (12, 3)]
+    assert np.diff(counted).tolist() == [2, 3]
 
 
 @pytest.mark.long

@@ -105,6 +105,16 @@ def test_a_finer_curve_is_the_same_curve(knots: tuple[float, ...]) -> None:
     assert np.all(finer.control >= curve.control.min(axis=0) - 1e-9)
 
 
+def test_a_curve_of_twice_as_many_equal_pieces_is_the_same_curve_and_back(planar4: bp.Robot) -> None:
+    """Every spline is one over halved pieces too; the nearest one over the whole pieces is then itself."""
+    limits, s = planar4.limits, np.linspace(0.0, 1.0, 101)
+    curve = JointCurve(np.random.default_rng(8).uniform(limits.lower, limits.upper, size=(7, 4)))
+    halved = curve.divided_evenly(12, limits)
+    assert halved.pieces == 12
+    np.testing.assert_allclose(halved(s), curve(s), atol=1e-12)
+    np.testing.assert_allclose(halved.divided_evenly(6, limits).control, curve.control, atol=1e-12)
+
+
 def test_a_motion_along_a_curve_is_fitted_by_that_curve(planar4: bp.Robot) -> None:
     rng = np.random.default_rng(5)
     control = JointCurve.straight(np.full(4, -0.3), np.full(4, 0.3), 7).control

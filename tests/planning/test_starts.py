@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent
-from backhoe_planner.planning.descent.starts import Start, StartPrices
+from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 from validation.goal_runs import with_objective
@@ -93,6 +94,27 @@ def test_starts_are_in_order_of_price_and_the_chosen_are_cheap_and_far_apart(
     assert chosen[-1].price <= 1.5 * found[0].price
     controls = [one.start.curve.control / descent.rate for one in chosen]
     assert all(np.max(np.abs(one - other)) > 0.15 * LONGEST for k, one in enumerate(controls) for other in controls[:k])
+
+
+def test_spread_starts_are_taken_at_equal_steps_of_the_prices_below_three_times_the_least() -> None:
+    """Of eight lines, 5 s of joint time apart and at most 20 s long, seven are fair; nearer than 3 s counts as near."""
+    goal: Any = None
+    descent: Any = SimpleNamespace(rate=np.ones(1))
+    screen: Any = None
+    prices = StartPrices(descent, screen, longest=LONGEST)
+    lines = [JointCurve.straight(np.zeros(1), np.array([5.0 * k]), 3) for k in range(8)]
+    cost = [1.0, 1.5, 1.6, 2.0, 2.5, 2.9, 3.0, 3.1]
+    priced = [
+        PricedStart(Start(line, 1.0, goal, str(k)), price)
+        for k, (line, price) in enumerate(zip(lines, cost, strict=True))
+    ]
+    fair = prices.fair(iter(priced))
+    assert [one.start.way for one in fair] == list("0123456")
+    assert [one.start.way for one in prices.spread(fair, 3)] == list("036")
+    assert [one.start.way for one in prices.spread(fair, 20)] == list("0123456")
+    near = JointCurve.straight(np.zeros(1), np.array([12.5]), 3)  # 2.5 s from two of them
+    assert [one.start.way for one in prices.spread(fair, 3, known=[lines[0], near])] == list("15")
+    assert prices.fair(iter([])) == prices.spread([], 3) == []
 
 
 @pytest.mark.long

@@ -108,6 +108,11 @@ class JointCurve:
         q = self(_place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * (len(finer) - 1) + 1), finer))
         return JointCurve(_control_near(q, len(finer) - 1, finer), finer)
 
+    def divided_evenly(self, pieces: int, limits: JointLimits) -> JointCurve:
+        """The nearest curve of so many pieces, equally long, within joint limits: the same if each is a part of one."""
+        q = self(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * max(pieces, self.pieces) + 1))
+        return JointCurve(_within(limits, _control_near(q, pieces, ())))
+
     def ending_at(self, end: Vector) -> JointCurve:
         """The curve with its end moved to `end` (n,), and the rest moved with it, less and less towards the start."""
         part = np.linspace(0.0, 1.0, len(self.control))[:, None]

@@ -90,6 +90,27 @@ class StartPrices:
                 break
         return chosen
 
+    def fair(self, priced: Iterable[PricedStart]) -> list[PricedStart]:
+        """The starts, in order of price, before the first that is dear."""
+        found: list[PricedStart] = []
+        for one in priced:
+            if found and one.price > _DEAR * found[0].price:
+                break
+            found.append(one)
+        return found
+
+    def spread(
+        self, priced: Sequence[PricedStart], count: int, *, known: Sequence[JointCurve] = ()
+    ) -> list[PricedStart]:
+        """At most `count` of starts in order of price, at equal steps of this order.
+
+        Parameters
+        ----------
+        known: curves with equally many pieces; starts that are not far from one of them are left out.
+        """
+        left = [one for one in priced if not self._is_near(one, known, _APART)]
+        return left[:: max(-(-len(left) // count), 1)]
+
     def repeats(self, one: PricedStart, known: Sequence[JointCurve]) -> bool:
         """Whether a descent from a start ends like that from one of the `known` curves, with equally many pieces."""
         return self._is_near(one, known, _EQUAL)

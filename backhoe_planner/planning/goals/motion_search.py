@@ -57,8 +57,10 @@ _SIDES = 2  # sampled detours for a start that is blocked, which may pass it on 
 _VAIN = 2  # a search that found no route at all counts as so many that gained nothing; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 # for another cost than the time and for each of `Effort.ways_at_once`: how many of the cheapest straight lines are
-# also tried with some joints early or late, and how many of all these get a few rounds; chosen
-_LINES_FOR_ONE, _LINES_TRIED_FOR_ONE = 3, 2
+# also tried with some joints early or late, how many of all these get a few rounds, and how many of the other lines,
+# because the price of a line says little about the result of its descent: on an open site of the Panda with lines to
+# 509 postures, one that costs 2.2 times as much as the cheapest ends at half of its cost; chosen
+_LINES_FOR_ONE, _LINES_TRIED_FOR_ONE, _LINES_SPREAD_FOR_ONE = 3, 2, 2
 _LONGEST = 20.0  # times the fastest motion: chosen, more time costs samples and gains nothing
 # times the least cost that an earlier search had before refining, up to which a motion is refined; chosen
 _REFINED = 1.3
@@ -243,13 +245,16 @@ class MotionSearch:
         self._descents.reserve(work.descent_rounds // 3)
         ways = work.effort.ways_at_once
         prices = self._descents.prices(self._screen)
-        straight = prices.in_order([] if self._hurried else self._lines.within(self._descents.longest))
+        all_lines = [] if self._hurried else self._lines.within(self._descents.longest)
+        straight = prices.fair(prices.in_order(all_lines))
         lines = prices.cheapest(straight, _LINES_FOR_ONE * ways)
         both = sorted([*lines, *prices.paced(lines)], key=lambda one: one.price)
         known, begun = prices.in_order([self._descents.fitted(one) for one in ended]), self._descents.begun
+        cheap = prices.cheapest(both, _LINES_TRIED_FOR_ONE * ways, known=begun)
         chosen = [
             *prices.cheapest(known, ways, known=begun),
-            *prices.cheapest(both, _LINES_TRIED_FOR_ONE * ways, known=begun),
+            *cheap,
+            *prices.spread(straight, _LINES_SPREAD_FOR_ONE * ways, known=[*begun, *(one.start.curve for one in cheap)]),
         ]
         self.repeats = bool(self._tried) and all(prices.repeats(one, self._tried) for one in chosen)
         if not self.repeats:

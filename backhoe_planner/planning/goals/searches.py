@@ -22,7 +22,7 @@ from backhoe_planner.planning.world.world import World
 
 # rounds of the descents of a search for another cost than the time, without refining, above which another search may
 # find a much cheaper motion; chosen: two sites in three have more
-_HARD = 28
+_HARD = 34
 _FEWER = 3  # times fewer further searches for a cost that jumps, as each takes several times as long; chosen
 _ALIKE = 0.03  # part of the cost: the results of two searches count as equal if they differ by less; chosen
 
