@@ -10,7 +10,10 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Problem
 
-_WORTH = 5e-5  # m: lifting all moving masses so far takes the energy that is worth another search; chosen
+# m: lifting all moving masses so far takes the energy that is worth another search. Chosen among 0.05 to 0.4 mm on 97
+# plans: with 0.2 mm as many are within 1.1 of the best known as with 0.05 mm, in 0.80 (Panda) and 0.85 (backhoe) of the
+# mean time
+_WORTH = 2e-4
 _NEAR = 0.05  # part of what is lifted, by which a cost may exceed it if another search is not worth its time; chosen
 
 
