@@ -52,8 +52,7 @@ def narrow_path(problem: Problem, *, in_middle: bool = False) -> Problem:
     path, keep = problem.path, problem.keep
     if path is None or keep is None:
         return problem
-    given = problem.scene.task.path
-    spare = _SPARE if given is None else min(_SPARE, _OFF * given.rotation_tolerance)
+    spare = _turn_off_rims(problem, path, keep)
     asked = [_narrow(keep, waypoint, in_middle=in_middle, spare=spare) for waypoint in path.waypoints]
     numbers = [path.number(index) for index in range(len(asked))]
     return replace(problem, path=TipPath(asked, numbers=numbers))
@@ -162,11 +161,23 @@ def _narrow(keep: Keep, waypoint: Waypoint, *, in_middle: bool, spare: float) ->
     return waypoint
 
 
+def _turn_off_rims(problem: Problem, path: TipPath, keep: Keep) -> float:
+    """By how much poses of a path that are on the rim of a cone may be turned into it [rad].
+
+    0 for a machine that cannot take any orientation: it could not take the turned pose at the same position.
+    """
+    posed = bool(keep.cones) and any(waypoint.rotation is not None for waypoint in path.waypoints)
+    if not posed or not _takes_any_orientation(problem.robot):
+        return 0.0
+    given = problem.scene.task.path
+    return _SPARE if given is None else min(_SPARE, _OFF * given.rotation_tolerance)
+
+
 def _off_the_rim(keep: Keep, waypoint: Waypoint, spare: float) -> Waypoint:
     """The waypoint, turned into the cones to be kept by at most `spare` [rad], if it is on the rim of one."""
     assert waypoint.rotation is not None
     rotation = waypoint.rotation
-    for cone in keep.cones:
+    for cone in keep.cones if spare > 0.0 else ():
         turn = cone.turns(rotation[None])[0]
         angle = float(np.linalg.norm(turn))
         by = min(angle - cone.usable + spare, spare + KEPT_TO, angle)

@@ -275,6 +275,14 @@ def test_a_path_of_poses_exactly_on_the_rim_of_a_cone_is_followed(panda: bp.Robo
     assert found.certificate.tracking.max_angle_error <= 0.01
 
 
+def test_poses_near_the_rim_of_a_cone_that_a_swing_alone_turns_are_followed(backhoe: bp.Robot) -> None:
+    """A machine of four joints takes no other orientation at these places, 0.3 mrad inside the cone."""
+    places = [[r * np.cos(0.087), r * np.sin(0.087), 0.5] for r in (3.5, 3.7)]
+    path = {"waypoints": [{"position": at, "rpy": [0.0, 1.2, 0.087]} for at in places]}
+    found = plan(backhoe, None, {"path": path, "keep": {"rotation": {"rpy": [0.0, 1.2, 0.0], "tolerance": 0.0873}}})
+    assert found.verified, found.message
+
+
 @pytest.mark.parametrize("kept", ["tilt", "rotation"])
 def test_a_goal_is_reached_where_its_tolerance_and_a_cone_only_overlap_at_their_rims(
     panda: bp.Robot, kept: str
