@@ -554,6 +554,8 @@ class PlanFollower:
             return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"
         if self._detour is not None:
             return FollowerStatus.GOING_ROUND, self._detour.reason
+        if self._asked_pace == 0.0:
+            return FollowerStatus.WAITING, "a pace of 0 is asked for"
         return FollowerStatus.FOLLOWING, self._proof.slowed_by if self._behind > _NOTICED else ""
 
     @staticmethod

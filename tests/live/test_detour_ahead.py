@@ -224,7 +224,7 @@ def test_a_crate_at_the_end_of_the_plan_is_told_from_as_near_as_the_plan_leads(s
     run.desk.awaited.set_result(found)
     step = run.go(0.05)
     assert step.status is FollowerStatus.BLOCKED
-    assert step.reason == "crate blocks the end of the plan"
+    assert step.reason == "crate blocks the end of the plan; a new plan may end in another posture"
     assert len(run.desk.queries) == 1
     assert 0.0 <= margin(swing, [run.servo.q], crate) < 0.02
     run.servo.remove("crate")

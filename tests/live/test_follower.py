@@ -386,7 +386,7 @@ def test_an_obstacle_on_the_end_blocks_the_plan_until_it_is_removed(backhoe: Rob
     servo.add(ball)
     steps = followed(follower, 1000)
     assert steps[-1].status is FollowerStatus.BLOCKED
-    assert steps[-1].reason == "ball blocks the end of the plan"
+    assert steps[-1].reason == "ball blocks the end of the plan; a new plan may end in another posture"
     assert not steps[-1].done
     assert not np.any([step.state.v for step in steps[-160:]])  # it stands still
     assert 0.0 <= least_margin(backhoe, steps, ball) < 0.02  # as close as allowed

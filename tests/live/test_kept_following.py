@@ -270,7 +270,8 @@ def test_at_a_pace_of_0_a_machine_waits_on_its_plan_and_loses_no_more_time(level
         while servo.v.any():
             step = follower.step(pace=0.0)
         for _ in range(200):  # longer than its patience
-            assert follower.step(pace=0.0).status.value == "following"
+            step = follower.step(pace=0.0)
+            assert (step.status.value, step.reason) == ("waiting", "a pace of 0 is asked for")
         assert step.deviation < 1e-6
         behind = follower.step().behind
         while not step.done:

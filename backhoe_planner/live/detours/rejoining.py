@@ -170,7 +170,7 @@ class _Search:
     def _what_stands(self, here: Obstruction | None) -> str:
         at_end, found = self._proximity.tightest(self._q[-1]), self._obstruction
         if at_end is not None and at_end.margin < -TOUCH:
-            return f"{at_end.name} blocks the end of the plan"
+            return f"{at_end.name} blocks the end of the plan; a new plan may end in another posture"
         if found is not None:
             return f"{found.name} blocks the plan from {found.time:.1f} s on, and no way around it was found"
         return "no way was found" if here is None else f"{here.link} is held back by {here.name}"
