@@ -16,6 +16,7 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, build_problem, lim
 from backhoe_planner.planning import Plan, measure_motion, plan
 from backhoe_planner.proof import certify
 from backhoe_planner.show import plot_envelope, plot_plan
+from backhoe_planner.show.drawing.kept_parts import kept_parts
 from backhoe_planner.show.drawing.timeline import timeline
 from backhoe_planner.show.plots import plots
 from backhoe_planner.show.plots.plots import moments_to_draw, with_rests_apart
@@ -128,7 +129,7 @@ def test_what_a_single_leg_keeps_has_a_curve_over_that_leg_alone(backhoe: Robot,
     text = svg(found, tmp_path)
     assert "left to keep [deg]" in text
     assert "-131.8 to -108.9 deg" in text
-    (before, ends, nothing), (begins, _, conditions) = plots.kept_parts(found)
+    (before, ends, nothing), (begins, _, conditions) = kept_parts(found)
     assert before == 0.0
     assert ends == begins == found.legs[1].begins
     assert [len(nothing), [one.name for one in conditions]] == [0, ["pitch"]]

@@ -14,6 +14,7 @@ from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import Plan, export_plan, plan
 from backhoe_planner.show import Display, SceneGraph, label_rows, timeline, write_page
+from backhoe_planner.show.page import page_content
 from backhoe_planner.site import scene_from_dict
 
 POSTURE = {"boom": 0.4, "stick": -1.6, "bucket": -0.9}
@@ -119,3 +120,19 @@ def test_names_above_a_figure_do_not_cover_each_other() -> None:
     assert label_rows([0.0, 10.0, 12.0, 40.0], [20.0, 5.0, 50.0, 5.0]) == [0, 1, 2, 0]
     assert label_rows([0.0, 20.0], [20.0, 20.0]) == [0, 0]
     assert label_rows([], []) == []
+
+
+def test_what_two_legs_keep_has_one_row_with_figures_at_their_frames_alone(backhoe: Robot) -> None:
+    """The pitch is the same all the time; legs 1 and 3 keep the same range of it."""
+    keep = {"pitch": [-2.3, -1.9]}
+    legs = [{"name": f"leg {k}", "goal": {"joints": POSTURE | {"swing": 0.3 * k}}} for k in (1, 2, 3)]
+    legs = [legs[0] | {"keep": keep}, legs[1], legs[2] | {"keep": keep}]
+    scene = scene_from_dict({"version": 1, "start": {"joints": POSTURE | {"swing": 0.0}}, "task": {"sequence": legs}})
+    found = plan(backhoe, scene, effort="quick")
+    (kept,) = page_content._kept(found, timeline(found.problem, found.trajectory))  # opens the wall: the page's figures
+    known = [value is not None for value in kept["margins"]]
+    changes = [k for k in range(1, len(known)) if known[k] != known[k - 1]]
+    assert (known[0], known[-1], len(changes)) == (True, True, 2)
+    pitch = sum(POSTURE.values())  # each of the three turns about the same axis
+    left = np.degrees(min(-1.9 - pitch, pitch + 2.3))
+    assert {round(value, 6) for value in kept["margins"] if value is not None} == {round(float(left), 6)}

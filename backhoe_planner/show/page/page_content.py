@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix
 from backhoe_planner.live import problem_to_show
-from backhoe_planner.motion import Condition, Problem
+from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.show.drawing.framing import View
+from backhoe_planner.show.drawing.kept_parts import kept_parts
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline, timeline
@@ -48,7 +48,7 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
         "facts": plan_facts(plan),
         "goal": goal,
         "legs": [_leg(problem, leg) for leg in plan.legs],
-        "kept": [] if problem.keep is None else [_kept(one, frames.q) for one in problem.keep.conditions],
+        "kept": _kept(plan, frames),
         **frame_numbers(frames, shown_links(problem)),
         "view": view,
     }
@@ -163,17 +163,27 @@ def tell_step(
     display.tell("step", {"time": time, "q": q, "margins": margins, "links": numbers})
 
 
-def _kept(condition: Condition, q: Matrix) -> dict[str, Any]:
-    """The facts of a condition for the page, at every frame `q` (F, n): value and margin, in degrees or metres."""
-    scale = _DEGREES if condition.unit == "rad" else 1.0
-    values = condition.values(q)
-    return {
-        "name": _KEPT[condition.name],
-        "allowed": condition.allowed.replace(" deg", "\N{DEGREE SIGN}").replace("-", "\N{MINUS SIGN}"),
-        "angular": condition.unit == "rad",
-        "values": scale * np.array([condition.absolute(value) for value in values.tolist()]),
-        "margins": scale * condition.margins(values),
-    }
+def _kept(plan: Plan, frames: Timeline) -> list[dict[str, Any]]:
+    """The facts of each condition for the page: value and margin at every frame, in degrees or metres.
+
+    They are None at frames at which the condition is not to be kept. One that is kept in several legs is told once.
+    """
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for begins, ends, conditions in kept_parts(plan):
+        within = np.flatnonzero((frames.time >= begins) & (frames.time <= ends)).tolist()
+        for one in conditions:
+            scale = _DEGREES if one.unit == "rad" else 1.0
+            facts = found.setdefault((one.name, one.allowed), {
+                "name": _KEPT[one.name],
+                "allowed": one.allowed.replace(" deg", "\N{DEGREE SIGN}").replace("-", "\N{MINUS SIGN}"),
+                "angular": one.unit == "rad",
+                "values": [None] * len(frames.time),
+                "margins": [None] * len(frames.time),
+            })  # fmt: skip
+            values = one.values(frames.q[within])
+            for frame, value, margin in zip(within, values.tolist(), one.margins(values).tolist(), strict=True):
+                facts["values"][frame], facts["margins"][frame] = scale * one.absolute(value), scale * margin
+    return list(found.values())
 
 
 def _numbers(nearest: tuple[CriticalPoint | None, ...], links: tuple[str, ...]) -> tuple[list[float | None], list[int]]:

@@ -16,7 +16,6 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.digits import margin_text
 from backhoe_planner.motion import (
     SAMPLE_PERIOD,
-    Condition,
     Moments,
     Problem,
     Trajectory,
@@ -24,6 +23,7 @@ from backhoe_planner.motion import (
     trajectory_energy,
 )
 from backhoe_planner.planning import Plan, compare_with_law, describe_saving
+from backhoe_planner.show.drawing.kept_parts import kept_parts
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
 from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
@@ -205,18 +205,6 @@ def _kept(axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, unit: s
     axes.set_ylabel(f"left to keep [{shown}]")
     _legend(axes)
     _say(axes, "how far within what is to be kept")
-
-
-def kept_parts(plan: Plan) -> list[tuple[float, float, tuple[Condition, ...]]]:
-    """When each part of the motion begins and ends [s], and what is to be kept in it; a part is a leg of a sequence."""
-    if not plan.legs:
-        keep = plan.problem.keep
-        return [(0.0, np.inf, () if keep is None else keep.conditions)]
-    ends = [*(leg.begins for leg in plan.legs[1:]), np.inf]
-    return [
-        (leg.begins, end, () if leg.problem.keep is None else leg.problem.keep.conditions)
-        for leg, end in zip(plan.legs, ends, strict=True)
-    ]
 
 
 def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:

@@ -219,7 +219,7 @@ function show(recording) {
       row.title = `allowed ${one.allowed}`;
       one.value = element("span", "value");
       one.fill = element("div", "fill");
-      one.most = Math.max(...one.margins, 1e-9);
+      one.most = Math.max(...one.margins, 1e-9);  // null, in legs that do not keep it, counts as 0
       // of a narrow cone so many digits that a tenth of what is left shows
       one.digits = Math.min(Math.max(Math.ceil(1 - Math.log10(one.most)), one.angular ? 1 : 2), 6);
       bar.append(one.fill);
@@ -232,6 +232,13 @@ function show(recording) {
   function showKeptAt(frame) {
     for (const one of plan.kept) {
       const margin = one.margins[frame];
+      if (margin === null) {  // in a leg that does not keep it
+        one.value.textContent = "\u2013";
+        one.value.title = "not to be kept now";
+        one.value.className = "value far";
+        one.fill.style.transform = "scaleX(0)";
+        continue;
+      }
       const shown = (value) => number(value, one.digits) + (one.angular ? "°" : " m");
       one.value.textContent = shown(margin);
       one.value.title = `now ${shown(one.values[frame])}`;
