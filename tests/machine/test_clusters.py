@@ -16,6 +16,7 @@ from backhoe_planner.machine import (
     Cluster,
     MeshSolid,
     Piece,
+    Reading,
     TerrainSolid,
     VoxelSolid,
     covering_balls,
@@ -257,6 +258,39 @@ def test_boxes_around_a_link_contain_all_cells_near_it(kind: str) -> None:
                 assert boxes <= least + 1e-9
 
 
+def compared_with_coals_tree(
+    solid: MeshSolid | VoxelSolid, rng: np.random.Generator, *, around: Vector, base: Vector
+) -> tuple[list[Reading], list[Reading | None]]:
+    """Compiled distances of 90 links near a place (3,), compared with those of coal's tree, at `base` (3,) [m].
+
+    Returns the readings of links within reach, and coal's where the compiled function leaves the answer to coal.
+    """
+    near: list[Reading] = []
+    left: list[Reading | None] = []
+    far = 0
+    for number in range(90):
+        link, place = LINKS[number % 3], random_place(rng, 1.5)
+        place.translation[:] += around
+        placed, reach = Placed(link, place.rotation, place.translation), float(rng.choice([0.05, 0.3, 2.0]))
+        is_known, found = solid._cells.measure(placed, reach)
+        true = solid._tree.measure(link.shape, placed.shifted(-base), reach)
+        if not is_known:
+            left.append(true)
+        elif found is None:
+            assert true is None
+            far += 1
+        else:
+            assert true is not None
+            assert found.distance == pytest.approx(true.distance, abs=1e-9)
+            np.testing.assert_allclose(found.other_point, found.point + found.distance * found.normal, atol=1e-8)
+            assert gap(link, place, speck(found.point)) < 1e-7
+            near.append(found)
+    assert len(near) > 15
+    assert far > 5
+    assert len(left) < 60
+    return near, left
+
+
 @needs_native
 @pytest.mark.parametrize("kind", ["fine", "rough", "few"])
 def test_the_compiled_distance_to_triangles_equals_that_of_coals_tree(kind: str) -> None:
@@ -266,58 +300,23 @@ def test_the_compiled_distance_to_triangles_equals_that_of_coals_tree(kind: str)
         "rough": lambda: trimesh.Trimesh(rng.normal(0.0, 0.5, (903, 3)), np.arange(903).reshape(301, 3)),
         "few": lambda: trimesh.creation.box((0.8, 0.5, 0.3)),
     }[kind]()
-    solid, counts = MeshSolid(mesh, most=10**5), {"far": 0, "near": 0, "left": 0}
-    for number in range(90):
-        link, place = LINKS[number % 3], random_place(rng, 1.5)
-        placed, reach = Placed(link, place.rotation, place.translation), float(rng.choice([0.05, 0.3, 2.0]))
-        is_known, found = solid._cells.measure(placed, reach)
-        true = solid._tree.measure(link.shape, placed.shifted(np.zeros(3)), reach)
-        if not is_known:
-            counts["left"] += 1
-        elif found is None:
-            assert true is None
-            counts["far"] += 1
-        else:
-            assert true is not None
-            assert found.distance == pytest.approx(true.distance, abs=1e-9)
-            np.testing.assert_allclose(found.other_point, found.point + found.distance * found.normal, atol=1e-8)
-            assert gap(link, place, speck(found.point)) < 1e-7
-            nearest = trimesh.triangles.closest_point(mesh.triangles, np.tile(found.other_point, (len(mesh.faces), 1)))
-            assert np.linalg.norm(nearest - found.other_point, axis=1).min() < 1e-8
-            counts["near"] += 1
-    assert counts["near"] > 15
-    assert counts["far"] > 5
-    assert counts["left"] < 60
+    near, _ = compared_with_coals_tree(MeshSolid(mesh, most=10**5), rng, around=np.zeros(3), base=np.zeros(3))
+    for found in near:
+        nearest = trimesh.triangles.closest_point(mesh.triangles, np.tile(found.other_point, (len(mesh.faces), 1)))
+        assert np.linalg.norm(nearest - found.other_point, axis=1).min() < 1e-8
 
 
 @needs_native
 def test_the_compiled_distance_to_voxels_equals_that_of_coals_tree() -> None:
-    rng, edge = np.random.default_rng(13), 0.08
-    keys = voxel_keys(rng.normal(0.0, 0.4, (600, 3)) + np.array([40.0, -7.0, 3.0]), edge)
-    solid, counts, middle = VoxelSolid(keys, edge, most=10**5), {"far": 0, "near": 0, "left": 0}, edge * (keys + 0.5)
-    for number in range(90):
-        link, place = LINKS[number % 3], random_place(rng, 1.5)
-        place.translation[:] += [40.0, -7.0, 3.0]
-        placed, reach = Placed(link, place.rotation, place.translation), float(rng.choice([0.05, 0.3, 2.0]))
-        is_known, found = solid._cells.measure(placed, reach)
-        true = solid._tree.measure(link.shape, placed.shifted(-edge * solid._base), reach)
-        if not is_known:
-            assert true is not None
-            assert true.distance < 1e-6
-            counts["left"] += 1
-        elif found is None:
-            assert true is None
-            counts["far"] += 1
-        else:
-            assert true is not None
-            assert found.distance == pytest.approx(true.distance, abs=1e-9)
-            np.testing.assert_allclose(found.other_point, found.point + found.distance * found.normal, atol=1e-8)
-            assert gap(link, place, speck(found.point)) < 1e-7
-            assert np.abs(middle - found.other_point).max(axis=1).min() == pytest.approx(0.5 * edge, abs=1e-9)
-            counts["near"] += 1
-    assert counts["near"] > 15
-    assert counts["far"] > 5
-    assert counts["left"] < 60
+    rng, edge, around = np.random.default_rng(13), 0.08, np.array([40.0, -7.0, 3.0])
+    keys = voxel_keys(rng.normal(0.0, 0.4, (600, 3)) + around, edge)
+    solid, middle = VoxelSolid(keys, edge, most=10**5), edge * (keys + 0.5)
+    near, left = compared_with_coals_tree(solid, rng, around=around, base=edge * solid._base)
+    for found in near:
+        assert np.abs(middle - found.other_point).max(axis=1).min() == pytest.approx(0.5 * edge, abs=1e-9)
+    for true in left:
+        assert true is not None
+        assert true.distance < 1e-6
 
 
 def test_how_deep_a_ball_is_inside_a_mesh_by_hand() -> None:
