@@ -163,12 +163,13 @@ def _at_the_rim(
     """
     if not keep.cones:
         return None
-    for target in (goal.search_target, _to_the_rim(goal)):
+    usual = goal.search_target
+    for target in (usual, _to_the_rim(goal)):
         whole = keep.narrowed(target, to_the_rim=True)
         found = None if whole is None else _on_target(world, whole, goal, near, time, more, travel, is_narrowed=True)
         kept = tuple(q for q in found.clear if keep.holds(q)) if isinstance(found, _OnGoal) else ()
         if kept and isinstance(found, _OnGoal):
-            if target is goal.search_target:
+            if target is usual:
                 return _OnGoal(found.goal, kept)
             return _OnGoal(replace(goal, q=kept[0], tolerance=None, rotation_tolerance=None), kept[:1])
         if goal.rotation_tolerance is None:
