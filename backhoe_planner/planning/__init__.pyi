@@ -1,6 +1,3 @@
-from .paths.corners import round_corners as round_corners
-from .paths.corners import time_stretch as time_stretch
-from .paths.dynamic_programming import cheapen_stretch as cheapen_stretch
 from .paths.layered_graph import Edge as Edge
 from .paths.layered_graph import EdgeKind as EdgeKind
 from .paths.layered_graph import LayeredGraph as LayeredGraph
@@ -9,10 +6,6 @@ from .paths.path_layers import PathLayers as PathLayers
 from .paths.path_layers import redundancy_of as redundancy_of
 from .paths.path_resolution import PathResolver as PathResolver
 from .paths.resolution import Resolution as Resolution
-from .paths.smoothing import smooth_stretch as smooth_stretch
-from .paths.stretch import Stretch as Stretch
-from .paths.timed_stretch import join_motions as join_motions
-from .paths.timed_stretch import time_rounded as time_rounded
 from .planner import plan_motion as plan_motion
 from .reactive.law_timing import places_on as places_on
 from .reactive.law_timing import speed_up as speed_up
@@ -75,4 +68,11 @@ from .sequence.leg import Leg as Leg
 from .sequence.legs_planning import plan_legs as plan_legs
 from .sequence.plan_task import plan as plan
 from .sequence.plan_task import plan_problem as plan_problem
+from .stretches.corners import round_corners as round_corners
+from .stretches.corners import time_stretch as time_stretch
+from .stretches.dynamic_programming import cheapen_stretch as cheapen_stretch
+from .stretches.smoothing import smooth_stretch as smooth_stretch
+from .stretches.stretch import Stretch as Stretch
+from .stretches.timed_stretch import join_motions as join_motions
+from .stretches.timed_stretch import time_rounded as time_rounded
 from .world.world import World as World

@@ -15,12 +15,12 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, TipPath
 from backhoe_planner.planning.goals.goal_planning import describe_attempts
-from backhoe_planner.planning.paths.corners import time_stretch
-from backhoe_planner.planning.paths.kept_cones import open_cones
-from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.law_timing import speed_up
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.stretches.corners import time_stretch
+from backhoe_planner.planning.stretches.kept_cones import open_cones
+from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.planning.world.outcome import Outcome, blocked_path, no_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction

@@ -23,19 +23,19 @@ from backhoe_planner.motion import (
     slow_tip,
 )
 from backhoe_planner.planning.law_following import follow_with_law
-from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
-from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
-from backhoe_planner.planning.paths.kept_cones import open_cones
 from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
 from backhoe_planner.planning.paths.path_resolution import PathResolver
 from backhoe_planner.planning.paths.resolution import Bypass, Resolution
-from backhoe_planner.planning.paths.smoothing import smooth_stretch
-from backhoe_planner.planning.paths.stretch import LawWay, Stretch
-from backhoe_planner.planning.paths.timed_stretch import TimedStretch, time_rounded
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.effort import OutOfTime
 from backhoe_planner.planning.search.sampling import JointPath
+from backhoe_planner.planning.stretches.corners import SHARP, round_corners, time_stretch, with_halfways
+from backhoe_planner.planning.stretches.dynamic_programming import cheapen_stretch
+from backhoe_planner.planning.stretches.kept_cones import open_cones
+from backhoe_planner.planning.stretches.smoothing import smooth_stretch
+from backhoe_planner.planning.stretches.stretch import LawWay, Stretch
+from backhoe_planner.planning.stretches.timed_stretch import TimedStretch, time_rounded
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world.outcome import (
     Outcome,

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import TipPath
-from backhoe_planner.planning.paths.stretch import NEARER
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
+from backhoe_planner.planning.stretches.stretch import NEARER
 from backhoe_planner.planning.world.outcome import Outcome, blocked_path, out_of_reach, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen

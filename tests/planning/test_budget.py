@@ -14,8 +14,8 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.planning import blend, sample_path
-from backhoe_planner.planning.paths import dynamic_programming, smoothing
 from backhoe_planner.planning.search import effort
+from backhoe_planner.planning.stretches import dynamic_programming, smoothing
 from backhoe_planner.proof import LeastTimes
 
 Data = dict[str, Any]

@@ -13,7 +13,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import FastestRun, Problem, build_problem
 from backhoe_planner.planning import Brake, Stretch, resolve_along, round_corners, time_stretch
-from backhoe_planner.planning.paths import corners
+from backhoe_planner.planning.stretches import corners
 from validation.habitats import load_machine
 from validation.independent_check import refutations
 from validation.sites import SiteKey, random_site

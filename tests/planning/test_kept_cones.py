@@ -22,7 +22,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, sol
 from backhoe_planner.motion import build_problem, motion_cost
 from backhoe_planner.planning import EFFORTS, Brake, planner
 from backhoe_planner.planning.kept_path import in_middle_of_cone
-from backhoe_planner.planning.paths import kept_cones
+from backhoe_planner.planning.stretches import kept_cones
 from validation.habitats import load_machine
 
 Data = dict[str, Any]

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from backhoe_planner.planning.paths.monotone_curve import monotone_curve  # no plan shows the curve between two knots
+from backhoe_planner.planning.stretches.monotone_curve import (
+    monotone_curve,  # no plan shows the curve between two knots
+)
 
 
 @pytest.mark.parametrize("seed", range(20))

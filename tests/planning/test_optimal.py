@@ -33,7 +33,7 @@ from backhoe_planner.planning import (
     stations_of,
     time_rounded,
 )
-from backhoe_planner.planning.paths.dynamic_programming import cheapest_with_turns
+from backhoe_planner.planning.stretches.dynamic_programming import cheapest_with_turns
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 # the others take as long and add little

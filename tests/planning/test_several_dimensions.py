@@ -14,8 +14,8 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.motion import PathCost, Problem, build_problem
 from backhoe_planner.planning import EFFORTS, LayeredGraph, PathResolver, Stretch, Work, cheapen_stretch
-from backhoe_planner.planning.paths.dynamic_programming import _aligned
 from backhoe_planner.planning.sequence.chain import Chain
+from backhoe_planner.planning.stretches.dynamic_programming import _aligned
 
 GRAVITY = 9.81  # m/s^2
 MASSES = (30.0, 20.0, 5.0)  # kg of the slides, the last one at the tip

@@ -8,7 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import TURN_LEVER, TipPath
-from backhoe_planner.planning.paths.corners import SHARP
+from backhoe_planner.planning.stretches.corners import SHARP
 
 _MANY_LAYERS = 160  # chosen to bound the work: on a path that needs more they are further apart,
 _WIDEST_LAYER = 0.25  # m, but at most this: five times the usual

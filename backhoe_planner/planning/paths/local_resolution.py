@@ -15,8 +15,8 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
-from backhoe_planner.planning.paths.kept_cones import KeptCones, open_cones
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.stretches.kept_cones import KeptCones, open_cones
+from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.planning.paths.kept_cones import KeptCones
 from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.stretches.kept_cones import KeptCones
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -17,7 +17,6 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step
-from backhoe_planner.planning.paths.kept_cones import kept_targets, open_cones
 from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
 from backhoe_planner.planning.paths.layered_graph import (
     Edge,
@@ -30,8 +29,9 @@ from backhoe_planner.planning.paths.layered_graph import (
 )
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.paths.resolution import Bypass, Resolution
-from backhoe_planner.planning.paths.stretch import BENT, JUMP, NEARER, STRAIGHT_STEP, Stretch
 from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.stretches.kept_cones import kept_targets, open_cones
+from backhoe_planner.planning.stretches.stretch import BENT, JUMP, NEARER, STRAIGHT_STEP, Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.motion import WaypointStep
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.site import Obstruction
 
 

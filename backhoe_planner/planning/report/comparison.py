@@ -26,9 +26,9 @@ from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import Problem, TipPath, Trajectory, drive_of, retime, trajectory_costs
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
-from backhoe_planner.planning.paths.monotone_curve import monotone_curve
-from backhoe_planner.planning.paths.stretch import LawWay, Stretch
-from backhoe_planner.planning.paths.timed_stretch import time_rounded
+from backhoe_planner.planning.stretches.monotone_curve import monotone_curve
+from backhoe_planner.planning.stretches.stretch import LawWay, Stretch
+from backhoe_planner.planning.stretches.timed_stretch import time_rounded
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 

@@ -10,9 +10,9 @@ import numpy as np
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import Detour, Problem, Trajectory, trajectory_costs
-from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.report.asked_speed import AskedSpeed, measure_speed
 from backhoe_planner.planning.report.comparison import LawComparison, compare_with_law
+from backhoe_planner.planning.stretches.stretch import LawWay
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction
 

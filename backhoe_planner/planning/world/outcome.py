@@ -13,10 +13,10 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import InverseKinematics, TipTarget, wrap_angle
 from backhoe_planner.motion import TipPath, Trajectory, angles_in_degrees
-from backhoe_planner.planning.paths.stretch import LawWay
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
+from backhoe_planner.planning.stretches.stretch import LawWay
 from backhoe_planner.planning.world.clear_joint import find_clear_joint
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction, range_sources

@@ -12,10 +12,10 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, Goal, Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
-from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Watcher
 from backhoe_planner.planning.search.effort import Effort, Work
 from backhoe_planner.planning.search.postures import Postures
+from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.site import Obstacle, Proximity
 
 _SEEDS_APART = (

@@ -10,8 +10,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Problem, TipPath, Trajectory
-from backhoe_planner.planning.paths.corners import round_corners, time_stretch
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.stretches.corners import round_corners, time_stretch
+from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.site import Proximity
 
 

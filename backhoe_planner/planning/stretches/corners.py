@@ -23,9 +23,9 @@ from backhoe_planner.motion import (
     step_lengths,
     targets_along,
 )
-from backhoe_planner.planning.paths.kept_cones import KeptCones, cones_kept_by
-from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.stretches.kept_cones import KeptCones, cones_kept_by
+from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
-from backhoe_planner.planning.paths.kept_cones import kept_targets
-from backhoe_planner.planning.paths.step_bounds import StepBounds
-from backhoe_planner.planning.paths.stretch import NEARER, Stretch
 from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.stretches.kept_cones import kept_targets
+from backhoe_planner.planning.stretches.step_bounds import StepBounds
+from backhoe_planner.planning.stretches.stretch import NEARER, Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 

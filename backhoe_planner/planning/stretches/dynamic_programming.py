@@ -30,13 +30,13 @@ from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.native import compiled
-from backhoe_planner.planning.paths.corners import SHARP
-from backhoe_planner.planning.paths.kept_cones import kept_targets
-from backhoe_planner.planning.paths.monotone_curve import monotone_curve
-from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, margins_to_keep, null_bases, strict_targets
-from backhoe_planner.planning.paths.step_bounds import StepBounds
-from backhoe_planner.planning.paths.stretch import NEARER, Stretch
 from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.stretches.corners import SHARP
+from backhoe_planner.planning.stretches.kept_cones import kept_targets
+from backhoe_planner.planning.stretches.monotone_curve import monotone_curve
+from backhoe_planner.planning.stretches.smoothing import ENOUGH, ROOM, margins_to_keep, null_bases, strict_targets
+from backhoe_planner.planning.stretches.step_bounds import StepBounds
+from backhoe_planner.planning.stretches.stretch import NEARER, Stretch
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Proximity
 

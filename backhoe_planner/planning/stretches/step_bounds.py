@@ -10,7 +10,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.motion import TipPath
-from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
+from backhoe_planner.planning.stretches.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
 
 _SAME = 1e-9  # m: rounding of an arc length
 

@@ -1,0 +1,1 @@
+"""What becomes of a resolved stretch of a path: smoother, cheaper, with round corners, timed."""
