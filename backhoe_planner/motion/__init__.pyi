@@ -25,6 +25,7 @@ from .keeping.cones import RotationCone as RotationCone
 from .keeping.cones import TiltCone as TiltCone
 from .keeping.keep import TO_THE_RIM as TO_THE_RIM
 from .keeping.keep import Keep as Keep
+from .keeping.keep import least_step_unchecked as least_step_unchecked
 from .legs import LegPart as LegPart
 from .legs import leg_parts as leg_parts
 from .objectives import OBJECTIVES as OBJECTIVES

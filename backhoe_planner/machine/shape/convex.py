@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.extent import FURTHEST
 from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.meshes.mesh_parts import check_all_read
 from backhoe_planner.files.meshes.obj_lines import obj_lines, plain_obj
@@ -45,7 +46,6 @@ _EXCESS = 1.08  # greatest volume of a hull over that of its mesh; chosen
 _HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side at which a point is compared; chosen: wider hollows are rare
 _SAME_VOLUME = 1.001  # volume of a hull over the mesh's up to which they are the same; STL rounds a mesh by far less
 _SAME_PLACE = 8  # decimals in which vertices at the same place agree; as in trimesh, which merges vertices, too
-_FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
@@ -220,11 +220,11 @@ def _extent(mesh: trimesh.Trimesh) -> tuple[Matrix, ConvexHull, float]:
     """(k, 3) vertices used by triangles [m], their hull, and the volume that the triangles enclose [m^3]."""
     points = np.asarray(mesh.vertices, dtype=float)[np.unique(mesh.faces)]
     furthest = float(np.max(np.abs(points)))
-    if furthest > _FURTHEST:
+    if furthest > FURTHEST:
         raise InputError(
             "the mesh is too large",
             found=f"a vertex {furthest:.4g} m from the origin",
-            allowed=f"up to {_FURTHEST:.0e} m",
+            allowed=f"up to {FURTHEST:.0e} m",
             hint="its scale takes the units of the file to metres",
         )
     with np.errstate(all="ignore"):  # trimesh divides by the volume for the centre of mass, even if it is 0

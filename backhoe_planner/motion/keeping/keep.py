@@ -176,7 +176,7 @@ class Keep:
                 return found
             rows = margins < 0.0
             G = np.concatenate([gradient[0] for _, gradient in of_each])[rows]
-            step = _least_step(G, (self._into - margins)[rows])
+            step = least_step_unchecked(G, (self._into - margins)[rows])
             longest = float(np.max(np.abs(step), initial=0.0))
             found = np.clip(found + step * min(1.0, _LONGEST_STEP / max(longest, _LONGEST_STEP)), lower, upper)
         return found if self.holds(found) else None
@@ -242,8 +242,8 @@ class Keep:
         return False
 
 
-def _least_step(G: Matrix, missing: Vector) -> Vector:
-    """(n,) the shortest step by which rows G (K, n) grow by what is `missing` (K,)."""
+def least_step_unchecked(G: Matrix, missing: Vector) -> Vector:
+    """(n,) the shortest step by which values with gradients G (K, n) grow by what is `missing` (K,), to first order."""
     if len(G) == 1:
         return np.asarray(G[0] * (missing[0] / (G[0].dot(G[0]) + _DAMPED)))
     return np.asarray(G.T @ np.linalg.solve(G @ G.T + _DAMPED * np.eye(len(G)), missing))

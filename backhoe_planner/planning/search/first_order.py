@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.motion import KEPT_TO, Keep
+from backhoe_planner.motion import KEPT_TO, Keep, least_step_unchecked
 
 _TURNS = 3  # corrections of a step that leaves the conditions; chosen: 1 is usual
-_DAMPED = 1e-9  # damping of a correction, rad^2 or m^2; chosen: far below the effect of any joint
 _LEFT = 0.5  # part of a margin that a corrected step leaves; chosen
 
 
@@ -35,5 +34,5 @@ class FirstOrder:
             if not out.any():
                 break
             G, missing = self.gradients[out], _LEFT * np.maximum(self.margins[out], 0.0) - after[out]
-            step = step + G.T @ np.linalg.solve(G @ G.T + _DAMPED * np.eye(len(G)), missing)
+            step = step + least_step_unchecked(G, missing)
         return step

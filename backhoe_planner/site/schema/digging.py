@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from backhoe_planner.files.extent import LARGEST
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Slope
-from backhoe_planner.site.surveys.extent import LARGEST
 
 _LIGHTEST = 100.0  # kg/m^3: peat has 300, and nobody digs in anything lighter than new snow
 

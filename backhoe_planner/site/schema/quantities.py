@@ -10,7 +10,7 @@ import pinocchio as pin
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.site.surveys.extent import FURTHEST, LARGEST
+from backhoe_planner.files.extent import FURTHEST, LARGEST
 
 # strict: neither true nor "0.3" is a number
 Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
