@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SLOW = [
     "scipy", "trimesh", "yourdfpy", "networkx", "shapely", "vhacdx", "ompl", "PIL", "matplotlib", "meshcat", "tornado",
     "umsgpack", "toppra", "backhoe_planner.live.servo", "backhoe_planner.show.viewer", "backhoe_planner.show.plots",
-    "backhoe_planner.planning.path_planning", "backhoe_planner.planning.sequence.chain", "rich",
+    "backhoe_planner.planning.path_planning", "backhoe_planner.planning.sequence.chain", "rich", "numpy.ma",
 ]  # fmt: skip
 SIMPLEST = """
 version: 1

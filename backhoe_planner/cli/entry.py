@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, NoReturn
 
 import typer
@@ -25,14 +26,22 @@ from backhoe_planner.cli import (
 from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, let_go, print_error
 from backhoe_planner.native import native_version
 
-app = typer.Typer(
-    help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["--help", "-h"]},
-)
+COMMANDS = {
+    command.__name__: command
+    for command in (
+        plan_commands.plan,
+        job_command.job,
+        stand_command.stand,
+        study_command.study,
+        plan_commands.view,
+        plan_commands.check,
+        inspect_command.inspect,
+        plan_commands.plot,
+        plan_commands.export,
+        teleop_command.teleop,
+        inspect_command.schema,
+    )
+}
 
 
 def _print_version(wanted: bool) -> None:
@@ -42,7 +51,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version.")
@@ -51,20 +59,28 @@ def _options(
     pass
 
 
-for command in (
-    plan_commands.plan,
-    job_command.job,
-    stand_command.stand,
-    study_command.study,
-    plan_commands.view,
-    plan_commands.check,
-    inspect_command.inspect,
-    plan_commands.plot,
-    plan_commands.export,
-    teleop_command.teleop,
-    inspect_command.schema,
-):
-    app.command()(command)
+def _app_of(commands: Iterable[Callable[..., object]]) -> typer.Typer:
+    app = typer.Typer(
+        help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["--help", "-h"]},
+    )
+    app.callback()(_options)
+    for command in commands:
+        app.command()(command)
+    return app
+
+
+app = _app_of(COMMANDS.values())
+
+
+def _app_for(arguments: Sequence[str]) -> typer.Typer:
+    """The app of only the command that the arguments name: typer reads the signatures of all that an app has."""
+    asked = next((word for word in arguments if not word.startswith("-")), "")
+    return _app_of([COMMANDS[asked]]) if asked in COMMANDS else app
 
 
 def main() -> NoReturn:
@@ -74,7 +90,7 @@ def main() -> NoReturn:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # the terminal may lack some letters of a name
     try:
-        status = app(standalone_mode=False)
+        status = _app_for(sys.argv[1:])(standalone_mode=False)
         sys.stdout.flush()
     except bp.InputError as error:
         print_error(str(error))

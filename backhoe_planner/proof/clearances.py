@@ -102,7 +102,7 @@ def _bounds_at(proximity: Proximity, q: Matrix, time: Vector) -> Matrix:
 def _nearest(owners: Indices, bounds: Matrix) -> Indices:
     """(N, C) the pair of each obstacle that seems nearest by `bounds` (N, P) [m]."""
     found = []
-    for owner in np.unique(owners).tolist():
+    for owner in sorted(set(owners.tolist())):
         pairs = np.flatnonzero(owners == owner)
         found.append(pairs[np.argmin(bounds[:, pairs], axis=1)])
     return np.array(found, dtype=np.intp).T
@@ -194,9 +194,10 @@ class _Search:
 def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, Matrix]:
     """The samples of the motion, and one more at every time at which an obstacle appears."""
     moments = {float(t) for t in proximity.appears_at if trajectory.time[0] < t < trajectory.time[-1]}
-    time = np.unique(np.concatenate((trajectory.time, sorted(moments))))
-    if len(time) == len(trajectory.time):
+    moments -= set(trajectory.time.tolist())
+    if not moments:
         return trajectory.time, trajectory.q
+    time = np.sort(np.concatenate((trajectory.time, list(moments))))
     return time, trajectory.at(time)
 
 

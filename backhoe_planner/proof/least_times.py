@@ -165,7 +165,7 @@ class LeastTimes:
     def _amounts(self, way: Indices) -> Matrix:
         """(3^J, K) the amounts of all supplies that occur with the ways of boxes (B, J), see `least_supplied`."""
         joints, power = list(self._oil), 3 ** np.arange(way.shape[1])
-        for pattern in set(np.unique(way @ power).tolist()) - self._known_ways:
+        for pattern in set((way @ power).tolist()) - self._known_ways:
             self._known_ways.add(pattern)
             digits = pattern // power % 3
             for some in _combinations(np.flatnonzero(digits).tolist()):

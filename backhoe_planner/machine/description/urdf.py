@@ -320,32 +320,37 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
         for attribute, text in element.attrib.items():
             if attribute not in numeric or (attribute == "value" and element.tag != "mass"):
                 continue
-            key = f"{_element_key(element)} @{attribute}"
             try:
                 numbers = [float(word) for word in str(text).split()]
             except ValueError:
-                raise RobotError("is not a number", file=path, key=key, found=repr(text)) from None
+                raise _wrong(element, attribute, path, "is not a number") from None
             if not numbers or not all(math.isfinite(number) for number in numbers):
-                raise RobotError("is not a finite number", file=path, key=key, found=repr(text))
+                raise _wrong(element, attribute, path, "is not a finite number")
             wanted = {"xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3)}.get(str(attribute), (1,))
             if len(numbers) not in wanted:
                 allowed = " or ".join(map(str, wanted))
-                raise RobotError(f"has {len(numbers)} numbers", file=path, key=key, found=repr(text), allowed=allowed)
+                raise _wrong(element, attribute, path, f"has {len(numbers)} numbers", allowed=allowed)
             if attribute in ("radius", "length", "size", "acceleration") and min(numbers) <= 0.0:
-                raise RobotError("must be greater than 0", file=path, key=key, found=repr(text))
+                raise _wrong(element, attribute, path, "must be greater than 0")
             if attribute == "scale" and 0.0 in numbers:
-                raise RobotError("must not be 0", file=path, key=key, found=repr(text))
+                raise _wrong(element, attribute, path, "must not be 0")
             if (attribute in ("effort", "velocity") or element.tag == "mass") and min(numbers) < 0.0:
-                raise RobotError("is negative", file=path, key=key, found=repr(text))
+                raise _wrong(element, attribute, path, "is negative")
             most = _MOST.get(str(attribute), _LARGEST)
             if max(map(abs, numbers)) > most:
                 hint = "a joint that turns for ever is continuous" if attribute in ("lower", "upper") else None
                 allowed = f"up to {most:g}"
-                raise RobotError("is too large", file=path, key=key, found=repr(text), allowed=allowed, hint=hint)
+                raise _wrong(element, attribute, path, "is too large", allowed=allowed, hint=hint)
             if 0.0 < numbers[0] < (least := _LEAST.get(str(attribute), 0.0)):
                 unknown = "" if attribute == "acceleration" else ", or 0 where nothing is known"
                 allowed = f"at least {least:g}{unknown}"
-                raise RobotError("is too small", file=path, key=key, found=repr(text), allowed=allowed)
+                raise _wrong(element, attribute, path, "is too small", allowed=allowed)
+
+
+def _wrong(element: etree._Element, attribute: str, path: Path, text: str, **more: str | None) -> RobotError:
+    """What is wrong with the value of an attribute."""
+    key = f"{_element_key(element)} @{attribute}"
+    return RobotError(text, file=path, key=key, found=repr(element.get(attribute)), **more)
 
 
 # m, rad, or a scale factor: as far as anything in a scene; ranges of 1e16 are used for joints that turn for ever

@@ -223,7 +223,7 @@ class _Power:
     def __init__(
         self, hydraulics: Hydraulics, shape: PathShape, inertia: Array, turning: tuple[Array, Array], loads: list[Array]
     ) -> None:
-        joints = np.unique(hydraulics.joint_of)
+        joints = np.array(sorted(set(hydraulics.joint_of.tolist())))
         busy = np.max(np.abs(shape.slope[:, joints]), axis=0)
         driving = joints[busy > 0.0][np.argsort(-busy[busy > 0.0], kind="stable")][:_MOST_DRIVING]
         self._limit = hydraulics.power_limit
