@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError
+from backhoe_planner.files.numbers import number
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
 from backhoe_planner.machine.description.urdf import Urdf, axis_of
@@ -33,10 +34,10 @@ _NO_LEVER = 2e-3  # part of the longest lever; from one sample to the next a lev
 _SAME_END = 1e-9  # m, rad: ends of strokes and of ranges that differ by less are equal but for rounding
 
 # the shortest is far below any diameter in a drawing
-Length = Annotated[float, Field(strict=True, ge=1e-6, le=1e3, allow_inf_nan=False)]
-Coordinate = Annotated[float, Field(strict=True, ge=-1e3, le=1e3, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
-Part = Annotated[float, Field(strict=True, gt=0.0, le=1.0)]
+Length = Annotated[float, number(ge=1e-6, le=1e3)]
+Coordinate = Annotated[float, number(ge=-1e3, le=1e3)]
+Positive = Annotated[float, number(ge=_SMALLEST, le=_LARGEST)]
+Part = Annotated[float, number(gt=0.0, le=1.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 
 

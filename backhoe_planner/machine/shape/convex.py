@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.files.extent import FURTHEST
 from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.meshes.mesh_parts import check_all_read
 from backhoe_planner.files.meshes.obj_lines import obj_lines, plain_obj
 from backhoe_planner.files.meshes.ply_faces import ply_of_triangles
 from backhoe_planner.files.meshes.whole_mesh import check_whole
+from backhoe_planner.files.numbers import FURTHEST
 from backhoe_planner.machine.shape.closed_bodies import find_closed, open_edges
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from backhoe_planner.files.extent import LARGEST
+from backhoe_planner.files.numbers import LARGEST, number
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Slope
 
@@ -31,11 +31,9 @@ class Soil(Record):
     Every key may be left out: the defaults are those of a soil of medium strength.
     """
 
-    density: Annotated[
-        float, Field(strict=True, ge=_LIGHTEST, le=LARGEST, allow_inf_nan=False), BeforeValidator(_in_kilograms)
-    ] = 1700.0
+    density: Annotated[float, number(ge=_LIGHTEST, le=LARGEST), BeforeValidator(_in_kilograms)] = 1700.0
     """Density of the soil [kg/m^3]; 1700 by default, 1300 to 2000 is usual."""
-    cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
+    cohesion: Annotated[float, number(ge=0.0, le=1e8)] = 5000.0
     """Cohesion between its grains [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
     friction: Annotated[Slope, Field(gt=0.0)] = 0.55
     """Internal friction angle [rad]; 0.55 by default, 0.44 to 0.70 (25 to 40 degrees) is usual."""

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from backhoe_planner.files.numbers import number
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.quantities import Finite, Positive
 
@@ -33,7 +34,7 @@ PositionRange = Annotated[tuple[Finite, Finite], AfterValidator(_in_order)]
 class Limits(Record):
     """How much of the machine's limits may be used, and limits that its URDF does not have."""
 
-    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0), AfterValidator(_not_too_slow)] = 1.0
+    velocity_scale: Annotated[float, number(gt=0.0, le=1.0), AfterValidator(_not_too_slow)] = 1.0
     """Part of each joint's rate that may be used."""
     acceleration: dict[str, Rate] = Field(default_factory=dict)
     """By joint name [rad/s^2 or m/s^2]; by default the URDF's, or if it has none, full rate in 0.5 s."""

@@ -7,25 +7,23 @@ from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.files.extent import FURTHEST, LARGEST
+from backhoe_planner.files.numbers import FURTHEST, LARGEST, number
 
-# strict: neither true nor "0.3" is a number
-Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
+Finite = Annotated[float, number(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, number(gt=0.0, le=LARGEST)]
+NonNegative = Annotated[float, number(ge=0.0, le=LARGEST)]
 # s of a motion, which waits and slow joints may make longer than any single number of a scene
-Moment = Annotated[float, Field(strict=True, ge=0.0, le=1e12, allow_inf_nan=False)]
+Moment = Annotated[float, number(ge=0.0, le=1e12)]
 _SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too close to that
-Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
-_MapCoordinate = Annotated[float, Field(strict=True, ge=-FURTHEST, le=FURTHEST, allow_inf_nan=False)]
-MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
-Quaternion = tuple[Finite, Finite, Finite, Finite]
-PitchRange = tuple[Finite, Finite]
-AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Length = Annotated[float, number(ge=_SMALLEST, le=LARGEST)]
+Vector3 = Annotated[tuple[float, float, float], number(ge=-LARGEST, le=LARGEST, count=3)]
+MapPoint = Annotated[tuple[float, float, float], number(ge=-FURTHEST, le=FURTHEST, count=3)]
+Quaternion = Annotated[tuple[float, float, float, float], number(ge=-LARGEST, le=LARGEST, count=4)]
+PitchRange = Annotated[tuple[float, float], number(ge=-LARGEST, le=LARGEST, count=2)]
+AnyLength = Annotated[float, number()]
 
 
 def _radians(rpy: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -59,9 +57,9 @@ def _not_degrees(angle: Any) -> Any:
     return angle
 
 
-Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False), BeforeValidator(_not_degrees)]
+Angle = Annotated[float, number(gt=0.0, lt=math.pi), BeforeValidator(_not_degrees)]
 Turn = Annotated[Finite, AfterValidator(_one_turn)]
-Slope = Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0, allow_inf_nan=False), BeforeValidator(_slope)]
+Slope = Annotated[float, number(ge=0.0, lt=math.pi / 2.0), BeforeValidator(_slope)]
 RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
 
 _ROUNDING = 1e-14  # a length this near 1 is 1, so that a normalised quaternion stays as it is

@@ -9,10 +9,10 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.files.extent import FURTHEST, LARGEST
 from backhoe_planner.files.found_file import is_file
 from backhoe_planner.files.meshes.ply_points import ply_points
 from backhoe_planner.files.meshes.whole_mesh import check_whole, has_single_precision
+from backhoe_planner.files.numbers import FURTHEST, LARGEST
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.site.surveys.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.surveys.number_tables import (
