@@ -312,13 +312,9 @@ def _element_key(element: etree._Element) -> str:
 
 
 def _check_numbers(root: etree._Element, path: Path) -> None:
-    numeric = {
-        "xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", "velocity", "effort",
-        "acceleration", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "damping", "friction", "multiplier", "offset",
-    }  # fmt: skip
     for element in (part for top in root if top.tag in ("link", "joint") for part in top.iter(etree.Element)):
         for attribute, text in element.attrib.items():
-            if attribute not in numeric or (attribute == "value" and element.tag != "mass"):
+            if attribute not in _NUMERIC or (attribute == "value" and element.tag != "mass"):
                 continue
             try:
                 numbers = [float(word) for word in str(text).split()]
@@ -326,7 +322,7 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
                 raise _wrong(element, attribute, path, "is not a number") from None
             if not numbers or not all(math.isfinite(number) for number in numbers):
                 raise _wrong(element, attribute, path, "is not a finite number")
-            wanted = {"xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3)}.get(str(attribute), (1,))
+            wanted = _COUNTS.get(str(attribute), (1,))
             if len(numbers) not in wanted:
                 allowed = " or ".join(map(str, wanted))
                 raise _wrong(element, attribute, path, f"has {len(numbers)} numbers", allowed=allowed)
@@ -353,6 +349,11 @@ def _wrong(element: etree._Element, attribute: str, path: Path, text: str, **mor
     return RobotError(text, file=path, key=key, found=repr(element.get(attribute)), **more)
 
 
+_NUMERIC = {
+    "xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", "velocity", "effort",
+    "acceleration", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "damping", "friction", "multiplier", "offset",
+}  # fmt: skip
+_COUNTS = {"xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3)}  # of numbers; one in any other attribute
 # m, rad, or a scale factor: as far as anything in a scene; ranges of 1e16 are used for joints that turn for ever
 _MOST = dict.fromkeys(("xyz", "rpy", "size", "radius", "length", "scale"), 1e5) | {"lower": 1e30, "upper": 1e30}
 _LARGEST = 1e12  # in any other unit: products of a few such numbers are finite; chosen
