@@ -1,10 +1,11 @@
-"""Scans in PLY, PCD and LAS written by hand, byte by byte: what is read, and what is refused."""
+"""Scans in PLY, PCD and LAS written by hand, byte by byte, and in LAZ and E57 written by others' libraries."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
@@ -205,7 +206,7 @@ WRONG_LAS = {
         las((2112, b'GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]\0'), minor=4),
         "its WKT record: is in deg.*pdal",
     ),
-    "LAZ": (las(form=0x80), "is compressed, a LAZ; found point format 128"),
+    "a LAZ without its record": (las(form=0x80), "is a LAS that is cut short or damaged: its table of chunks"),
     "no LAS": (b"LASX" + las()[4:], "is not a LAS; found b'LASX'"),
     "cut short": (las()[:-1], "is a LAS that is cut short or damaged"),
     "cut in its header": (las()[:100], "is a LAS that is cut short or damaged"),
@@ -224,6 +225,57 @@ def test_records_of_others_in_a_las_are_not_looked_at(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_points(tmp_path / "scan.las", map_origin=(5e5, 5.4e6, 0)), POINTS, atol=2e-9)
 
 
+def laz(version: str, form: int, points: list[list[float]] | np.ndarray, path: Path) -> bytes:
+    """A LAZ with points to a millimetre, by laspy."""
+    header = laspy.LasHeader(version=version, point_format=form)
+    header.scales, header.offsets = [0.001] * 3, [5e5, 5.4e6, 0.0]
+    scan = laspy.LasData(header)
+    scan.x, scan.y, scan.z = np.asarray(points).T + np.array([[5e5], [5.4e6], [0.0]])
+    scan.write(path)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(("version", "form"), [("1.2", 3), ("1.4", 6)])
+def test_points_of_a_laz_are_those_that_laspy_wrote(version: str, form: int, tmp_path: Path) -> None:
+    """60,000 points take two chunks."""
+    points = np.random.default_rng(3).uniform(-40.0, 40.0, (60_000, 3))
+    content = laz(version, form, points, tmp_path / "scan.laz")
+    found = read_points(tmp_path / "scan.laz", map_origin=(5e5, 5.4e6, 0))
+    np.testing.assert_allclose(found, points, atol=5.1e-4)
+    begin = struct.unpack_from("<I", content, 96)[0]
+    (table,) = struct.unpack_from("<q", content, begin)
+    streamed = content[:begin] + struct.pack("<q", -1) + content[begin + 8 :] + struct.pack("<q", table)
+    (tmp_path / "stream.laz").write_bytes(streamed)
+    np.testing.assert_array_equal(read_points(tmp_path / "stream.laz", map_origin=(5e5, 5.4e6, 0)), found)
+    wrong = {
+        "cut": content[: len(content) // 2],
+        "table beyond the end": content[:begin] + struct.pack("<q", 10**9) + content[begin + 8 :],
+        "4 billion chunks": content[: table + 4] + b"\xff" * 4 + content[table + 8 :],
+        "other bytes": content[: begin + 900] + bytes(9000) + content[begin + 9900 :],
+    }
+    for changed in wrong.values():
+        (tmp_path / "wrong.laz").write_bytes(changed)
+        with pytest.raises(InputError, match=r"wrong\.laz: .*(cut short or damaged|is too large)"):
+            read_points(tmp_path / "wrong.laz", map_origin=(5e5, 5.4e6, 0))
+
+
+def test_points_of_an_e57_are_at_the_poses_of_its_scanners(tmp_path: Path) -> None:
+    """The second scanner is turned by a quarter to the left, and stands at 10, 0, 1."""
+    pye57 = pytest.importorskip("pye57")
+    columns = {f"cartesian{axis}": column for axis, column in zip("XYZ", np.array(POINTS).T, strict=True)}
+    with pye57.E57(str(tmp_path / "scan.e57"), mode="w") as scans:
+        scans.write_scan_raw(columns)
+        half = np.pi / 4.0
+        scans.write_scan_raw(
+            columns, rotation=np.array([np.cos(half), 0.0, 0.0, np.sin(half)]), translation=np.array([10.0, 0.0, 1.0])
+        )
+    turned = [[10.0 - y, x, z + 1.0] for x, y, z in POINTS]
+    np.testing.assert_allclose(read_points(tmp_path / "scan.e57"), [*POINTS, *turned], atol=1e-12)
+    (tmp_path / "scan.e57").write_bytes((tmp_path / "scan.e57").read_bytes()[:900])
+    with pytest.raises(InputError, match=r"scan\.e57: cannot be read as an E57: "):
+        read_points(tmp_path / "scan.e57")
+
+
 def test_scans_are_obstacles_and_ground(planar4: Robot, tmp_path: Path) -> None:
     """Three voxels of 0.5 m, one around each point."""
     (tmp_path / "scan.pcd").write_bytes(pcd("binary", WHOLE))
@@ -235,7 +287,9 @@ def test_scans_are_obstacles_and_ground(planar4: Robot, tmp_path: Path) -> None:
 
 
 OTHERS = {
-    "scan.laz": (b"LASF", r"is a \.laz file, which is not read; allowed: text with x, y, z.* make a LAS or PLY of it"),
+    "scan.rcp": (b"RCP", r"is a \.rcp file, which is not read; allowed: text with x, y, z.* makes an E57 or LAZ of it"),
+    "scan.laz": (b"LASF", r"is a LAS that is cut short or damaged"),
+    "scan.e57": (b"ASTM-E57" + bytes(100), r"cannot be read as an E57: "),
     "scan.glb": (b"glTF", r"is a \.glb file, which is not read; .* or it is a mesh"),
     "scan.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", r"is a \.off file, which is not read"),
     "scan.asc": (b"ncols 3\nnrows 1\n1 2 3\n", "line 1: is an ESRI grid of heights, not a list of points"),

@@ -13,7 +13,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.job.ground.grids import CELL, HeightGrid, as_cell, column_means, empty_grid, resampled
 from backhoe_planner.site import read_height_grid, read_points
 
-_POINTS = (".ply", ".pcd", ".las", ".obj", ".stl", ".xyz", ".txt", ".pts")
+_POINTS = (".ply", ".pcd", ".las", ".laz", ".e57", ".obj", ".stl", ".xyz", ".txt", ".pts")
 
 
 def read_survey(

@@ -326,7 +326,8 @@ class PointCloud(PlacedRecord):
 
     shape: Literal["pointcloud"]
     file: str
-    """PLY, PCD, LAS, or CSV or XYZ with x, y, z in the columns that its header names, otherwise in the first three."""
+    """PLY, PCD, LAS, LAZ, E57, or CSV or XYZ with x, y, z in the columns that its header names, otherwise in the first
+    three."""
     resolution: Length
     """Edge of a voxel [m]."""
     map_origin: MapPoint = (0.0, 0.0, 0.0)

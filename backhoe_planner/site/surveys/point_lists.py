@@ -25,7 +25,7 @@ from backhoe_planner.site.surveys.number_tables import (
     number_in,
 )
 
-POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .pcd, .las, .obj, .stl"
+POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .pcd, .las, .laz, .e57, .obj, .stl"
 
 MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")

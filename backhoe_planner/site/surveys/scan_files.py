@@ -1,4 +1,4 @@
-"""Points of a scan in PCD (version 0.7 of the Point Cloud Library) and in LAS (versions 1.0 to 1.4 of ASPRS)."""
+"""Points of a scan in PCD (version 0.7 of the Point Cloud Library) and in LAS or LAZ (versions 1.0 to 1.4 of ASPRS)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.site.surveys.geo_keys import GeoKeys
+from backhoe_planner.site.surveys.packed_scans import unpacked_places
 from backhoe_planner.site.surveys.wkt_units import check_system_in_metres
 
 _AXES = ("x", "y", "z")
@@ -26,6 +27,7 @@ _LITERALS, _LONG = 32, 7  # of LZF: control bytes below the first copy bytes, le
 _SMALLEST = 20  # bytes of a point of a LAS
 _MARK = b"LASF"
 _COMPRESSED = 0xC0  # bits of the point format that LAZ sets
+_PACKING = 22204  # the record of a LAZ that says how its points are packed
 _SYSTEM, _WKT = b"LASF_Projection", 2112
 _KEYS, _NUMBERS, _WORDS = 34735, 34736, 34737  # records of a reference system, numbered as the tags of a GeoTIFF
 
@@ -153,11 +155,11 @@ def _unpacked(data: bytes, size: int) -> bytes:
 
 
 def read_las(path: Path) -> Matrix:
-    """(n, 3) the points of a LAS [m], of every class.
+    """(n, 3) the points of a LAS or LAZ [m], of every class.
 
     Raises
     ------
-    InputError: it is no LAS, is compressed, is cut short or damaged, or its reference system is not in metres.
+    InputError: it is no LAS, is cut short or damaged, or its reference system is not in metres.
     """
     content = path.read_bytes()
     try:
@@ -165,36 +167,39 @@ def read_las(path: Path) -> Matrix:
             raise InputError("is not a LAS", file=path, found=repr(content[:4]), allowed=repr(_MARK))
         minor = content[25]
         size, begin, records, form, length, count = struct.unpack_from("<HIIBHI", content, 94)
-        if form & _COMPRESSED:
-            raise InputError(
-                "is compressed, a LAZ",
-                file=path,
-                found=f"point format {form}",
-                hint="laszip or pdal translate unpack it",
-            )
         if minor >= 4:
             (count,) = struct.unpack_from("<Q", content, 247)
         scale, offset = (np.array(struct.unpack_from("<3d", content, at)) for at in (131, 155))
-        _check_system_of_las(content, size, records, path)
+        found = list(_records_of_las(content, size, records))
+        _check_system_of_las(found, path)
         if length < _SMALLEST:
             raise ValueError(f"{length} bytes for a point, not {_SMALLEST} or more")
+        if form & _COMPRESSED:
+            packing = next((data for _, number, data in found if number == _PACKING), b"")
+            return np.asarray(unpacked_places(content, begin, length, count, packing) * scale + offset)
         if begin + count * length > len(content):
             raise ValueError(f"{len(content)} bytes, not {begin + count * length}")
         kind = np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": length})
         return np.asarray(np.frombuffer(content, kind, count, begin)["xyz"] * scale + offset)
     except InputError:
         raise
-    except (IndexError, ValueError, struct.error) as error:
+    except (IndexError, ValueError, MemoryError, struct.error) as error:
         raise InputError(f"is a LAS that is cut short or damaged: {error}", file=path) from error
 
 
-def _check_system_of_las(content: bytes, at: int, records: int, path: Path) -> None:
-    """Check that the reference system in the records after the header, if there is one, is in metres."""
-    tags: dict[int, Any] = {}
-    for _ in range(records):
+def _records_of_las(content: bytes, at: int, count: int) -> Iterator[tuple[bytes, int, bytes]]:
+    """Whose each of the records after the header is, its number, and its bytes."""
+    for _ in range(count):
         user, number, length = struct.unpack_from("<16sHH", content, at + 2)
-        data, at = content[at + 54 : at + 54 + length], at + 54 + length
-        if user.rstrip(b"\0") != _SYSTEM:
+        yield user.rstrip(b"\0"), number, content[at + 54 : at + 54 + length]
+        at += 54 + length
+
+
+def _check_system_of_las(records: list[tuple[bytes, int, bytes]], path: Path) -> None:
+    """Check that the reference system in the records, if there is one, is in metres."""
+    tags: dict[int, Any] = {}
+    for user, number, data in records:
+        if user != _SYSTEM:
             continue
         if number == _WKT and data.strip(b"\0 \n"):
             text = data.decode("utf-8", errors="replace").strip("\0 \n")
@@ -202,9 +207,9 @@ def _check_system_of_las(content: bytes, at: int, records: int, path: Path) -> N
                 check_system_in_metres(text, path, key="its WKT record")
             return  # it replaces keys
         elif number == _KEYS:
-            tags[number] = struct.unpack_from(f"<{length // 2}H", data)
+            tags[number] = struct.unpack_from(f"<{len(data) // 2}H", data)
         elif number == _NUMBERS:
-            tags[number] = struct.unpack_from(f"<{length // 8}d", data)
+            tags[number] = struct.unpack_from(f"<{len(data) // 8}d", data)
         elif number == _WORDS:
             tags[number] = data.decode("latin-1")
     if _KEYS in tags:

@@ -23,6 +23,7 @@ from backhoe_planner.site.surveys.number_tables import (
     number_in,
     plain_table,
 )
+from backhoe_planner.site.surveys.packed_scans import read_e57
 from backhoe_planner.site.surveys.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
 from backhoe_planner.site.surveys.scan_files import pcd_has_single_precision, read_las, read_pcd
 
@@ -31,7 +32,7 @@ _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; ch
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
 _COARSEST = 0.01  # m: what floats of 32 bits may be rounded to, about the noise of a scanner; chosen
-_OTHER_CLOUDS = (".laz", ".e57", ".rcp", ".rcs", ".fls")
+_OTHER_CLOUDS = (".rcp", ".rcs", ".fls")
 _MESHES = (".off", ".dae", ".glb", ".gltf", ".3mf")
 _DEGREES_WITHIN = 0.05  # degrees: some kilometres; chosen
 _STEEPEST = 500.0  # times as high as wide: points in metres are not; chosen, flat ground in degrees is steeper
@@ -142,7 +143,7 @@ def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> flo
 
 
 def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Matrix:
-    """(n, 3) points [m] from a PLY, PCD, LAS, OBJ or STL, or from text; see `read_point_list`.
+    """(n, 3) points [m] from a PLY, PCD, LAS, LAZ, E57, OBJ or STL, or from text; see `read_point_list`.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Mat
     kind = path.suffix.lower()
     if kind in (*_OTHER_CLOUDS, *_MESHES):
         hint = "CloudCompare makes a PLY of it, or it is a mesh" if kind in _MESHES else (
-            "pdal translate or CloudCompare make a LAS or PLY of it"
+            "CloudCompare, or the program of the scanner, makes an E57 or LAZ of it"
         )  # fmt: skip
         raise InputError(f"is a {kind} file, which is not read", file=path, allowed=POINT_FORMATS, hint=hint)
     if kind == ".obj":
@@ -170,8 +171,10 @@ def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Mat
         points = ply_points(path)
     elif kind == ".pcd":
         points = read_pcd(path)
-    elif kind == ".las":
+    elif kind in (".las", ".laz"):
         points = read_las(path)
+    elif kind == ".e57":
+        points = read_e57(path)
     elif kind == ".stl":
         import trimesh
 

@@ -1,0 +1,100 @@
+"""Points of a scan in files that others unpack: the points of a LAZ by lazrs, an E57 (ASTM E2807) by pye57."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.errors import InputError
+from backhoe_planner.files.extras import need_package
+
+_AT_ONCE = 1_000_000  # points that are unpacked together; chosen, some 40 MB
+_AT_THE_END = -1  # a LAZ that was written as a stream has the place of its table of chunks in its last bytes
+_TABLE = struct.Struct("<II")  # the head of a table of chunks: its version, and how many there are
+_PLACE = struct.Struct("<q")
+_COUNT_AT, _COUNT = 32, struct.Struct("<H")  # of parts of a point, in the record that says how points are packed
+_PART = struct.Struct("<HHH")  # its kind, its size and its version
+
+
+def unpacked_places(content: bytes, begin: int, length: int, count: int, key: bytes) -> NDArray[np.int32]:
+    """(count, 3) x, y and z of the points of a LAZ, in the units of its header.
+
+    Parameters
+    ----------
+    content: all bytes of the file; `begin`: where its points begin.
+    length: bytes of a point when unpacked.
+    key: the record of the file that says how they are packed.
+
+    Raises
+    ------
+    ValueError: they are damaged.
+    """
+    import lazrs
+
+    _check_chunks(content, begin, count)
+    _check_parts(key, length)
+    source = io.BytesIO(content)
+    source.seek(begin)
+    found = np.empty((count, 3), dtype=np.int32)
+    try:
+        points = lazrs.LasZipDecompressor(source, key)
+        for first in range(0, count, _AT_ONCE):
+            some = found[first : first + _AT_ONCE]
+            unpacked = np.zeros(len(some) * length, dtype=np.uint8)
+            points.decompress_many(unpacked)
+            some[:] = unpacked.view(np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": length}))["xyz"]
+    except lazrs.LazrsError as error:
+        raise ValueError(f"its points cannot be unpacked, {error}") from error
+    except BaseException as error:  # what lazrs raises where it panics is none of Python's own exceptions
+        if type(error).__name__ != "PanicException":
+            raise
+        raise ValueError(f"its points cannot be unpacked, {error}") from error
+    return found
+
+
+def _check_chunks(content: bytes, begin: int, count: int) -> None:
+    """Raise a ValueError if the table of a LAZ's chunks is damaged: lazrs makes room for all that it names."""
+    (table,) = _PLACE.unpack_from(content, begin)
+    if table == _AT_THE_END:
+        (table,) = _PLACE.unpack_from(content, len(content) - _PLACE.size)
+    if not begin + _PLACE.size <= table <= len(content) - _TABLE.size:
+        raise ValueError("its table of chunks is not in the file")
+    _, chunks = _TABLE.unpack_from(content, table)
+    if chunks > count:
+        raise ValueError(f"{chunks} chunks of {count} points")
+
+
+def _check_parts(key: bytes, length: int) -> None:
+    """Raise a ValueError if the parts of a point, which the record of a LAZ lists, are not `length` bytes together."""
+    (count,) = _COUNT.unpack_from(key, _COUNT_AT)
+    sizes = [size for _, size, _ in _PART.iter_unpack(key[_COUNT_AT + _COUNT.size :])]
+    if len(sizes) != count or sum(sizes) != length:
+        raise ValueError(f"parts of {sum(sizes)} bytes, not {length}")
+
+
+def read_e57(path: Path) -> Matrix:
+    """(n, 3) the valid points [m] of all scans of an E57, each at the pose of its scanner.
+
+    Raises
+    ------
+    InputError: it is damaged or no E57, a scan has no coordinates, or pye57 is not installed.
+    """
+    need_package("pye57", extra="e57", what="scans in E57")
+    import pye57
+
+    parts: list[Matrix] = [np.zeros((0, 3))]
+    try:
+        with pye57.E57(str(path)) as scans:
+            for index in range(scans.scan_count):
+                columns: dict[str, Any] = scans.read_scan(index, ignore_missing_fields=True)
+                parts.append(np.column_stack([columns[f"cartesian{axis}"] for axis in "XYZ"]))
+    except Exception as error:  # pye57 passes on exceptions of its own, of libE57Format and of numpy
+        said = str(error).strip().partition("\n")[0]
+        raise InputError(f"cannot be read as an E57: {said}", file=path) from error
+    return np.concatenate(parts)
