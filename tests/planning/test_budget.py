@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning import blend, sample_path
+from backhoe_planner.planning import blend, plan_motion, sample_path
 from backhoe_planner.planning.search import effort
 from backhoe_planner.planning.stretches import dynamic_programming, smoothing
 from backhoe_planner.proof import LeastTimes
@@ -157,3 +157,45 @@ def test_only_the_computing_time_of_the_thread_uses_up_a_budget(monkeypatch: pyt
     for computed, is_used_up in ((2.0, False), (4.0, True)):
         now |= {"monotonic": 150.0, "thread_time": 1.0 + computed}
         assert brake.is_used_up() is is_used_up
+
+
+# --- sequences ----------------------------------------------------------------------
+
+LEGS: Data = {
+    "sequence": [
+        {"name": "aside", "goal": {"position": [2.0, 2.5, 0.0]}},
+        {"name": "back", "goal": {"position": [2.5, -2.0, 0.0]}},
+        {"name": "home", "goal": BENT},
+    ]
+}
+
+
+def test_the_ways_between_ends_of_legs_are_priced_only_while_time_is_left(
+    planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each price takes 10 to 40 ms; there is one for each of 12 ends, and one from the start."""
+    calls = 0
+    out = clock.runs_out_at(LeastTimes, number=3)
+
+    def counting(*args: Any, **keys: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        return out(*args, **keys)
+
+    monkeypatch.setattr(f"{ROOM}.sequence.ends.LeastTimes", counting)
+    plan = bp.plan(planar4, site(LEGS, start=BENT), effort="quick")
+    assert calls == 3
+    assert (plan.verdict, plan.reason, len(plan.legs)) == ("verified", "", 3)
+    assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
+
+
+def test_legs_planned_with_less_effort_are_kept_if_time_runs_out_after_them(
+    planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All legs are planned with the quick effort first: here there is time for one of them."""
+    room = f"{ROOM}.sequence.leg_planning"
+    monkeypatch.setattr(f"{room}.plan_motion", clock.runs_out_at(plan_motion, number=2))
+    plan = bp.plan(planar4, site(LEGS, start=BENT), effort="normal")
+    assert (plan.verdict, plan.reason) == ("failed", "budget")
+    assert [leg.name for leg in plan.legs] == ["aside", "back"]
+    assert [leg.certificate.verified for leg in plan.legs] == [True, False]

@@ -24,7 +24,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Goal, TipPath, motion_cost
-from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
+from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime, Work
 from backhoe_planner.planning.sequence.ends import LegEnds, WayPrices, find_ends
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
@@ -142,7 +142,10 @@ class Chain:
 
     def run(self) -> list[DoneLeg]:
         """The cheapest chain that was found, waits included; the first result if none is cheaper."""
-        if not self._build():
+        try:
+            if not self._build():
+                return list(self._first)
+        except OutOfTime:
             return list(self._first)
         if self._rough is not self._fine:
             self._plan_chains(self._rough, self._rough_work, estimated=True)
@@ -166,15 +169,24 @@ class Chain:
             chain = self._cheapest(estimated=estimated)
             if chain is None or not (self._promises(chain) if estimated else self._is_rough(chain)):
                 return
-            if not self._plan_chain(chain):
+            try:
+                if not self._plan_chain(chain):
+                    return
+            except OutOfTime:  # while the ways on from a new end were priced: that end is left out
                 return
 
     # --- the graph --------------------------------------------------------------------
 
     def _build(self) -> bool:
-        """Create the layers, with the first result in them; False if a leg has no possible end."""
+        """Create the layers, with the first result in them; False if a leg has no possible end.
+
+        Raises
+        ------
+        OutOfTime: the budget is used up.
+        """
         near, effort, brake = self._start, self._planner.effort, self._planner.brake
         for number, index in enumerate(self._moving):
+            brake.check()
             leg = self._legs[index]
             world = World(leg.problem.beginning(near), seed=self._planner.seed, work=Work(effort, brake))
             ready = self._ready[index]
@@ -249,26 +261,35 @@ class Chain:
         if layer is not self._layers[-1]:
             index = next((k for k, q in enumerate(layer.ends) if np.max(np.abs(q - end)) < _SAME), len(layer.ends))
             if index == len(layer.ends):
+                row = self._row_after(layer, end)  # first, because it may raise an error
                 layer.ends.append(end)
                 number = done.certificate.goal
                 layer.names.append(None if number is None else done.problem.goals[number - 1].name)
                 column = np.full((len(layer.estimates), 1), np.inf)
                 layer.estimates = np.hstack((layer.estimates, column))
                 after = self._layers[self._layers.index(layer) + 1]
-                own = _Layer(after.leg, after.goals, after.prices, after.known, after.ends, after.names)
-                own.estimate([end])
-                row = own.estimates
-                if after is self._layers[-1]:
-                    row = np.min(row, axis=1, keepdims=True)
-                else:
-                    missing = after.estimates.shape[1] - row.shape[1]
-                    row = np.hstack((row, np.full((1, missing), np.inf)))
                 after.estimates = np.vstack((after.estimates, row))
         known = layer.planned.get((before, index))
         is_rough = is_rough and (known is None or known.is_rough)
         best = _Way(done, cost, is_rough) if known is None or cost < known.cost else replace(known, is_rough=is_rough)
         layer.planned[before, index] = best
         return index, cost
+
+    def _row_after(self, layer: _Layer, end: Vector) -> Matrix:
+        """(1, B) costs of the motions of the leg after `layer` from a new end (n,) of that layer.
+
+        Raises
+        ------
+        OutOfTime: the budget is used up.
+        """
+        after = self._layers[self._layers.index(layer) + 1]
+        own = _Layer(after.leg, after.goals, after.prices, after.known, after.ends, after.names)
+        own.estimate([end])
+        row = own.estimates
+        if after is self._layers[-1]:
+            return np.asarray(np.min(row, axis=1, keepdims=True))
+        missing = after.estimates.shape[1] - row.shape[1]
+        return np.hstack((row, np.full((1, missing), np.inf)))
 
     # --- chains -----------------------------------------------------------------------
 

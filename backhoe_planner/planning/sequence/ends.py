@@ -79,13 +79,17 @@ class WayPrices:
     """Estimated costs of straight motions between postures, by the objective of one leg."""
 
     def __init__(self, world: World) -> None:
-        self._problem = world.problem
+        self._problem, self._brake = world.problem, world.work.brake
         self._screen = ClearanceScreen(world.proximity)
 
     def between(self, begins: Sequence[Vector], ends: Sequence[Vector]) -> Matrix:
         """(A, B) costs from each of `begins` to each of `ends`, more if something is in the way.
 
         Infinite from postures in which the leg cannot begin.
+
+        Raises
+        ------
+        OutOfTime: the budget is used up.
         """
         a, b = np.array(begins), np.array(ends)
         keep = self._problem.keep
@@ -94,9 +98,14 @@ class WayPrices:
         lines = a[:, None] + part * (b[None, :] - a[:, None])  # (P, A, B, n)
         keeps = self._screen.keeps(lines.reshape(-1, a.shape[1])).reshape(_PLACES, len(a), len(b))
         blocked = 1.0 - np.mean(keeps, axis=0)
-        time = np.array([LeastTimes(self._problem, q, longest=_LONGEST).to_boxes(b, b) for q in a])
+        time = np.array([self._least_times(q, b) for q in a])
         price = time if self._problem.objective.is_time else self._costs(lines, time)
         return np.where(begin[:, None], price * (1.0 + _BLOCKED * blocked), np.inf)
+
+    def _least_times(self, q: Vector, ends: Matrix) -> Vector:
+        """(B,) least times from `q` (n,) to `ends` (B, n) [s]; finding them takes 10 to 40 ms."""
+        self._brake.check()
+        return LeastTimes(self._problem, q, longest=_LONGEST).to_boxes(ends, ends)
 
     def _costs(self, lines: Matrix, time: Matrix) -> Matrix:
         """(A, B) costs by the objective of straight motions at an even speed."""

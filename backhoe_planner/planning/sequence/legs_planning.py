@@ -97,7 +97,7 @@ def plan_legs(
     before = planner.brake.done
     done = _one_by_one(legs, ready, planner)
     tried = 0
-    if roughly is not None and done[-1].failed and not roughly[1][-1].failed:
+    if roughly is not None and done[-1].failed and _goes_further(roughly[1], done):
         done = roughly[1]
     if ahead:
         worked = np.inf if roughly is None else planner.brake.done - before
@@ -118,6 +118,12 @@ def _rough(effort: Effort) -> Effort | None:
     if effort.is_hurried:
         return None
     return EFFORTS[effort.begins_with or "quick"]
+
+
+def _goes_further(rough: list[DoneLeg], done: list[DoneLeg]) -> bool:
+    """Whether legs that were planned with less effort are all there, or more of them than when time ran out."""
+    ends = [legs[-1].outcome.reason for legs in (rough, done)]
+    return not rough[-1].failed or (ends == ["budget", "budget"] and len(rough) > len(done))
 
 
 def _ending_exactly(leg: Leg) -> Leg:
