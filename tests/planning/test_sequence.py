@@ -297,13 +297,19 @@ def test_a_sequence_is_complete_in_the_work_of_the_quick_effort_whatever_the_eff
 
 
 def test_counted_work_is_added_up_for_all_searches_of_a_brake() -> None:
-    """2,000 motions, 50 sweeps and 70 rounds are counted as 1 s, 1 s and 2 s."""
+    """2,000 motions, 50 sweeps and 70 rounds count as 1 s, 1 s and 2 s, 1,000 steps of the law as 1 s."""
     brake = Brake()
     first, second = Work(EFFORTS["normal"], brake), Work(EFFORTS["quick"], brake)
     first.motions -= 2_000
     first.descent_rounds, first.way_rounds = first.descent_rounds + first.way_rounds - 70, 0
     second.sweeps -= 50
     assert (first.done, second.done, brake.done) == pytest.approx((3.0, 1.0, 4.0))
+    first.law_steps -= 500
+    first.leave_law_steps(4_000)  # of the 11,500 that are left
+    first.law_steps -= 1_000
+    assert (first.law_steps, first.done) == pytest.approx((3_000, 4.5))
+    first.leave_law_steps(5_000)  # there are fewer
+    assert (first.law_steps, first.done) == pytest.approx((3_000, 4.5))
 
 
 @pytest.mark.long

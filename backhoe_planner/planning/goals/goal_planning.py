@@ -80,7 +80,7 @@ class ToGoal:
         if isinstance(exact, Outcome):  # there are postures within a tolerance, but no position that the law can aim at
             return Outcome(stepper.trajectory(), "blocked", sampled, Findings(left_out=found.left_out))
         if world.problem.keep is not None and world.problem.keep.cones:
-            world.work.law_steps = min(world.work.law_steps, world.work.effort.law_steps // _FEWER_IN_CONES)
+            world.work.leave_law_steps(world.work.effort.law_steps // _FEWER_IN_CONES)
         outcome = self._attempts(world, stepper, exact)
         if not outcome.reason and not world.keeps(outcome.trajectory):
             outcome = replace(outcome, reason="blocked", message="the law arrives, but does not satisfy `keep`")

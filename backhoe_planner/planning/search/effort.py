@@ -238,7 +238,14 @@ class Work:
         self.sweeps = effort.sweeps
         self.descent_rounds = effort.descent_rounds
         self.way_rounds = effort.way_rounds
+        self._withheld_steps = 0  # of the law: they were subtracted, but are not to be done
         self.brake.add(self)
+
+    def leave_law_steps(self, most: int) -> None:
+        """Leave at most so many steps of the law; those that are taken away do not count as done."""
+        withheld = max(self.law_steps - most, 0)
+        self.law_steps -= withheld
+        self._withheld_steps += withheld
 
     @property
     def done(self) -> float:
@@ -247,7 +254,7 @@ class Work:
         rounds = effort.descent_rounds + effort.way_rounds - self.descent_rounds - self.way_rounds
         done = {
             "motions": effort.motions - self.motions,
-            "law_steps": effort.law_steps - self.law_steps,
+            "law_steps": effort.law_steps - self.law_steps - self._withheld_steps,
             "sweeps": effort.sweeps - self.sweeps,
             "rounds": rounds,
         }
