@@ -17,7 +17,8 @@ def beside_bounds(
 ) -> tuple[str, ...]:
     """A value and the bounds beside it, in words, so that each pair shows which of the two is larger.
 
-    A value that equals a bound, and a bound that is infinite, need no more digits.
+    A value that equals a bound, and a bound that is infinite, need no more digits. A value that looks like a bound that
+    is printed with more digits gets as many: ``5.71`` or ``5.73`` beside ``5.73``, not ``5.7``.
 
     Parameters
     ----------
@@ -38,7 +39,14 @@ def beside_bounds(
             abs(value - bound) <= rounding or _sign(shown[0] - other) == _sign(value - bound) for other, bound in pairs
         ):
             break
-    return texts
+    for finer in range(more, _MORE + 1):
+        value_text = _with(value, places, finer)
+        if not any(
+            float(value_text) == float(_with(bound, places, finer)) != other
+            for other, bound in zip(shown[1:], bounds, strict=True)
+        ):
+            break
+    return value_text, *texts[1:]
 
 
 def margin_text(margin: float, places: str = "+.3f") -> str:
