@@ -130,8 +130,9 @@ def as_number(
         raise InputError("is not a number", key=key, found=reprlib.repr(value), allowed=allowed)
     try:
         found = float(value)
-    except OverflowError:  # a whole number with very many digits
-        found = math.nan
+    except OverflowError:  # it has hundreds of digits, too many to print
+        below = f"a whole number {'below -' if value < 0 else 'above '}1e308"
+        raise InputError("is not in its range", key=key, found=below, allowed=allowed) from None
     if not (least <= found <= most and found > above) or (finite and math.isinf(found)):
         raise InputError("is not in its range", key=key, found=found, allowed=allowed)
     return found

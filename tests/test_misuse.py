@@ -20,6 +20,7 @@ import pinocchio as pin
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.records import Record
 from backhoe_planner.live import plan_from_recording
@@ -696,3 +697,11 @@ def test_a_scene_is_read_only_and_is_refused_as_a_list_of_obstacles() -> None:
 def test_a_name_that_is_empty_is_shown_in_the_message() -> None:
     with pytest.raises(bp.RobotError, match="found ''; allowed"):
         bp.load_robot("example:backhoe", tip="")
+
+
+@pytest.mark.parametrize(("number", "found"), [(10**400, "above 1e308"), (-(10**4000), "below -1e308")])
+def test_a_whole_number_that_no_float_holds_is_told_as_one(number: int, found: str) -> None:
+    with pytest.raises(
+        InputError, match=f"^size: is not in its range; found a whole number {found}; allowed: a number"
+    ):
+        as_number(number, key="size", least=0.0)
