@@ -245,19 +245,22 @@ def test_neighbouring_angles_are_described_by_ranges(angles: list[float], spans:
 
 
 def test_a_link_that_cannot_leave_an_obstacle_is_reported_with_the_links_that_can(backhoe: bp.Robot) -> None:
-    """The swing post only turns on the spot; the bucket in a slab could be lifted."""
+    """The swing post only turns on the spot; the bucket in a slab could be lifted, and not if the post is in it too."""
     posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
     task = {"goal": {"joints": posture | {"swing": 0.5}}}
     messages = []
-    for at in ([0.0, 0.0, 0.0], [2.8, 0.0, -1.0]):
-        slab = {"name": "slab", "shape": "box", "size": [0.6, 0.6, 0.6], "position": at}
+    small, large = [0.6, 0.6, 0.6], [3.4, 2.0, 1.68]
+    for at, size in (([0.0, 0.0, 0.0], small), ([2.8, 0.0, -1.0], small), ([1.5, 0.0, -0.66], large)):
+        slab = {"name": "slab", "shape": "box", "size": size, "position": at}
         content = {"version": 1, "start": {"joints": posture}, "task": task, "obstacles": [slab]}
         plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
         assert plan.reason == "start_in_collision"
         messages.append(plan.message)
-    assert "swing alone moves swing_post: if it belongs there" in messages[0]
+    assert "swing alone moves swing_post: if that belongs there" in messages[0]
     assert messages[0].endswith("must keep from slab, with links: [boom, stick, bucket]")
     assert "alone moves" not in messages[1]
+    assert "at the start swing_post" not in messages[2]
+    assert messages[2].endswith(messages[0][messages[0].index("; swing alone moves") :])
 
 
 def test_a_start_in_collision_is_reported_with_its_depth(planar4: bp.Robot) -> None:

@@ -111,7 +111,9 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
-        message = f"at the {what} {contact.describe()}" + (_only_swung(world, contact) or _moved(world, q, time))
+        message = f"at the {what} {contact.describe()}" + (
+            _only_swung(world, contact, q, time) or _moved(world, q, time)
+        )
         reason: Reason = "start_in_collision" if starts else "goal_in_collision"
         return Outcome(stays, reason, message, Findings(obstruction=contact))
     keep = world.problem.keep
@@ -128,16 +130,28 @@ def _outside(world: World, joint: int, position: float) -> str:
     return f"{here} {unit}, allowed {lower} to {upper} {unit}"
 
 
-def _only_swung(world: World, contact: Obstruction) -> str:
-    """A hint for a link that only the first joint moves, such as a swing post; empty for other links."""
-    robot = world.problem.robot
-    joints = {own.joint for own in robot.pieces if own.link == contact.link}
-    if contact.kind != "obstacle" or joints != {1} or robot.n < 2:
+def _only_swung(world: World, contact: Obstruction, q: Vector, time: float) -> str:
+    """A hint if links that only the first joint moves, such as a swing post, touch the same obstacle; else empty.
+
+    Parameters
+    ----------
+    contact: the tightest at `q` (n,) and `time` [s]; other links may touch the obstacle less deeply.
+    """
+    robot, proximity = world.problem.robot, world.proximity
+    if contact.kind != "obstacle" or robot.n < 2:
         return ""
-    links = ", ".join(dict.fromkeys(own.link for own in robot.pieces if own.joint > 1))
+    joints: dict[str, set[int]] = {}
+    for own in robot.pieces:
+        joints.setdefault(own.link, set()).add(own.joint)
+    near = [pair.at(away) for pair, away in zip(proximity.pairs, proximity.distances(q, time=time), strict=True)]
+    touching = [one.link for one in near if (one.kind, one.name) == ("obstacle", contact.obstacle) and one.margin < 0.0]
+    swung = [link for link in dict.fromkeys((contact.link, *touching)) if joints[link] == {1}]
+    if not swung:
+        return ""
+    links = ", ".join(link for link, own in joints.items() if max(own) > 1)
     return (
-        f"; {robot.joint_names[0]} alone moves {contact.link}: if it belongs there, say which links must keep from "
-        f"{contact.obstacle}, with links: [{links}]"
+        f"; {robot.joint_names[0]} alone moves {' and '.join(swung)}: if that belongs there, say which links must keep "
+        f"from {contact.obstacle}, with links: [{links}]"
     )
 
 
