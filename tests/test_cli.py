@@ -290,6 +290,14 @@ def test_check_prints_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
     assert "tip error" not in said
 
 
+def test_a_tilt_that_may_be_in_degrees_is_told_before_the_plan_is_made_and_not_again(run: Run, tmp_path: Path) -> None:
+    wide = REACH | {"task": REACH["task"] | {"keep": {"tilt": {"axis": [0, 0, 1], "tolerance": 1.5}}}}
+    warning = "1.5 rad are 85.9 deg; 1.5 degrees are 0.02618 rad"
+    status, _, told = run("plan", PLANAR4, scene_file(tmp_path, wide), *QUICK)
+    assert (status, told.count(warning)) == (0, 1)
+    assert "degrees" not in "".join(run("check", "plan.json")[1:])
+
+
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     run("plan", PLANAR4, scene_file(tmp_path), *QUICK)
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))

@@ -264,7 +264,7 @@ def check_job(file: Path, urdf: str | None) -> int:
     """Prove the plan of a job again, and print the result."""
     begun = clock.monotonic()
     found = read_job_plan(file, urdf)
-    print_warnings(site.input_warnings(found.robot, found.job.site_scene, with_task=False))
+    print_warnings(site.input_warnings(found.robot, found.job.site_scene, with_task=False, is_planned=True))
     if found.refutes_failure:
         words = f"the file says {found.failure}, but every cycle holds and the design is met wherever it may be dug"
         print_warnings([f"reason: {words}"])

@@ -132,7 +132,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     if job.is_job_plan(plan_file):
         return check_job(plan_file, urdf)
     loaded = bp.load_plan(plan_file, urdf=urdf)
-    print_warnings(site.input_warnings(loaded.robot, loaded.scene))
+    print_warnings(site.input_warnings(loaded.robot, loaded.scene, is_planned=True))
     print_warnings(site.obstacle_warnings(loaded.robot, loaded.problem.obstacles))
     if loaded.verified:  # if the motion itself was changed, the failed certificate says enough
         print_warnings(planning.plan_differences(plan_file, loaded))

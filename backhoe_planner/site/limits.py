@@ -216,12 +216,16 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
     return tuple(found)
 
 
-def input_warnings(robot: Robot, scene: Scene | None = None, *, with_task: bool = True) -> tuple[str, ...]:
+def input_warnings(
+    robot: Robot, scene: Scene | None = None, *, with_task: bool = True, is_planned: bool = False
+) -> tuple[str, ...]:
     """Warnings for every command: what is assumed of a machine and its site, and what is not used or not proven.
 
     Parameters
     ----------
     with_task: whether the scene's task is used.
+    is_planned: whether machine and scene are those of a plan. Then what the scene may have meant otherwise is left out,
+        such as an angle in degrees: it was said before the plan was made.
 
     Raises
     ------
@@ -229,13 +233,13 @@ def input_warnings(robot: Robot, scene: Scene | None = None, *, with_task: bool 
     """
     found = [*robot.warnings, *limit_warnings(robot, scene)]
     if scene is not None:
-        found += scene.warnings() if with_task else ()
+        found += scene.warnings() if with_task and not is_planned else ()
         found += [
             f"the mesh {file} ({', '.join(names)}) is not closed: nothing touches its triangles, but what lies between "
             "them may count as free; where it is solid, fill its holes (in MeshLab: Close Holes)"
             for file, names in scene.open_meshes().items()
         ]
-        found += scene.doubtful_meshes()
+        found += () if is_planned else scene.doubtful_meshes()
     return tuple(found)
 
 
