@@ -59,6 +59,7 @@ class Problem:
         infinite for a joint without this limit; None if no joint has one.
     ground: where the scene's soil is; None if it is level at the soil's `surface`.
     name: of the leg of a sequence; empty for a task of its own.
+    begins: when the motion begins on the clock of the sequence [s], in which sentences give their times; 0 without one.
     wait: how long a waiting leg waits [s]; None for any other.
     tip_speed: the greatest speed of the tip on the whole motion to a goal [m/s]; None if there is no such limit.
     max_duration: the longest time that the motion to a goal may take [s]; infinite if there is no such limit.
@@ -79,6 +80,7 @@ class Problem:
     joint_steps: Vector | None = None
     ground: Ground | None = None
     name: str = ""
+    begins: float = 0.0
     wait: float | None = None
     tip_speed: float | None = None
     max_duration: float = np.inf
@@ -91,12 +93,13 @@ class Problem:
         return f"<Problem of {self.robot.name}: {task}, obstacles: {len(self.obstacles)}>"
 
     def beginning(self, q: Vector, time: float = 0.0) -> Problem:
-        """The same problem with the start at the joints `q` (n,) [rad or m], on a clock that begins at `time` [s]."""
+        """The same problem with the start at joints `q` (n,) [rad or m], on a clock that begins `time` later [s]."""
         q, time, goals = as_vector(q, self.robot.n, key="q"), as_number(time, key="time"), self.goals
         if self.wait is not None:
             at = Kinematics(self.robot).at(q)
             goals = (Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name="place"),)
-        return replace(self, start_q=q, start_target=None, goals=goals, obstacles=self._obstacles_from(time))
+        begins, obstacles = self.begins + time, self._obstacles_from(time)
+        return replace(self, start_q=q, start_target=None, goals=goals, obstacles=obstacles, begins=begins)
 
     def _obstacles_from(self, time: float) -> tuple[Obstacle, ...]:
         if time == 0.0 or not self.is_dynamic:

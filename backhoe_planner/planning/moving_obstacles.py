@@ -80,7 +80,8 @@ class _OverTime:
             outcome, way, stopped_at = self._react(known, motion, moment)
             reactions.append(Reaction(obstacle=obstacle.name, appears_at=moment, way=way, stopped_at=stopped_at))
             if outcome.reason:
-                outcome = replace(outcome, message=f"{_describe(reactions[-1])}, and {outcome.message}")
+                told = _describe(reactions[-1].later(self._world.problem.begins))
+                outcome = replace(outcome, message=f"{told}, and {outcome.message}")
                 break
         return outcome.adding(reactions=tuple(reactions))
 

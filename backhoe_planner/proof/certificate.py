@@ -148,7 +148,8 @@ class LegCertificate:
     name: of the leg.
     first, last: its first and last sample in the whole motion; the last is the first of the next leg.
     begins: the time at which it begins [s].
-    certificate: of its part of the motion; its times count from `begins`.
+    certificate: of its part of the motion; its times count from `begins`, but for those in sentences, which count from
+        the beginning of the sequence.
     """
 
     name: str
@@ -156,12 +157,6 @@ class LegCertificate:
     last: int
     begins: float
     certificate: Certificate
-
-    @property
-    def clock(self) -> str:
-        """The name of the leg for a sentence with its times, and where these count from: ``leg 'swing' (...)``."""
-        counted = f" (its times count from {self.begins:.2f} s)" if self.begins > 0.0 else ""
-        return f"leg {self.name!r}{counted}"
 
 
 def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
@@ -186,14 +181,13 @@ def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
         problems.append(
             f"{tightest.link} comes to {tightest.distance:.3f} m of {tightest.name} "
-            f"at {tightest.time:.2f} s, {length_text(-tightest.margin)} closer than allowed"
+            f"at {problem.begins + tightest.time:.2f} s, {length_text(-tightest.margin)} closer than allowed"
         )
-    problems += [use.describe() for use in (position, velocity, acceleration) if not use.kept]
+    problems += [use.later(problem.begins).describe() for use in (position, velocity, acceleration) if not use.kept]
     problems += _task_problems(problem, trajectory, tracking, kinematics)
     problems += [use.words for use in keep if not use.kept]
-    problems += [
-        use.describe() for use in (effort, hydraulics, tip_speed, duration) if use is not None and not use.kept
-    ]
+    others = (use for use in (effort, hydraulics, tip_speed, duration) if use is not None and not use.kept)
+    problems += [use.later(problem.begins).describe() for use in others]
     return Certificate(
         clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
         hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems), keep=keep,

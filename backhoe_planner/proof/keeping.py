@@ -55,10 +55,11 @@ def keep_uses(problem: Problem, trajectory: Trajectory) -> tuple[KeepUse, ...]:
     if problem.keep is None:
         return ()
     travel = tip_travel_bound(problem.robot, trajectory.q)
-    return tuple(_least(condition, trajectory, travel) for condition in problem.keep.conditions)
+    return tuple(_least(condition, trajectory, travel, problem.begins) for condition in problem.keep.conditions)
 
 
-def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> KeepUse:
+def _least(condition: Condition, trajectory: Trajectory, travel: Vector, begins: float) -> KeepUse:
+    """The least margin of a condition; the sentence gives its time on a clock on which the motion `begins` then [s]."""
     q, time = trajectory.q, trajectory.time
     values = condition.values(q)
     margins = condition.margins(values)
@@ -79,7 +80,7 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
             proven = min(proven, float(bound[worst]))
             if proven < -KEPT_TO <= least:
                 moment = float(time[segment[worst]])
-                words = f"it is not proven that {condition.name} is kept at {moment:.2f} s"
+                words = f"it is not proven that {condition.name} is kept at {begins + moment:.2f} s"
                 return KeepUse(
                     condition.name, proven, condition.absolute(float(before[worst])), moment, condition.unit, words
                 )
@@ -96,7 +97,7 @@ def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> Keep
         before, after = np.append(before, between), np.append(between, after)
         segment = np.tile(segment, 2)
     margin = min(least, proven)
-    words = condition.describe(value, f" at {moment:.2f} s")
+    words = condition.describe(value, f" at {begins + moment:.2f} s")
     return KeepUse(condition.name, margin, condition.absolute(value), moment, condition.unit, words)
 
 

@@ -67,7 +67,7 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
             key = (found.kind, found.obstacle)
             if key not in clearances or found.margin < clearances[key].margin:
                 clearances[key] = replace(found, time=found.time + leg.begins)
-    problems = [f"{leg.clock}: {problem}" for leg in legs for problem in leg.certificate.problems]
+    problems = [f"leg {leg.name!r}: {problem}" for leg in legs for problem in leg.certificate.problems]
     problems += [f"the leg {name!r} is not begun" for name in missing]
     position, velocity, acceleration = (_most(legs, key) for key in ("position", "velocity", "acceleration"))
     assert position is not None
@@ -84,7 +84,9 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
         tip_speed=_most(legs, "tip_speed"),
         problems=tuple(problems),
         keep=tuple(
-            replace(_later(use, leg), words=f"{leg.clock}: {use.words}") for leg in legs for use in leg.certificate.keep
+            replace(_later(use, leg), words=f"leg {leg.name!r}: {use.words}")
+            for leg in legs
+            for use in leg.certificate.keep
         ),
         legs=legs,
         duration=_most(legs, "duration"),
@@ -116,7 +118,7 @@ def _whole_tracking(legs: tuple[LegCertificate, ...], missing: tuple[str, ...]) 
     return Tracking(
         done=all(one.done for one in found) and not missing,
         shortfall="; ".join(
-            [f"{leg.clock}: {one.shortfall}" for leg, one in zip(legs, found, strict=True) if not one.done]
+            [f"leg {leg.name!r}: {one.shortfall}" for leg, one in zip(legs, found, strict=True) if not one.done]
             + [f"the leg {name!r} is not begun" for name in missing]
         ),
         max_error=max(one.max_error for one in found),

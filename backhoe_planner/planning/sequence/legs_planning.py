@@ -184,7 +184,7 @@ def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg], tried: int) -> LegsOutc
 
 
 def _begun(leg: DoneLeg, index: int, motion: Trajectory, first: int) -> Problem:
-    """A leg's problem with the configuration at which its part of the motion begins."""
+    """A leg's problem with the configuration and the time at which its part of the motion begins."""
     if index == 0 and leg.problem.wait is None:
         return leg.problem
-    return leg.problem.beginning(motion.q[first])
+    return replace(leg.problem.beginning(motion.q[first]), begins=float(motion.time[first]))

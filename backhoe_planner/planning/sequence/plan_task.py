@@ -180,8 +180,7 @@ def _plan_sequence(
     notes = []
     for leg, part in zip(found.done, certificate.legs, strict=True):
         words = "; ".join(filter(None, (leg.outcome.message, _describe_left_out(leg.problem, leg.outcome.findings))))
-        place = part.clock if leg.outcome.findings.reactions else f"leg {part.name!r}"  # only reactions have times
-        notes += [f"{place}: {words}"] if words else []
+        notes += [f"leg {part.name!r}: {words}"] if words else []
     if notes and failed is not None and not failed.outcome.reason:
         notes += certificate.problems
     if not notes and failed is None and brake.is_used_up():
