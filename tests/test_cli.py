@@ -113,6 +113,20 @@ def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, 
     assert "leg" not in content["legs"][0]["certificate"]["keep"][0]
 
 
+def test_a_sequence_that_fails_prints_the_tip_error_of_the_legs_that_are_done(run: Run, tmp_path: Path) -> None:
+    """The tip is 9 m from the goal of the second leg: that is no error of the motion."""
+    legs = [
+        {"name": "out", "goal": {"joints": {**JOINTS, "joint1": 0.4}}},
+        {"name": "far", "goal": {"position": [9, 9, 0]}},
+    ]
+    status, planned, _ = run("plan", PLANAR4, scene_file(tmp_path, {**REACH, "task": {"sequence": legs}}), *QUICK)
+    assert status == 1
+    for said in (planned, run("check", "plan.json")[1]):
+        assert re.search(r"leg +out .*, tip error \d\.\d\d mm\n", said)
+        assert re.search(r"leg +far .*, not verified\n", said)
+        assert said.count("tip error") == 1
+
+
 def test_plan_prints_zones_in_one_line_and_check_one_row_for_each(run: Run, tmp_path: Path) -> None:
     sector = {"kind": "swing_sector", "name": "road", "from": -0.2, "to": 1.5, "stop": 0.1, "warn": 0.3}
     scene = scene_file(tmp_path, {**REACH, "zones": [sector]})

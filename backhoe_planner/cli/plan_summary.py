@@ -75,7 +75,8 @@ def _print_legs(found: bp.Plan) -> None:
             near = f", margin {margin_text(tightest.margin)} m ({tightest.link}, {tightest.name})"
         cost = f", {leg.cost}" if leg.cost else ""
         wrong = "" if leg.certificate.verified else ", not verified"
-        error = f", tip error {1e3 * leg.certificate.tracking.max_error:.2f} mm"
+        tracking = leg.certificate.tracking
+        error = f", tip error {1e3 * tracking.max_error:.2f} mm" if tracking.done else ""
         load = leg.problem.robot.carried
         carried = "" if load is None else f", carries {load[0]}"
         OUT.print(
@@ -124,7 +125,8 @@ def _print_motion(found: bp.Plan) -> None:
     metrics, tracking = found.metrics, found.certificate.tracking
     _print_goal(found)
     _print_keep(found)
-    OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most")
+    if planning.has_tip_error(found):
+        OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most")
     for detour in metrics.detours:
         where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
         if detour.path_to - detour.path_from < _SAME_PLACE:
@@ -184,7 +186,7 @@ def print_certificate(plan: bp.Plan) -> None:
         _print_tracking_error(plan)
         _print_goal(plan)
         _print_keep(plan)
-        if moves:
+        if moves and planning.has_tip_error(plan):
             OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm{_angle_error(plan)} at most")
         _print_left_out(certificate.tracking)
     speed = certificate.tip_speed
@@ -253,10 +255,8 @@ def _print_bound(found: bp.Plan) -> None:
         if cost is not None and least is None and cost.objective != "time":
             OUT.print(f"              no lower bound above 0 is known for {cost.objective}")
         if cost is not None and least is not None:
-            more = f"{cost.objective}; this one takes {planning.describe_excess(cost.value, least)}"
-            OUT.print(
-                f"              no motion can take less than {planning.describe_quantity(least, cost.unit)} ({more})"
-            )
+            words = planning.describe_least_cost(cost.objective, least, cost.unit)
+            OUT.print(f"              {words} (this one takes {planning.describe_excess(cost.value, least)})")
 
 
 def _minimised(found: bp.Plan, name: str) -> str:

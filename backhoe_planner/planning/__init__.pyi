@@ -24,8 +24,10 @@ from .report.comparison import least_norm_resolution as least_norm_resolution
 from .report.comparison import part_on_path as part_on_path
 from .report.comparison import stations_of as stations_of
 from .report.quantities import describe_excess as describe_excess
+from .report.quantities import describe_least_cost as describe_least_cost
 from .report.quantities import describe_quantity as describe_quantity
 from .result.angle_error import angle_error as angle_error
+from .result.angle_error import has_tip_error as has_tip_error
 from .result.bound import Bound as Bound
 from .result.export import TIP_COLUMNS as TIP_COLUMNS
 from .result.export import export_plan as export_plan

@@ -19,6 +19,12 @@ def _in_digits(value: float) -> str:
     return f"{value:#.4g}".removesuffix(".") if value else "0"
 
 
+def describe_least_cost(objective: str, least: float, unit: str) -> str:
+    """The `least` possible cost by an objective in words: ``no motion can take less work than 1.234 kJ``."""
+    what = "hydraulic energy" if objective == "hydraulic" else objective
+    return f"no motion can take less {what} than {describe_quantity(least, unit)}"
+
+
 def describe_excess(value: float, least: float) -> str:
     """How much a `value` is above the `least` possible one, such as ``18 % more``; never negative."""
     return f"{max(100.0 * (value / least - 1.0), 0.0):.0f} % more"

@@ -1,4 +1,4 @@
-"""How far the tip is turned from what a task requires."""
+"""How far the tip is from what a task requires."""
 
 from __future__ import annotations
 
@@ -13,3 +13,8 @@ def angle_error(plan: Plan) -> float | None:
     if all(target.pitch is None and target.rotation is None and target.tilt is None for target in asked):
         return None
     return tracking.max_angle_error
+
+
+def has_tip_error(plan: Plan) -> bool:
+    """Whether the tip's error says something: of a sequence that is not done it is the way to the next goal."""
+    return plan.certificate.tracking.done or not plan.problem.legs

@@ -13,8 +13,10 @@ from backhoe_planner.planning import (
     Reaction,
     angle_error,
     describe_excess,
+    describe_least_cost,
     describe_quantity,
     describe_saving,
+    has_tip_error,
 )
 from backhoe_planner.proof import KeepUse
 
@@ -49,7 +51,7 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     elif plan.failure and plan.problem.goals and not is_recording(plan):
         facts.append(("Motion ends", f"{_length(tracking.max_error)} off", "before the goal; the picture shows it"))
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
-    if not is_recording(plan) and not (plan.failure and plan.problem.goals):
+    if not is_recording(plan) and not (plan.failure and plan.problem.goals) and has_tip_error(plan):
         turned = angle_error(plan)
         angle = "" if turned is None else f", {np.degrees(turned):.2f}\N{DEGREE SIGN}"
         facts.append(("Tip error", f"{_length(tracking.max_error)}{angle}", mean))
@@ -102,8 +104,8 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
         least = plan.bound.least_energy(minimised)
     needed = ""
     if cost is not None and least is not None:
-        needed = f"no motion can take less than {describe_quantity(least, cost.unit)}: this one takes "
-        needed += describe_excess(cost.value, least)
+        needed = describe_least_cost(minimised, least, cost.unit)
+        needed += f": this one takes {describe_excess(cost.value, least)}"
     objective = [word for word in ("the objective", needed) if word]
     if work is not None:
         facts.append(("Work", describe_quantity(work, "J"), "; ".join(objective if minimised == "work" else [])))
