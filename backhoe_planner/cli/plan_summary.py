@@ -43,6 +43,8 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
         _print_motion(found)
     _print_legs(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
+    if found.advice:
+        OUT.print(f"              {found.advice}")
     OUT.print(f"plan          {output}")
 
 

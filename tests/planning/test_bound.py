@@ -47,6 +47,26 @@ def test_the_bound_of_a_slow_motion_is_as_tight() -> None:
     assert 3.0 * plan.bound.duration >= plan.findings.allowed_time * (1.0 - 1e-9)
 
 
+def test_a_quick_plan_far_above_its_bound_or_for_another_cost_says_that_more_effort_may_help(
+    to_a_posture: bp.Plan,
+) -> None:
+    """The plan is within 2 % of its bound; driven at half the speed it takes 100 % longer."""
+    assert to_a_posture.advice == ""
+    given = to_a_posture.trajectory
+    half_as_fast = bp.Trajectory.from_steps(2.0 * given.time, given.q)
+    slow = replace(
+        to_a_posture,
+        trajectory=half_as_fast,
+        certificate=bp.certify(to_a_posture.robot, to_a_posture.scene, half_as_fast),
+    )
+    assert slow.advice == "--effort normal may find a faster motion"
+    assert replace(slow, effort="normal").advice == ""
+    scene = bp.scene_from_dict(FREE | {"task": {"goal": BENT}, "objective": "velocity_norm"})
+    cheap = bp.plan(load_robot("example:planar4"), scene, effort="quick")
+    assert cheap.advice == "--effort normal may find a cheaper motion"
+    assert replace(cheap, method="reactive").advice == ""
+
+
 def test_a_bound_of_zero_gives_no_percentage(to_a_posture: bp.Plan) -> None:
     """The start is on the goal: a percentage of 0 s means nothing."""
     standing = bp.scene_from_dict(FREE | {"task": {"goal": FREE["start"]}})

@@ -65,7 +65,8 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     if is_recording(plan):
         facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
     else:
-        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
+        words = "; ".join(filter(None, (plan.settings, plan.advice)))
+        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", words))
     return facts
 
 
