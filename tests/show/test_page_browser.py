@@ -283,12 +283,19 @@ def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
 
 def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = the_plan(backhoe)
+    given = plan.scene.to_dict()
+    kept = given | {"task": given["task"] | {"keep": {"tilt": {"axis": [0, 0, 1], "tolerance": 2.0}}}}
     with Viewer(port=0) as viewer:
-        assert viewer.show_problem(build_problem(backhoe, plan.scene)) == ()
+        assert viewer.show_problem(build_problem(backhoe, scene_from_dict(kept))) == ()
         assert not viewer.wait_for_browser(0.05)
         tab.open(viewer.url)
         assert viewer.wait_for_browser(PATIENCE)
         assert viewer.alive()
+
+        key = tab.page.locator("#kept-key")  # of the arrow and the cone in the picture
+        key.wait_for(state="visible")
+        assert key.inner_text().strip() == "the kept axis at the tip, and its cone"
+        assert key.locator(".swatch").evaluate("(e) => e.style.background") == "rgb(122, 79, 191)"
 
         with monkeypatch.context() as patch:
             patch.setattr("time.perf_counter", lambda: 1e6)  # however long the first takes, the second comes at once
@@ -303,6 +310,7 @@ def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, m
         tab.ask("backhoe.seek(0)")
         assert tab.ask(SWING) == pytest.approx([0.0, 0.0, 0.0, 1.0])
         assert "Verified" in tab.page.locator("#verdict").inner_text()
+        assert not key.is_visible()  # the plan keeps nothing
     assert not viewer.alive()
     tab.page.wait_for_function("!document.getElementById('notice').hidden")
     # three.js warns if a frame is drawn before a new light is set to cast no shadow

@@ -76,6 +76,7 @@ class SceneGraph:
     problem: the problem that is drawn.
     anchors: (3,) position of the label of each obstacle [m], world.
     has_ground: whether level ground is drawn, because no obstacle is the ground.
+    has_kept_axis: whether an axis that a `tilt` of `keep` keeps is drawn.
     """
 
     def __init__(
@@ -216,6 +217,7 @@ class SceneGraph:
 
     def _draw_kept(self) -> None:
         self._kept = kept_axes(self.problem, self._scale)
+        self.has_kept_axis = bool(self._kept)
         for number, kept in enumerate(self._kept):
             node = self._tree["kept"][f"axis {number}"]
             draw(node, mesh(kept.arrow, (*KEPT, 1.0), lit=False), shadow=False)

@@ -12,7 +12,7 @@ from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.kept_parts import kept_parts
-from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
+from backhoe_planner.show.drawing.palette import FAR, KEPT, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline, timeline
 from backhoe_planner.show.page.display import Display
@@ -136,6 +136,7 @@ def tell_problem(
         "influence": scene.influence,
         "far": 2.0 * scene.influence,
         "colours": [TIGHT, NEAR, FAR],
+        "kept_axis": KEPT if graph.has_kept_axis else None,
         "ground": graph.has_ground,
         "warnings": graph.warnings,
         "view": view,

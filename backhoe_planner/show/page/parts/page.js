@@ -60,7 +60,7 @@ function show(recording) {
     document.title = content.title;
     get("title").textContent = content.title;
     get("subtitle").textContent = content.subtitle;
-    get("verdict").hidden = get("facts-section").hidden = get("kept-section").hidden = get("bar").hidden = true;
+    get("verdict").hidden = get("facts-section").hidden = get("bar").hidden = true;
     get("margin-hint").textContent = content.obstacles.length ? "distance beyond the required clearance" : "nothing on the site";
     const margins = get("margins");
     margins.replaceChildren();
@@ -121,6 +121,13 @@ function show(recording) {
       label.append(box, document.createTextNode(text));
       switches.append(label);
       applySwitch(node);
+    }
+    const kept = content.kept_axis;  // the colour of the arrow and its cone, null without them
+    get("kept").replaceChildren();
+    get("kept-section").hidden = get("kept-key").hidden = kept === null;
+    get("kept-hint").hidden = true;
+    if (kept !== null) {
+      get("kept-key").firstElementChild.style.background = `rgb(${kept.map((c) => Math.round(255 * c)).join(",")})`;
     }
     get("warnings").hidden = content.warnings.length === 0;
     get("warnings").textContent = content.warnings.join("\n");
@@ -227,6 +234,7 @@ function show(recording) {
       rows.append(row);
     }
     get("kept-section").hidden = kept.length === 0;
+    get("kept-hint").hidden = false;
   }
 
   function showKeptAt(frame) {
