@@ -287,7 +287,7 @@ def test_poses_near_the_rim_of_a_cone_that_a_swing_alone_turns_are_followed(back
 def test_a_goal_is_reached_where_its_tolerance_and_a_cone_only_overlap_at_their_rims(
     panda: bp.Robot, kept: str
 ) -> None:
-    """At 0.145 rad with 0.05 rad, 0.005 rad of a cone of 0.1 rad are left; at 0.151 rad there is nothing in both."""
+    """At 0.145 rad with 0.05 rad, 0.005 rad of a cone of 0.1 rad are left; at 0.15 rad a point, at 0.151 rad none."""
     start = upright(panda, [0.5, 0.1, 0.4])
     keep = {"tilt": CUP} if kept == "tilt" else {"rotation": {"quaternion": quaternion(DOWN), "tolerance": 0.1}}
 
@@ -295,12 +295,15 @@ def test_a_goal_is_reached_where_its_tolerance_and_a_cone_only_overlap_at_their_
         pose = {"position": [0.4, -0.35, 0.35], "quaternion": quaternion(tilted(angle)), "rotation_tolerance": 0.05}
         return plan(panda, start, {"goal": pose, "keep": keep})
 
-    found = to(0.145)
-    assert found.verified, found.message
-    assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
-    end = BatchKinematics(panda).at(found.trajectory.q[-1:]).tip_rotation[0]
-    assert np.linalg.norm(pin.log3(tilted(0.145).T @ end)) <= 0.05
-    assert to(0.151).reason == "goal_breaks_keep"
+    for angle in (0.145, 0.15):
+        found = to(angle)
+        assert found.verified, found.message
+        assert greatest_tilt(found, CUP) <= 0.1 + 1e-6
+        end = BatchKinematics(panda).at(found.trajectory.q[-1:]).tip_rotation[0]
+        assert np.linalg.norm(pin.log3(tilted(angle).T @ end)) <= 0.05
+    apart = to(0.151)
+    assert apart.reason == "goal_breaks_keep"
+    assert apart.message.endswith("; its rotation_tolerance of 2.865 deg leaves 5.79 deg, more than 5.73 deg")
 
 
 def test_a_position_that_only_the_rim_of_a_tilt_allows_is_reached(panda: bp.Robot) -> None:

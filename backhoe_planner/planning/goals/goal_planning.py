@@ -84,6 +84,10 @@ class ToGoal:
         outcome = self._attempts(world, stepper, exact)
         if not outcome.reason and not world.keeps(outcome.trajectory):
             outcome = replace(outcome, reason="blocked", message="the law arrives, but does not satisfy `keep`")
+        end = world.kinematics.at(outcome.trajectory.q[-1])
+        if not outcome.reason and all(goal.shortfall(end) for goal in self.goals):  # it arrives to 0.02 mrad
+            words = "the law arrives, but not within the tolerance of the goal"
+            outcome = replace(outcome, reason="blocked", message=words)
         if not outcome.reason:
             return outcome
         return replace(outcome, message=f"{outcome.message}; {sampled}")

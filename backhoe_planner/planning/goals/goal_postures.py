@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import (
     BatchKinematics,
     InverseKinematics,
@@ -23,7 +25,7 @@ from backhoe_planner.machine import (
     solve_batch,
     solve_inverse_kinematics,
 )
-from backhoe_planner.motion import TO_THE_RIM, Goal, Keep
+from backhoe_planner.motion import KEPT_TO, TO_THE_RIM, Goal, Keep
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
@@ -148,7 +150,7 @@ def _postures_on(
     contradiction = find_contradiction(keep, world.problem.limits, [near])
     if contradiction:
         return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", contradiction)
-    message = f"at the {goal.name} {keep.broken(nearest)}"
+    message = _out_of_tolerance(keep, goal) or f"at the {goal.name} {keep.broken(nearest)}"
     if narrowed is not None:  # the goal's own angles leave room for the kept condition
         message = f"no posture was found on the {goal.name} that keeps it: at best {keep.broken(nearest)}"
     return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", message)
@@ -163,8 +165,8 @@ def _at_the_rim(
     """
     if not keep.cones:
         return None
-    usual = goal.search_target
-    for target in (usual, _to_the_rim(goal)):
+    usual, touching = goal.search_target, _where_they_touch(keep, goal)
+    for target in (usual, _to_the_rim(goal), *([] if touching is None else [touching])):
         whole = keep.narrowed(target, to_the_rim=True)
         found = None if whole is None else _on_target(world, whole, goal, near, time, more, travel, is_narrowed=True)
         kept = tuple(q for q in found.clear if keep.holds(q)) if isinstance(found, _OnGoal) else ()
@@ -185,6 +187,46 @@ def _to_the_rim(goal: Goal) -> TipTarget:
     turned = TO_THE_RIM * goal.rotation_tolerance
     tilt = None if target.tilt is None else replace(target.tilt, tolerance=turned)
     return replace(target, rotation_tolerance=turned, tilt=tilt)
+
+
+def _where_they_touch(keep: Keep, goal: Goal) -> TipTarget | None:
+    """The target with the only orientation that is within the tolerance of the goal's angles and within a cone.
+
+    It is on the shortest turn from the orientation of the goal into the cone. The certificate accepts `KEPT_TO` beyond
+    the cone, and nothing beyond the tolerance: half of that is used, so that the orientation is within both by more
+    than inverse kinematics is off. None if they have nothing in common, if they have more, and for several cones.
+    """
+    rotation, own = goal.target.rotation, goal.rotation_tolerance
+    if goal.q is not None or rotation is None or own is None or len(keep.cones) != 1:
+        return None
+    (cone,) = keep.cones
+    turn = cone.turns(rotation[None])[0]
+    angle = float(np.linalg.norm(turn))
+    room = own + cone.usable + 0.5 * KEPT_TO - angle
+    if not 0.0 <= room <= (1.0 - TO_THE_RIM) * (own + cone.usable) + KEPT_TO:
+        return None
+    touching = pin.exp3(turn * ((own - 0.5 * room) / angle)) @ rotation
+    return replace(goal.search_target, rotation=touching, rotation_tolerance=0.0, tilt=None)
+
+
+def _out_of_tolerance(keep: Keep, goal: Goal) -> str:
+    """Why the tolerance of a goal's angles leaves no room for the cones, in words; empty if it may."""
+    rotation, own = goal.target.rotation, goal.rotation_tolerance
+    if rotation is None or own is None:
+        return ""
+    for cone in keep.cones:
+        angle = float(cone.angles(rotation[None])[0])
+        if angle - own > cone.usable + KEPT_TO:
+            degrees = np.degrees([angle - own, cone.usable]).tolist()
+            least, most = beside_bounds(*degrees, places=".2f", bounds_as=".4g")
+            tolerance = f"rotation_tolerance of {np.degrees(own):.4g} deg"
+            return (
+                f"at the {goal.name} {cone.describe(angle)}; its {tolerance} leaves {least} deg, more than {most} deg"
+            )
+    if _where_they_touch(keep, goal) is not None:
+        name = keep.cones[0].name
+        return f"the {goal.name} has one orientation that keeps `{name}`, and no clear posture was found in it"
+    return ""
 
 
 def _nearest_to_kept(world: World, keep: Keep, target: TipTarget, clear: Sequence[Vector], time: float) -> Vector:
