@@ -293,10 +293,10 @@ def test_all_solids_of_an_stl_are_points(tmp_path: Path) -> None:
     assert set(read_points(tmp_path / "two.stl")[:, 0]) == {1.0, 5.0}
 
 
-@pytest.mark.parametrize("name", ["scan.e57", "scan.LAZ"])
-def test_other_clouds_are_refused_with_what_makes_a_ply_of_them(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(b"LASF" + bytes(300))
-    with pytest.raises(InputError, match=r"which is not read; allowed: text .*pdal translate"):
+@pytest.mark.parametrize("name", ["scan.rcp", "scan.FLS"])
+def test_clouds_of_scanner_makers_are_refused_with_what_converts_them(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(bytes(300))
+    with pytest.raises(InputError, match=r"which is not read; allowed: text .*makes an E57 or LAZ of it"):
         read_points(tmp_path / name)
 
 
