@@ -183,16 +183,21 @@ def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
             f"{tightest.link} comes to {tightest.distance:.3f} m of {tightest.name} "
             f"at {problem.begins + tightest.time:.2f} s, {length_text(-tightest.margin)} closer than allowed"
         )
-    problems += [use.later(problem.begins).describe() for use in (position, velocity, acceleration) if not use.kept]
+    problems += [_described(use, problem) for use in (position, velocity, acceleration) if not use.kept]
     problems += _task_problems(problem, trajectory, tracking, kinematics)
     problems += [use.words for use in keep if not use.kept]
     others = (use for use in (effort, hydraulics, tip_speed, duration) if use is not None and not use.kept)
-    problems += [use.later(problem.begins).describe() for use in others]
+    problems += [_described(use, problem) for use in others]
     return Certificate(
         clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
         hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems), keep=keep,
         duration=duration,
     )  # fmt: skip
+
+
+def _described(use: LimitUse, problem: Problem) -> str:
+    """The sentence about a limit that does not hold, on the clock of the sequence if the problem is one of its legs."""
+    return replace(use, time=use.time + problem.begins).describe()
 
 
 def describe_step(problem: Problem, step: WaypointStep) -> str:

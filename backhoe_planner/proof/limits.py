@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,10 +67,6 @@ class LimitUse:
         """The `ratio` in per cent, in words; one that is not kept shows that it is not."""
         percent = 100.0 * self.ratio
         return f"{percent:.1f}" if self.kept else beside_bounds(percent, 100.0 * self.most, places=".1f")[0]
-
-    def later(self, time: float) -> LimitUse:
-        """The same on a clock that has begun `time` earlier [s]."""
-        return replace(self, time=self.time + time)
 
     def describe(self) -> str:
         """The sentence about a limit that does not hold."""

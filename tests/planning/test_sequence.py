@@ -101,6 +101,19 @@ def test_a_broken_condition_is_reported_with_its_leg(backhoe: Robot, done: Plan)
     assert certify(backhoe, scene_of(*LEGS, obstacles=elsewhere), done.trajectory).verified
 
 
+def test_limits_that_are_broken_in_a_leg_are_told_with_the_time_of_the_whole_motion(backhoe: Robot, done: Plan) -> None:
+    """Driven at three times the speed, the legs exceed their limits of velocity."""
+    given = done.trajectory
+    fast = Trajectory.from_steps(given.time / 3.0, given.q, begins=given.begins)
+    found = certify(backhoe, scene_of(*LEGS), fast)
+    legs = [leg for leg in found.legs if leg.begins > 0.0 and not leg.certificate.velocity.kept]
+    assert legs
+    for leg in legs:
+        use = leg.certificate.velocity
+        words = f"leg {leg.name!r}: {use.joint} exceeds its velocity limit at {leg.begins + use.time:.2f} s "
+        assert any(problem.startswith(words) for problem in found.problems)
+
+
 def test_a_short_wait_and_a_missing_leg_are_refuted(backhoe: Robot, done: Plan) -> None:
     longer = [*LEGS[:2], LEGS[2] | {"wait": 0.8}, LEGS[3]]
     found = certify(backhoe, scene_of(*longer), done.trajectory)
