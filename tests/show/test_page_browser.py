@@ -311,6 +311,8 @@ def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, m
         assert tab.ask(SWING) == pytest.approx([0.0, 0.0, 0.0, 1.0])
         assert "Verified" in tab.page.locator("#verdict").inner_text()
         assert not key.is_visible()  # the plan keeps nothing
+        viewer.show_problem(build_problem(backhoe, scene_from_dict(kept)))
+        key.wait_for(state="visible")
     assert not viewer.alive()
     tab.page.wait_for_function("!document.getElementById('notice').hidden")
     # three.js warns if a frame is drawn before a new light is set to cast no shadow

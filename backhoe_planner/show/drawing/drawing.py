@@ -212,6 +212,8 @@ def set_stage(visualizer: Any, *, reach: float) -> None:
         visualizer[f"/{path}"].set_property("visible", False)
     visualizer["/Background"].set_property("top_color", _SKY_TOP)
     visualizer["/Background"].set_property("bottom_color", _SKY_BOTTOM)
+    for light in ("sun", "sky", "back"):  # the page's list of nodes fails where a light replaces another
+        visualizer[f"/Lights/{light}"].delete()
     away = 2.0 * reach
     sunlight = _sun(np.array([0.35, -0.55, 1.0]) * away, colour=0xFFF6E6, intensity=0.62, reach=reach)
     visualizer["/Lights/sun"].set_object(sunlight)
