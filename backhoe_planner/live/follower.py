@@ -44,6 +44,7 @@ from backhoe_planner.live.detours.track_proof import Blockage, RestProof, TrackP
 from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.leg_site import LegSite
+from backhoe_planner.live.pace_ramp import PaceRamp
 from backhoe_planner.live.plan_fit import check_fits
 from backhoe_planner.live.progress import ARRIVED, Progress
 from backhoe_planner.live.servo.servo import Servo
@@ -133,6 +134,7 @@ class PlanFollower:
         self._track = Track(self._plan, servo.limits, servo.dt)
         self._set_keep(keep)
         self._asked_pace, self._gives_way = 1.0, False
+        self._ramp = PaceRamp(servo.limits.acceleration, servo.dt)
         self._proof = TrackProof(servo, plan, self._plan, self._track)
         self._enter_leg()
         self._steps = 0  # until it was done
@@ -286,9 +288,11 @@ class PlanFollower:
         if track is not None and on_track and track.is_joined_by(servo.q, servo.v):
             self._joins_until, self._kept.returns = -np.inf, False
             state = servo.step_along_unchecked(track, pace=self._asked_pace)
+            if state.pace >= self._asked_pace:  # the machine is as fast as it can be; otherwise a zone slows it down
+                self._ramp.pace = track.pace
         else:
             state = self._step_towards(reference, waits=track is not None and self._waits_to_join(proven=on_track))
-        if self._progress.made(reference, deviation, self._asked_pace * servo.dt):
+        if self._progress.made(reference, deviation, self._ramp.pace * servo.dt):
             self._got_on()
         elif self._progress.waited > _PATIENCE and not (
             reference.ended and deviation < ARRIVED and self._detour is None
@@ -326,7 +330,8 @@ class PlanFollower:
             stops = self._paces.at(self._plan.clock)
         else:
             stops = self._detour_paces.at(self._detour.reference.clock)
-        pace = 0.0 if waits else min(pace, kept, stops, self._asked_pace)
+        asked = self._ramp.towards(self._asked_pace, reference)
+        pace = 0.0 if waits else min(pace, kept, stops, asked)
         state = self._drive(pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
             reference.advance(pace * servo.dt)

@@ -9,8 +9,8 @@ from backhoe_planner.live.detours.reference import Clocked
 # The numbers are chosen; validation/placements.py drives machines with them.
 ARRIVED = 1e-3  # rad or m from the end of the plan
 _PUSHED = 0.2  # rad or m by which the machine is pushed away: more than it slides to and fro
-_WINDOW = 0.4  # s in which there must be progress by `_PACE` or by `_APPROACH`
-_PACE = 0.05  # part of the planned speed by which the clock goes on
+_WINDOW = 0.4  # s of the plan that could have been made, in which there must be progress by `_PACE` or by `_APPROACH`
+_PACE = 0.05  # part of the speed that the machine could have by which the clock goes on
 _APPROACH = 0.1  # part of the slowest joint's greatest rate by which the machine comes nearer to the plan
 
 
@@ -25,7 +25,7 @@ class Progress:
 
     Attributes
     ----------
-    waited: how long there has been no progress [s], counted in windows.
+    waited: how long there has been no progress [s of the plan that could have been made], counted in windows.
     """
 
     def __init__(self, slowest: float) -> None:
@@ -34,12 +34,15 @@ class Progress:
         self._clock = self._nearest = np.inf
         self._looked = 0.0
 
-    def made(self, reference: Clocked, deviation: float, dt: float) -> bool:
-        """Whether this step completes some progress."""
+    def made(self, reference: Clocked, deviation: float, could: float) -> bool:
+        """Whether this step completes some progress.
+
+        could: how far the clock could have gone on in this step, within the pace asked for and the accelerations [s].
+        """
         clock = reference.clock
         if deviation > self._nearest + _PUSHED or self._clock == np.inf:
             self._clock, self._nearest = clock, deviation
-        self._looked += dt
+        self._looked += could
         # near the end no more progress is required than what is left
         further = clock > self._clock + _PACE * _WINDOW or (reference.ended and self._clock < clock)
         approach = min(self._approach, 0.5 * self._nearest)

@@ -74,6 +74,11 @@ class Track:
         self._change = (1.0 + _ROUNDING) * limits.acceleration * dt
         self._pace = 0.0
 
+    @property
+    def pace(self) -> float:
+        """Of the step whose velocity was found last, 0 to 1."""
+        return self._pace
+
     def is_joined_by(self, q: Vector, v: Vector) -> bool:
         """Whether a machine at q (n,) is on the track at its clock, and its v (n,) is that of some pace up to 1."""
         if float(np.abs(self.reference.q - q).max()) > _ON_TRACK:
