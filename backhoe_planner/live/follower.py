@@ -242,7 +242,7 @@ class PlanFollower:
         servo = self.servo
         # what stands still does not come nearer; something that is moved from step to step by hand may
         stands = not servo.is_moving() and servo.time > self._seen_at + _STANDS
-        kept = self._kept.rows(servo.q, gives_way=self._gives_way, firm=stands)
+        kept = self._kept.rows(servo.q, servo.v, servo.dt, gives_way=self._gives_way, firm=stands)
         if kept is None:
             return servo.step(joint_velocity=velocity)
         state = servo.step_keeping_unchecked(velocity, kept)
@@ -323,7 +323,7 @@ class PlanFollower:
         # no faster towards the plan than the machine can brake in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
-        kept = self._kept.pace(servo.q, servo.v, reference, rates, time=servo.time)
+        kept = self._kept.pace(servo.q, servo.v, reference, rates)
         if kept is None:
             return self._held()
         if self._detour is None:
@@ -554,7 +554,8 @@ class PlanFollower:
         if self._ahead is not None and (self._ahead.approach.ended or not waits):
             return FollowerStatus.WAITING if waits else FollowerStatus.FOLLOWING, self._ahead.reason
         if self._holding or waits:
-            kept = f"; {self._kept.lost}" if self._kept.lost else ""
+            lost = self._kept.lost(evades=state.status is Status.EVADING)
+            kept = f"; {lost}" if lost else ""
             sought = "; a way round is searched for" if self._holding else ""
             return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"
         if self._detour is not None:

@@ -2,9 +2,10 @@
 
 The servo keeps the machine clear, but knows nothing of a full bucket. So the follower watches how much of every
 condition the machine loses by being beside its plan. If that is more than the plan leaves, the plan's clock waits
-until the machine is back. If the machine slides off the plan and a condition would be lost before it could stop, it
-is held still instead, until a detour is found that keeps the condition. Only an approaching obstacle can then still
-break it: the machine gives way to a person rather than keep its bucket level.
+until the machine is back, and so it does if the machine slides off the plan and would lose a condition before it could
+stop. The servo takes only velocities from which the machine stops within the conditions (`KeptRows.ahead`). Only an
+approaching obstacle can then still break one: the machine gives way to a person rather than keep its bucket level. It
+does so where the conditions leave no other way to evade, and then returns into what they allow.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.joint_bounds import BRAKING
 from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.detours.reference import Clocked
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Keep
 
-_HELD = 0.5  # s for which the machine is held; chosen: it needs some tenths of a second to stop
 _BRAKED = 2.0  # times the time in which sliding alone can be stopped, for which it counts; chosen
 _SLIDES = 0.1  # s for which sliding counts at least; chosen
 _AHEAD = 0.3  # s of the plan ahead of its clock of which the margins count; chosen, a deviation is made up for sooner
@@ -47,14 +48,19 @@ class KeptFollowing:
 
     def __init__(self, keep: Keep | None, limits: JointLimits) -> None:
         self.keep, self._limits = keep, limits
-        self._until = -np.inf  # s: held until then
-        self._lost = ""
+        self._lost = self._broken = ""
         self.returns = False
 
-    @property
-    def lost(self) -> str:
-        """The condition that is not kept, or would not have been, in words; empty if there is none."""
-        return self._lost
+    def lost(self, *, evades: bool) -> str:
+        """The condition that is not kept, or would not have been, in words; empty if there is none.
+
+        evades: whether the machine evades something that moves, at the cost of the condition.
+        """
+        if evades and self._broken:
+            return f"{self._broken}, as nothing else evades what moves"
+        return (
+            f"{self._broken}; the machine returns by the shortest way" if self.returns else self._broken or self._lost
+        )
 
     def held(self, q: Vector, v: Vector, dt: float) -> Vector:
         """(n,) the velocity to be commanded when the machine has to stop, or has to come back from outside.
@@ -64,16 +70,17 @@ class KeptFollowing:
         self.returns = False
         if self.keep is None:
             return np.zeros_like(v)
-        broken = self.keep.broken(q)
-        if not broken:
+        self._broken = self.keep.broken(q)
+        if not self._broken:
             return held_velocity(self.keep, self._limits, q, v, dt)
         back = velocity_back(self.keep, self._limits, q, dt)
         self.returns = back is not None
-        self._lost = f"{broken}; the machine returns by the shortest way" if self.returns else broken
         return held_velocity(self.keep, self._limits, q, v, dt) if back is None else back
 
-    def rows(self, q: Vector, *, gives_way: bool, firm: bool) -> KeptRows | None:
-        """The conditions at `q` (n,) for the servo; None if there are none.
+    def rows(self, q: Vector, v: Vector, dt: float, *, gives_way: bool, firm: bool) -> KeptRows | None:
+        """The conditions at `q` (n,) for the servo's next step of `dt` [s]; None if there are none.
+
+        v: (n,) the machine's rates.
 
         gives_way: whether the machine gives way now. Then a cone has a row for each of several directions, which takes
             ten times as long; otherwise the direction in which its edge is nearest is enough.
@@ -81,28 +88,31 @@ class KeptFollowing:
         """
         if self.keep is None:
             return None
-        rows = self.keep.facets_each(q[None]) if gives_way else self.keep.rows_each(q[None])
-        left, G = rows[0][0], rows[1][0]
+        # the braking path of the next step is at most so much longer than if the machine braked now
+        look = dt + 0.5 * (float(np.max(np.abs(v) / (BRAKING * self._limits.acceleration))) + dt / BRAKING)
+        places = np.array((q, q + look * v))
+        margins, gradients = (self.keep.facets_each(places) if gives_way else self.keep.rows_each(places))[:2]
+        left, G = margins[0], gradients[0]
         weights = np.clip(1.0 - left / _NEAR, 0.0, 1.0)
         near = weights > 0.0
-        return KeptRows(G, left, weights[near, None] * G[near], firm)
+        # at the end of the path: margin + look g (v' - v) >= 0
+        ahead = Rows("keep", -gradients[1], margins[1] / look - gradients[1] @ v)
+        return KeptRows(G, left, weights[near, None] * G[near], ahead, firm)
 
-    def pace(self, q: Vector, v: Vector, reference: Clocked, rates: Vector, *, time: float) -> float | None:
-        """The part of its speed at which the plan may go on, 0 to 1; None if the machine at `q` (n,) has to stop.
+    def pace(self, q: Vector, v: Vector, reference: Clocked, rates: Vector) -> float | None:
+        """The part of its speed at which the plan may go on, 0 to 1; None if the machine at `q` (n,) is outside.
 
         Parameters
         ----------
         v: (n,) the machine's rates.
         reference: the plan, on which every condition is kept.
         rates: (n,) the plan's rates at its clock.
-        time: now [s].
         """
-        self.returns = False
+        self.returns, self._broken = False, ""
         if self.keep is None:
             return 1.0
         (here,), (gradients,) = self.keep.rows_each(q[None])
         if (here < np.minimum(self.keep.margins(reference.q), 0.0) - _LEAST).any():
-            self._until = time + _HELD
             return None
         across = _across(v, rates)
         # all joints brake in proportion: sliding ends only when the joint that takes longest stands still
@@ -114,18 +124,15 @@ class KeptFollowing:
         beside, sliding = gradients @ (q - abreast), gradients @ across
         leaving = (sliding < 0.0) & (beside + straight * sliding < -_LEAST)
         if not ((beside < -_LEAST) | (beside + stopping * sliding < -_LEAST) | leaving).any():
-            if time >= self._until:
-                self._lost = ""
-            return None if time < self._until else 1.0
+            self._lost = ""
+            return 1.0
         places = np.linspace(reference.clock, reference.clock + _AHEAD, _PLACES)
         left = np.min([self.keep.margins(reference.at(place)) for place in places.tolist()], axis=0).clip(0.0)
         # where the machine would stand still, in a straight line; outside already, it must not lose more
         outside = leaving & (self.keep.margins(q + straight * v) < np.where(here < 0.0, here, -_LEAST))
         if (outside | (sliding < 0.0) & (left + beside + stopping * sliding < -_LEAST)).any():
-            self._until = time + _HELD
-            self._lost = self.keep.broken(q) or "the machine stopped, because sliding on would violate `keep`"
-        if time < self._until:
-            return None
+            self._lost = "the plan waits, because sliding on would violate `keep`"
+            return 0.0
         lost = beside < -_LEAST
         return float(np.min((left[lost] + _LEAST) / -beside[lost], initial=1.0))
 

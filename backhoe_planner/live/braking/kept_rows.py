@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.law import Rows
 
 
 class KeptRows(NamedTuple):
@@ -16,10 +17,12 @@ class KeptRows(NamedTuple):
     left: (K,) margins, negative where a condition is broken [rad or m].
     near: (M, n) those gradients whose margins are small, times how small. A machine that gives way does so in a
         direction that changes these little, if there is one.
+    ahead: of the velocity of the next step, so that the machine keeps the conditions where it can stop straight ahead.
     firm: whether a machine that is too close to what stands still may not come out at the cost of a condition.
     """
 
     G: Matrix
     left: Vector
     near: Matrix
+    ahead: Rows
     firm: bool

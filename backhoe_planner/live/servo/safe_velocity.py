@@ -43,6 +43,7 @@ from backhoe_planner.live.clearance.pair_bounds import Awake, Near
 from backhoe_planner.live.clearance.path_check import MOST_CANDIDATES, PathCheck
 from backhoe_planner.live.planes.path_rows import Candidates, rows_of_path
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
+from backhoe_planner.live.servo.kept_velocity import authority_beside, breaks, keeping
 from backhoe_planner.native import compiled
 
 _BINDING = 1e-5  # rad/s or m/s: a row that is kept with more to spare does not bind; the solver's tolerance is 1e-6
@@ -55,6 +56,8 @@ _SLOW = 1e-3  # m/s: slower obstacles count as approaching at this speed when ti
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
 _HELD = _BINDING, TOLERANCE, MOST_SOFT_ROWS, MOST_ITERATIONS
 _NONE: Indices = np.zeros(0, dtype=np.intp)
+_LEAST_AUTHORITY = 0.3  # part of the acceleration with which to give way that counts beside what is kept; chosen of 0.1
+# to 1: with 1 it begins too late to keep a cup upright, 0.1 and 0.6 are as good
 _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
 
@@ -228,7 +231,7 @@ class VelocityFilter:
     def __init__(self, check: PathCheck, recovery: Recovery) -> None:
         self._separation, self._joints, self._bounds = check.separation, check.joints, check.bounds
         self._check, self._recovery, self._at = check, recovery, check.at
-        self._acceleration = check.joints.limits.acceleration
+        self._acceleration, self._fastest = check.joints.limits.acceleration, check.joints.limits.velocity
         self._nothing_comes = Rows.none("evasion", len(self._acceleration))
 
     def choose(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
@@ -237,7 +240,7 @@ class VelocityFilter:
             return self._recover(state, wish, near)
         check, (low, high, *_) = self._check, wish.range
         awake = check.awake(state, wish.range.look)
-        evasion = self._evasion_rows(near, low, high)
+        evasion = self._evasion_rows(near, low, high, wish.kept)
         held_back = evading = False
         first = straight = None
         # a moving obstacle may demand a velocity that a static one forbids
@@ -295,7 +298,7 @@ class VelocityFilter:
         None if there are no rows, or if the wish keeps them.
         """
         check, joints = self._check, self._joints
-        if not (torn or len(evasion.h) or joints.shares_load):
+        if not (torn or len(evasion.h) or joints.shares_load or wish.kept is not None):
             path = check.path_before()
             if path is None:
                 return None
@@ -349,7 +352,7 @@ class VelocityFilter:
             target=np.minimum(np.maximum(wish.target, low), high),
             brake=self._braking(state.v),
             awake=awake,
-            evasion=self._evasion_rows(near, low, high),
+            evasion=self._evasion_rows(near, low, high, wish.kept),
             kept=wish.kept,
         )
         depth, found = self._recovery.choose(pairs, bounds.stands, step)
@@ -376,6 +379,8 @@ class VelocityFilter:
         Also the wish, without its null space if a limit cuts it.
         """
         target, (low, high, *_) = wish.target, wish.range
+        if wish.kept is not None and (rows or breaks(wish.kept.ahead, target, TOLERANCE)):
+            return self._within_rows(state, wish, rows), wish
         # a joint that changes by all it can is at its bound, and rounding must not decide on which side
         for rate, least, most in zip(target.tolist(), low.tolist(), high.tolist(), strict=True):
             if not least - TOLERANCE <= rate <= most + TOLERANCE:
@@ -396,6 +401,8 @@ class VelocityFilter:
         The velocity that can be reached in the end is found first: taking the nearest one in each
         single step, within the joints' accelerations, need not lead there.
         """
+        if wish.kept is not None:
+            return self._keeping(state, wish, wish.kept.ahead, rows)
         low, high, least, most, *_ = wish.range
         stacked, joints = StackedRows.of(rows, len(low)), self._joints
         if stacked.soft == stacked.total <= MOST_SOFT_ROWS and not joints.shares_load:
@@ -415,6 +422,22 @@ class VelocityFilter:
             return v
         return self._solve(state, velocity_program(wish, target, low, high, rows), stacked, first=kept)[0]
 
+    def _keeping(self, state: JointState, wish: VelocityWish, kept: Rows, rows: tuple[Rows, ...]) -> Vector:
+        """(n,) as `_within_rows`, among what is `kept` if the rows leave room for it, otherwise as near to it."""
+        low, high, least, most, *_ = wish.range
+        steady = self._solve_keeping(state, velocity_program(wish, wish.v, least, most, rows), kept)
+        everything = StackedRows.of((*rows, kept), len(low))
+        target, v, keeps = self._joints.next_towards(
+            steady, state.q, state.v, low=low, high=high, G=everything.G, h=everything.high
+        )
+        return v if keeps else self._solve_keeping(state, velocity_program(wish, target, low, high, rows), kept)
+
+    def _solve_keeping(self, state: JointState, program: QuadraticProgram, kept: Rows) -> Vector:
+        solution = solve_with_binding_rows(keeping(program, kept))
+        self._check.note(solution)
+        v = self._joints.brake(state.v) if solution is None else solution.x[:-1]
+        return np.minimum(np.maximum(v, program.low), program.high)
+
     def _solve(
         self, state: JointState, program: QuadraticProgram, stacked: StackedRows, *, first: Indices | None = None
     ) -> tuple[Vector, Indices | None]:
@@ -424,8 +447,11 @@ class VelocityFilter:
         x = self._joints.brake(state.v) if solution is None else solution.x
         return np.minimum(np.maximum(x, program.low), program.high), None if solution is None else solution.kept
 
-    def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
-        """The rows of obstacles that are approaching, and of moving ones that are already too close."""
+    def _evasion_rows(self, near: Near, low: Vector, high: Vector, kept: KeptRows | None) -> Rows:
+        """The rows of obstacles that are approaching, and of moving ones that are already too close.
+
+        kept: what is to be kept meanwhile; the machine then gives way as early as it must to keep it.
+        """
         separation = self._separation
         if len(near.pairs) == 0 or not self._bounds.anything_moves:
             return self._nothing_comes
@@ -456,8 +482,15 @@ class VelocityFilter:
         margin -= clearance.take(k)
         margin -= moves * (2.0 * BUFFER)
         authority = 0.5 * np.abs(G).dot(self._acceleration)
+        if kept is not None:
+            authority = np.maximum(
+                0.5 * authority_beside(kept.near, G, self._acceleration), _LEAST_AUTHORITY * authority
+            )
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
         could = np.add.reduce(np.maximum(G * low, G * high), axis=1) > h
+        if kept is not None:
+            # running from what is faster than the link can be does not help; it would only cost what is to be kept
+            could &= np.abs(G).dot(self._fastest) >= -comes
         return Rows("evasion", G[could], h[could])
