@@ -31,6 +31,7 @@ from .live import Command as Command
 from .live import Feedback as Feedback
 from .live import FollowerState as FollowerState
 from .live import FollowerStatus as FollowerStatus
+from .live import LeftOut as LeftOut
 from .live import PlanFollower as PlanFollower
 from .live import Servo as Servo
 from .live import ServoState as ServoState

@@ -17,6 +17,7 @@ from .detours.track_proof import Blockage as Blockage
 from .follower import PlanFollower as PlanFollower
 from .follower_state import FollowerState as FollowerState
 from .follower_state import FollowerStatus as FollowerStatus
+from .left_out import LeftOut as LeftOut
 from .planes.separation import Separation as Separation
 from .recordings import is_recording as is_recording
 from .recordings import plan_from_recording as plan_from_recording

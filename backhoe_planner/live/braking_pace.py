@@ -16,9 +16,11 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.joint_bounds import BRAKING
 from backhoe_planner.live.detours.reference import Reference
-from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import Keep
-from backhoe_planner.site import ClearanceScreen
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.machine import JointLimits, Robot
+from backhoe_planner.motion import Keep, Trajectory
+from backhoe_planner.planning import Plan
+from backhoe_planner.site import ClearanceScreen, Obstacle, Proximity
 
 _STEP = 0.02  # s between the moments of the plan that are looked at; chosen, the pace changes little within it
 _PACES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # that are tried; chosen, the last is taken in any case
@@ -91,6 +93,20 @@ class BrakingPace:
     def at(self, time: float) -> float:
         """The greatest pace at `time` [s] of the plan, above 0 and at most 1."""
         return float(np.interp(time, self._time, self._pace))
+
+
+def parts_of(servo: Servo, plan: Plan | Trajectory, keep: Keep | None) -> list[PlanPart]:
+    """What holds in each leg of a plan, or along all of it: conditions, and the static obstacles present now."""
+    if isinstance(plan, Plan) and plan.legs:
+        return [_part(leg.begins, leg.problem.keep, leg.problem.robot, leg.problem.obstacles) for leg in plan.legs]
+    return [_part(0.0, keep, servo.robot, servo.snapshot())]
+
+
+def _part(begins: float, keep: Keep | None, robot: Robot, obstacles: Sequence[Obstacle]) -> PlanPart:
+    if keep is None:
+        return PlanPart(begins, None)
+    still = [one for one in obstacles if not one.moves and one.appears_at <= 0.0]
+    return PlanPart(begins, StopRule(keep, ClearanceScreen(Proximity(robot, still))))
 
 
 def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimits, rule: StopRule) -> Flags:

@@ -19,14 +19,13 @@ clear, a detour is searched from a place before that, while the machine drives t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
+from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule, parts_of
 from backhoe_planner.live.detours.attempts import Attempts
 from backhoe_planner.live.detours.detour import Detour
 from backhoe_planner.live.detours.detour_ahead import DetourAhead
@@ -43,17 +42,16 @@ from backhoe_planner.live.detours.stop_ahead import pace_along, stop_before
 from backhoe_planner.live.detours.track_proof import Blockage, RestProof, TrackProof, prove_rest
 from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
 from backhoe_planner.live.kept_following import KeptFollowing
+from backhoe_planner.live.left_out import LeftOut, left_out_text, part_left_out
 from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.pace_ramp import PaceRamp
-from backhoe_planner.live.plan_fit import check_fits
+from backhoe_planner.live.plan_fit import check_fits, refuse_failed
 from backhoe_planner.live.progress import ARRIVED, Progress
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState, Status
 from backhoe_planner.live.servo.track import Track
-from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Keep, Trajectory, keep_of
 from backhoe_planner.planning import Plan
-from backhoe_planner.site import ClearanceScreen, Obstacle, Proximity
 
 # The numbers are chosen; validation/placements.py drives machines with them.
 _PART = 0.5  # part of the acceleration for braking on the return to the plan; the rest is for following it
@@ -118,7 +116,7 @@ class PlanFollower:
         if isinstance(plan, Plan):
             check_fits(plan, servo)
         if isinstance(plan, Plan) and not plan.verified:
-            _refuse_failed(plan, allowed=allow_failed)
+            refuse_failed(plan, allowed=allow_failed)
         trajectory = plan.trajectory if isinstance(plan, Plan) else check_kind(plan, Trajectory, key="plan")
         count = trajectory.q.shape[1]
         if count != robot.n:
@@ -129,7 +127,7 @@ class PlanFollower:
         self._plan = Reference(trajectory, servo.limits)
         self._detour: Detour | None = None
         keep = plan.problem.keep if isinstance(plan, Plan) else keep_of(robot, servo.scene)
-        self._paces = BrakingPace(self._plan, servo.limits, _parts(servo, plan, keep))
+        self._paces = BrakingPace(self._plan, servo.limits, parts_of(servo, plan, keep))
         self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
         self._track = Track(self._plan, servo.limits, servo.dt)
         self._set_keep(keep)
@@ -139,6 +137,7 @@ class PlanFollower:
         self._enter_leg()
         self._steps = 0  # until it was done
         self._was_done = False
+        self._left_out: tuple[LeftOut, ...] = ()
         self._slowest = float(servo.limits.velocity.min())
         self._progress = Progress(self._slowest)
         self._searches, self._proofs = Searches(executor), Searches(executor)
@@ -216,6 +215,7 @@ class PlanFollower:
             done=done,
             status=status,
             reason=reason,
+            left_out=self._left_out,
         )
 
     @property
@@ -389,6 +389,8 @@ class PlanFollower:
         if found.reference.ended and deviation < _TOLERANCE:
             self._detour = None
             self._searches.drop()
+            part = part_left_out(servo.robot, self._trajectory, self._plan.clock, found.rejoins_at)
+            self._left_out += () if part is None else (part,)
             self._plan.clock = found.rejoins_at
             self._proofs.drop()
             self._proof.ask_again()
@@ -547,7 +549,7 @@ class PlanFollower:
 
     def _status(self, state: ServoState, done: bool) -> tuple[FollowerStatus, str]:
         if done:
-            return FollowerStatus.ARRIVED, ""
+            return FollowerStatus.ARRIVED, left_out_text(self._left_out)
         if self._attempts.blocked:
             return FollowerStatus.BLOCKED, self._attempts.blocked
         waits = self._progress.waited > _NOTICED or self._kept.returns
@@ -569,29 +571,3 @@ class PlanFollower:
         if state.nearest is None or state.margin > HOLDS_WITHIN:
             return "the machine is off the plan"
         return f"{state.nearest.link} is held back by {state.nearest.name}"
-
-
-def _refuse_failed(plan: Plan, *, allowed: bool) -> None:
-    """Refuse a failed plan unless it is `allowed`, and always if it is only the start: that would count as arrived."""
-    why = f"{plan.verdict}: {plan.reason}" + (f" ({plan.message})" if plan.message else "")
-    if not allowed:
-        raise InputError(
-            "a plan that failed is not followed", key="plan", found=why, allowed="verified",
-            hint="allow_failed=True follows what motion it has",
-        )  # fmt: skip
-    if len(plan.trajectory) < 2:
-        raise InputError("the plan failed and has no motion", key="plan", found=why)
-
-
-def _parts(servo: Servo, plan: Plan | Trajectory, keep: Keep | None) -> list[PlanPart]:
-    """What holds in each leg of a plan, or along all of it: conditions, and the static obstacles present now."""
-    if isinstance(plan, Plan) and plan.legs:
-        return [_part(leg.begins, leg.problem.keep, leg.problem.robot, leg.problem.obstacles) for leg in plan.legs]
-    return [_part(0.0, keep, servo.robot, servo.snapshot())]
-
-
-def _part(begins: float, keep: Keep | None, robot: Robot, obstacles: Sequence[Obstacle]) -> PlanPart:
-    if keep is None:
-        return PlanPart(begins, None)
-    still = [one for one in obstacles if not one.moves and one.appears_at <= 0.0]
-    return PlanPart(begins, StopRule(keep, ClearanceScreen(Proximity(robot, still))))

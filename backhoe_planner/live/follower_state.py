@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from backhoe_planner.live.left_out import LeftOut
 from backhoe_planner.live.servo.servo_state import ServoState
 
 
@@ -33,7 +34,8 @@ class FollowerState:
         ``going_round``: on a detour that rejoins the plan; ``blocked``: no detour was found, and
         further searches follow; ``arrived``.
     reason: what the machine waits for, goes around, or is blocked by, or what is on the rest of the plan, in words, and
-        whether a way round is searched for; otherwise empty.
+        whether a way round is searched for; at the end, what was left out of the plan; otherwise empty.
+    left_out: the parts of the plan that were left out so far, because detours rejoined it further on.
     """
 
     state: ServoState
@@ -43,6 +45,7 @@ class FollowerState:
     done: bool
     status: FollowerStatus
     reason: str
+    left_out: tuple[LeftOut, ...] = ()
 
     def __repr__(self) -> str:
         """One line: what it does and why, how far the plan's clock has come, and how late the machine is."""

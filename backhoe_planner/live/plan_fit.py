@@ -1,4 +1,4 @@
-"""The check that a plan is for the machine and the site of the servo that is to follow it."""
+"""The checks that a plan is for the machine and the site of the servo that is to follow it, and did not fail."""
 
 from __future__ import annotations
 
@@ -37,6 +37,18 @@ def check_fits(plan: Plan, servo: Servo) -> None:
         planned, own = getattr(plan.problem.limits, key), getattr(servo.limits, key)
         if not np.allclose(planned, own, rtol=0.0, atol=_SAME):
             raise _differs(f"plan.robot.limits.{key}", planned.tolist(), own.tolist())
+
+
+def refuse_failed(plan: Plan, *, allowed: bool) -> None:
+    """Refuse a failed plan unless it is `allowed`, and always if it is only the start: that would count as arrived."""
+    why = f"{plan.verdict}: {plan.reason}" + (f" ({plan.message})" if plan.message else "")
+    if not allowed:
+        raise InputError(
+            "a plan that failed is not followed", key="plan", found=why, allowed="verified",
+            hint="allow_failed=True follows what motion it has",
+        )  # fmt: skip
+    if len(plan.trajectory) < 2:
+        raise InputError("the plan failed and has no motion", key="plan", found=why)
 
 
 def _check_machine(plan: Plan, robot: Robot) -> None:

@@ -325,6 +325,15 @@ def test_an_obstacle_that_stays_on_the_plan_is_avoided_by_a_detour(backhoe: Robo
     last = max(row for row, step in enumerate(steps) if step.status is FollowerStatus.GOING_ROUND)
     assert steps[last + 1].plan_time > steps[last].plan_time + 0.1
     assert max(step.deviation for step in steps[last + 1 :]) < 0.1  # the rest of the plan is unchanged
+    (left,) = steps[-1].left_out
+    assert (left.begins, left.ends) == pytest.approx((steps[last].plan_time, steps[last + 1].plan_time), abs=2 * DT)
+    tips = [
+        bp.Kinematics(backhoe).at(motion.at(time)).tip_position for time in np.linspace(left.begins, left.ends, 400)
+    ]
+    way = float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
+    assert left.length == pytest.approx(way, rel=1e-2)
+    for figure in (f"{way:.2f} m", f"{left.ends - left.begins:.1f} s of the plan were left out"):
+        assert figure in steps[-1].reason
     changes = np.diff([step.state.v for step in steps], axis=0)
     assert (np.abs(changes) <= servo.limits.acceleration * DT * (1.0 + 1e-9)).all()
 
