@@ -563,7 +563,8 @@ def recording() -> bp.Plan:
 # records of values made by this package; their methods are above
 RESULTS = {
     "Beside", "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
-    "LeftOut", "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
+    "LeftOut",
+    "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
     "LegCertificate", "Obstruction", "StudyStep", "Piece", "Plan", "PlannedLeg",
     "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
     "Cycle", "CycleLeg", "Digging", "JobPlan", "JobStep", "Load", "PatternEstimate", "Undug",

@@ -18,6 +18,8 @@ class KeptRows(NamedTuple):
     near: (M, n) those gradients whose margins are small, times how small. A machine that gives way does so in a
         direction that changes these little, if there is one.
     ahead: of the velocity of the next step, so that the machine keeps the conditions where it can stop straight ahead.
+    early: of the velocity with which the machine begins early enough to evade what moves within the conditions; they
+        count less than these. None if the servo has not found them.
     firm: whether a machine that is too close to what stands still may not come out at the cost of a condition.
     """
 
@@ -26,3 +28,4 @@ class KeptRows(NamedTuple):
     near: Matrix
     ahead: Rows
     firm: bool
+    early: Rows | None = None

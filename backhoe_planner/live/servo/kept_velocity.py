@@ -7,35 +7,55 @@ may be missed, and its price:
     s.t.        rows and bounds of v,   G v - s <= h,   s >= 0
 
 W is far above what the wish counts, and far below the price of the obstacles' rows. So the machine first gives way
-within what is to be kept, and misses it as little as it must where the rows leave nothing else.
+within what is to be kept, and misses it as little as it must where the rows leave nothing else. Rows for evading early
+count between the wish and what is kept, each by itself.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows
 
 PRICE_KEPT = 100.0  # W; chosen: the wish counts up to 1, and rows of obstacles 5e3 and more for each (m/s)^2
+_PRICE_EARLY = 1.0  # the same of rows for evading early; chosen, far below W
 _RANK = 1e-3  # part of the largest singular value below which rows count as dependent; chosen, octagons have rank 2
 _NOTHING = 1e-12  # keeps quotients finite
 
 
-def keeping(program: QuadraticProgram, kept: Rows) -> QuadraticProgram:
-    """The program (n,) with a further variable, by which the rows `kept` (K, n) may be missed, at its end."""
-    n = len(program.f)
-    H = np.zeros((n + 1, n + 1))
-    H[:n, :n], H[n, n] = program.H, PRICE_KEPT
-    missed = kept._replace(G=np.hstack((kept.G, np.full((len(kept.h), 1), -1.0))), kind=Kind.HARD)
-    rows = (block._replace(G=np.hstack((block.G, np.zeros((len(block.h), 1))))) for block in program.rows)
+def keeping(program: QuadraticProgram, kept: Rows, early: Rows | None = None) -> QuadraticProgram:
+    """The program (n,) with further variables at its end, by which rows may be missed.
+
+    One is for all rows `kept` (K, n), and there is one for each row of `early` (M, n).
+    """
+    n, more = len(program.f), 1 + (0 if early is None else len(early.h))
+    blocks = [_without(block, more) for block in program.rows]
+    blocks.append(_missed(kept, np.arange(len(kept.h)) * 0, more))
+    if early is not None and len(early.h):
+        blocks.append(_missed(early, 1 + np.arange(len(early.h)), more))
+    H = np.zeros((n + more, n + more))
+    H[:n, :n] = program.H
+    H.reshape(-1)[n * (n + more + 1) :: n + more + 1] = [PRICE_KEPT, *[_PRICE_EARLY] * (more - 1)]
     return QuadraticProgram(
         H=H,
-        f=np.append(program.f, 0.0),
-        low=np.append(program.low, 0.0),
-        high=np.append(program.high, UNBOUNDED),
-        rows=(*rows, missed),
+        f=np.append(program.f, np.zeros(more)),
+        low=np.append(program.low, np.zeros(more)),
+        high=np.append(program.high, np.full(more, UNBOUNDED)),
+        rows=tuple(blocks),
     )
+
+
+def _without(block: Rows, more: int) -> Rows:
+    """The rows with `more` columns of zeros."""
+    return block._replace(G=np.hstack((block.G, np.zeros((len(block.h), more)))))
+
+
+def _missed(block: Rows, by: Indices, more: int) -> Rows:
+    """The rows, each of which may be missed by one of `more` further variables, which `by` (K,) says."""
+    wider = _without(block, more)
+    wider.G[np.arange(len(by)), wider.G.shape[1] - more + by] = -1.0
+    return wider._replace(kind=Kind.HARD)
 
 
 def breaks(kept: Rows | None, v: Vector, tolerance: float) -> bool:

@@ -58,6 +58,8 @@ _HELD = _BINDING, TOLERANCE, MOST_SOFT_ROWS, MOST_ITERATIONS
 _NONE: Indices = np.zeros(0, dtype=np.intp)
 _LEAST_AUTHORITY = 0.3  # part of the acceleration with which to give way that counts beside what is kept; chosen of 0.1
 # to 1: with 1 it begins too late to keep a cup upright, 0.1 and 0.6 are as good
+_URGENT = 0.5  # s until what moves is too close, from which on evading it comes before what is kept; chosen
+_TINY = 1e-12  # keeps quotients finite
 _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
 
@@ -240,7 +242,9 @@ class VelocityFilter:
             return self._recover(state, wish, near)
         check, (low, high, *_) = self._check, wish.range
         awake = check.awake(state, wish.range.look)
-        evasion = self._evasion_rows(near, low, high, wish.kept)
+        evasion, early = self._evasion_rows(near, low, high, wish.kept)
+        if wish.kept is not None:
+            wish = wish._replace(kept=wish.kept._replace(early=early))
         held_back = evading = False
         first = straight = None
         # a moving obstacle may demand a velocity that a static one forbids
@@ -352,7 +356,7 @@ class VelocityFilter:
             target=np.minimum(np.maximum(wish.target, low), high),
             brake=self._braking(state.v),
             awake=awake,
-            evasion=self._evasion_rows(near, low, high, wish.kept),
+            evasion=self._evasion_rows(near, low, high, wish.kept)[0],
             kept=wish.kept,
         )
         depth, found = self._recovery.choose(pairs, bounds.stands, step)
@@ -379,7 +383,10 @@ class VelocityFilter:
         Also the wish, without its null space if a limit cuts it.
         """
         target, (low, high, *_) = wish.target, wish.range
-        if wish.kept is not None and (rows or breaks(wish.kept.ahead, target, TOLERANCE)):
+        kept = wish.kept
+        if kept is not None and (
+            rows or breaks(kept.ahead, target, TOLERANCE) or breaks(kept.early, target, TOLERANCE)
+        ):
             return self._within_rows(state, wish, rows), wish
         # a joint that changes by all it can is at its bound, and rounding must not decide on which side
         for rate, least, most in zip(target.tolist(), low.tolist(), high.tolist(), strict=True):
@@ -402,7 +409,7 @@ class VelocityFilter:
         single step, within the joints' accelerations, need not lead there.
         """
         if wish.kept is not None:
-            return self._keeping(state, wish, wish.kept.ahead, rows)
+            return self._keeping(state, wish, wish.kept, rows)
         low, high, least, most, *_ = wish.range
         stacked, joints = StackedRows.of(rows, len(low)), self._joints
         if stacked.soft == stacked.total <= MOST_SOFT_ROWS and not joints.shares_load:
@@ -422,20 +429,22 @@ class VelocityFilter:
             return v
         return self._solve(state, velocity_program(wish, target, low, high, rows), stacked, first=kept)[0]
 
-    def _keeping(self, state: JointState, wish: VelocityWish, kept: Rows, rows: tuple[Rows, ...]) -> Vector:
+    def _keeping(self, state: JointState, wish: VelocityWish, kept: KeptRows, rows: tuple[Rows, ...]) -> Vector:
         """(n,) as `_within_rows`, among what is `kept` if the rows leave room for it, otherwise as near to it."""
         low, high, least, most, *_ = wish.range
         steady = self._solve_keeping(state, velocity_program(wish, wish.v, least, most, rows), kept)
-        everything = StackedRows.of((*rows, kept), len(low))
+        everything = StackedRows.of((*rows, kept.ahead), len(low))
         target, v, keeps = self._joints.next_towards(
             steady, state.q, state.v, low=low, high=high, G=everything.G, h=everything.high
         )
-        return v if keeps else self._solve_keeping(state, velocity_program(wish, target, low, high, rows), kept)
+        if keeps and not breaks(kept.early, v, TOLERANCE):
+            return v
+        return self._solve_keeping(state, velocity_program(wish, target, low, high, rows), kept)
 
-    def _solve_keeping(self, state: JointState, program: QuadraticProgram, kept: Rows) -> Vector:
-        solution = solve_with_binding_rows(keeping(program, kept))
+    def _solve_keeping(self, state: JointState, program: QuadraticProgram, kept: KeptRows) -> Vector:
+        solution = solve_with_binding_rows(keeping(program, kept.ahead, kept.early))
         self._check.note(solution)
-        v = self._joints.brake(state.v) if solution is None else solution.x[:-1]
+        v = self._joints.brake(state.v) if solution is None else solution.x[: len(program.f)]
         return np.minimum(np.maximum(v, program.low), program.high)
 
     def _solve(
@@ -447,14 +456,14 @@ class VelocityFilter:
         x = self._joints.brake(state.v) if solution is None else solution.x
         return np.minimum(np.maximum(x, program.low), program.high), None if solution is None else solution.kept
 
-    def _evasion_rows(self, near: Near, low: Vector, high: Vector, kept: KeptRows | None) -> Rows:
+    def _evasion_rows(self, near: Near, low: Vector, high: Vector, kept: KeptRows | None) -> tuple[Rows, Rows]:
         """The rows of obstacles that are approaching, and of moving ones that are already too close.
 
-        kept: what is to be kept meanwhile; the machine then gives way as early as it must to keep it.
+        The second rows are those of a machine that gives way early enough to keep what is `kept` meanwhile.
         """
         separation = self._separation
         if len(near.pairs) == 0 or not self._bounds.anything_moves:
-            return self._nothing_comes
+            return self._nothing_comes, self._nothing_comes
         clearance = separation.clearance.take(near.pairs)
         too_close = np.maximum(near.distance, self._bounds.required.take(near.pairs)) < clearance - _VIOLATED
         too_close &= ~self._bounds.stands.take(near.pairs)
@@ -462,7 +471,7 @@ class VelocityFilter:
         too_close |= drift < 0.0
         chosen = too_close.nonzero()[0]
         if len(chosen) == 0:
-            return self._nothing_comes
+            return self._nothing_comes, self._nothing_comes
         least, nearest = near.gaps.least[:, 0], near.gaps.nearest[:, 0]
         # the time that is left until the clearance is violated
         room = (least - clearance) / np.maximum(-drift, _SLOW)
@@ -482,15 +491,19 @@ class VelocityFilter:
         margin -= clearance.take(k)
         margin -= moves * (2.0 * BUFFER)
         authority = 0.5 * np.abs(G).dot(self._acceleration)
-        if kept is not None:
-            authority = np.maximum(
-                0.5 * authority_beside(kept.near, G, self._acceleration), _LEAST_AUTHORITY * authority
-            )
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
-        could = np.add.reduce(np.maximum(G * low, G * high), axis=1) > h
-        if kept is not None:
-            # running from what is faster than the link can be does not help; it would only cost what is to be kept
-            could &= np.abs(G).dot(self._fastest) >= -comes
-        return Rows("evasion", G[could], h[could])
+        most = np.add.reduce(np.maximum(G * low, G * high), axis=1)
+        if kept is None:
+            could = most > h
+            return Rows("evasion", G[could], h[could]), self._nothing_comes
+        # running from what is faster than the link can be does not help; it would only cost what is to be kept
+        helps = np.abs(G).dot(self._fastest) >= -comes
+        urgent = margin < -_URGENT * comes
+        could = (most > h) & helps & (urgent | ~moves)
+        beside = authority_beside(kept.near, G, self._acceleration) / np.maximum(2.0 * authority, _TINY)
+        part = np.sqrt(np.minimum(np.maximum(beside, _LEAST_AUTHORITY), 1.0))
+        sooner = np.where(moves, h - (1.0 - part) * allowed, h)
+        soon = helps & moves & ((sooner < h) | ~urgent) & (most > sooner)
+        return Rows("evasion", G[could], h[could]), Rows("early", G[soon], sooner[soon])
