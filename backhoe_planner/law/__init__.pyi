@@ -39,3 +39,4 @@ from .qp import step_on_path as step_on_path
 from .shield import Kept as Kept
 from .shield import Shield as Shield
 from .shield import Shielded as Shielded
+from .unit_metric import solve_in_unit_metric as solve_in_unit_metric

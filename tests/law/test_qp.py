@@ -21,6 +21,7 @@ from backhoe_planner.law import (
     QuadraticProgram,
     Rows,
     StackedRows,
+    solve_in_unit_metric,
     solve_program,
     solve_with_binding_rows,
     solve_with_near_rows,
@@ -250,6 +251,38 @@ def test_the_near_rows_of_many_hard_ones_give_the_solution_with_all(seed: int, m
     assert found is not None
     np.testing.assert_allclose(found, all_of_them.x, atol=1e-6)
     assert max(solved) < 100
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_many_coupled_variables_have_the_same_solution_in_the_metric_of_their_cost(seed: int) -> None:
+    """60 coupled variables, and 70 that stand alone, each at least a row of the others, as for the kinks of a cost."""
+    rng, coupled, alone = np.random.default_rng(seed), 60, 70
+    n = coupled + alone
+    B, H = rng.normal(size=(coupled, coupled)), np.diag(rng.uniform(0.5, 20.0, n))
+    H[:coupled, :coupled] += B @ B.T / coupled
+    G = np.hstack((rng.normal(size=(alone, coupled)), -np.eye(alone)))
+    rows = (
+        Rows("kinks", G, rng.normal(size=alone), Kind.HARD),
+        Rows("others", np.hstack((rng.normal(size=(9, coupled)), np.zeros((9, alone)))), np.full(9, 0.1), Kind.HARD),
+        Rows("goal", np.hstack((rng.normal(size=(3, coupled)), np.zeros((3, alone)))), np.full(3, 0.1), Kind.EQUAL),
+    )
+    low, high = (
+        np.append(np.full(coupled, -0.2), np.zeros(alone)),
+        np.append(np.full(coupled, 0.2), [UNBOUNDED] * alone),
+    )
+    program = QuadraticProgram(H, rng.normal(size=n), low, high, rows)
+    plain, found = solve_program(program), solve_in_unit_metric(program, coupled, most_iterations=1000)
+    assert plain is not None
+    assert found is not None
+    assert plain.residual < 1e-6
+    np.testing.assert_allclose(found, plain.x, atol=1e-8)
+    assert np.isclose(np.abs(found[:coupled]), 0.2).sum() > 3  # some bounds bind, and some kinks are crossed
+    assert (found[coupled:] > 1e-3).sum() > 3
+    near = solve_with_near_rows(program, most_iterations=1000, coupled=coupled)
+    assert near is not None
+    np.testing.assert_allclose(near, plain.x, atol=1e-6)
+    both = Rows("both sides", np.vstack((G[:1], -G[:1])), np.array([-9.0, -9.0]), Kind.HARD)
+    assert solve_in_unit_metric(program._replace(rows=(both,)), coupled, most_iterations=1000) is None
 
 
 def test_contradictory_near_rows_have_no_solution() -> None:

@@ -347,7 +347,7 @@ class LinearModel:
         kinks, best, least = self._near_kinks(bend), None, np.inf
         for _ in range(_SOLUTIONS):
             program = self.program(slack_price, bend=bend, kinks=kinks, longest=longest)
-            x = solve_with_near_rows(program, most_iterations=most_iterations)
+            x = solve_with_near_rows(program, most_iterations=most_iterations, coupled=self._steps + 2)
             if x is None:
                 break
             part, cost = self._cheapest_part(x[: self._steps + 2], bend, slack_price)
