@@ -15,7 +15,7 @@ from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.starts import Start
-from backhoe_planner.planning.goals.first_rounds import after_first_rounds
+from backhoe_planner.planning.goals.first_rounds import Field, GivesUp, after_first_rounds
 from backhoe_planner.planning.goals.motion_descents import MotionDescents
 from backhoe_planner.planning.goals.straight_lines import STRAIGHT
 from backhoe_planner.planning.search.effort import Brake
@@ -37,7 +37,9 @@ class Rounds:
     def __init__(self, first: dict[str, tuple[float, float]], out: dict[str, tuple[float, float] | None]) -> None:
         self.first, self.out, self.pushed = first, out, list[str]()
 
-    def __call__(self, start: Start, rounds: int, *, density: int = 1, clear_first: bool = False) -> Timed | None:
+    def __call__(
+        self, start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
+    ) -> Timed | None:  # fmt: skip
         if clear_first:
             self.pushed.append(start.way)
         known = (self.out if clear_first else self.first)[start.way]
@@ -60,6 +62,58 @@ def test_much_cheaper_starts_in_an_obstacle_are_pushed_out_and_ranked_by_their_n
     again = Rounds(first, {"3.0": None})
     assert len(after_first_rounds(starts_at(1.0, 2.0, 3.0), again, far_off=0.06, pushed=1).clear) == 1
     assert again.pushed == ["3.0"]
+
+
+def test_a_start_falls_behind_if_it_costs_much_more_than_another_one_after_as_many_rounds() -> None:
+    """5/6 more after a round and a half, 5/8 after two; misses count six times, and costs below 2 J alike."""
+    start = starts_at(1.0)[0]
+
+    def at(cost: float, missed: float = 0.0) -> Timed:
+        return Timed(start.curve, 1.0, cost, missed, margins=[])
+
+    field = Field(little=2.0)
+    assert not any(field.falls_behind(at(cost), rounds) for rounds, cost in ((0.0, 50.0), (1.5, 30.0), (2.0, 10.0)))
+    field.end(at(10.0))
+    assert not field.falls_behind(at(1e3), 1.0)  # too soon
+    assert not field.falls_behind(at(54.9), 1.5)
+    field.end(at(54.9))
+    assert field.falls_behind(at(55.1), 1.5)
+    field.end(at(55.1))
+    assert not field.falls_behind(at(16.2), 2.0)
+    field.end(at(1.0, missed=0.3))  # it stays in an obstacle: its costs do not count
+    assert field.falls_behind(at(15.0, missed=0.015), 2.0)
+    field.end(None)
+    assert not field.falls_behind(at(16.2), 2.0)
+    assert not field.falls_behind(at(1e3), 2.0)  # it was cheaper before
+    field.end(at(16.2))
+    assert field.falls_behind(at(14.2), 3.0)  # the cheapest had ended by then: 5/12 more than its last cost
+    little = Field(little=2.0)
+    assert not little.falls_behind(at(0.1), 1.5)  # none is before it
+    little.end(at(0.1))
+    assert not little.falls_behind(at(3.6), 1.5)
+    little.end(None)
+    assert little.falls_behind(at(3.7), 1.5)
+
+
+def test_a_start_that_stays_in_an_obstacle_is_pushed_for_some_rounds_only() -> None:
+    """It gives up in the fifth round with more than four fifths of its first miss, but not with less."""
+    ended: dict[str, list[int]] = {"stays": [], "leaves": []}
+
+    def bend(
+        start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
+    ) -> Timed | None:  # fmt: skip
+        blocked = Timed(start.curve, 1.0, 1.0, 0.5, margins=[])
+        if not clear_first:
+            return replace(blocked, cost=10.0, missed=0.0) if start.way == "clear" else blocked
+        left = 0.45 if start.way == "stays" else 0.35
+        made = next((k for k in range(rounds) if gives_up(blocked if k < 1 else replace(blocked, missed=left), k)), -1)
+        ended[start.way].append(made)
+        return blocked
+
+    starts = [replace(start, way=way) for start, way in zip(starts_at(1.0, 2.0, 3.0), ("clear", *ended), strict=True)]
+    after_first_rounds(starts, bend, far_off=0.06, pushed=2, field=Field(0.0))
+    after_first_rounds(starts, bend, far_off=0.06, pushed=2)
+    assert ended == {"stays": [5, -1], "leaves": [-1, -1]}
 
 
 def test_no_cost_is_blocked_if_all_starts_get_clear() -> None:
@@ -120,7 +174,8 @@ def test_the_first_rounds_of_a_straight_line_are_twice_as_many_on_a_coarse_curve
     monkeypatch.setattr(descents._descent, "run", note)
     counted = [0]
     for way in (STRAIGHT, "sampled"):
-        found = descents._few_rounds(Start(JointCurve.straight(start, end, 12), 6.0, goal, way), 3)
+        line = Start(JointCurve.straight(start, end, 12), 6.0, goal, way)
+        found = descents._few_rounds(line, 3, gives_up=lambda here, rounds: False)
         assert found is not None
         np.testing.assert_allclose(found.curve.control[[0, -1]], [start, end], atol=1e-9)
         assert found.curve.pieces == 12

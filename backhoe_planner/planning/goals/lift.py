@@ -14,6 +14,8 @@ from backhoe_planner.motion import Problem
 # plans: with 0.2 mm as many are within 1.1 of the best known as with 0.05 mm, in 0.80 (Panda) and 0.85 (backhoe) of the
 # mean time
 _WORTH = 2e-4
+# m: the difference between motions that cost less than lifting all moving masses so far cannot be measured; chosen
+_LITTLE = 1e-3
 _NEAR = 0.05  # part of what is lifted, by which a cost may exceed it if another search is not worth its time; chosen
 
 
@@ -23,13 +25,15 @@ class Lift:
     Attributes
     ----------
     worth: so much energy is worth another search [J].
+    little: a cost that counts as little [J].
     """
 
     def __init__(self, problem: Problem) -> None:
         scene = problem.scene
         self._dynamics = Dynamics(problem.robot, payload=scene.payload, payload_at=scene.payload_at)
         masses, _ = self._dynamics.bodies()
-        self.worth = float(np.sum(masses)) * GRAVITY * _WORTH
+        weight = float(np.sum(masses)) * GRAVITY
+        self.worth, self.little = weight * _WORTH, weight * _LITTLE
 
     def is_near(self, cost: float, start: Vector, ends: Iterable[Vector]) -> bool:
         """Whether a motion from `start` (n,) at this cost [J] takes little more than the lift to the lowest end."""

@@ -5,7 +5,7 @@ Every motion that counts is proven clear.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,8 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
-from backhoe_planner.planning.goals.first_rounds import after_first_rounds
+from backhoe_planner.planning.goals.first_rounds import Field, GivesUp, after_first_rounds
+from backhoe_planner.planning.goals.lift import Lift
 from backhoe_planner.planning.goals.straight_lines import STRAIGHT
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -46,6 +47,7 @@ FINE_ROUNDS = 6  # of the best curve at the end
 # part of the cost that each refinement must gain for the next to follow; chosen: if the first gains less, the next
 # mostly gain nothing, and if it gains more, they may gain a third
 _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)
+_MUCH_GAIN_FRUGAL = (0.04, 0.05, 0.1, 0.1)  # the same for frugal searches; measured: the next gains a quarter of a gain
 _FINER = 8  # times more fine rounds for another cost than the time; chosen
 # other motions that are refined if refining pays, and up to how many times the cost of the best; chosen
 _OTHERS_REFINED, _NEARLY_AS_CHEAP = 2, 1.2
@@ -64,6 +66,9 @@ _DEARER = 1.3  # times the best cost: hopeless then
 _TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
 _WAYS_FOR_ONE = 2  # one descent runs to its end for so many of `Effort.ways_at_once`; measured
 _WORTH_ROUNDS = 2.0  # times the least cost after the first rounds, up to which a start gets all rounds; chosen
+# times the least cost after the first rounds of other searches, that a start must not exceed after its own; chosen: one
+# at 1.006 times it became a motion that costs a tenth less, of those above 1.01 none did
+_NO_DEARER = 1.02
 _SLOWER = 1.5  # times the duration of a start, that a descent from it may take while no longest time is known; chosen
 LEAST_GAIN = 0.02  # part of the least time to a posture: a smaller gain is not worth a try
 
@@ -87,6 +92,10 @@ class MotionDescents:
         may be set.
     blocked, early: the cost after the first rounds of the cheapest start that stays in an obstacle, and of the
         cheapest one that gets clear; infinite if there is none.
+    falls_short: whether all starts cost more after their first rounds than the cheapest of other searches, and none
+        descended further therefore, see `know_of`.
+    is_frugal: see `Effort.frugal`.
+    lift: of the problem; None if the cost does not count it.
     """
 
     def __init__(
@@ -95,6 +104,11 @@ class MotionDescents:
     ) -> None:  # fmt: skip
         self._world, self._problem, self._ends, self._time = world, world.problem, ends, time
         self._hurried = world.work.effort.is_hurried
+        self.lift = Lift(world.problem) if world.problem.objective.lifts else None
+        # not for a cost that jumps, whose fall in the first rounds says less about its end
+        self.is_frugal = world.work.effort.frugal and not world.problem.objective.jumps
+        # a cost that counts as little, in the objective's unit
+        self._little = self.lift.little if self.lift is not None and self.is_frugal else 0.0
         self._descent = Descent(
             world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
             hurried=self._hurried,
@@ -112,7 +126,8 @@ class MotionDescents:
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds that are kept for later descents
         self.longest = longest
-        self.blocked = self.early = np.inf
+        self.blocked = self.early = self._to_beat = np.inf
+        self.falls_short = False
         self._left_blocked: list[tuple[float, Start]] = []  # starts that stayed in an obstacle, with their costs
         self.best: FoundMotion | None = None
         self._unrefined: FoundMotion | None = None  # the best before it was refined; None until then
@@ -152,9 +167,20 @@ class MotionDescents:
         return 1.0 - self.best.cost / self.unrefined_cost if self.best is not None and self._unrefined else 0.0
 
     @property
+    def costs_little(self) -> bool:
+        """Whether the best costs so little that a frugal search ends."""
+        return self.best is not None and self.best.cost <= self._little
+
+    @property
     def has_gained(self) -> bool:
         """Whether the best is better than that of the earlier search."""
         return self.best is not self._known_best
+
+    def know_of(self, others: Iterable[MotionDescents]) -> None:
+        """Take the costs of starts after their first rounds from other searches too, see `early` and `falls_short`."""
+        for other in others:
+            self.early, self.blocked = min(self.early, other.early), min(self.blocked, other.blocked)
+        self._to_beat = self.early
 
     def prices(self, screen: ClearanceScreen) -> StartPrices:
         """The prices of starts among the obstacles of `screen`."""
@@ -193,11 +219,17 @@ class MotionDescents:
         far_off = _FURTHER_OFF if self.best is None else _FAR_OFF
         ways, is_clear, before = work.effort.ways_at_once, False, len(self.ended)
         found = after_first_rounds(
-            (one.start for one in chosen), self._few_rounds, far_off=far_off, pushed=ways // _WAYS_FOR_ONE
-        )
+            (one.start for one in chosen), self._few_rounds, far_off=far_off, pushed=ways // _WAYS_FOR_ONE,
+            field=Field(self._little) if self.is_frugal else None,
+        )  # fmt: skip
         self.blocked = min(self.blocked, found.least_blocked)
         self._left_blocked += found.blocked
         tried = found.clear
+        least = tried[0][0] if tried else np.inf
+        self.falls_short = least > _NO_DEARER * self._to_beat and self.early <= self.blocked
+        if self.falls_short:
+            return
+        self._to_beat = np.inf  # ways that are sampled later are found by chance, and need not be cheaper at first
         for index, (cost, start) in enumerate(tried):
             if is_clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
                 break
@@ -260,7 +292,7 @@ class MotionDescents:
         """
         self._reserved, self._unrefined, self._unrefined_after = 0, self.best, self._descent.rounds
         is_time = self._problem.objective.is_time
-        if self.best is None or (not is_time and self._hurried):
+        if self.best is None or (not is_time and self._hurried) or self.costs_little:
             return
         finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
         others = [] if is_time else self._nearly_as_cheap()
@@ -268,7 +300,8 @@ class MotionDescents:
             before = self.best.cost
             if not self._refine(self.best, pieces) or turn == len(_MUCH_GAIN):
                 return
-            if self.best.cost > (1.0 - _MUCH_GAIN[turn]) * before:
+            much = _MUCH_GAIN_FRUGAL if self.is_frugal else _MUCH_GAIN
+            if self.best.cost > (1.0 - much[turn]) * before or self.costs_little:
                 return
             if turn == 0 and not all(self._refine(other, pieces) for other in others):
                 return
@@ -309,18 +342,22 @@ class MotionDescents:
         return True
 
     def _few_rounds(
-        self, start: Start, rounds: int, *, density: int = 1, clear_first: bool = False
+        self, start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
     ) -> Timed | None:  # fmt: skip
         """See `FewRounds`; of a straight line on a coarse curve, so that the same time shows more of its result."""
         curve, pieces = start.curve, start.curve.pieces
         coarse = start.way == STRAIGHT and pieces > _COARSE_PIECES and not clear_first and not self._hurried
         if coarse:
             curve, rounds = curve.divided_evenly(_COARSE_PIECES, self._problem.limits), _COARSE_FOR_ONE * rounds
-        before = self._descent.rounds
+        before, in_one = self._descent.rounds, _COARSE_FOR_ONE if coarse else 1
+
+        def is_over(here: Timed, rounds: int) -> bool:
+            return (clear_first and here.missed <= KEPT_PART * _SPARE) or gives_up(here, rounds / in_one)
+
         found = self._bend(
             curve, max(start.duration, self.longest), start.goal, rounds,
             spare=_SPARE, density=density, box=_FIRST_BOX, unsampled=True, clear_first=clear_first,
-            is_hopeless=lambda here, rounds: clear_first and here.missed <= KEPT_PART * _SPARE,
+            is_hopeless=is_over, rough=coarse and self.is_frugal,
             in_one=_COARSE_IN_ONE if coarse else 1,
         )  # fmt: skip
         if not coarse:

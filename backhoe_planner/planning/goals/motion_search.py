@@ -24,7 +24,6 @@ from backhoe_planner.planning.goals.allowed_time import (
     has_room,
 )
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.lift import Lift
 from backhoe_planner.planning.goals.motion_descents import FINE_ROUNDS, LEAST_GAIN, MotionDescents, holds_end
 from backhoe_planner.planning.goals.straight_lines import StraightLines
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
@@ -63,7 +62,7 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE, _LINES_SPREAD_FOR_ONE = 3, 2, 2
 _LONGEST = 20.0  # times the fastest motion: chosen, more time costs samples and gains nothing
 # times the least cost that an earlier search had before refining, up to which a motion is refined; chosen
-_REFINED = 1.3
+_REFINED, _REFINED_FRUGAL = 1.3, 1.0  # the second for frugal searches; chosen
 _PAYS = 0.15  # part of the cost: gaining more by refining is much; chosen
 _THE_SAME = 1e-6  # part of the cost by which two searches differ that have found the same motion; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
@@ -93,8 +92,8 @@ class MotionSearch:
 
     Attributes
     ----------
-    repeats: whether the search would begin only where an earlier one began, or refine what an earlier one refined, and
-        was ended therefore.
+    repeats: whether the search would begin only where an earlier one began, or where nothing promises a cheaper motion,
+        or refine what an earlier one refined, and was ended therefore.
     """
 
     def __init__(
@@ -110,13 +109,14 @@ class MotionSearch:
         self._ways = Ways(world, start, self._ends, time=time, hurried=self._hurried)
         self._goes_on = before is not None and before.allowed_time is not None
         known: MotionDescents | None = None if before is None else before._descents
-        self._lift = Lift(world.problem) if world.problem.objective.lifts else None
         self._descents: MotionDescents = MotionDescents(
             world, start, self._ends, time=time, longest=longest, before=known
         )
         # what a search found on its way round obstacles depends on its random choices, not on where it began
         self._tried = [curve for one in earlier if not one.leads_round for curve in one._descents.begun]
         self._refined = [one._descents.unrefined_cost for one in earlier]
+        if self._descents.is_frugal:  # the cheapest starts of earlier searches are not tried again
+            self._descents.know_of(one._descents for one in earlier)
         self.repeats = False
         self._for_time = (0, 0)  # motions looked at, and routes found, by searches for a fast motion
         self._bound = 0.0  # lower bound of the duration [s]; computed if the best is not near the least time
@@ -207,16 +207,18 @@ class MotionSearch:
 
     @property
     def _is_least(self) -> bool:
-        """Whether the best costs nothing, or little more than the lift to the lowest posture, if the cost lifts."""
-        if self._lift is None or self.best is None:
-            return self._costs_nothing
-        return self._lift.is_near(self.best.cost, self._start, self._ends.postures)
+        """Whether the best costs nothing or little, or little more than the lift to the lowest posture."""
+        lift = self._descents.lift
+        if lift is None or self.best is None or self._descents.costs_little:
+            return self._costs_nothing or self._descents.costs_little
+        return lift.is_near(self.best.cost, self._start, self._ends.postures)
 
     @property
     def _is_worth_refining(self) -> bool:
         """Whether the best was found by this search, costs something, and not much more than that of an earlier one."""
+        most = _REFINED_FRUGAL if self._descents.is_frugal else _REFINED
         has_gained = self._descents.has_gained and not self._costs_nothing
-        return has_gained and self._descents.unrefined_cost <= _REFINED * min(self._refined, default=np.inf)
+        return has_gained and self._descents.unrefined_cost <= most * min(self._refined, default=np.inf)
 
     @property
     def _is_refined_already(self) -> bool:
@@ -249,7 +251,8 @@ class MotionSearch:
         straight = prices.fair(prices.in_order(all_lines))
         lines = prices.cheapest(straight, _LINES_FOR_ONE * ways)
         both = sorted([*lines, *prices.paced(lines)], key=lambda one: one.price)
-        known, begun = prices.in_order([self._descents.fitted(one) for one in ended]), self._descents.begun
+        known = prices.in_order([self._descents.fitted(one) for one in ended])
+        begun = [*self._descents.begun, *(self._tried if self._descents.is_frugal else ())]
         cheap = prices.cheapest(both, _LINES_TRIED_FOR_ONE * ways, known=begun)
         chosen = [
             *prices.cheapest(known, ways, known=begun),
@@ -259,6 +262,7 @@ class MotionSearch:
         self.repeats = bool(self._tried) and all(prices.repeats(one, self._tried) for one in chosen)
         if not self.repeats:
             self._descents.descend_cheapest(chosen)
+            self.repeats = self._descents.falls_short
 
     def _find_fast(self) -> list[FoundMotion]:
         """The results of searches for a fast motion and of their descents; sets how long a motion may take.

@@ -57,8 +57,9 @@ class Effort:
     begins_with: the effort of a search that comes first, so that more effort never costs more; empty for none.
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
-    alike: so many searches of nearly the same cost end the restarts; so does one that costs little more than what is
-        lifted, and a short first search; 0 for none.
+    frugal: whether searches for another cost than the time end where little more can be expected: restarts after one
+        that gained little, after a short first search, or at a cost little above that of the lift. Unless the cost
+        jumps, also starts that fall behind others, and refining that gains little, or starts at a little cost.
     restarts_round: further searches if the best motion goes around an obstacle; each continues from what is known.
     restarts_long: further searches for the time, each begun anew with the normal effort, if the best motion takes
         much longer than the joints need, until one finds a motion that does not.
@@ -84,7 +85,7 @@ class Effort:
     dull_searches: int
     begins_with: EffortName | Literal[""]
     restarts: int
-    alike: int
+    frugal: bool
     restarts_round: int
     restarts_long: int
     rough: bool
@@ -114,17 +115,19 @@ _NORMAL = Effort(
     dull_searches=1,
     begins_with="",
     restarts=3,
-    alike=2,
-    restarts_round=1,
+    frugal=True,
+    restarts_round=0,
     restarts_long=1,
     rough=True,
 )
 
 
 def _scaled(factor: float) -> Effort:
-    """The counts of the normal effort times `factor`, with no rough descents."""
+    """The counts of the normal effort times `factor`, with no rough descents, and not frugal."""
     counts = {name: count for name, count in asdict(_NORMAL).items() if not isinstance(count, bool | str)}
-    return Effort(**{name: round(factor * count) for name, count in counts.items()}, begins_with="", rough=False)
+    return Effort(
+        **{name: round(factor * count) for name, count in counts.items()}, begins_with="", rough=False, frugal=False
+    )
 
 
 EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
@@ -154,8 +157,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             dull_searches=3,
             begins_with="normal",
             restarts=8,
-            alike=0,
-            restarts_round=0,
+            restarts_round=1,
             restarts_long=2,
         ),
     }
