@@ -19,15 +19,20 @@ from backhoe_planner.law.qp import UNBOUNDED, Kind, QuadraticProgram
 
 
 def solve_in_unit_metric(program: QuadraticProgram, coupled: int, *, most_iterations: int) -> Vector | None:
-    """(n,) the x of least cost of a program without soft rows; None as for `solve_program`.
+    """(n,) the x of least cost of a program without soft rows; None as for `solve_program`, or if H is not definite.
 
     Parameters
     ----------
     coupled: so many of the first variables are coupled by H; it is diagonal in the others.
     """
-    alone = len(program.f) - coupled
-    F = np.linalg.inv(np.linalg.cholesky(program.H[:coupled, :coupled])).T
-    f = 1.0 / np.sqrt(np.diag(program.H)[coupled:])
+    alone, own = len(program.f) - coupled, np.diag(program.H)[coupled:]
+    if alone and not own.min() > 0.0:
+        return None
+    try:
+        F = np.linalg.inv(np.linalg.cholesky(program.H[:coupled, :coupled])).T
+    except np.linalg.LinAlgError:
+        return None
+    f = 1.0 / np.sqrt(own)
     rows = [row for row in program.rows if len(row.h)]
     count = sum(len(row.h) for row in rows)
     # the variables that stand alone come first, as their bounds remain bounds

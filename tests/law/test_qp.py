@@ -285,6 +285,12 @@ def test_many_coupled_variables_have_the_same_solution_in_the_metric_of_their_co
     assert solve_in_unit_metric(program._replace(rows=(both,)), coupled, most_iterations=1000) is None
 
 
+@pytest.mark.parametrize("H", [np.diag([1.0, -1.0, 1.0]), np.diag([1.0, 1.0, 0.0])], ids=["coupled", "alone"])
+def test_a_cost_that_is_not_definite_has_no_unit_metric(H: np.ndarray) -> None:
+    program = QuadraticProgram(H, np.zeros(3), np.full(3, -1.0), np.full(3, 1.0), ())
+    assert solve_in_unit_metric(program, 2, most_iterations=100) is None
+
+
 def test_contradictory_near_rows_have_no_solution() -> None:
     rows = Rows("both sides", np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([-0.5, -0.5]), Kind.HARD)
     program = QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, -5.0), np.full(2, 5.0), (rows,))
