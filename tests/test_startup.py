@@ -26,6 +26,7 @@ SLOW = [
     "scipy", "trimesh", "yourdfpy", "networkx", "shapely", "vhacdx", "ompl", "PIL", "matplotlib", "meshcat", "tornado",
     "umsgpack", "toppra", "backhoe_planner.live.servo", "backhoe_planner.show.viewer", "backhoe_planner.show.plots",
     "backhoe_planner.planning.path_planning", "backhoe_planner.planning.sequence.chain", "rich", "numpy.ma",
+    "backhoe_planner.site.surveys.survey_files",
 ]  # fmt: skip
 SIMPLEST = """
 version: 1

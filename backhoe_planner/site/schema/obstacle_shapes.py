@@ -45,7 +45,6 @@ from backhoe_planner.site.schema.quantities import (
     rotation_matrix,
     unit_quaternion,
 )
-from backhoe_planner.site.surveys.survey_files import check_near, read_heights, read_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -290,6 +289,8 @@ class Mesh(PlacedRecord):
         return mesh
 
     def _check_near(self, vertices: Matrix, folder: Path) -> None:
+        from backhoe_planner.site.surveys.survey_files import check_near
+
         scale, turn = self.frame(folder)
         check_near(vertices, folder / self.file, map_origin=self.map_origin, scale=scale, turn=turn, what="vertex")
 
@@ -305,14 +306,19 @@ class HeightMap(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Columns under the ground."""
-        return self._columns(read_heights(folder / self.file, size=self.size))
+        return self._columns(self._heights(folder))
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
         """Columns, or the ground cell by cell if there are many cells and it does not move."""
-        heights = read_heights(folder / self.file, size=self.size)
+        heights = self._heights(folder)
         if (heights.shape[0] - 1) * (heights.shape[1] - 1) <= _FEW_CELLS or any(self.velocity):
             return self._columns(heights)
         return terrain_body(heights, self.size, self.placement)
+
+    def _heights(self, folder: Path) -> Matrix:
+        from backhoe_planner.site.surveys.survey_files import read_heights
+
+        return read_heights(folder / self.file, size=self.size)
 
     def _columns(self, heights: Matrix) -> list[shapes.Piece]:
         columns = terrain_columns(
@@ -335,12 +341,17 @@ class PointCloud(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Boxes that fill the voxels that contain a point."""
-        return self._boxes(read_points(folder / self.file, map_origin=self.map_origin))
+        return self._boxes(self._points(folder))
 
     def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
         """A few boxes, or the voxels of a scan that does not move."""
-        points = read_points(folder / self.file, map_origin=self.map_origin)
+        points = self._points(folder)
         return self._boxes(points) if any(self.velocity) else scan_body(points, self.resolution, self.placement)
+
+    def _points(self, folder: Path) -> Matrix:
+        from backhoe_planner.site.surveys.survey_files import read_points
+
+        return read_points(folder / self.file, map_origin=self.map_origin)
 
     def _boxes(self, points: Matrix) -> list[shapes.Piece]:
         boxes = voxel_boxes(points, self.resolution, most=_MOST_PIECES)
