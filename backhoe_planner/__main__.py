@@ -11,8 +11,9 @@ from typing import NoReturn
 
 from backhoe_planner.blas import use_one_thread
 
-# objects; the simplest plan makes 120,000, of which nearly all stay, and takes 3 % longer with Python's default of 700
-_YOUNG = 20_000
+# objects between two searches for cycles; the simplest plan makes 130,000, of which nearly all stay: with 20,000 it
+# takes 6 % longer, with Python's default of 700 another 3 %
+_YOUNG = 200_000
 _INTERRUPTED = 128 + signal.SIGINT  # the exit status that shells report for a command ended by Ctrl-C
 
 
