@@ -8,6 +8,7 @@ whether it fits a machine.
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -256,7 +257,7 @@ def obstacle_from_dict(content: Mapping[str, Any]) -> ObstacleSpec:
     InputError: names the key, what was found, and what is allowed.
     """
     try:
-        spec: ObstacleSpec = _OBSTACLE.validate_python(dict(content))
+        spec: ObstacleSpec = _obstacle_adapter().validate_python(dict(content))
     except ValidationError as error:
         what = explain(error, content, root=Scene)
         raise InputError(f"is not an obstacle: {what}", key=str(content.get("name", "obstacle"))) from None
@@ -268,4 +269,7 @@ def scene_schema() -> dict[str, Any]:
     return Scene.file_schema("scene")
 
 
-_OBSTACLE: TypeAdapter[Any] = TypeAdapter(ObstacleSpec)
+@functools.cache
+def _obstacle_adapter() -> TypeAdapter[Any]:
+    """What reads an obstacle by itself; a scene does without."""
+    return TypeAdapter(ObstacleSpec)
