@@ -253,6 +253,8 @@ def test_points_of_a_laz_are_those_that_laspy_wrote(version: str, form: int, tmp
         "4 billion chunks": content[: table + 4] + b"\xff" * 4 + content[table + 8 :],
         "other bytes": content[: begin + 900] + bytes(9000) + content[begin + 9900 :],
     }
+    if form == 6:  # the first layer follows the first point, of 30 bytes, and the number of points
+        wrong["a layer of 4 GB"] = content[: begin + 42] + b"\xff" * 4 + content[begin + 46 :]
     for changed in wrong.values():
         (tmp_path / "wrong.laz").write_bytes(changed)
         with pytest.raises(InputError, match=r"wrong\.laz: .*(cut short or damaged|is too large)"):
@@ -271,6 +273,11 @@ def test_points_of_an_e57_are_at_the_poses_of_its_scanners(tmp_path: Path) -> No
         )
     turned = [[10.0 - y, x, z + 1.0] for x, y, z in POINTS]
     np.testing.assert_allclose(read_points(tmp_path / "scan.e57"), [*POINTS, *turned], atol=1e-12)
+    far = {name: column + 5.4e6 for name, column in columns.items()}  # written as floats of 32 bits, as pye57 does
+    with pye57.E57(str(tmp_path / "far.e57"), mode="w") as scans:
+        scans.write_scan_raw(far)
+    with pytest.raises(InputError, match=r"far\.e57: its coordinates are floats of 32 bits, rounded to 0\.5 m"):
+        read_points(tmp_path / "far.e57", map_origin=(5.4e6, 5.4e6, 5.4e6))
     (tmp_path / "scan.e57").write_bytes((tmp_path / "scan.e57").read_bytes()[:900])
     with pytest.raises(InputError, match=r"scan\.e57: cannot be read as an E57: "):
         read_points(tmp_path / "scan.e57")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,10 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.extras import need_package
+from backhoe_planner.site.surveys.single_precision import rounded_error, rounding_of
+
+if TYPE_CHECKING:
+    import pye57
 
 _AT_ONCE = 1_000_000  # points that are unpacked together; chosen, some 40 MB
 _AT_THE_END = -1  # a LAZ that was written as a stream has the place of its table of chunks in its last bytes
@@ -20,6 +25,8 @@ _TABLE = struct.Struct("<II")  # the head of a table of chunks: its version, and
 _PLACE = struct.Struct("<q")
 _COUNT_AT, _COUNT = 32, struct.Struct("<H")  # of parts of a point, in the record that says how points are packed
 _PART = struct.Struct("<HHH")  # its kind, its size and its version
+_LAYERED = 3  # the first number of that record, if a chunk of points has layers, each packed by itself
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of a part by its kind; any other kind has one for each of its bytes
 
 
 def unpacked_places(content: bytes, begin: int, length: int, count: int, key: bytes) -> NDArray[np.int32]:
@@ -43,6 +50,8 @@ def unpacked_places(content: bytes, begin: int, length: int, count: int, key: by
     source.seek(begin)
     found = np.empty((count, 3), dtype=np.int32)
     try:
+        _check_layers(content, begin, length, key, lazrs.read_chunk_table(source, lazrs.LazVlr(key)))
+        source.seek(begin)
         points = lazrs.LasZipDecompressor(source, key)
         for first in range(0, count, _AT_ONCE):
             some = found[first : first + _AT_ONCE]
@@ -78,12 +87,32 @@ def _check_parts(key: bytes, length: int) -> None:
         raise ValueError(f"parts of {sum(sizes)} bytes, not {length}")
 
 
+def _check_layers(
+    content: bytes, begin: int, length: int, key: bytes, chunks: Sequence[tuple[int, int]]
+) -> None:  # fmt: skip
+    """Raise a ValueError if a layer is larger than its chunk: lazrs makes room for what it is said to be.
+
+    chunks: the number of points and of bytes of each.
+    """
+    if struct.unpack_from("<H", key)[0] != _LAYERED:
+        return
+    layers = sum(_LAYERS.get(kind, size) for kind, size, _ in _PART.iter_unpack(key[_COUNT_AT + _COUNT.size :]))
+    first = begin + _PLACE.size
+    for _, size in chunks:
+        # a chunk begins with a point that is not packed, the number of its points, and the sizes of its layers
+        sizes = struct.unpack_from(f"<{layers}I", content, first + length + 4)
+        if sum(sizes) > size:
+            raise ValueError(f"layers of {sum(sizes)} bytes in a chunk of {size}")
+        first += size
+
+
 def read_e57(path: Path) -> Matrix:
     """(n, 3) the valid points [m] of all scans of an E57, each at the pose of its scanner.
 
     Raises
     ------
-    InputError: it is damaged or no E57, a scan has no coordinates, or pye57 is not installed.
+    InputError: it is damaged or no E57, a scan has no coordinates, or floats of 32 bits that are too coarse, or pye57
+        is not installed.
     """
     need_package("pye57", extra="e57", what="scans in E57")
     import pye57
@@ -91,10 +120,30 @@ def read_e57(path: Path) -> Matrix:
     parts: list[Matrix] = [np.zeros((0, 3))]
     try:
         with pye57.E57(str(path)) as scans:
-            for index in range(scans.scan_count):
-                columns: dict[str, Any] = scans.read_scan(index, ignore_missing_fields=True)
-                parts.append(np.column_stack([columns[f"cartesian{axis}"] for axis in "XYZ"]))
+            filled = [index for index in range(scans.scan_count) if scans.get_header(index).point_count > 0]
+            parts += [_points_of_scan(scans, index, path) for index in filled]
+    except InputError:
+        raise
     except Exception as error:  # pye57 passes on exceptions of its own, of libE57Format and of numpy
         said = str(error).strip().partition("\n")[0]
         raise InputError(f"cannot be read as an E57: {said}", file=path) from error
     return np.concatenate(parts)
+
+
+def _points_of_scan(scans: pye57.E57, index: int, path: Path) -> Matrix:
+    """(n, 3) the points of one scan [m], in the coordinates that all scans share.
+
+    Raises
+    ------
+    InputError: the scan's own coordinates are floats of 32 bits, and too coarse.
+    """
+    header = scans.get_header(index)
+    is_polar = "sphericalRange" in header.point_fields
+    columns: dict[str, Any] = scans.read_scan(index, ignore_missing_fields=True, transform=is_polar)
+    points = np.column_stack([columns[f"cartesian{axis}"] for axis in "XYZ"])
+    if is_polar:
+        return points
+    rounding = rounding_of(points)
+    if rounding > 0.0 and np.array_equal(points, points.astype(np.float32)):
+        raise rounded_error(points, rounding, path)
+    return np.asarray(scans.to_global(points, header.rotation, header.translation)) if header.has_pose() else points

@@ -26,12 +26,12 @@ from backhoe_planner.site.surveys.number_tables import (
 from backhoe_planner.site.surveys.packed_scans import read_e57
 from backhoe_planner.site.surveys.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
 from backhoe_planner.site.surveys.scan_files import pcd_has_single_precision, read_las, read_pcd
+from backhoe_planner.site.surveys.single_precision import rounded_error, rounding_of
 
 _FEWEST = 2  # heights along x and along y, so that there is ground between them
 _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; chosen
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
-_COARSEST = 0.01  # m: what floats of 32 bits may be rounded to, about the noise of a scanner; chosen
 _OTHER_CLOUDS = (".rcp", ".rcs", ".fls")
 _MESHES = (".off", ".dae", ".glb", ".gltf", ".3mf")
 _DEGREES_WITHIN = 0.05  # degrees: some kilometres; chosen
@@ -234,14 +234,10 @@ def check_near(
         middle = np.round(turn.T @ [*(low + high)[:2] / 2.0, low[2]]).astype(int).tolist()
         do = f"subtract {middle} from all points" if map_origin is None else f"`map_origin: {middle}`"
         far = f"map coordinates are too large: {do} puts the middle of the survey at 0, 0, or take the machine's place"
-        rounding = float(np.max(np.spacing(np.float32(np.abs(points).max())) * scale))
+        rounding = rounding_of(points, scale)
         is_single = pcd_has_single_precision if path.suffix.lower() == ".pcd" else has_single_precision
-        if map_origin is not None and rounding > _COARSEST and is_single(path):
-            raise InputError(
-                f"its coordinates are floats of 32 bits, rounded to {rounding:g} m so far from 0", file=path,
-                found=f"coordinates up to {np.abs(points).max():,.0f}", allowed=f"up to {_COARSEST:g} m",
-                hint="export it with another origin (CloudCompare: global shift), or with floats of 64 bits",
-            )  # fmt: skip
+        if map_origin is not None and rounding > 0.0 and is_single(path):
+            raise rounded_error(points, rounding, path)
     _check_size((points - origin) * scale, "a coordinate", path, (what, "coordinate"), far=far)
 
 
