@@ -245,6 +245,7 @@ def print_job_warnings(loaded: bp.Job) -> None:
     robot = site.load_machine(loaded.machine_source, scene)
     print_warnings(site.input_warnings(robot, scene, with_task=False))
     print_warnings(site.obstacle_warnings(robot, site.build_obstacles(scene, robot)))
+    print_warnings(jobs.ground_warnings(loaded))
 
 
 def read_job_plan(file: Path, urdf: str | None) -> bp.JobPlan:

@@ -48,4 +48,5 @@ from .worksite.lanes import LEAVE as LEAVE
 from .worksite.lanes import lanes_of as lanes_of
 from .worksite.worksite import Worksite as Worksite
 from .worksite.worksite import build_worksite as build_worksite
+from .worksite.worksite import ground_warnings as ground_warnings
 from .worksite.worksite import read_ground as read_ground

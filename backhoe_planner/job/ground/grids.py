@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_number, as_vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError
 
 CELL = 0.05  # m, edge of a column by default; chosen: a twelfth of a bucket's width
@@ -90,14 +90,27 @@ def check_counts(shape: tuple[int, ...], *, key: str) -> None:
 
 def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
     """The mean height of the points (n, 3) [m] in each column of a grid; NaN for a column without points."""
+    index, z = _columns_of(points, grid)
+    count = np.bincount(index, minlength=grid.z.size)
+    total = np.bincount(index, weights=z, minlength=grid.z.size)
+    with np.errstate(invalid="ignore"):
+        return replace(grid, z=(total / count).reshape(grid.z.shape))
+
+
+def column_highest(points: Matrix, grid: HeightGrid) -> Matrix:
+    """(rows, columns) the greatest height of the points (n, 3) [m] in each column of a grid; -inf without points."""
+    index, z = _columns_of(points, grid)
+    found = np.full(grid.z.size, -np.inf)
+    np.maximum.at(found, index, z)
+    return found.reshape(grid.z.shape)
+
+
+def _columns_of(points: Matrix, grid: HeightGrid) -> tuple[Indices, Vector]:
+    """(m,) the columns in which those points (n, 3) are that are on the grid, and their heights [m]."""
     rows, columns = grid.z.shape
     at = np.round((points[:, :2] - grid.low) / grid.cell).astype(np.int64)
     inside = ((at >= 0) & (at < [columns, rows])).all(axis=1)
-    index = at[inside, 1] * columns + at[inside, 0]
-    count = np.bincount(index, minlength=rows * columns)
-    total = np.bincount(index, weights=points[inside, 2], minlength=rows * columns)
-    with np.errstate(invalid="ignore"):
-        return replace(grid, z=(total / count).reshape(rows, columns))
+    return at[inside, 1] * columns + at[inside, 0], points[inside, 2]
 
 
 def resampled(grid: HeightGrid, onto: HeightGrid) -> HeightGrid:

@@ -8,11 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector, as_vector
+from backhoe_planner.arrays import Matrix, Vector, as_vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.job.ground.grids import CELL, HeightGrid, as_cell, column_means, empty_grid, resampled
+from backhoe_planner.job.ground.grids import (
+    CELL,
+    HeightGrid,
+    as_cell,
+    column_highest,
+    column_means,
+    empty_grid,
+    resampled,
+)
 from backhoe_planner.site import read_height_grid, read_points
 
+_STANDS = 0.3  # m above the mean height of a column: what stands there, no roughness of the ground; chosen
+_STEEPEST = 2.0  # times as high as wide: ground of 63 degrees; chosen
 _POINTS = (".ply", ".pcd", ".las", ".laz", ".e57", ".obj", ".stl", ".xyz", ".txt", ".pts")
 
 
@@ -27,10 +37,7 @@ def read_survey(
     InputError: the file is missing or malformed, or does not contain its position.
     """
     if file.suffix.lower() in _POINTS:
-        points = read_points(file, map_origin=_origin(map_origin))
-        start = points[:, :2].min(axis=0) if low is None else low
-        end = points[:, :2].max(axis=0) if high is None else high
-        return column_means(points, empty_grid(start, end, CELL if cell is None else cell))
+        return _means(read_points(file, map_origin=_origin(map_origin)), low=low, high=high, cell=cell)
     moved = high is None and map_origin is None
     grid = _read_table(file, low, cell, map_origin, moved=moved)
     if high is None and (moved or low is None) and (cell is None or cell == grid.cell):
@@ -38,6 +45,47 @@ def read_survey(
     start = grid.low if low is None else low
     step = CELL if cell is None else cell
     return resampled(grid, empty_grid(start, grid.high if high is None else high, step))
+
+
+def what_stands(
+    file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None,
+    map_origin: Sequence[float] | Vector | None = None,
+) -> str:  # fmt: skip
+    """What is to be known of the points in a file that are far above their column's mean height; empty if none are.
+
+    Parameters
+    ----------
+    file: points, or heights, of which none are; low, high, cell, map_origin: as in `Terrain.from_file`.
+
+    Raises
+    ------
+    InputError: as for `read_survey`.
+    """
+    if file.suffix.lower() not in _POINTS:
+        return ""
+    points = read_points(file, map_origin=_origin(map_origin))
+    means = _means(points, low=low, high=high, cell=cell)
+    highest = column_highest(points, means)
+    above = np.where(np.isnan(means.z), 0.0, highest - means.z)
+    wrong = above > _STANDS + _STEEPEST * means.cell
+    if not wrong.any():
+        return ""
+    row, column = np.unravel_index(int(np.argmax(above)), above.shape)
+    x, y = (means.low + means.cell * np.array([column, row])).tolist()
+    return (
+        f"in {np.count_nonzero(wrong)} of {above.size} columns of {file.name} points are far above the mean height "
+        f"that counts for the ground, by {above.max():.2f} m at x {x:.2f}, y {y:.2f}: of a wall, a machine or a tree "
+        "only a part counts there. Leave out these points, and give what stands there in site.obstacles"
+    )
+
+
+def _means(
+    points: Matrix, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None
+) -> HeightGrid:
+    """The mean heights of points on the wanted grid, by default from their least to their greatest x and y."""
+    start = points[:, :2].min(axis=0) if low is None else low
+    end = points[:, :2].max(axis=0) if high is None else high
+    return column_means(points, empty_grid(start, end, CELL if cell is None else cell))
 
 
 def survey_on(

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
-from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.ground.obstacle import ground_around
 from backhoe_planner.job.ground.scanned import Scanned, scanned
+from backhoe_planner.job.ground.surveys import what_stands
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
@@ -216,6 +217,23 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
         )
     except InputError as error:
         raise SceneError(str(error), file=job.file, key="ground.file") from None
+
+
+def ground_warnings(job: Job) -> tuple[str, ...]:
+    """Doubts about the ground of a job, in words: what stands on a ground of points, and counts only in part.
+
+    A file that cannot be read gives none: `build_worksite` tells what is wrong with it.
+    """
+    given = check_kind(job, Job, key="job").ground
+    if given.file is None:
+        return ()
+    try:
+        words = what_stands(
+            job.folder / given.file, low=given.low, high=given.high, cell=given.cell, map_origin=given.map_origin
+        )
+    except InputError:
+        return ()
+    return (f"ground.file: {words}",) if words else ()
 
 
 def read_ground(job: Job, file: Path) -> Scanned:
