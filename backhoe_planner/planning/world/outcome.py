@@ -111,9 +111,9 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
-        message = f"at the {what} {contact.describe()}" + (
-            _only_swung(world, contact, q, time) or _moved(world, q, time)
-        )
+        hint = _only_swung(world, contact, q, time)
+        moved = "" if hint and _joints_of(world, contact.link) == {1} else _moved(world, q, time)
+        message = f"at the {what} {contact.describe()}{moved}{hint}"
         reason: Reason = "start_in_collision" if starts else "goal_in_collision"
         return Outcome(stays, reason, message, Findings(obstruction=contact))
     keep = world.problem.keep
@@ -140,19 +140,22 @@ def _only_swung(world: World, contact: Obstruction, q: Vector, time: float) -> s
     robot, proximity = world.problem.robot, world.proximity
     if contact.kind != "obstacle" or robot.n < 2:
         return ""
-    joints: dict[str, set[int]] = {}
-    for own in robot.pieces:
-        joints.setdefault(own.link, set()).add(own.joint)
     near = [pair.at(away) for pair, away in zip(proximity.pairs, proximity.distances(q, time=time), strict=True)]
-    touching = [one.link for one in near if (one.kind, one.name) == ("obstacle", contact.obstacle) and one.margin < 0.0]
-    swung = [link for link in dict.fromkeys((contact.link, *touching)) if joints[link] == {1}]
+    touching = [one.link for one in near if (one.kind, one.name) == (contact.kind, contact.name) and one.distance < 0.0]
+    swung = [link for link in dict.fromkeys((contact.link, *touching)) if _joints_of(world, link) == {1}]
     if not swung:
         return ""
-    links = ", ".join(link for link, own in joints.items() if max(own) > 1)
+    links = ", ".join(dict.fromkeys(own.link for own in robot.pieces if own.joint > 1))
+    too = "" if contact.link in swung else f", which {'touches' if len(swung) == 1 else 'touch'} it too"
     return (
-        f"; {robot.joint_names[0]} alone moves {' and '.join(swung)}: if that belongs there, say which links must keep "
-        f"from {contact.obstacle}, with links: [{links}]"
+        f"; {robot.joint_names[0]} alone moves {' and '.join(swung)}{too}: if that belongs there, say which links must "
+        f"keep from {contact.obstacle}, with links: [{links}]"
     )
+
+
+def _joints_of(world: World, link: str) -> set[int]:
+    """The joints that move the pieces of a link, by number; 0 for what stands still."""
+    return {own.joint for own in world.problem.robot.pieces if own.link == link}
 
 
 def _moved(world: World, q: Vector, time: float) -> str:
