@@ -264,7 +264,8 @@ class VelocityFilter:
             late = not evasion.are_kept_by(v, TOLERANCE)
             path = check.path(state.q, v)
             found = check.clearance(awake, path, first=first, by_rows=attempt > 0)
-            first = first or (path, found)
+            if wish.kept is None:  # otherwise the next step needs the rows of what moves, too: the wish may alternate
+                first = first or (path, found)
             if (found.free if attempt == 0 else found.clear) and not late:
                 return self._accept(path, awake, found, held_back=held_back, evading=evading)
             if attempt == 0 and found.clear and not late:
