@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.metadata
 import os
 import platform
-import sys
 from pathlib import Path
 
 from backhoe_planner.native import native_version
 
-# packages on which the numbers of a plan depend, and their modules, which tell the version sooner than their metadata
-_PACKAGES = {"backhoe_planner": "backhoe_planner", "pin": "pinocchio", "coal": "coal", "numpy": "numpy"}
+_PACKAGES = ("backhoe_planner", "pin", "coal", "numpy")  # the numbers of a plan depend on these
 
 
 def relative_path(path: Path, folder: Path | None) -> str:
@@ -24,11 +24,11 @@ def relative_path(path: Path, folder: Path | None) -> str:
 
 
 def installed_versions() -> dict[str, str]:
-    """The versions of Python and of the packages that make a plan, as far as they are in use."""
+    """The versions of Python and of the packages that make a plan, as far as they are installed and used."""
     found = {"python": platform.python_version()}
-    for name, module in _PACKAGES.items():
-        if module in sys.modules:
-            found[name] = sys.modules[module].__version__
+    for name in _PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
     native = native_version()
     if native is not None:  # otherwise no number depends on it
         found["backhoe_planner_native"] = native
