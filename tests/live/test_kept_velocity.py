@@ -99,3 +99,27 @@ def test_a_cup_stays_upright_while_the_arm_evades_a_ball(
     assert most > 0.05  # it gave way
     assert least >= 0.0
     assert nearest > 0.02
+
+
+def test_a_bucket_that_is_kept_level_stops_before_a_ball_that_creeps(backhoe: bp.Robot) -> None:
+    """The ball is in the way of the swing. It comes at 26 mm/s, and nothing but stopping keeps the pitch."""
+    names = ("swing", "boom", "stick", "bucket")
+    first, last = np.array([0.0, 0.3, -1.5, -1.5]), np.array([1.0, 0.6, -1.2, -2.1])
+    start, goal = ({"joints": dict(zip(names, q.tolist(), strict=True))} for q in (first, last))
+    scene = bp.scene_from_dict(
+        {"version": 1, "start": start, "task": {"goal": goal, "keep": {"pitch": [-2.75, -2.65]}}, "clearance": 0.05}
+    )
+    part = np.linspace(0.0, 1.0, 120)[:, None]
+    motion = bp.Trajectory.from_steps(
+        4.0 * part[:, 0], first + (10 * part**3 - 15 * part**4 + 6 * part**5) * (last - first)
+    )
+    servo = bp.Servo(backhoe, scene, DT, q=first)
+    servo.add({"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.70712, 1.62424, 0.19961]})
+    servo.set_velocity("ball", [0.01638, 0.01963, 0.0005])
+    nearest = np.inf
+    with bp.PlanFollower(servo, motion, executor=Never()) as follower:
+        for _ in range(120):
+            state = follower.step().state
+            if state.nearest is not None and state.nearest.name == "ball":
+                nearest = min(nearest, state.nearest.distance)
+    assert 0.04 < nearest < 0.5
