@@ -17,6 +17,6 @@ def number(
 
     pydantic takes it as it is. It would spend half of the time to load a scene on finding the same for each field.
     """
-    number = core_schema.float_schema(strict=True, allow_inf_nan=False, ge=ge, gt=gt, le=le, lt=lt)
-    schema = number if count is None else core_schema.tuple_schema([number] * count)
+    one = core_schema.float_schema(strict=True, allow_inf_nan=False, ge=ge, gt=gt, le=le, lt=lt)
+    schema = one if count is None else core_schema.tuple_schema([one] * count)
     return GetPydanticSchema(lambda _source, _handler: schema)

@@ -18,6 +18,7 @@ from pydantic import Field, StrictInt, ValidationError
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.file_kinds import refuse_other_kind
+from backhoe_planner.files.numbers import number
 from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
@@ -34,7 +35,7 @@ FORMAT: Literal["backhoe-planner/job"] = "backhoe-planner/job"
 VERSION: Literal[1] = 1
 
 # values that are recomputed from the motions and compared with the file: null would match any number
-Amount = Annotated[float, Field(strict=True, ge=0.0, le=1e30, allow_inf_nan=False)]
+Amount = Annotated[float, number(ge=0.0, le=1e30)]
 Number = Annotated[StrictInt, Field(ge=0)]
 
 

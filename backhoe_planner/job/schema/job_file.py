@@ -12,6 +12,7 @@ from pydantic import Field, PrivateAttr
 
 from backhoe_planner.errors import SceneError, check_path
 from backhoe_planner.files.file_record import FileRecord
+from backhoe_planner.files.numbers import number
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSoil, PatternChoice
 from backhoe_planner.machine import shipped_file
@@ -29,7 +30,7 @@ class Job(FileRecord):
     """A URDF file, relative to the job file, or example:NAME."""
     site: str | dict[str, Any] = Field(default_factory=dict)
     """A scene file, relative to the job file, or its keys: clearance, influence, obstacles, zones, limits, ..."""
-    start: dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]] | None = None
+    start: dict[str, Annotated[float, number()]] | None = None
     """Position of every joint by name before the first cycle [rad or m]; by default above the first cut."""
     soil: JobSoil = JobSoil()
     ground: Ground = Ground()

@@ -11,13 +11,14 @@ import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.files.numbers import number
 from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.site import Finite, MapPoint, Slope, Soil
 
 _LEAST_BUCKET = 0.002  # m^3; chosen: no cut is found that takes much less
 _LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
 _STEEPEST = 1.0  # m per m of a trench's bottom; chosen: no bucket follows a steeper one
-_Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+_Length = Annotated[float, number(gt=0.0, le=_LARGEST)]
 _Point = tuple[Finite, Finite]
 _WALL = 0.08  # m, thickness of the walls of a truck bed; chosen
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.numbers import number
 from backhoe_planner.site.schema import obstacle_shapes
 
 LARGEST = 16_384  # characters or bytes of a message; chosen, those of the page itself have a few hundred
@@ -20,9 +21,9 @@ _LONGEST_NAME = 60  # characters; chosen, so that a row of the panel can show it
 _SMALLEST, _FARTHEST = 0.001, 1000.0  # m: sizes and coordinates of a new obstacle; chosen, others are mistakes
 _FASTEST = 10.0  # m/s or rad/s; chosen, faster than any machine
 
-_Part = Annotated[float, Field(strict=True, ge=-1.0, le=1.0, allow_inf_nan=False)]
-_Rate = Annotated[float, Field(strict=True, ge=-_FASTEST, le=_FASTEST, allow_inf_nan=False)]
-_Near = Annotated[float, Field(strict=True, ge=-_FARTHEST, le=_FARTHEST, allow_inf_nan=False)]
+_Part = Annotated[float, number(ge=-1.0, le=1.0)]
+_Rate = Annotated[float, number(ge=-_FASTEST, le=_FASTEST)]
+_Near = Annotated[float, number(ge=-_FARTHEST, le=_FARTHEST)]
 _Name = Annotated[str, Field(strict=True, min_length=1, max_length=_LONGEST_NAME)]
 _Number = Annotated[int, Field(strict=True, ge=0, le=2**53)]  # integers up to which JavaScript is exact
 _Switch = Annotated[bool, Field(strict=True)]
@@ -75,7 +76,7 @@ class Sticks(_Message):
     """Left stick: to the right, and forward."""
     right: tuple[_Part, _Part]
     """Right stick: to the right, and forward."""
-    speed: Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)] = 1.0
+    speed: Annotated[float, number(ge=0.0, le=1.0)] = 1.0
     """Part of every joint's greatest rate at full deflection."""
 
 
