@@ -71,7 +71,7 @@ def what_stands(
     if not wrong.any():
         return ""
     row, column = np.unravel_index(int(np.argmax(above)), above.shape)
-    x, y = (means.low + means.cell * np.array([column, row])).tolist()
+    x, y = means.nodes()[row, column].tolist()
     return (
         f"in {np.count_nonzero(wrong)} of {above.size} columns of {file.name} points are far above the mean height "
         f"that counts for the ground, by {above.max():.2f} m at x {x:.2f}, y {y:.2f}: of a wall, a machine or a tree "

@@ -136,7 +136,7 @@ class Terrain:
         Parameters
         ----------
         file: heights as CSV (rows along y, columns along x, both ascending) or GeoTIFF, or points as
-            PLY, PCD, LAS, XYZ or TXT.
+            PLY, PCD, LAS, LAZ, E57, XYZ or TXT.
         low: (2,) x, y of the first node [m]. Required for a CSV. A GeoTIFF has its own position; `low` without
             `high` moves its south-west height there. For points, by default their least x and y.
         high: (2,) x, y of approximately the last node [m]; by default the extent of the file.

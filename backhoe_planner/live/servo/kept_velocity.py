@@ -18,7 +18,7 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows
 
-PRICE_KEPT = 100.0  # W; chosen: the wish counts up to 1, and rows of obstacles 5e3 and more for each (m/s)^2
+_PRICE_KEPT = 100.0  # W; chosen: the wish counts up to 1, and rows of obstacles 5e3 and more for each (m/s)^2
 _PRICE_EARLY = 1.0  # the same of rows for evading early; chosen, far below W
 _RANK = 1e-3  # part of the largest singular value below which rows count as dependent; chosen, octagons have rank 2
 _NOTHING = 1e-12  # keeps quotients finite
@@ -31,12 +31,12 @@ def keeping(program: QuadraticProgram, kept: Rows, early: Rows | None = None) ->
     """
     n, more = len(program.f), 1 + (0 if early is None else len(early.h))
     blocks = [_without(block, more) for block in program.rows]
-    blocks.append(_missed(kept, np.arange(len(kept.h)) * 0, more))
+    blocks.append(_missed(kept, np.zeros(len(kept.h), dtype=np.intp), more))
     if early is not None and len(early.h):
         blocks.append(_missed(early, 1 + np.arange(len(early.h)), more))
     H = np.zeros((n + more, n + more))
     H[:n, :n] = program.H
-    H.reshape(-1)[n * (n + more + 1) :: n + more + 1] = [PRICE_KEPT, *[_PRICE_EARLY] * (more - 1)]
+    H.reshape(-1)[n * (n + more + 1) :: n + more + 1] = [_PRICE_KEPT, *[_PRICE_EARLY] * (more - 1)]
     return QuadraticProgram(
         H=H,
         f=np.append(program.f, np.zeros(more)),

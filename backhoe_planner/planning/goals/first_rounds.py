@@ -103,11 +103,10 @@ def after_first_rounds(
     pushed: how many blocked starts at most get more rounds.
     field: of the starts, if those that fall behind get fewer rounds, and blocked ones that stay so.
     """
-    never: GivesUp = lambda here, rounds: False  # noqa: E731
     clear: list[tuple[float, Start]] = []
     blocked: list[tuple[float, Start]] = []
     for start in starts:
-        found = bend(start, _FIRST_ROUNDS, gives_up=never if field is None else field.falls_behind)
+        found = bend(start, _FIRST_ROUNDS, gives_up=_never if field is None else field.falls_behind)
         if field is not None:
             field.end(found)
         if found is not None and found.missed > far_off:
@@ -118,12 +117,16 @@ def after_first_rounds(
     least = min((cost for cost, _ in clear), default=np.inf)
     for cost, start in blocked[:pushed]:
         if cost < _MUCH_CHEAPER * least:
-            stays = never if field is None else _stays_blocked()
+            stays = _never if field is None else _stays_blocked()
             found = bend(start, _ROUNDS_OUT, gives_up=stays, density=_DENSELY, clear_first=True)
             if found is not None and found.missed <= _NEARLY:
                 clear.append((_worth(found), _as_far(start, found)))
     clear.sort(key=lambda one: one[0])
     return FirstRounds(clear, blocked)
+
+
+def _never(_here: Timed, _rounds: float) -> bool:
+    return False
 
 
 def _stays_blocked() -> GivesUp:

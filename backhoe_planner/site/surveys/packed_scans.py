@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,10 +58,8 @@ def unpacked_places(content: bytes, begin: int, length: int, count: int, key: by
             unpacked = np.zeros(len(some) * length, dtype=np.uint8)
             points.decompress_many(unpacked)
             some[:] = unpacked.view(np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": length}))["xyz"]
-    except lazrs.LazrsError as error:
-        raise ValueError(f"its points cannot be unpacked, {error}") from error
     except BaseException as error:  # what lazrs raises where it panics is none of Python's own exceptions
-        if type(error).__name__ != "PanicException":
+        if not isinstance(error, lazrs.LazrsError) and type(error).__name__ != "PanicException":
             raise
         raise ValueError(f"its points cannot be unpacked, {error}") from error
     return found
@@ -79,24 +77,27 @@ def _check_chunks(content: bytes, begin: int, count: int) -> None:
         raise ValueError(f"{chunks} chunks of {count} points")
 
 
+def _parts_of(key: bytes) -> Iterator[tuple[int, ...]]:
+    """The kind, the size and the version of each part of a point, by the record of a LAZ that lists them."""
+    return _PART.iter_unpack(key[_COUNT_AT + _COUNT.size :])
+
+
 def _check_parts(key: bytes, length: int) -> None:
     """Raise a ValueError if the parts of a point, which the record of a LAZ lists, are not `length` bytes together."""
     (count,) = _COUNT.unpack_from(key, _COUNT_AT)
-    sizes = [size for _, size, _ in _PART.iter_unpack(key[_COUNT_AT + _COUNT.size :])]
+    sizes = [size for _, size, _ in _parts_of(key)]
     if len(sizes) != count or sum(sizes) != length:
         raise ValueError(f"parts of {sum(sizes)} bytes, not {length}")
 
 
-def _check_layers(
-    content: bytes, begin: int, length: int, key: bytes, chunks: Sequence[tuple[int, int]]
-) -> None:  # fmt: skip
+def _check_layers(content: bytes, begin: int, length: int, key: bytes, chunks: Sequence[tuple[int, int]]) -> None:
     """Raise a ValueError if a layer is larger than its chunk: lazrs makes room for what it is said to be.
 
     chunks: the number of points and of bytes of each.
     """
     if struct.unpack_from("<H", key)[0] != _LAYERED:
         return
-    layers = sum(_LAYERS.get(kind, size) for kind, size, _ in _PART.iter_unpack(key[_COUNT_AT + _COUNT.size :]))
+    layers = sum(_LAYERS.get(kind, size) for kind, size, _ in _parts_of(key))
     first = begin + _PLACE.size
     for _, size in chunks:
         # a chunk begins with a point that is not packed, the number of its points, and the sizes of its layers
