@@ -12,6 +12,7 @@ from .job import Job as Job
 from .job import JobPlan as JobPlan
 from .job import JobStep as JobStep
 from .job import Load as Load
+from .job import OffGround as OffGround
 from .job import PatternEstimate as PatternEstimate
 from .job import Terrain as Terrain
 from .job import Undug as Undug

@@ -444,12 +444,17 @@ def calls() -> dict[str, Call]:
         "Terrain": call(
             lambda **keys: bp.Terrain(**keys).surface, low=(np.zeros(2), vector(2)), cell=(0.5, POSITIVE),
             bank=(np.zeros((3, 4)), GRID), loose=(np.zeros((3, 4)), GRID), soil=(terrain().soil, THING),
-            swell=(1.2, POSITIVE), repose=(0.6, POSITIVE),
+            off_ground=(None, optional(THING)), swell=(1.2, POSITIVE), repose=(0.6, POSITIVE),
+        ),
+        "OffGround": call(
+            bp.OffGround, edge=(0.1, POSITIVE), keys=(np.zeros((2, 3), dtype=int), only(*THING.bad, np.zeros((2, 3)))),
+            lists=False,
         ),
         "Terrain.level": call(lambda **keys: bp.Terrain.level(**keys).surface, z=(0.5, NUMBER), **frame),
         "Terrain.from_points": call(
             lambda **keys: bp.Terrain.from_points(**keys).surface, **frame,
             points=(np.random.default_rng(0).uniform(-0.2, 2.2, (4000, 3)), MATRIX), fill=(0.5, NUMBER),
+            roughness=(3.0, NUMBER),
         ),
         "Terrain.from_file": call(
             bp.Terrain.from_file, file=("no/such.csv", PATH), cell=(0.5, optional(POSITIVE)), lists=False

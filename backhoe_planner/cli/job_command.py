@@ -70,6 +70,8 @@ def job(
             print_warnings(
                 [f"{from_terrain} does not cover {part:.0f} % of the ground: there it is taken as the job has it"]
             )
+        if survey.remark:
+            print_warnings([f"{from_terrain}: {survey.remark}"])
     resume = None if anew else _begun(loaded, output, (effort, seed), terrain)
     if resume is not None:
         ERR.print(f"goes on after cycle {len(resume.cycles)}, as {output} has it (--anew begins anew)")

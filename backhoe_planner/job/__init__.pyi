@@ -9,7 +9,10 @@ from .estimates import CLOSE as CLOSE
 from .ground.heaps import Refusal as Refusal
 from .ground.heaps import deposited as deposited
 from .ground.heaps import heap_room as heap_room
+from .ground.obstacle import off_ground_obstacles as off_ground_obstacles
 from .ground.obstacle import terrain_obstacle as terrain_obstacle
+from .ground.off_ground import OffGround as OffGround
+from .ground.off_ground import join_voxels as join_voxels
 from .ground.scanned import scanned as scanned
 from .ground.slumping import slumped as slumped
 from .ground.sweep import BladeSweep as BladeSweep

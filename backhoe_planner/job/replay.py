@@ -60,9 +60,10 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
         job = _job(record, file, urdf)
     _check_trucks(record, job, file)
     with _errors_of(file, "ground"):
+        stands = record.ground.off_ground
         terrain = Terrain(
             np.array(record.ground.low), record.ground.cell, record.ground.grid("bank"), record.ground.grid("loose"),
-            plain_soil(job), job.soil.swell, job.soil.repose,
+            plain_soil(job), job.soil.swell, job.soil.repose, None if stands is None else stands.found,
         )  # fmt: skip
     with _errors_of(file, "job"):
         site = build_worksite(job, terrain=terrain)

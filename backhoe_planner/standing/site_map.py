@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
-from backhoe_planner.job import Job, Worksite
+from backhoe_planner.job import Job, Worksite, off_ground_obstacles
 from backhoe_planner.machine import Base
 from backhoe_planner.site import build_obstacles, stands_in, starts_in
 from backhoe_planner.standing.dig_area import DigArea
@@ -91,7 +91,10 @@ class SpotFinder:
     def __init__(self, job: Job, site: Worksite, area: DigArea, reach: ReachMap) -> None:
         self.area, self.reach, self.site = area, reach, site
         self.footprint = MachineFootprint(site.robot)
-        self._job, self._obstacles = job, build_obstacles(job.site_scene, site.robot)
+        self._job, self._obstacles = job, (
+            *build_obstacles(job.site_scene, site.robot),
+            *off_ground_obstacles(site.ground.off_ground, job.site_scene.clearance),
+        )  # fmt: skip
         plane, base = site.plane, site.robot.base
         self._offset = axis_offset(plane.axis, base)
         self._zero = plane.heading(0.0) - base.heading

@@ -90,27 +90,28 @@ def check_counts(shape: tuple[int, ...], *, key: str) -> None:
 
 def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
     """The mean height of the points (n, 3) [m] in each column of a grid; NaN for a column without points."""
-    index, z = _columns_of(points, grid)
+    on, index = columns_of(points, grid)
+    z = points[on, 2]
     count = np.bincount(index, minlength=grid.z.size)
     total = np.bincount(index, weights=z, minlength=grid.z.size)
     with np.errstate(invalid="ignore"):
         return replace(grid, z=(total / count).reshape(grid.z.shape))
 
 
-def column_highest(points: Matrix, grid: HeightGrid) -> Matrix:
-    """(rows, columns) the greatest height of the points (n, 3) [m] in each column of a grid; -inf without points."""
-    index, z = _columns_of(points, grid)
-    found = np.full(grid.z.size, -np.inf)
-    np.maximum.at(found, index, z)
-    return found.reshape(grid.z.shape)
+def column_lowest(points: Matrix, grid: HeightGrid) -> Matrix:
+    """(rows, columns) the least height of the points (n, 3) [m] in each column of a grid; NaN without points."""
+    on, index = columns_of(points, grid)
+    found = np.full(grid.z.size, np.inf)
+    np.minimum.at(found, index, points[on, 2])
+    return np.where(np.isinf(found), np.nan, found).reshape(grid.z.shape)
 
 
-def _columns_of(points: Matrix, grid: HeightGrid) -> tuple[Indices, Vector]:
-    """(m,) the columns in which those points (n, 3) are that are on the grid, and their heights [m]."""
+def columns_of(points: Matrix, grid: HeightGrid) -> tuple[Flags, Indices]:
+    """(n,) which of the points (n, 3) [m] are on the grid, and (m,) the columns of these."""
     rows, columns = grid.z.shape
     at = np.round((points[:, :2] - grid.low) / grid.cell).astype(np.int64)
-    inside = ((at >= 0) & (at < [columns, rows])).all(axis=1)
-    return at[inside, 1] * columns + at[inside, 0], points[inside, 2]
+    on = np.all((at >= 0) & (at < [columns, rows]), axis=1)
+    return on, at[on, 1] * columns + at[on, 0]
 
 
 def resampled(grid: HeightGrid, onto: HeightGrid) -> HeightGrid:
@@ -129,11 +130,20 @@ def filled(grid: HeightGrid, reach: float) -> HeightGrid:
     holes = np.isnan(grid.z)
     if reach <= 0.0 or not holes.any() or holes.all():
         return grid
+    from scipy.ndimage import distance_transform_edt
+
+    return filled_at(grid, holes & (distance_transform_edt(holes) * grid.cell <= reach + _NO_FURTHER))
+
+
+def filled_at(grid: HeightGrid, wanted: Flags) -> HeightGrid:
+    """Those holes filled that are `wanted` (rows, columns): linear between the columns at their rims."""
+    holes = np.isnan(grid.z)
+    if not wanted.any() or holes.all():
+        return grid
     from scipy.interpolate import griddata
     from scipy.ndimage import binary_dilation, distance_transform_edt
 
-    away, nearest = distance_transform_edt(holes, return_indices=True)
-    wanted = holes & (away * grid.cell <= reach + _NO_FURTHER)
+    nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
     rim = binary_dilation(holes, np.ones((3, 3), dtype=bool)) & ~holes
     z = grid.z.copy()
     z[wanted] = z[tuple(nearest)][wanted]  # beyond the hull of the rim

@@ -9,10 +9,11 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector, as_number
 from backhoe_planner.errors import check_kind
+from backhoe_planner.job.ground.off_ground import OffGround
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.machine import Cluster, TerrainSolid
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site import Obstacle, terrain_body
+from backhoe_planner.site import Obstacle, scan_body, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
 
 _DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
@@ -59,6 +60,38 @@ def terrain_obstacle(
         ),
         cluster=body,
     )
+
+
+def off_ground_obstacles(off_ground: OffGround | None, clearance: float) -> tuple[Obstacle, ...]:
+    """What stands on the ground, one obstacle for each of the largest things; empty if nothing does.
+
+    Parameters
+    ----------
+    clearance: distance to be kept from it [m].
+
+    Raises
+    ------
+    InputError: an argument is of another kind.
+    """
+    if off_ground is None:
+        return ()
+    edge = check_kind(off_ground, OffGround, key="off_ground").edge
+    found = []
+    for name, keys in off_ground.things:
+        body = scan_body(np.asarray(edge * (keys + 0.5), dtype=float), edge, pin.SE3.Identity())
+        found.append(
+            Obstacle(
+                name=name,
+                pieces=() if isinstance(body, Cluster) else tuple(body),
+                clearance=as_number(clearance, key="clearance", least=0.0),
+                links=None,
+                appears_at=0.0,
+                velocity=np.zeros(3),
+                spec=obstacle_shapes.PointCloud(name=name, shape="pointcloud", file="", resolution=edge),
+                cluster=body if isinstance(body, Cluster) else None,
+            )
+        )
+    return tuple(found)
 
 
 def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clearance: float) -> tuple[Obstacle, ...]:

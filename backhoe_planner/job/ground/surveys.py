@@ -1,111 +1,140 @@
-"""Heights of a site from a file, resampled on the wanted grid."""
+"""The ground of a site from a file, resampled on the wanted grid, and what stands on it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector, as_vector
+from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.found_file import is_file
 from backhoe_planner.job.ground.grids import (
     CELL,
     HeightGrid,
     as_cell,
-    column_highest,
+    column_lowest,
     column_means,
+    columns_of,
     empty_grid,
+    filled_at,
     resampled,
 )
+from backhoe_planner.job.ground.off_ground import OffGround, describe, off_the_ground, voxels_of
+from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import read_height_grid, read_points
 
-_STANDS = 0.3  # m above the mean height of a column: what stands there, no roughness of the ground; chosen
-_STEEPEST = 2.0  # times as high as wide: ground of 63 degrees; chosen
 _POINTS = (".ply", ".pcd", ".las", ".laz", ".e57", ".obj", ".stl", ".xyz", ".txt", ".pts")
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What a file says of the ground.
+
+    Attributes
+    ----------
+    heights: of the ground; NaN where there is none.
+    off_ground: what stands on it; None if nothing does, or for a table of heights.
+    remark: what stands on it in words; empty if nothing does.
+    """
+
+    heights: HeightGrid
+    off_ground: OffGround | None = None
+    remark: str = ""
 
 
 def read_survey(
     file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None,
-    map_origin: Sequence[float] | Vector | None = None,
-) -> HeightGrid:  # fmt: skip
-    """The heights in a file, see `Terrain.from_file`; NaN where there is none.
+    map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
+) -> Survey:  # fmt: skip
+    """The ground in a file, see `Terrain.from_file`.
 
     Raises
     ------
     InputError: the file is missing or malformed, or does not contain its position.
     """
-    if file.suffix.lower() in _POINTS:
-        return _means(read_points(file, map_origin=_origin(map_origin)), low=low, high=high, cell=cell)
+    if is_cloud(file):
+        ends = tuple(None if one is None else tuple(as_vector(one, 2, key=key).tolist())
+                     for key, one in (("low", low), ("high", high)))  # fmt: skip
+        origin, rough = _origin(map_origin), as_number(roughness, key="roughness", least=0.0)
+        if not is_file(file):
+            return _of_cloud(file, b"", ends, cell, origin, rough)
+        return _of_cloud(file, sha256(file.read_bytes()).digest(), ends, cell, origin, rough)
     moved = high is None and map_origin is None
     grid = _read_table(file, low, cell, map_origin, moved=moved)
     if high is None and (moved or low is None) and (cell is None or cell == grid.cell):
-        return grid
+        return Survey(grid)
     start = grid.low if low is None else low
     step = CELL if cell is None else cell
-    return resampled(grid, empty_grid(start, grid.high if high is None else high, step))
+    return Survey(resampled(grid, empty_grid(start, grid.high if high is None else high, step)))
 
 
-def what_stands(
-    file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None,
-    map_origin: Sequence[float] | Vector | None = None,
-) -> str:  # fmt: skip
-    """What is to be known of the points in a file that are far above their column's mean height; empty if none are.
+@lru_cache(maxsize=2)
+def _of_cloud(
+    file: Path, _digest: bytes, ends: tuple[tuple[float, ...] | None, ...], cell: float | None,
+    map_origin: tuple[float, ...], roughness: float,
+) -> Survey:  # fmt: skip
+    """The ground in a file of points with that digest; warnings, plan and page of a job ask for the same one."""
+    points = read_points(file, map_origin=map_origin)
+    low, high = ends
+    start = points[:, :2].min(axis=0) if low is None else low
+    end = points[:, :2].max(axis=0) if high is None else high
+    return split(points, empty_grid(start, end, CELL if cell is None else cell), roughness)
+
+
+def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None) -> Survey:
+    """Ground and what stands on it, from points (n, 3) [m]: the ground of a column is the mean of its ground
+    points, and the lowest of them where something stands.
 
     Parameters
     ----------
-    file: points, or heights, of which none are; low, high, cell, map_origin: as in `Terrain.from_file`.
-
-    Raises
-    ------
-    InputError: as for `read_survey`.
+    grid: the columns of the ground.
+    roughness: height above the ground up to which a point belongs to it [m].
+    known: (rows, columns) the ground at an earlier time [m]. Where things hide the ground it is taken as it was then,
+        otherwise between the columns around them.
     """
-    if file.suffix.lower() not in _POINTS:
-        return ""
-    points = read_points(file, map_origin=_origin(map_origin))
-    means = _means(points, low=low, high=high, cell=cell)
-    highest = column_highest(points, means)
-    above = np.where(np.isnan(means.z), 0.0, highest - means.z)
-    wrong = above > _STANDS + _STEEPEST * means.cell
-    if not wrong.any():
-        return ""
-    row, column = np.unravel_index(int(np.argmax(above)), above.shape)
-    x, y = means.nodes()[row, column].tolist()
-    return (
-        f"in {np.count_nonzero(wrong)} of {above.size} columns of {file.name} points are far above the mean height "
-        f"that counts for the ground, by {above.max():.2f} m at x {x:.2f}, y {y:.2f}: of a wall, a machine or a tree "
-        "only a part counts there. Leave out these points, and give what stands there in site.obstacles"
-    )
-
-
-def _means(
-    points: Matrix, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None
-) -> HeightGrid:
-    """The mean heights of points on the wanted grid, by default from their least to their greatest x and y."""
-    start = points[:, :2].min(axis=0) if low is None else low
-    end = points[:, :2].max(axis=0) if high is None else high
-    return column_means(points, empty_grid(start, end, CELL if cell is None else cell))
+    off = off_the_ground(points, grid, roughness, known)
+    heights = column_means(points[~off], grid)
+    if not off.any():
+        return Survey(heights)
+    under = np.isin(np.arange(grid.z.size), columns_of(points[off], grid)[1]).reshape(grid.z.shape)
+    # the lower part of a wall counts as ground, but does not raise it
+    heights = replace(heights, z=np.where(under, column_lowest(points[~off], grid), heights.z))
+    hidden = under & np.isnan(heights.z)
+    there = filled_at(heights, hidden).z if known is None else known
+    heights = replace(heights, z=np.where(hidden, there, heights.z))
+    stands = voxels_of(points[off], grid.cell)
+    return Survey(heights, stands, describe(points[off], heights, stands))
 
 
 def survey_on(
     file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
-    map_origin: Sequence[float] | Vector | None = None,
-) -> HeightGrid:  # fmt: skip
-    """The heights in a file at the nodes of a grid; NaN where the file does not reach.
+    map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
+) -> Survey:  # fmt: skip
+    """The ground in a file at the nodes of a grid of known heights; NaN where the file does not reach.
 
     Parameters
     ----------
     low, cell: position and spacing of the heights, as in `Terrain.from_file`; points and a GeoTIFF need neither.
-    map_origin: of points, as in `Terrain.from_file`.
+    map_origin, roughness: of points, as in `Terrain.from_file`.
 
     Raises
     ------
     InputError: as for `read_survey`.
     """
-    if file.suffix.lower() in _POINTS:
-        return column_means(read_points(file, map_origin=_origin(map_origin)), onto)
-    return resampled(_read_table(file, low, cell, None, moved=True), onto)
+    if is_cloud(file):
+        points = read_points(file, map_origin=_origin(map_origin))
+        return split(points, onto, as_number(roughness, key="roughness", least=0.0), onto.z)
+    return Survey(resampled(_read_table(file, low, cell, None, moved=True), onto))
+
+
+def is_cloud(file: Path) -> bool:
+    """Whether a file has points, by its name, and not a table of heights."""
+    return file.suffix.lower() in _POINTS
 
 
 def _origin(map_origin: Sequence[float] | Vector | None) -> tuple[float, ...]:

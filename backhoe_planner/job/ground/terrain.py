@@ -19,12 +19,13 @@ from backhoe_planner.job.ground.grids import (
     HeightGrid,
     as_cell,
     check_counts,
-    column_means,
     empty_grid,
     filled,
     refuse_holes,
 )
-from backhoe_planner.job.ground.surveys import read_survey
+from backhoe_planner.job.ground.off_ground import OffGround
+from backhoe_planner.job.ground.surveys import Survey, read_survey, split
+from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import Soil
 
 SWELL = 1.25  # loose volume per bank volume of common earth, by default; published 1.2 to 1.3
@@ -45,6 +46,7 @@ class Terrain:
     soil: the kind of soil.
     swell: loose volume per bank volume.
     repose: the steepest slope of loose soil [rad].
+    off_ground: what stands on the ground of a point cloud, an obstacle that digging does not remove; None if nothing.
 
     Raises
     ------
@@ -58,6 +60,7 @@ class Terrain:
     soil: Soil
     swell: float = SWELL
     repose: float = REPOSE
+    off_ground: OffGround | None = None
 
     def __post_init__(self) -> None:
         cell = as_cell(self.cell)
@@ -77,6 +80,8 @@ class Terrain:
         check_kind(self.soil, Soil, key="soil")
         object.__setattr__(self, "swell", as_number(self.swell, key="swell", least=1.0, most=3.0))
         object.__setattr__(self, "repose", as_number(self.repose, key="repose", above=0.0, most=_STEEPEST))
+        if self.off_ground is not None:
+            check_kind(self.off_ground, OffGround, key="off_ground")
 
     # --- made from -----------------------------------------------------------------------
 
@@ -107,29 +112,33 @@ class Terrain:
     def from_points(
         cls, points: Matrix, low: Sequence[float] | Vector, high: Sequence[float] | Vector, cell: float = CELL, *,
         soil: Soil | None = None, swell: float = SWELL, repose: float = REPOSE, fill: float = 0.0,
+        roughness: float = ROUGHNESS,
     ) -> Terrain:  # fmt: skip
-        """Ground through the points of a scan: each column has the mean height of its points.
+        """Ground through the points of a scan: each column has the mean height of its ground points.
 
         Parameters
         ----------
-        points: (n, 3) [m], world; points beyond the grid are left out.
+        points: (n, 3) [m], world. Beyond the grid only what stands on the ground counts, up to 10 m away.
         low, high, cell, soil, swell, repose: as in `level`.
         fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
+        roughness: points that are higher than the ground in their column and in the eight around it by more than
+            this [m] stand on it: they are in `off_ground`, not in the heights.
 
         Raises
         ------
         InputError: a column is left without a point, or an argument is not such a number; says where.
         """
         points = as_array(points, None, 3, key="points")
-        heights = column_means(points, empty_grid(low, high, cell))
-        return cls._of(heights, fill=fill, soil=soil, swell=swell, repose=repose, file=None)
+        grid = empty_grid(low, high, cell)
+        found = split(points, grid, as_number(roughness, key="roughness", least=0.0))
+        return cls._of(found, fill=fill, soil=soil, swell=swell, repose=repose, file=None)
 
     @classmethod
     def from_file(
         cls, file: str | Path, *, low: Sequence[float] | Vector | None = None,
         high: Sequence[float] | Vector | None = None, cell: float | None = None, soil: Soil | None = None,
         swell: float = SWELL, repose: float = REPOSE, fill: float = 0.0,
-        map_origin: Sequence[float] | Vector | None = None,
+        map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
     ) -> Terrain:  # fmt: skip
         """Ground from a survey; all of it is undisturbed.
 
@@ -145,23 +154,24 @@ class Terrain:
         fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
         map_origin: (3,) the point of the file's coordinates that is the origin of the site [m]: of points and of a
             GeoTIFF. By default their coordinates are those of the site.
+        roughness: of points, as in `from_points`.
 
         Raises
         ------
         InputError: the file is missing or malformed, or a height is missing; says which, and where.
         """
         file = check_path(file, key="file")
-        heights = read_survey(file, low=low, high=high, cell=cell, map_origin=map_origin)
-        return cls._of(heights, fill=fill, soil=soil, swell=swell, repose=repose, file=file)
+        found = read_survey(file, low=low, high=high, cell=cell, map_origin=map_origin, roughness=roughness)
+        return cls._of(found, fill=fill, soil=soil, swell=swell, repose=repose, file=file)
 
     @classmethod
     def _of(
-        cls, heights: HeightGrid, *, fill: float, soil: Soil | None, swell: float, repose: float, file: Path | None
+        cls, survey: Survey, *, fill: float, soil: Soil | None, swell: float, repose: float, file: Path | None
     ) -> Terrain:
-        heights = filled(heights, as_number(fill, key="fill", least=0.0))
+        heights = filled(survey.heights, as_number(fill, key="fill", least=0.0))
         refuse_holes(heights, file)
         zero = np.zeros_like(heights.z)
-        return cls(heights.low, heights.cell, heights.z, zero, _soil(soil), swell, repose)
+        return cls(heights.low, heights.cell, heights.z, zero, _soil(soil), swell, repose, survey.off_ground)
 
     # --- what it is ------------------------------------------------------------------------
 
@@ -208,7 +218,7 @@ class Terrain:
         return float((other.bank - self.bank).sum()) * self.cell**2
 
     def with_layers(self, bank: Matrix, loose: Matrix) -> Terrain:
-        """The same grid with other heights: `bank` and `loose` (rows, columns) [m]."""
+        """The same grid with other heights: `bank` and `loose` (rows, columns) [m]; what stands on it stays."""
         return replace(self, bank=bank, loose=loose)
 
     def height_at(self, points: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import InputError, check_path
+from backhoe_planner.job.ground.off_ground import same_voxels
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.schema.job_file import Job
@@ -286,8 +287,10 @@ def _machine(job: Job) -> str:
 
 
 def same_ground(one: Terrain, other: Terrain) -> bool:
-    """Whether two grounds have the same heights in the same columns."""
+    """Whether two grounds have the same heights in the same columns, and the same standing on them."""
     if one.shape != other.shape or one.cell != other.cell or not np.array_equal(one.low, other.low):
+        return False
+    if not same_voxels(one.off_ground, other.off_ground):
         return False
     pairs = ((one.bank, other.bank), (one.loose, other.loose))
     return all(bool(np.all(np.abs(a - b) <= _SAME_HEIGHT)) for a, b in pairs)

@@ -18,12 +18,13 @@ from pydantic import Field, StrictInt, ValidationError
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.file_kinds import refuse_other_kind
-from backhoe_planner.files.numbers import number
+from backhoe_planner.files.numbers import LARGEST, number
 from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.job.ground.grids import MOST_COLUMNS
+from backhoe_planner.job.ground.off_ground import MOST_VOXELS, OffGround
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
@@ -39,6 +40,40 @@ Amount = Annotated[float, number(ge=0.0, le=1e30)]
 Number = Annotated[StrictInt, Field(ge=0)]
 
 
+class OffGroundRecord(Record):
+    """What stands on the ground of a point cloud."""
+
+    edge: Annotated[float, number(gt=0.0, le=LARGEST)]
+    """Edge of its voxels [m]."""
+    stacks: list[tuple[StrictInt, StrictInt, StrictInt, Number]]
+    """x, y, z of the lowest corner of voxels above each other, in multiples of their edge, and how many there are."""
+
+    @classmethod
+    def of(cls, found: OffGround | None) -> OffGroundRecord | None:
+        """The record of what stands on the ground; None if nothing does."""
+        if found is None:
+            return None
+        keys = found.keys
+        begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=keys[:1] - 2) != [0, 0, 1], axis=1))
+        counts = np.diff(begins, append=len(keys))
+        stacks = np.column_stack((keys[begins], counts)).tolist()
+        return cls(edge=found.edge, stacks=[tuple(one) for one in stacks])
+
+    @property
+    def found(self) -> OffGround:
+        """What stands on the ground; raises ValueError if no voxel does, too many do, or one is too far away."""
+        stacks = np.array(self.stacks, dtype=float).reshape(-1, 4)
+        count, far = float(stacks[:, 3].sum()), self.edge * float(np.max(np.abs(stacks), initial=0.0))
+        if not 1.0 <= count <= MOST_VOXELS:
+            raise ValueError(f"off_ground has {count:g} voxels, allowed: 1 to {MOST_VOXELS}")
+        if far > LARGEST:
+            raise ValueError(f"off_ground has voxels {far:g} m away, allowed: up to {LARGEST:g} m")
+        whole = stacks.astype(np.int64)
+        keys = np.repeat(whole[:, :3], whole[:, 3], axis=0)
+        keys[:, 2] += np.concatenate([np.arange(one) for one in whole[:, 3].tolist()])
+        return OffGround(self.edge, keys)
+
+
 class GroundRecord(Record):
     """Heights of the ground; a single number is a whole grid of that value."""
 
@@ -52,6 +87,8 @@ class GroundRecord(Record):
     """Height z of the top of the undisturbed soil [m]."""
     loose: Finite | list[list[Finite]]
     """Thickness of the loose soil on it [m]."""
+    off_ground: OffGroundRecord | None = None
+    """What stands on it; null if nothing does."""
 
     @classmethod
     def of(cls, terrain: Terrain) -> GroundRecord:
@@ -62,6 +99,7 @@ class GroundRecord(Record):
             shape=terrain.shape,
             bank=_briefly(terrain.bank),
             loose=_briefly(terrain.loose),
+            off_ground=OffGroundRecord.of(terrain.off_ground),
         )
 
     def grid(self, name: Literal["bank", "loose"]) -> Matrix:

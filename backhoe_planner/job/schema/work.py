@@ -21,6 +21,7 @@ _STEEPEST = 1.0  # m per m of a trench's bottom; chosen: no bucket follows a ste
 _Length = Annotated[float, number(gt=0.0, le=_LARGEST)]
 _Point = tuple[Finite, Finite]
 _WALL = 0.08  # m, thickness of the walls of a truck bed; chosen
+ROUGHNESS = 0.15  # m above the ground that clods and grass reach; chosen
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 
 
@@ -190,6 +191,12 @@ class Ground(Record):
     """The point of the file's coordinates that is the origin of the site [m]; of a point cloud or a GeoTIFF."""
     fill: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 0.0
     """Holes in the file are filled from their rims up to this distance from a known column [m]; 0 by default: none."""
+    roughness: Annotated[float, number(ge=0.0, le=_LARGEST)] = ROUGHNESS
+    """Height above the ground up to which a point of a cloud counts as ground [m]; 0.15 by default.
+
+    What is higher than the ground in its column and in the eight around it by more than this stands on the ground and
+    is an obstacle.
+    """
     cell: Annotated[float, Field(strict=True, ge=0.02, le=0.5)] = 0.05
     """Distance between neighbouring columns of the ground [m]; 0.05 by default."""
     low: _Point | None = None

@@ -13,14 +13,14 @@ from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
-from backhoe_planner.job.ground.obstacle import ground_around
+from backhoe_planner.job.ground.obstacle import ground_around, off_ground_obstacles
 from backhoe_planner.job.ground.scanned import Scanned, scanned
-from backhoe_planner.job.ground.surveys import what_stands
+from backhoe_planner.job.ground.surveys import read_survey
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
 from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign
-from backhoe_planner.machine import Robot, load_robot
+from backhoe_planner.machine import Robot, load_robot, reach_ball
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
 
@@ -127,6 +127,11 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
             ground, job.ground.level or 0.0, reach.min(axis=0), reach.max(axis=0), problem.scene.clearance
         )
         problem = replace(problem, obstacles=(*problem.obstacles, *around))
+    stands = off_ground_obstacles(ground.off_ground, problem.scene.clearance)
+    for one in stands:
+        if one.cluster is not None:
+            one.cluster.prepare(*reach_ball(robot))
+    problem = replace(problem, obstacles=(*problem.obstacles, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, own, design, arm)
 
@@ -213,6 +218,7 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
             soil=soil,
             fill=given.fill,
             map_origin=given.map_origin,
+            roughness=given.roughness,
             **loose,
         )
     except InputError as error:
@@ -220,7 +226,7 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
 
 
 def ground_warnings(job: Job) -> tuple[str, ...]:
-    """Doubts about the ground of a job, in words: what stands on a ground of points, and counts only in part.
+    """Doubts about the ground of a job, in words: what stands on a ground of points.
 
     A file that cannot be read gives none: `build_worksite` tells what is wrong with it.
     """
@@ -228,9 +234,10 @@ def ground_warnings(job: Job) -> tuple[str, ...]:
     if given.file is None:
         return ()
     try:
-        words = what_stands(
-            job.folder / given.file, low=given.low, high=given.high, cell=given.cell, map_origin=given.map_origin
-        )
+        words = read_survey(
+            job.folder / given.file, low=given.low, high=given.high, cell=given.cell, map_origin=given.map_origin,
+            roughness=given.roughness,
+        ).remark  # fmt: skip
     except InputError:
         return ()
     return (f"ground.file: {words}",) if words else ()
@@ -259,7 +266,10 @@ def read_ground(job: Job, file: Path) -> Scanned:
             allowed=f"{own.shape[0]} x {own.shape[1]} heights, {own.cell:g} m apart from x {own.low[0]:g}, "
             f"y {own.low[1]:g} m", hint="ground.low, high and cell of the job say how large it is",
         )  # fmt: skip
-    found = scanned(own, file, low=own.low, cell=own.cell, fill=job.ground.fill, map_origin=job.ground.map_origin)
+    found = scanned(
+        own, file, low=own.low, cell=own.cell, fill=job.ground.fill, map_origin=job.ground.map_origin,
+        roughness=job.ground.roughness,
+    )  # fmt: skip
     holes = found.unknown & np.isfinite(site.design_heights())
     if holes.any():
         x, y = site.nodes[holes][0].tolist()

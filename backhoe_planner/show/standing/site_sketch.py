@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.job import Terrain
+from backhoe_planner.job import Terrain, off_ground_obstacles
 from backhoe_planner.machine import Base
 from backhoe_planner.site import Obstacle, build_obstacles
 from backhoe_planner.standing import Place, Spot, StandPlan
@@ -201,7 +201,8 @@ def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
     if robot is None:
         return ()
     found = []
-    for obstacle in build_obstacles(plan.job.site_scene, robot):
+    stands = off_ground_obstacles(plan.places[0].plan.start.off_ground, 0.0)
+    for obstacle in (*build_obstacles(plan.job.site_scene, robot), *stands):
         outline = None if obstacle.zone is not None else _outline(obstacle)
         if outline is not None:
             found.append((obstacle.name, outline))

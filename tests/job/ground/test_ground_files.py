@@ -18,8 +18,6 @@ from backhoe_planner.job import (
     Terrain,
     build_worksite,
     deposited,
-    ground_warnings,
-    job_from_dict,
     read_ground,
     scanned,
     swept,
@@ -345,21 +343,3 @@ def test_soil_for_which_the_bucket_has_no_room_is_spilt() -> None:
     assert found.spilt == pytest.approx(found.terrain.loose_volume, rel=1e-9)
     assert found.volume[-1] == pytest.approx(0.12 + found.terrain.loose_volume, rel=1e-9)
     assert found.terrain.loose[:, 55:65].sum() > 0.5 * found.terrain.loose.sum()  # about x = 3 m
-
-
-def test_points_far_above_the_mean_of_their_column_are_told(tmp_path: Path) -> None:
-    """A wall 2 m high on level ground, in 21 columns of 0.1 m: half of the points in each are at its top."""
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 6.05, 0.1), np.arange(-2.0, 2.05, 0.1)))
-    level = np.column_stack((x, y, np.zeros_like(x)))
-    slope = np.column_stack((x, y, 1.5 * x))  # 56 degrees
-    along = np.arange(-1.0, 1.05, 0.1)
-    wall = np.column_stack((np.full(21, 3.0), along, np.full(21, 2.0)))
-    for points, told in ((np.vstack((level, wall)), True), (slope, False), (level, False)):
-        np.savetxt(tmp_path / "ground.xyz", points)
-        keys = {"file": "ground.xyz", "cell": 0.1, "low": [0.0, -2.0], "high": [6.0, 2.0]}
-        found = ground_warnings(job_from_dict(small_job().to_dict() | {"ground": keys}, folder=tmp_path))
-        assert len(found) == told
-        if told:
-            assert "in 21 of 2501 columns of ground.xyz" in found[0]
-            assert "by 1.00 m at x 3.00, y -1.00" in found[0]
-    assert ground_warnings(small_job()) == ()

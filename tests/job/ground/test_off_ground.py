@@ -1,0 +1,202 @@
+"""What stands on the ground of a point cloud: told from the ground, kept as an obstacle, never dug away."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial import ConvexHull
+from small_jobs import TINY, small_job
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.job import (
+    Job,
+    OffGround,
+    Terrain,
+    build_worksite,
+    ground_warnings,
+    job_from_dict,
+    join_voxels,
+    load_job_plan,
+    off_ground_obstacles,
+    plan_job,
+    read_ground,
+)
+
+LOW, HIGH, CELL = (0.0, -2.0), (6.0, 2.0), 0.1
+
+
+def grid(low: tuple[float, float], high: tuple[float, float], step: float) -> Matrix:
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1e-9, step), np.arange(low[1], high[1] + 1e-9, step))
+    return np.column_stack((x.ravel(), y.ravel()))
+
+
+def at(places: Matrix, z: float | Matrix) -> Matrix:
+    return np.column_stack((places, np.broadcast_to(z, len(places))))
+
+
+def upright(x: tuple[float, float], y: float, height: float, step: float) -> Matrix:
+    """Points of a wall along x, from the ground up."""
+    places = grid((x[0], 0.0), (x[1], height), step)
+    return np.column_stack((places[:, 0], np.full(len(places), y), places[:, 1]))
+
+
+LEVEL = at(grid(LOW, HIGH, CELL), 0.0)
+
+
+def ground_of(points: Matrix, roughness: float = 0.15) -> Terrain:
+    return Terrain.from_points(points, LOW, HIGH, CELL, roughness=roughness)
+
+
+def test_what_stands_is_told_from_the_ground_and_the_ground_under_it_is_that_around_it() -> None:
+    """A wall of 2 m, a canopy above the ground, and a roof of 2 x 3 m that hides the ground, at 1.5 m."""
+    wall = upright((1.0, 3.0), -1.0, 2.0, 0.1)
+    canopy = at(grid((4.0, 0.0), (5.0, 1.0), 0.1), 3.0)
+    roof = at(grid((0.5, 0.0), (3.5, 1.9), 0.1), 1.5)
+    is_open = ~((LEVEL[:, 0] > 0.45) & (LEVEL[:, 0] < 3.55) & (LEVEL[:, 1] > -0.05) & (LEVEL[:, 1] < 1.95))
+    # a slope of 0.1 m per m along x lies under all of them
+    for slope in (0.0, 0.1):
+        points = np.vstack((LEVEL[is_open], wall, canopy, roof))
+        points[:, 2] += slope * points[:, 0]
+        found = ground_of(points)
+        np.testing.assert_allclose(found.surface, np.tile(slope * found.x, (found.shape[0], 1)), atol=1e-9)
+        assert found.off_ground is not None
+        stands = points[points[:, 2] > slope * points[:, 0] + 0.15 + slope * CELL]
+        keys = {tuple(key) for key in found.off_ground.keys.tolist()}
+        assert {tuple(key) for key in np.floor(stands / found.off_ground.edge).astype(int).tolist()} <= keys
+        assert found.off_ground.centres[:, 2].min() > 0.1
+        assert len(found.off_ground.things) == 3
+    # nothing stands for whoever says so
+    assert ground_of(points, roughness=5.0).off_ground is None
+
+
+def test_slopes_steps_and_heaps_are_ground() -> None:
+    """Nothing stands, and every column has the mean of its points, as it always had."""
+    places = grid((-0.04, -2.04), (6.04, 2.04), 0.04)
+    x, y = places.T
+    rng = np.random.default_rng(3)
+    noise = rng.uniform(-0.03, 0.03, len(places))
+    heap = np.maximum(1.2 - np.tan(0.8) * np.hypot(x - 4.0, y), 0.0)
+    bank = np.where(x < 2.0, 0.0, -1.2)
+    step = np.column_stack((np.full(800, 2.0), rng.uniform(-2.0, 2.0, 800), rng.uniform(-1.2, 0.0, 800)))
+    for points in (at(places, 1.5 * x), at(places, heap + noise), np.vstack((at(places, bank + noise), step))):
+        found = ground_of(points)
+        assert found.off_ground is None
+        row = 20  # y = 0
+        here = np.abs(points[:, 1]) <= 0.05 - 1e-9
+        mean = [points[here & (np.abs(points[:, 0] - one) < 0.05 - 1e-9), 2].mean() for one in found.x[1:-1]]
+        np.testing.assert_allclose(found.surface[row, 1:-1], mean, atol=1e-9)
+
+
+def test_a_warning_says_how_many_columns_have_something_on_them(tmp_path: Path) -> None:
+    wall = upright((3.0, 5.0), -1.0, 2.0, 1.0)
+    keys = {"file": "ground.xyz", "cell": CELL, "low": list(LOW), "high": list(HIGH)}
+    content = small_job().to_dict() | {"ground": keys}
+    np.savetxt(tmp_path / "ground.xyz", np.vstack((LEVEL, wall)))
+    (found,) = ground_warnings(job_from_dict(content, folder=tmp_path))
+    # three columns: x 3, 4 and 5
+    assert "on 3 of 2501 columns something stands, up to 2.00 m high at x 3.00, y -1.00" in found
+    assert "far apart" in found
+    np.savetxt(tmp_path / "ground.xyz", np.vstack((LEVEL, wall, [[8.0, 0.0, 0.0], [8.0, 0.0, 3.0]])))
+    (found,) = ground_warnings(job_from_dict(content, folder=tmp_path))
+    assert "1 points stand beyond the modelled ground" in found
+    np.savetxt(tmp_path / "ground.xyz", LEVEL)
+    assert ground_warnings(job_from_dict(content, folder=tmp_path)) == ()
+    assert ground_warnings(small_job()) == ()
+
+
+def walled_job(folder: Path, wall: Matrix) -> Job:
+    """The job `TINY` with its level ground and a wall from a cloud."""
+    low, high = TINY["ground"]["low"], TINY["ground"]["high"]
+    np.savetxt(folder / "ground.xyz", np.vstack((at(grid(low, high, 0.05), 0.0), wall)), fmt="%.4f")
+    trench = TINY["dig"]["trench"] | {"depth": 0.2}
+    keys = {"ground": {"file": "ground.xyz", "low": low, "high": high}, "dig": {"trench": trench}}
+    return job_from_dict(TINY | keys, folder=folder)
+
+
+WALL = upright((2.6, 5.0), -1.4, 2.0, 0.05) + 0.02  # across the swing from the trench to the heap
+
+
+def test_a_job_is_planned_around_a_wall_that_its_ground_contains(tmp_path: Path) -> None:
+    job = walled_job(tmp_path, WALL)
+    plan = plan_job(job)
+    assert plan.verified
+    assert plan.start.surface.max() <= 0.02
+    assert plan.cycles[-1].after.off_ground is plan.start.off_ground
+    names = {obstacle.name for leg in plan.cycles[0].legs for obstacle in leg.problem.obstacles}
+    assert "what stands at x 3.8, y -1.4 m" in names
+    # no point of the wall is in a hull of the machine
+    stands = WALL[WALL[:, 2] > 0.15]
+    pieces = [(one.joint, ConvexHull(one.piece.hull).equations, one.piece.radius)
+              for one in plan.robot.pieces if len(one.piece.hull) > 3]  # fmt: skip
+    data, off = plan.robot.model.createData(), []
+    for q in np.vstack([leg.trajectory.q[::10] for cycle in plan.cycles for leg in cycle.legs]):
+        pin.forwardKinematics(plan.robot.model, data, q)
+        for joint, planes, radius in pieces:
+            place = data.oMi[joint]
+            local = (stands - place.translation) @ place.rotation
+            off.append((local @ planes[:, :3].T + planes[:, 3]).max(axis=1).min() - radius)
+    assert min(off) > 0.0
+    # read again, it holds on the same wall, and not on a file whose wall is elsewhere
+    plan.save(tmp_path / "plan.json")
+    assert load_job_plan(tmp_path / "plan.json").verified
+    walled_job(tmp_path, WALL + np.array([0.0, 0.1, 0.0]))
+    refuted = load_job_plan(tmp_path / "plan.json")
+    assert "the ground before the first cycle is not that of the job" in refuted.note
+
+
+def test_a_motion_through_a_wall_is_refuted_with_its_name(tmp_path: Path) -> None:
+    """A plan for the ground without the wall, read with the wall in the ground and in its file."""
+    plan = plan_job(walled_job(tmp_path, WALL[:0]))
+    assert plan.verified
+    assert plan.start.off_ground is None
+    plan.save(tmp_path / "plan.json")
+    content = json.loads((tmp_path / "plan.json").read_text())
+    walled_job(tmp_path, WALL)
+    # 49 columns along x; in each, points from 0.17 to 2.02 m
+    content["ground"]["off_ground"] = {"edge": 0.05, "stacks": [[x, -28, 3, 38] for x in range(52, 101)]}
+    (tmp_path / "plan.json").write_text(json.dumps(content))
+    found = load_job_plan(tmp_path / "plan.json")
+    assert not found.verified
+    assert "what stands at x 3.8, y -1.4 m" in found.note
+    assert found.start.off_ground is not None
+    assert len(found.start.off_ground.keys) == 49 * 38
+
+
+def test_what_stands_in_a_survey_during_a_job_is_kept(tmp_path: Path) -> None:
+    """The wall of the first scan stays where the second does not look; what that one sees is added."""
+    job = walled_job(tmp_path, WALL)
+    own = build_worksite(job).ground
+    assert own.off_ground is not None
+    places = grid(TINY["ground"]["low"], TINY["ground"]["high"], 0.05)
+    seen = places[places[:, 1] > -1.0]
+    dug = np.where((np.abs(seen[:, 1]) < 0.26) & (np.abs(seen[:, 0] - 3.7) < 0.46), -0.2, 0.0)
+    post = np.column_stack((np.full(20, 1.0), np.full(20, 0.5), np.linspace(0.0, 1.0, 20)))
+    np.savetxt(tmp_path / "scan.xyz", np.vstack((at(seen, dug), post)), fmt="%.4f")
+    found = read_ground(job, tmp_path / "scan.xyz")
+    assert found.terrain.loose_volume == 0.0
+    assert found.terrain.bank_volume_below(own) == pytest.approx(np.count_nonzero(dug) * 0.05**2 * 0.2, rel=1e-6)
+    assert found.terrain.off_ground is not None
+    stays = {tuple(key) for key in own.off_ground.keys.tolist()}
+    now = {tuple(key) for key in found.terrain.off_ground.keys.tolist()}
+    assert found.terrain.off_ground.edge == own.off_ground.edge
+    assert stays < now
+    assert all(np.allclose([0.025 + 0.05 * x, 0.05 * y], [1.0, 0.5], atol=0.06) for x, y, _ in now - stays)
+    assert "up to 1.00 m high at x 1.00, y 0.50" in found.remark
+
+
+def test_voxels_of_two_sizes_are_joined_without_losing_space() -> None:
+    rng = np.random.default_rng(4)
+    fine = OffGround(0.05, rng.integers(-40, 40, (30, 3)))
+    coarse = OffGround(0.07, rng.integers(-20, 20, (30, 3)))
+    both = join_voxels(coarse, fine)
+    assert both is not None
+    assert both.edge == 0.07
+    inside = fine.edge * (fine.keys[:, None, :] + rng.uniform(0.001, 0.999, (1, 50, 3))).reshape(-1, 3)
+    keys = {tuple(key) for key in both.keys.tolist()}
+    assert {tuple(key) for key in np.floor(inside / 0.07).astype(int).tolist()} <= keys
+    assert {tuple(key) for key in coarse.keys.tolist()} <= keys
+    assert off_ground_obstacles(None, 0.1) == ()
