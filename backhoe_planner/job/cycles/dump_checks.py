@@ -45,6 +45,12 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
                     allowed=f"more than {heap.edge_distance:g} m from it, and the heap's own foot besides",
                     hint="move it away, or lower dump.heap.edge_distance",
                 )  # fmt: skip
+            column, row = np.round((at - site.ground.low) / site.ground.cell).astype(int)
+            if site.taken[row, column]:
+                raise SceneError(
+                    "is where something stands on the ground", file=job.file, key=key, found=list(place),
+                    hint="move it away, or leave out the points there, if that will be gone",
+                )  # fmt: skip
             _check_reach(site, at, 0.0, key)
     if truck is not None:
         x, y, z = truck.bed.position

@@ -136,7 +136,7 @@ class HeapDump:
 
     def __init__(self, site: Worksite, heap: Heap) -> None:
         self._site, self._heap = site, heap
-        self._clear_of: Flags = site.design.within(site.nodes, heap.edge_distance)
+        self._clear_of: Flags = site.design.within(site.nodes, heap.edge_distance) | site.taken
         # the last ground, and what heaps on it came to, by place and volume: what is chosen is not poured again
         self._poured: tuple[Terrain | None, dict[tuple[float, ...], Terrain | Refusal]] = (None, {})
 

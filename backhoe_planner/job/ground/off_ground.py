@@ -72,7 +72,7 @@ class OffGround:
         found: dict[str, NDArray[np.int64]] = {}
         for one in order[:_OWN_NAMES]:
             own = self.keys[number == one]
-            x, y = (self.edge * (own[:, :2].mean(axis=0) + 0.5)).tolist()
+            x, y = (np.round(self.edge * (own[:, :2].mean(axis=0) + 0.5), 1) + 0.0).tolist()  # no -0.0
             name = f"what stands at x {x:.1f}, y {y:.1f} m"
             found[name if name not in found else f"{name} ({one})"] = own
         if len(order) > _OWN_NAMES:
@@ -123,6 +123,20 @@ def standing_in(found: OffGround | None, keep: Flags, grid: HeightGrid) -> OffGr
     kept = ~on
     kept[on] = keep.ravel()[column]
     return OffGround(found.edge, found.keys[kept]) if kept.any() else None
+
+
+def columns_below(found: OffGround | None, ground: HeightGrid, headroom: float) -> Flags:
+    """(rows, columns) on which something stands, or above which it hangs by less than `headroom` [m]."""
+    from scipy.ndimage import binary_dilation
+
+    taken = np.zeros(ground.z.shape, dtype=bool)
+    if found is None:
+        return taken
+    on, column = columns_of(found.centres, ground)
+    low = found.edge * found.keys[on, 2] - ground.z.ravel()[column] < headroom
+    taken.ravel()[column[low]] = True
+    half = int(np.ceil(0.5 * found.edge / ground.cell))  # columns on each side that a voxel reaches into
+    return np.asarray(binary_dilation(taken, np.ones((2 * half + 1, 2 * half + 1), dtype=bool)))
 
 
 def describe(points: Matrix, ground: HeightGrid, off: OffGround) -> str:

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
+from backhoe_planner.job.ground.grids import HeightGrid
 from backhoe_planner.job.ground.obstacle import ground_around, off_ground_obstacles
+from backhoe_planner.job.ground.off_ground import columns_below
 from backhoe_planner.job.ground.scanned import Scanned, scanned
 from backhoe_planner.job.ground.surveys import read_survey
 from backhoe_planner.job.ground.terrain import Terrain
@@ -26,6 +28,7 @@ from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
 
 _AROUND = 1.0  # m of ground around all that is dug and heaped
 _ARM_SPARE = 0.015  # m beyond the clearance, for positions between the sampled ones; a few mm were seen
+_HEADROOM = 2.5  # m above the ground that a heap and the open bucket over it take up; chosen
 _HEADINGS = 91  # at which the machine's reach is sampled; chosen
 
 
@@ -93,6 +96,13 @@ class Worksite:
         before = self.own_ground if self.own_ground.shape == ground.shape else self.ground
         beside = (1.0 - share) * before.surface
         return np.where(share > 0.0, (ground.surface - beside) / np.where(share > 0.0, share, 1.0), ground.surface)
+
+    @cached_property
+    def taken(self) -> Flags:
+        """(rows, columns) on which something stands, so that no heap can lie there."""
+        ground = self.ground
+        heights = HeightGrid(ground.low, ground.cell, ground.surface)
+        return columns_below(ground.off_ground, heights, _HEADROOM)
 
     @property
     def volume(self) -> float:

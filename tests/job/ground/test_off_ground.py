@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 from small_jobs import TINY, small_job
 
 from backhoe_planner.arrays import Matrix
+from backhoe_planner.errors import InputError
 from backhoe_planner.job import (
     Job,
     OffGround,
@@ -146,6 +147,16 @@ def test_a_job_is_planned_around_a_wall_that_its_ground_contains(tmp_path: Path)
     walled_job(tmp_path, WALL + np.array([0.0, 0.1, 0.0]))
     refuted = load_job_plan(tmp_path / "plan.json")
     assert "the ground before the first cycle is not that of the job" in refuted.note
+
+
+def test_no_soil_is_dumped_where_something_stands(tmp_path: Path) -> None:
+    """A sheet over the heap, 1 m above the ground; one 4 m above it leaves room for heap and bucket."""
+    sheet = at(grid((2.0, -3.2), (2.8, -2.4), 0.05), 1.0)
+    with pytest.raises(InputError, match=r"dump\.heap\.at: is where something stands"):
+        plan_job(walled_job(tmp_path, sheet))
+    site = build_worksite(walled_job(tmp_path, sheet + np.array([0.0, 0.0, 3.0])))
+    assert site.ground.off_ground is not None
+    assert not site.taken.any()
 
 
 def test_a_motion_through_a_wall_is_refuted_with_its_name(tmp_path: Path) -> None:
