@@ -261,6 +261,24 @@ def test_points_of_a_laz_are_those_that_laspy_wrote(version: str, form: int, tmp
             read_points(tmp_path / "wrong.laz", map_origin=(5e5, 5.4e6, 0))
 
 
+def with_another_count(content: bytes, count: int) -> bytes:
+    """An E57 whose first scan says that it has 9 points: pages of 1,024 bytes, each with its checksum (CRC-32C)."""
+    table = []
+    for byte in range(256):
+        for _ in range(8):
+            byte = (byte >> 1) ^ (0x82F63B78 if byte & 1 else 0)
+        table.append(byte)
+    plain = b"".join(content[at : at + 1020] for at in range(0, len(content), 1024))
+    plain = plain.replace(f'recordCount="{count}"'.encode(), b'recordCount="9"', 1)
+    found = b""
+    for at in range(0, len(plain), 1020):
+        check = 0xFFFFFFFF
+        for one in plain[at : at + 1020]:
+            check = (check >> 8) ^ table[(check ^ one) & 0xFF]
+        found += plain[at : at + 1020] + struct.pack(">I", check ^ 0xFFFFFFFF)
+    return found
+
+
 def test_points_of_an_e57_are_at_the_poses_of_its_scanners(tmp_path: Path) -> None:
     """The second scanner is turned by a quarter to the left, and stands at 10, 0, 1."""
     pye57 = pytest.importorskip("pye57")
@@ -273,6 +291,13 @@ def test_points_of_an_e57_are_at_the_poses_of_its_scanners(tmp_path: Path) -> No
         )
     turned = [[10.0 - y, x, z + 1.0] for x, y, z in POINTS]
     np.testing.assert_allclose(read_points(tmp_path / "scan.e57"), [*POINTS, *turned], atol=1e-12)
+    (tmp_path / "more.e57").write_bytes(with_another_count((tmp_path / "scan.e57").read_bytes(), len(POINTS)))
+    with pytest.raises(InputError, match=rf"scan 1: is cut short or damaged; found {len(POINTS)} points; allowed: 9,"):
+        read_points(tmp_path / "more.e57")
+    with pye57.E57(str(tmp_path / "none.e57"), mode="w") as scans:
+        scans.write_scan_raw(columns, rotation=np.zeros(4), translation=np.zeros(3))
+    with pytest.raises(InputError, match=r"scan 1, pose, rotation: is no pose of a scanner; found \[0\.0, 0\.0"):
+        read_points(tmp_path / "none.e57")
     far = {name: column + 5.4e6 for name, column in columns.items()}  # written as floats of 32 bits, as pye57 does
     with pye57.E57(str(tmp_path / "far.e57"), mode="w") as scans:
         scans.write_scan_raw(far)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.extras import need_package
 from backhoe_planner.site.surveys.single_precision import rounded_error, rounding_of
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     import pye57
 
 _AT_ONCE = 1_000_000  # points that are unpacked together; chosen, some 40 MB
+_POLAR = ("Range", "Azimuth", "Elevation")
+_NO_ROTATION = 1e-3  # length of a quaternion that has no direction; chosen: the standard asks for 1
 _AT_THE_END = -1  # a LAZ that was written as a stream has the place of its table of chunks in its last bytes
 _TABLE = struct.Struct("<II")  # the head of a table of chunks: its version, and how many there are
 _PLACE = struct.Struct("<q")
@@ -136,15 +138,53 @@ def _points_of_scan(scans: pye57.E57, index: int, path: Path) -> Matrix:
 
     Raises
     ------
-    InputError: the scan's own coordinates are floats of 32 bits, and too coarse.
+    InputError: the scan's own coordinates are floats of 32 bits, and too coarse; it has fewer points than it says; or
+        its pose is none.
     """
+    from pye57.utils import convert_spherical_to_cartesian
+
     header = scans.get_header(index)
+    pose = _pose_of(header, index, path)
     is_polar = "sphericalRange" in header.point_fields
-    columns: dict[str, Any] = scans.read_scan(index, ignore_missing_fields=True, transform=is_polar)
-    points = np.column_stack([columns[f"cartesian{axis}"] for axis in "XYZ"])
+    names = [f"spherical{one}" for one in _POLAR] if is_polar else [f"cartesian{one}" for one in "XYZ"]
+    state = "sphericalInvalidState" if is_polar else "cartesianInvalidState"
+    columns: dict[str, Any]
+    columns, buffers = scans.make_buffers([*names, *([state] if state in header.point_fields else [])],
+                                          header.point_count)  # fmt: skip
+    count = header.points.reader(buffers).read()
+    if count != header.point_count:  # what it does not read is not set
+        raise InputError(
+            "is cut short or damaged", file=path, key=f"scan {index + 1}", found=f"{count} points",
+            allowed=f"{header.point_count}, as its header says",
+        )  # fmt: skip
+    points = np.column_stack([columns[name] for name in names]).astype(float)
+    if state in columns:
+        points = points[~columns[state].astype(bool)]
     if is_polar:
-        return points
-    rounding = rounding_of(points)
-    if rounding > 0.0 and np.array_equal(points, points.astype(np.float32)):
-        raise rounded_error(points, rounding, path)
-    return np.asarray(scans.to_global(points, header.rotation, header.translation)) if header.has_pose() else points
+        points = np.asarray(convert_spherical_to_cartesian(points))
+    else:
+        rounding = rounding_of(points)
+        if rounding > 0.0 and np.array_equal(points, points.astype(np.float32)):
+            raise rounded_error(points, rounding, path)
+    return points if pose is None else np.asarray(scans.to_global(points, *pose))
+
+
+def _pose_of(header: Any, index: int, path: Path) -> tuple[Vector, Vector] | None:
+    """(4,) the quaternion w, x, y, z and (3,) the position [m] of a scan's scanner; None if it has no pose.
+
+    Raises
+    ------
+    InputError: the quaternion is 0, or a number is not finite.
+    """
+    if not header.has_pose():
+        return None
+    pose, found = header.node["pose"], []
+    for name, axes, default in (("rotation", "wxyz", (1.0, 0.0, 0.0, 0.0)), ("translation", "xyz", (0.0, 0.0, 0.0))):
+        given = pose[name] if pose.isDefined(name) else None
+        found.append(np.array(default if given is None else [given[axis].value() for axis in axes]))
+        if not np.isfinite(found[-1]).all() or (name == "rotation" and np.linalg.norm(found[-1]) < _NO_ROTATION):
+            raise InputError(
+                "is no pose of a scanner", file=path, key=f"scan {index + 1}, pose, {name}", found=found[-1].tolist(),
+                allowed="a unit quaternion w, x, y, z" if name == "rotation" else "finite numbers",
+            )  # fmt: skip
+    return found[0], found[1]
