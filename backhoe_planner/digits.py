@@ -7,6 +7,7 @@ contradicts itself. The functions here add digits until the printed figures say 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 _MORE = 9  # digits that are added at most; chosen: more is rounding of the numbers themselves
 _MORE_OF_MARGIN = 3  # the same for a margin; chosen: a missing micrometre is rounding
@@ -33,18 +34,17 @@ def beside_bounds(
     """
     for more in range(_MORE + 1):
         texts = (_with(value, places, more), *(_with(bound, bounds_as, more) for bound in bounds))
-        shown = [float(text.replace(",", "")) for text in texts]
-        pairs = zip(shown[1:], bounds, strict=True)
-        if all(
-            abs(value - bound) <= rounding or _sign(shown[0] - other) == _sign(value - bound) for other, bound in pairs
-        ):
+        shown = [_number(text) for text in texts]
+        pairs = tuple(zip(shown[1:], bounds, strict=True))
+        if _is_right(shown[0], value, pairs, rounding):
             break
+    value_text = texts[0]
     for finer in range(more, _MORE + 1):
-        value_text = _with(value, places, finer)
-        if not any(
-            float(value_text) == float(_with(bound, places, finer)) != other
-            for other, bound in zip(shown[1:], bounds, strict=True)
-        ):
+        text = _with(value, places, finer)
+        if not _is_right(_number(text), value, pairs, rounding):  # more digits may end in those of a bound
+            continue
+        value_text = text
+        if not any(_number(text) == _number(_with(bound, places, finer)) != other for other, bound in pairs):
             break
     return value_text, *texts[1:]
 
@@ -89,6 +89,16 @@ def _with(number: float, places: str, more: int) -> str:
     """A number by a format specification with `more` digits."""
     head, _, tail = places.partition(".")
     return f"{number:{head}.{int(tail[:-1]) + more}{tail[-1]}}"
+
+
+def _number(text: str) -> float:
+    """The number that a reader sees."""
+    return float(text.replace(",", ""))
+
+
+def _is_right(shown: float, value: float, pairs: Iterable[tuple[float, float]], rounding: float) -> bool:
+    """Whether a value looks larger or smaller than each bound as it is; `pairs`: bounds as printed, and as they are."""
+    return all(abs(value - bound) <= rounding or _sign(shown - seen) == _sign(value - bound) for seen, bound in pairs)
 
 
 def _sign(difference: float) -> int:

@@ -26,6 +26,7 @@ from backhoe_planner.digits import beside_bounds, left_text, margin_text
         (5.66, (5.7296,), ".1f", ".4g", ("5.66", "5.73")),
         (5.74, (5.7296,), ".1f", ".4g", ("5.74", "5.7296")),
         (5.64, (5.7296,), ".1f", ".4g", ("5.6", "5.73")),
+        (8.82360003, (8.82359996,), ".2f", ".4g", ("8.82360003", "8.8236")),
     ],
 )
 def test_digits_are_added_until_the_side_shows(

@@ -1,7 +1,7 @@
 """The program `backhoe-planner COMMAND ...`: all its commands, and its exit status.
 
 Exit status: 0 verified (or done), 1 no verified plan, 2 bad input or an output that cannot
-be written, 130 interrupted.
+be written, 130 interrupted, 141 nobody reads the output.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from backhoe_planner.cli import (
     study_command,
     teleop_command,
 )
-from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, let_go, print_error
+from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, UNREAD, VERIFIED, let_go, print_error
 from backhoe_planner.native import native_version
 
 COMMANDS = {
@@ -137,8 +137,10 @@ def _open_what_is_closed() -> None:
 
 
 def _output_lost(error: OSError) -> int:
-    """The exit status if the output can no longer be written: nobody reads it, or the disk is full."""
+    """The exit status if the output cannot be written: the disk is full, or nobody reads it, as after `| head`."""
     let_go(sys.stdout)
+    if isinstance(error, BrokenPipeError):
+        return UNREAD
     print_error(f"the output cannot be written: {error.strerror}")
     return BAD_INPUT
 

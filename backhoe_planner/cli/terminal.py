@@ -30,7 +30,8 @@ PlanUrdf = Annotated[
     str | None, typer.Option("--urdf", metavar="URDF", help="Where the URDF lies now, if not where the plan says.")
 ]
 
-VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
+# exit statuses; the last two are the shells' own for Ctrl-C and for a pipe that nobody reads
+VERIFIED, FAILED, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
 DEGREES = math.degrees(1.0)  # in a radian
 _FIRST_LINE, _NEXT_LINE = 3.0, 10.0  # s from the beginning, and from each line of a log to the next; chosen
 _LOG_WIDTH = 1_000  # characters in a line of a log, which has no edge; chosen, more than any table has

@@ -33,6 +33,8 @@ _MOST_KEYS = 200_000
 
 _TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null"))
 DECIMAL_COMMA = "a number takes a decimal point, not a comma"
+# what PyYAML says it was reading, and the sign with which that begins
+_SIGNS = {"flow mapping": "{", "flow sequence": "[", "quoted scalar": "quotation mark"}
 _WHOLE_NUMBER = re.compile(r"[-+]?[0-9]+")
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")  # surrogates, which no file in UTF-8 can hold
 
@@ -180,4 +182,13 @@ def _describe(error: yaml.YAMLError) -> str:
     where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
     if "'\\t'" in problem:
         return f"{where}there is a tab; YAML allows only spaces before and between keys and values"
-    return f"{where}is not YAML: {problem}"
+    return f"{where}is not YAML: {problem}{_opened(error)}"
+
+
+def _opened(error: yaml.YAMLError) -> str:
+    """Where what is not closed was opened, in words: in the text, the parser notices that at the next key or later."""
+    context, mark = getattr(error, "context", None) or "", getattr(error, "context_mark", None)
+    for what, sign in _SIGNS.items():
+        if mark is not None and what in context:
+            return f"; the {sign} of line {mark.line + 1}, column {mark.column + 1} is not closed before"
+    return ""

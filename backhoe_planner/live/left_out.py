@@ -27,6 +27,12 @@ class LeftOut:
     ends: float
     length: float
 
+    def __str__(self) -> str:
+        return f"{self.length:.2f} m from {self.begins:.1f} to {self.ends:.1f} s"
+
+    def __repr__(self) -> str:
+        return f"<LeftOut: {self}>"
+
 
 def part_left_out(robot: Robot, motion: Trajectory, begins: float, ends: float) -> LeftOut | None:
     """The part of a motion between two times [s]; None if they are the same."""

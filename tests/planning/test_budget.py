@@ -90,8 +90,9 @@ def test_a_route_is_kept_if_time_runs_out_while_it_is_made_cheaper(
     cut_short = bp.plan(planar4, scene, effort="quick", budget=5.0)
     assert clock.now >= 1e9, "the search was not interrupted"
     assert (cut_short.verdict, cut_short.reason) == ("verified", "")
-    assert cut_short.message.startswith("time ran out after 5 s of computing; --budget gives more")
-    assert cut_short.message.endswith("the search for a cheaper motion was not finished")
+    assert cut_short.message.startswith("time ran out after 5 s of computing; ")
+    assert cut_short.message.count("--budget gives more") == 1
+    assert "the search for a cheaper motion was not finished" in cut_short.message
     assert cut_short.certificate.tracking.done
     assert not np.array_equal(cut_short.trajectory.q, whole.trajectory.q)
 
@@ -115,8 +116,9 @@ def test_a_motion_is_kept_if_time_runs_out_in_the_search_for_a_better_one(
     monkeypatch.setattr(f"{ROOM}.goals.ways.blend", clock.runs_out_at(blend, number=2))
     plan = bp.plan(planar4, scene)
     assert (plan.verdict, plan.reason) == ("verified", "")
-    assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
-    assert plan.message.endswith("the search for a better motion was not finished")
+    assert plan.message.startswith("time ran out after 60 s of computing; ")
+    assert plan.message.count("--budget gives more") == 1
+    assert "the search for a better motion was not finished" in plan.message
 
 
 def test_if_time_runs_out_before_any_motion_the_plan_holds_the_start(
@@ -126,7 +128,8 @@ def test_if_time_runs_out_before_any_motion_the_plan_holds_the_start(
     monkeypatch.setattr(f"{ROOM}.search.goal_ends.LeastTimes", clock.runs_out_at(LeastTimes))
     plan = bp.plan(planar4, scene)
     assert (plan.verdict, plan.reason, len(plan.trajectory)) == ("failed", "budget", 1)
-    assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
+    assert plan.message.startswith("time ran out after 60 s of computing; ")
+    assert plan.message.count("--budget gives more") == 1
     assert plan.certificate.safe
 
 
@@ -186,7 +189,8 @@ def test_the_ways_between_ends_of_legs_are_priced_only_while_time_is_left(
     plan = bp.plan(planar4, site(LEGS, start=BENT), effort="quick")
     assert calls == 3
     assert (plan.verdict, plan.reason, len(plan.legs)) == ("verified", "", 3)
-    assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
+    assert plan.message.startswith("time ran out after 60 s of computing; ")
+    assert plan.message.count("--budget gives more") == 1
 
 
 def test_legs_planned_with_less_effort_are_kept_if_time_runs_out_after_them(

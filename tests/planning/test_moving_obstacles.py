@@ -196,7 +196,7 @@ def test_more_allowed_time_past_a_car_does_not_cost_more_work(backhoe: bp.Robot)
     assert refutations(plans[1]) == []
     assert plans[1].metrics.energy["work"] <= 1.03 * plans[0].metrics.energy["work"]
     assert "costs least of the motions that were found" in plans[1].message
-    assert plans[0].allowed_time == "at most 5.00 s was allowed, which limits it"
+    assert plans[0].allowed_time == "at most 5.00 s was allowed by max_duration, which limits it"
 
 
 def test_a_max_duration_that_no_motion_past_a_car_can_keep_is_refused_with_the_bound(backhoe: bp.Robot) -> None:

@@ -487,7 +487,10 @@ BAD_YAML = {
     "a list": ("- version: 1\n", ["does not hold keys and values"]),
     "a word": ("trench\n", ["does not hold keys and values"]),
     "unclosed quote": ('name: "trench\n', ["line 2", "is not YAML"]),
-    "unclosed bracket": ("task: {goal: {position: [1, 2, 3}\n", ["line 1", "is not YAML"]),
+    "unclosed bracket": (
+        "task: {goal: {position: [1, 2, 3}\n",
+        ["line 1", "the [ of line 1, column 25 is not closed"],
+    ),
     "two documents": ("version: 1\n---\nversion: 1\n", ["line 2", "another document"]),
     "unknown alias": ("name: *other\n", ["line 1", "other"]),
     "Python object": ("name: !!python/object:os.system x\n", ["name (line 1)", "none of YAML's core"]),

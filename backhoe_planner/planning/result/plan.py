@@ -204,12 +204,16 @@ class Plan:
 
     @property
     def allowed_time(self) -> str:
-        """How long the motion was allowed to take, in words, and whether it takes all of that; empty for the time."""
+        """How long the motion was allowed to take and by whom, in words, and whether it takes all of that.
+
+        Empty if the time is minimised. Otherwise a slower motion mostly costs less, and the planner sets a limit.
+        """
         longest = self.findings.allowed_time
         if longest is None:
             return ""
         binds = self.trajectory.duration >= _BINDS * longest
-        return f"at most {longest:.2f} s was allowed" + ", which limits it" * binds
+        by = "max_duration" if longest >= self.problem.max_duration else "the planner"
+        return f"at most {longest:.2f} s was allowed by {by}" + ", which limits it" * binds
 
     @property
     def settings(self) -> str:

@@ -190,7 +190,11 @@ class Brake:
     @property
     def message(self) -> str:
         """The message for a budget that is used up."""
-        return f"time ran out after {self.budget:g} s of computing; --budget gives more, and --effort quick needs least"
+        return f"time ran out after {self.budget:g} s of computing"
+
+    def with_advice(self, note: str) -> str:
+        """A note of a plan; if it says that time ran out, with what to do about it, once."""
+        return f"{note}; --budget gives more, and --effort quick needs least" if self.message in note else note
 
     @property
     def cut_short(self) -> str:

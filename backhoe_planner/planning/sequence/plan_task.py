@@ -138,7 +138,7 @@ def plan_problem(
         ),
         findings=outcome.findings,
         failure=outcome.reason,
-        note=note,
+        note=brake.with_advice(note),
         effort=effort,
         boxes=EFFORTS[effort].boxes,
     )
@@ -196,7 +196,7 @@ def _plan_sequence(
         metrics=measure_motion(problem, motion, certificate, planning_time=planning_time),
         findings=findings.model_copy(update=_reactions_of(legs)),
         failure="" if failed is None else failed.outcome.reason,
-        note="; ".join(notes),
+        note=brake.with_advice("; ".join(notes)),
         effort=effort,
         legs=legs,
     )
