@@ -19,6 +19,7 @@ from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED
 from backhoe_planner.digits import margin_text
 from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
 
+_WHOLE = 0.999  # part of a column of the ground that is within the design: all of it, apart from rounding
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
 
 
@@ -221,6 +222,10 @@ def print_figures(plan: bp.JobPlan) -> None:
     stays = sum(one.volume for one in plan.undug)
     part = f", of which {stays:.3f} m^3 ({100.0 * stays / figures.design:.1f} %) stays" if stays else ""
     OUT.print(f"design        {figures.design:.3f} m^3{part}; {most}")
+    deep = (plan.start.surface - plan.design)[plan.share > _WHOLE]
+    if plan.job.dig.trench is not None and deep.size and float(deep.max() - deep.min()) > plan.job.dig.tolerance:
+        between = f"{float(deep.min()):.2f} to {float(deep.max()):.2f} m below the ground"
+        OUT.print(f"depth         {between}; the {plan.job.dig.trench.depth:g} m of the job count at `from`")
     for one in plan.undug:
         OUT.print(f"undug         {one.words}")
 

@@ -33,6 +33,10 @@ from backhoe_planner.files.yaml_text import DECIMAL_COMMA, KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: its square is still finite
 _WITH_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
+# the unit in the docstring of a key: [m], [kg/m^3], [rad or m], ..., not [low, high]
+_UNIT = re.compile(r"\[((?:kg|rad|deg|m|s|N|Nm|Pa|J|W|l)(?:[ /^][^\[\],]*)?)\]")
+_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")  # complaints that end in a bound
+_OF_NUMBERS = (*_BOUNDS, "float_type", "float_parsing", "finite_number")
 _BRIEF = 80  # characters, about a line: longer values are not repeated in messages
 
 
@@ -174,6 +178,10 @@ def explain(
             what = _wrong_tag(detail, tagged)
         elif detail["type"] == "tuple_type" and detail["input"] is not None:
             what = f"{describe(detail)}{entries_at(detail['loc'], root, tagged)}"
+        elif detail["type"] == "missing" and isinstance(place[-1], int):
+            what = f"{describe(detail)}{entries_at(detail['loc'][:-1], root, tagged).replace(', ', '; allowed: ', 1)}"
+        elif detail["type"] in _OF_NUMBERS:
+            what = describe(detail, unit=_unit_at(detail["loc"], root, tagged))
         elif detail["type"] == "missing" and place == ("version",):
             what = f"{describe(detail)}; allowed: version: 1"
         else:
@@ -189,12 +197,24 @@ def _is_within(place: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
     return len(place) > len(other) and place[: len(other)] == other
 
 
-def describe(detail: Any) -> str:
+def _unit_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]) -> str:
+    """The unit of the number at `loc`, or of the list that it is in, as the docstring of its key has it; else empty."""
+    for end in range(len(loc), 0, -1):
+        record, key = record_at(loc[:end], root, tagged), loc[end - 1]
+        for name, field in record.model_fields.items():
+            if key in (name, field.alias) and issubclass(record, Record):
+                found = _UNIT.search(described_fields(record).get(name, ""))
+                return found.group(1) if found else ""
+    return ""
+
+
+def describe(detail: Any, *, unit: str = "") -> str:
     """One of pydantic's complaints in plain words, without the place.
 
     Parameters
     ----------
     detail: an entry of `ValidationError.errors`.
+    unit: of the number that it is about; empty if it has none.
     """
     kind, found = detail["type"], detail.get("input")
     if kind == "missing":
@@ -222,7 +242,10 @@ def describe(detail: Any) -> str:
         return f"is not true or false{shown}"
     if kind in ("float_type", "float_parsing") and isinstance(found, str) and _WITH_COMMA.fullmatch(found):
         return f"{DECIMAL_COMMA}{shown}; allowed: {found.replace(',', '.')}"
-    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
+    what = f"{detail['msg'][0].lower()}{detail['msg'][1:]}"
+    if unit:
+        what += f" {unit}" if kind in _BOUNDS else f", in {unit}"
+    return f"{what}{shown}"
 
 
 def _not_a_choice(found: str, shown: str, expected: str) -> str:

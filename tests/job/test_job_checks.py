@@ -59,8 +59,8 @@ def test_jobs_that_cannot_succeed_are_refused_before_planning(keys: dict[str, An
             {"dig": trench(depth=0.05)},
             r"dig\.trench: is at most 0\.05 m deep, which is within the tolerance of 0\.05 m",
         ),
-        ({"soil": {"repose": 1.55}}, r"soil\.repose: .*less than or equal to 1\.5; found 1\.55"),
-        ({"bucket": {"capacity": 1e-4}}, r"bucket\.capacity: .*greater than or equal to 0\.002; found 0\.0001"),
+        ({"soil": {"repose": 1.55}}, r"soil\.repose: .*less than or equal to 1\.5 rad; found 1\.55"),
+        ({"bucket": {"capacity": 1e-4}}, r"bucket\.capacity: .*greater than or equal to 0\.002 m\^3; found 0\.0001"),
         ({"dig": trench(depth="0,6")}, r"dig\.trench\.depth: a number takes a decimal point.*allowed: 0\.6"),
     ],
 )

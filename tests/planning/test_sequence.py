@@ -157,11 +157,29 @@ def test_motions_with_legs_and_scenes_with_a_sequence_go_together_only(backhoe: 
         certify(backhoe, one, done.trajectory)
 
 
+def test_a_goal_out_of_reach_is_told_before_any_leg_is_planned(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine reaches about 6 m from its swing axis; the leg with a second goal in reach is no obstacle."""
+
+    def not_to_be_called(*_: object, **__: object) -> None:
+        raise AssertionError("a leg was planned")
+
+    monkeypatch.setattr("backhoe_planner.planning.sequence.leg_planning.plan_motion", not_to_be_called)
+    beyond = {"position": [30.0, 0.0, 0.0]}
+    either, far = {"name": "either", "goal": [beyond, NEAR]}, {"name": "far", "goal": [beyond]}
+    found = plan(backhoe, scene_of(LEGS[0], either, far), effort="quick")
+    assert (found.verdict, found.reason, len(found.legs)) == ("failed", "unreachable", 1)
+    assert np.ptp(found.trajectory.q, axis=0).max() == 0.0
+    words = f"leg {LEGS[0]['name']!r}: not begun, because leg 'far' cannot be done: the goal (30.00, 0.00, 0.00) is out"
+    assert found.message.startswith(words)
+    with pytest.raises(AssertionError, match="a leg was planned"):
+        plan(backhoe, scene_of(LEGS[0], either), effort="quick")
+
+
 def test_a_failure_names_the_leg(backhoe: Robot) -> None:
     far = {"name": "too far", "goal": {"position": [14.0, 0.0, 0.5]}}
     found = plan(backhoe, scene_of(LEGS[0], far, LEGS[2]), effort="quick")
     assert (found.verdict, found.reason) == ("failed", "unreachable")
-    assert found.message.startswith("leg 'too far': the goal (14.00, 0.00, 0.50) is out of reach")
+    assert "leg 'too far' cannot be done: the goal (14.00, 0.00, 0.50) is out of reach" in found.message
     assert "the leg 'rest' is not begun" in found.certificate.problems
 
 

@@ -304,7 +304,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         obstacle(position=[3, 0, 2, 0, 0, 8]),
         ["position", "at most 3", "takes a decimal point, not a comma"],
     ),
-    "text for a number": (obstacle(radius="big"), ["obstacles[0].radius", "valid number", "found 'big'"]),
+    "text for a number": (obstacle(radius="big"), ["obstacles[0].radius", "valid number, in m; found 'big'"]),
     "quoted number": (obstacle(radius="0.3"), ["obstacles[0].radius", "valid number", "found '0.3'"]),
     "truth for a number": (obstacle(radius=True), ["obstacles[0].radius", "valid number", "found True"]),
     "number for a name": (obstacle(name=5), ["obstacles[0].name", "string", "found 5"]),
@@ -339,7 +339,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     ),
     "negative clearance": (scene(clearance=-0.1), ["clearance", "greater than or equal to 0", "-0.1"]),
     "appears in the past": (obstacle(appears_at=-1), ["obstacles[0].appears_at", "greater than or equal to 0"]),
-    "negative payload": (scene(payload=-1), ["payload", "greater than or equal to 0"]),
+    "negative payload": (scene(payload=-1), ["payload", "greater than or equal to 0 kg; found -1"]),
     "no speed": (path(*POINTS, speed=0), ["task.path.speed", "greater than 0"]),
     "more than full rate": (
         scene(limits={"velocity_scale": 1.5}),
@@ -372,7 +372,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "perhaps": (path(*POINTS, turn_on_the_spot="maybe"), ["turn_on_the_spot: is not true or false; found 'maybe'"]),
     "no step at all": (
         path(*POINTS, max_joint_step=0),
-        ["site/trench.yaml: task.path.max_joint_step: input should be greater than 0; found 0"],
+        ["site/trench.yaml: task.path.max_joint_step: input should be greater than 0 rad or m; found 0"],
     ),
     "unknown gains": (scene(gains="automatic"), ["gains", "'auto'", "found 'automatic'"]),
     "tolerance of an orientation to be kept in degrees": (

@@ -44,7 +44,7 @@ class Trench(Record):
     width: _Length
     """Width [m]; at least that of the bucket."""
     depth: _Length
-    """Depth of the bottom below the ground at `from` [m]."""
+    """Depth of the bottom below the job's own ground at `from` [m]; uneven ground elsewhere does not change it."""
     slope: Annotated[float, Field(strict=True, ge=-_STEEPEST, le=_STEEPEST)] = 0.0
     """Fall of the bottom from `from` towards `to` [m per m]; 0 by default."""
     tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05

@@ -137,12 +137,12 @@ def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
         if is_protected.all() or (gap <= most)[~is_protected].any():
             return
         missing.append(float(np.min(gap[~is_protected])))
-    trench = site.job.dig.trench
-    least = min(missing)
+    trench, least = site.job.dig.trench, min(missing)
+    found = f"its teeth stay {least:.2f} m above it everywhere"
     raise SceneError(
         "is deeper than the machine digs there", file=site.job.file,
         key="dig.trench.depth" if trench is not None else "dig.surface",
-        found=trench.depth if trench is not None else f"its teeth stay {least:.2f} m above it everywhere",
+        found=f"{trench.depth:g} m below the ground at `from`" if trench is not None else found,
         allowed=f"about {trench.depth - least:.2f} m where they reach deepest" if trench is not None else None,
         hint="stand nearer, or dig less deep",
     )  # fmt: skip

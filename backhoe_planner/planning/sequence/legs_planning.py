@@ -18,6 +18,7 @@ from backhoe_planner.planning.sequence.going_over import go_over
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.planning.sequence.next_leg import ready_for_next
+from backhoe_planner.planning.sequence.reach import first_out_of_reach
 from backhoe_planner.planning.world.outcome import bad_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
@@ -89,6 +90,9 @@ def plan_legs(
     moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
     legs = tuple(_ending_exactly(leg) if index in moving[:-1] else leg for index, leg in enumerate(legs))
     planner = LegPlanner(method, seed, effort, brake or Brake(), watch)
+    beyond = first_out_of_reach(legs, planner)
+    if beyond is not None:
+        return _outcome(legs, [beyond], 0)
     ready = ready_for_next(legs)
     ahead = ahead and len(moving) > 1 and method in ("auto", "optimal")
     ahead = ahead and not any(leg.problem.is_dynamic for leg in legs)
