@@ -282,7 +282,8 @@ class _Along:
             if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
                 pieces[index] = cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
-                if last == 0 and resolved.obstruction is None:
+                # the law and other ways only make it cheaper
+                if last == 0 and resolved.obstruction is None and not self._world.work.brake.is_used_up():
                     low = float(cheap.stations[0])
                     way = self._world.follow_law(self._path, low, cheap.q[0], time=self._time)
                     if not self._world.apart:  # the law does not know these extra clearances

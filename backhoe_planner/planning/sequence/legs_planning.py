@@ -99,7 +99,9 @@ def plan_legs(
     rough = _rough(effort) if ahead else None
     roughly = None if rough is None else (rough, _one_by_one(legs, ready, replace(planner, effort=rough)))
     before = planner.brake.done
-    done = _one_by_one(legs, ready, planner)
+    # with the time used up, the same legs again would end at the first
+    late = roughly is not None and planner.brake.is_used_up()
+    done = roughly[1] if roughly is not None and late else _one_by_one(legs, ready, planner)
     tried = 0
     if roughly is not None and done[-1].failed and _goes_further(roughly[1], done):
         done = roughly[1]
