@@ -302,6 +302,26 @@ def test_a_start_closer_than_the_clearance_is_reported(planar4: bp.Robot) -> Non
     assert "0.010 m closer than allowed" in plan.message
 
 
+def test_a_goal_in_collision_is_told_with_a_free_place_nearby(backhoe: bp.Robot) -> None:
+    """The tip is part of the bucket: around a ball of 0.3 m with 0.1 m of clearance it keeps 0.4 m or more."""
+    content: Data = {
+        "version": 1, "start": {"joints": {"swing": 0.6, "boom": 0.3, "stick": -1.2, "bucket": -1.2}},
+        "task": {"goal": {"position": [4.0, 0.0, 1.0], "pitch": [-2.0, -1.0]}}, "clearance": 0.1,
+        "obstacles": [{"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.0, 0.0, 1.0]}],
+    }  # fmt: skip
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.reason == "goal_in_collision"
+    found = re.search(r"free place that was found is ([0-9.]+) m away, at \(([^)]*)\), by \(([^)]*)\) m", plan.message)
+    assert found is not None, plan.message
+    place, by = (np.array([float(one) for one in found[group].split(",")]) for group in (2, 3))
+    np.testing.assert_allclose(place - by, [4.0, 0.0, 1.0], atol=0.011)
+    assert 0.4 <= float(found[1]) <= 1.6
+    assert float(found[1]) == pytest.approx(np.linalg.norm(by), abs=0.01)
+    further = (place + 0.03 * by).tolist()  # the printed place is rounded
+    content["task"] = {"goal": {"position": further, "pitch": [-2.0, -1.0]}}
+    assert bp.plan(backhoe, bp.scene_from_dict(content), effort="quick").verified
+
+
 def test_a_goal_in_collision_names_the_obstacle_and_the_link(planar4: bp.Robot) -> None:
     """Every configuration has the middle of link 4's end face at the goal, 0.1 m inside the ball's surface."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.0, 2.1, 0.2)]), effort="quick")

@@ -30,6 +30,7 @@ from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.contradictions import find_contradiction
+from backhoe_planner.planning.world.free_place import find_free_place
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
@@ -89,10 +90,13 @@ def find_goal_postures(
         else:
             found += [(q, on.goal) for q in on.clear]
     if not found:
-        mildest = min(failures, key=lambda failure: _MILDEST.index(failure.reason))
-        return Outcome(
-            mildest.trajectory, mildest.reason, "; ".join(failure.message for failure in failures), mildest.findings
-        )
+        order = [_MILDEST.index(failure.reason) for failure in failures]
+        first = order.index(min(order))
+        mildest, words = failures[first], [failure.message for failure in failures]
+        if mildest.reason == "goal_in_collision" and travel is None and goals[first].q is None:
+            free = find_free_place(world, goals[first].target, near, time=time)
+            words[first] += "" if free is None else f"; {free}"
+        return Outcome(mildest.trajectory, mildest.reason, "; ".join(words), mildest.findings)
     rate = world.problem.limits.velocity
     found.sort(key=lambda one: float(np.max(np.abs(one[0] - near) / rate)))
     return GoalPostures(
