@@ -28,7 +28,7 @@ _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 class JobSoil(Soil):
     """The soil that is dug: its resistance, and how it behaves once it is loose."""
 
-    swell: Annotated[float, Field(strict=True, ge=1.0, le=2.0)] = 1.25
+    swell: Annotated[float, number(ge=1.0, le=2.0)] = 1.25
     """Loose volume divided by the volume in the ground; 1.25 by default, usually 1.1 (sand) to 1.4 (clay)."""
     repose: Annotated[Slope, Field(gt=0.0, le=1.5)] = 0.6
     """Slope angle at which a heap of the soil comes to rest [rad]; 0.6 by default, usually 0.5 to 0.8."""
@@ -45,9 +45,9 @@ class Trench(Record):
     """Width [m]; at least that of the bucket."""
     depth: _Length
     """Depth of the bottom below the job's own ground at `from` [m]; uneven ground elsewhere does not change it."""
-    slope: Annotated[float, Field(strict=True, ge=-_STEEPEST, le=_STEEPEST)] = 0.0
+    slope: Annotated[float, number(ge=-_STEEPEST, le=_STEEPEST)] = 0.0
     """Fall of the bottom from `from` towards `to` [m per m]; 0 by default."""
-    tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
+    tolerance: Annotated[float, number(gt=0.0, le=0.5)] = 0.05
     """How far the bottom may be above or below the design [m]."""
 
     @model_validator(mode="after")
@@ -85,9 +85,9 @@ class Surface(Record):
     """CSV of heights z [m] without header, rows along y, columns along x; empty where nothing is to be dug."""
     low: _Point
     """x, y of the first height [m]."""
-    cell: Annotated[float, Field(strict=True, ge=0.005, le=5.0)]
+    cell: Annotated[float, number(ge=0.005, le=5.0)]
     """Distance between neighbouring heights [m]."""
-    tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
+    tolerance: Annotated[float, number(gt=0.0, le=0.5)] = 0.05
     """How far the ground may be above or below the design [m]."""
 
 
@@ -112,7 +112,7 @@ class Heap(Record):
 
     at: _Point | Annotated[tuple[_Point, ...], Field(min_length=1, max_length=50)]
     """x, y where soil is dumped [m]; or a list of such places, from which the planner chooses for every cycle."""
-    edge_distance: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 1.0
+    edge_distance: Annotated[float, number(ge=0.0, le=_LARGEST)] = 1.0
     """Distance between the foot of the heap and the edge of the excavation [m]; 1 by default."""
 
     @property
@@ -131,7 +131,7 @@ class TruckBed(Record):
     """x, y, z of the middle of the floor [m]."""
     size: tuple[_Length, _Length, _Length]
     """Inner length along its own x, width along its own y, height of its walls [m]."""
-    yaw: Annotated[float, Field(strict=True, ge=-2.0 * math.pi, le=2.0 * math.pi)] = 0.0
+    yaw: Annotated[float, number(ge=-2.0 * math.pi, le=2.0 * math.pi)] = 0.0
     """Rotation about z [rad]."""
 
     def walls(self) -> list[dict[str, Any]]:
@@ -158,7 +158,7 @@ class Truck(Record):
     """Loose soil that one truck holds [m^3]."""
     count: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
     """How many trucks come."""
-    exchange: Annotated[float, Field(strict=True, ge=0.0, le=3600.0)] = 60.0
+    exchange: Annotated[float, number(ge=0.0, le=3600.0)] = 60.0
     """Time from a full truck to the next one in its place [s]; 60 by default."""
 
 
@@ -174,9 +174,9 @@ class Dump(Record):
 class BucketSize(Record):
     """The volume that the bucket holds."""
 
-    capacity: Annotated[float, Field(strict=True, ge=_LEAST_BUCKET, le=20.0)] | None = None
+    capacity: Annotated[float, number(ge=_LEAST_BUCKET, le=20.0)] | None = None
     """Heaped volume of loose soil [m^3]; by default that of the bucket's collision shape."""
-    fill: Annotated[float, Field(strict=True, gt=0.0, le=1.2)] = 0.95
+    fill: Annotated[float, number(gt=0.0, le=1.2)] = 0.95
     """Part of the capacity that one cut fills; 0.95 by default, usually 0.8 (hard clay) to 1.0 (moist loam)."""
 
 
@@ -189,7 +189,7 @@ class Ground(Record):
     """Heights as CSV (rows along y, columns along x) or GeoTIFF, or a point cloud; relative to the job file."""
     map_origin: MapPoint | None = None
     """The point of the file's coordinates that is the origin of the site [m]; of a point cloud or a GeoTIFF."""
-    fill: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 0.0
+    fill: Annotated[float, number(ge=0.0, le=_LARGEST)] = 0.0
     """Holes in the file are filled from their rims up to this distance from a known column [m]; 0 by default: none."""
     roughness: Annotated[float, number(ge=0.0, le=_LARGEST)] = ROUGHNESS
     """Height above the ground up to which a point of a cloud counts as ground [m]; 0.15 by default.
@@ -197,7 +197,7 @@ class Ground(Record):
     What is higher than the ground in its column and in the eight around it by more than this stands on the ground and
     is an obstacle.
     """
-    cell: Annotated[float, Field(strict=True, ge=0.02, le=0.5)] = 0.05
+    cell: Annotated[float, number(ge=0.02, le=0.5)] = 0.05
     """Distance between neighbouring columns of the ground [m]; 0.05 by default."""
     low: _Point | None = None
     """Least x, y of the modelled ground [m]; by default it covers all that is dug and heaped, and 1 m around it.
@@ -227,14 +227,14 @@ class Ground(Record):
 class Layers(Record):
     """A prescribed pattern: level layers of one depth, each from the far end to the near one."""
 
-    layers: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
+    layers: Annotated[float, number(gt=0.0, le=2.0)]
     """Depth of a layer [m]."""
 
 
 class Face(Record):
     """A prescribed pattern: the farthest part is dug down to the bottom first, then the next."""
 
-    face: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
+    face: Annotated[float, number(gt=0.0, le=2.0)]
     """Greatest depth of one cut below the ground, smoothed over 0.3 m [m].
 
     It is more where a cut passes the step that an earlier one has left.
