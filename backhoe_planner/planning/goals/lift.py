@@ -19,6 +19,11 @@ _LITTLE = 1e-3
 _NEAR = 0.05  # part of what is lifted, by which a cost may exceed it if another search is not worth its time; chosen
 
 
+def lift_of(problem: Problem) -> Lift | None:
+    """The lift of a problem; None if its cost does not count potential energy."""
+    return Lift(problem) if problem.objective.lifts else None
+
+
 class Lift:
     """The potential energy of a problem's machine with its payload.
 

@@ -18,7 +18,7 @@ from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
 from backhoe_planner.planning.goals.first_rounds import Field, GivesUp, after_first_rounds
-from backhoe_planner.planning.goals.lift import Lift
+from backhoe_planner.planning.goals.lift import lift_of
 from backhoe_planner.planning.goals.straight_lines import STRAIGHT
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -104,7 +104,7 @@ class MotionDescents:
     ) -> None:  # fmt: skip
         self._world, self._problem, self._ends, self._time = world, world.problem, ends, time
         self._hurried = world.work.effort.is_hurried
-        self.lift = Lift(world.problem) if world.problem.objective.lifts else None
+        self.lift = lift_of(world.problem)
         # not for a cost that jumps, whose fall in the first rounds says less about its end
         self.is_frugal = world.work.effort.frugal and not world.problem.objective.jumps
         # a cost that counts as little, in the objective's unit

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.lift import Lift
+from backhoe_planner.planning.goals.lift import lift_of
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS
@@ -132,9 +132,8 @@ def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: G
     if not world.work.effort.frugal:
         return True
     least = min(costs)
-    worth = 0.0
-    if world.problem.objective.lifts:
-        lift = Lift(world.problem)
+    worth, lift = 0.0, lift_of(world.problem)
+    if lift is not None:
         if least <= lift.little or lift.is_near(least, start, found.clear):
             return False
         worth = lift.worth
