@@ -26,6 +26,7 @@ _STEP = 0.1  # m by which the half width of the opening grows; chosen
 _STEEPEST = 1.0  # m per m: ridges of soil are not steeper on both sides; it comes to rest at 0.5 to 0.8 rad
 _BEYOND = 10.0  # m beyond the modelled ground where things are kept, too: further than an arm reaches; chosen
 _COARSEST = 0.4  # m, edge of the voxels of a sparse cloud; chosen: thicker ones keep a bucket from free ground
+_OFF_BORDER = 1e-6  # m: rounding puts points on the border of two voxels into either
 _OWN_NAMES = 5  # of the largest things; chosen: each is measured by itself
 
 
@@ -181,6 +182,26 @@ def off_the_ground(points: Matrix, grid: HeightGrid, roughness: float, known: Ma
     found = np.zeros(len(points), dtype=bool)
     found[near] = points[near, 2] > reference.ravel()[index] + roughness
     return found
+
+
+def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
+    """(k, 3) points that fill the unseen space between things and the ground that they hide [m].
+
+    Under a roof or a vehicle that was seen from above nothing else was seen: it is not free.
+
+    Parameters
+    ----------
+    points: (n, 3) what stands on the ground [m].
+    ground: its heights.
+    hidden: (rows, columns) where the ground was not seen.
+    """
+    lowest = column_lowest(points, ground)
+    reached = hidden & np.isfinite(lowest) & np.isfinite(ground.z)
+    gap = np.where(reached, np.maximum(lowest - ground.z, 0.0), 0.0)
+    counts = np.ceil(gap[reached] / ground.cell).astype(int)
+    level = np.concatenate([np.zeros(0), *(np.arange(count) + 0.5 for count in counts.tolist())])
+    places = np.repeat(ground.nodes()[reached], counts, axis=0) + _OFF_BORDER
+    return np.column_stack((places, np.repeat(ground.z[reached], counts) + level * ground.cell))
 
 
 def _around(points: Matrix, grid: HeightGrid) -> tuple[HeightGrid, tuple[int, int]]:

@@ -24,7 +24,7 @@ from backhoe_planner.job.ground.grids import (
     filled_at,
     resampled,
 )
-from backhoe_planner.job.ground.off_ground import OffGround, describe, off_the_ground, voxels_of
+from backhoe_planner.job.ground.off_ground import OffGround, below, describe, off_the_ground, voxels_of
 from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import read_height_grid, read_points
 
@@ -107,7 +107,7 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     hidden = under & np.isnan(heights.z)
     there = filled_at(heights, hidden).z if known is None else known
     heights = replace(heights, z=np.where(hidden, there, heights.z))
-    stands = voxels_of(points[off], grid.cell)
+    stands = voxels_of(np.vstack((points[off], below(points[off], heights, hidden))), grid.cell)
     return Survey(heights, stands, describe(points[off], heights, stands))
 
 

@@ -68,7 +68,11 @@ def test_what_stands_is_told_from_the_ground_and_the_ground_under_it_is_that_aro
         stands = points[points[:, 2] > slope * points[:, 0] + 0.15 + slope * CELL]
         keys = {tuple(key) for key in found.off_ground.keys.tolist()}
         assert {tuple(key) for key in np.floor(stands / found.off_ground.edge).astype(int).tolist()} <= keys
-        assert found.off_ground.centres[:, 2].min() > 0.1
+        # under the roof nothing was seen, and the space below counts; under the canopy the ground was seen
+        middle = {(19, 9, z) for z in range(2, 15)}
+        assert found.off_ground.edge == CELL
+        assert middle <= keys
+        assert not any(x == 45 and y == 5 and z < 28 for x, y, z in keys)
         assert len(found.off_ground.things) == 3
     # nothing stands for whoever says so
     assert ground_of(points, roughness=5.0).off_ground is None
