@@ -26,6 +26,7 @@ from backhoe_planner.job import (
     plan_job,
     read_ground,
 )
+from backhoe_planner.site import read_points
 
 LOW, HIGH, CELL = (0.0, -2.0), (6.0, 2.0), 0.1
 
@@ -111,6 +112,25 @@ def test_a_warning_says_how_many_columns_have_something_on_them(tmp_path: Path) 
     np.savetxt(tmp_path / "ground.xyz", LEVEL)
     assert ground_warnings(job_from_dict(content, folder=tmp_path)) == ()
     assert ground_warnings(small_job()) == ()
+
+
+def test_a_cloud_is_read_once_for_warnings_and_worksites_and_again_if_it_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Path] = []
+
+    def counting(file: Path, **keys: tuple[float, ...]) -> Matrix:
+        read.append(file)
+        return read_points(file, **keys)
+
+    monkeypatch.setattr("backhoe_planner.job.ground.surveys.read_points", counting)
+    for count, wall in ((1, WALL), (2, WALL + np.array([0.0, 0.5, 0.0]))):
+        job = walled_job(tmp_path, wall)
+        (words,) = ground_warnings(job)
+        sites = [build_worksite(job), build_worksite(job)]
+        assert len(read) == count
+        assert f"y {wall[0, 1]:.2f}" in words
+        assert sites[0].ground.off_ground is sites[1].ground.off_ground
 
 
 def walled_job(folder: Path, wall: Matrix) -> Job:
