@@ -248,7 +248,7 @@ def test_a_search_within_a_cone_ends_where_no_sample_can_be_projected_into_it(
 
 def test_the_brake_ends_a_search(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
-    with pytest.raises(OutOfTime, match=r"after 1e-09 s of computing; --budget"):
+    with pytest.raises(OutOfTime, match=r"after 1e-09 s of computing"):
         find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=Brake(1e-9), spare=0.0)
     brake = Brake(0.05)
     endless = replace(EFFORTS["normal"], motions_per_search=10**9, motions=10**9)
