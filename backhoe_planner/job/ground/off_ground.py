@@ -27,6 +27,7 @@ _STEEPEST = 1.0  # m per m: ridges of soil are not steeper on both sides; it com
 _BEYOND = 10.0  # m beyond the modelled ground where things are kept, too: further than an arm reaches; chosen
 _COARSEST = 0.4  # m, edge of the voxels of a sparse cloud; chosen: thicker ones keep a bucket from free ground
 _OFF_BORDER = 1e-6  # m: rounding puts points on the border of two voxels into either
+_BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
 _OWN_NAMES = 5  # of the largest things; chosen: each is measured by itself
 
 
@@ -161,8 +162,10 @@ def describe(points: Matrix, ground: HeightGrid, off: OffGround) -> str:
     )
 
 
-def off_the_ground(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None) -> Flags:
-    """(n,) which points (n, 3) [m] stand on the ground, on the grid or close to it.
+def off_the_ground(
+    points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None
+) -> tuple[Flags, Matrix]:
+    """(n,) which points (n, 3) [m] stand on the ground, on the grid or near it, and (rows, columns) that ground [m].
 
     Parameters
     ----------
@@ -173,15 +176,16 @@ def off_the_ground(points: Matrix, grid: HeightGrid, roughness: float, known: Ma
     wide, (row, column) = _around(points, grid)
     near, index = columns_of(points, wide)
     lowest = column_lowest(points, wide)
+    part = (slice(row, row + grid.z.shape[0]), slice(column, column + grid.z.shape[1]))
     if not np.isfinite(lowest).any():
-        return np.zeros(len(points), dtype=bool)
-    reference = _highest_around(_ground_of(lowest, wide.cell, roughness))
+        return np.zeros(len(points), dtype=bool), lowest[part]
+    ground = _ground_of(lowest, wide.cell, roughness)
+    reference = _highest_around(ground)
     if known is not None:
-        part = (slice(row, row + known.shape[0]), slice(column, column + known.shape[1]))
         reference[part] = np.maximum(reference[part], _highest_around(known))
     found = np.zeros(len(points), dtype=bool)
     found[near] = points[near, 2] > reference.ravel()[index] + roughness
-    return found
+    return found, ground[part]
 
 
 def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
@@ -220,9 +224,14 @@ def _around(points: Matrix, grid: HeightGrid) -> tuple[HeightGrid, tuple[int, in
 
 def _ground_of(lowest: Matrix, cell: float, roughness: float) -> Matrix:
     """(rows, columns) the ground [m] in columns with those lowest points (NaN without): that around what hides it."""
-    from scipy.ndimage import grey_opening
+    from scipy.ndimage import grey_opening, minimum_filter
 
-    filled = _from_nearest(lowest, np.isnan(lowest))
+    unknown = np.isnan(lowest)
+    filled = _from_nearest(lowest, unknown)
+    # scanners put stray points below the ground: a column far below each of the eight around it has one
+    beside = minimum_filter(filled, footprint=_BESIDE, mode="nearest")
+    filled = np.where(filled < beside - roughness - _STEEPEST * cell, beside, filled)
+    lowest = np.where(unknown, np.nan, filled)
     hidden = np.zeros(lowest.shape, dtype=bool)
     surface, before = filled, 0
     steps = np.arange(_STEP, 0.5 * _WIDEST + 1e-9, _STEP)

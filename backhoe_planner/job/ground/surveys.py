@@ -97,13 +97,15 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     known: (rows, columns) the ground at an earlier time [m]. Where things hide the ground it is taken as it was then,
         otherwise between the columns around them.
     """
-    off = off_the_ground(points, grid, roughness, known)
+    off, ground = off_the_ground(points, grid, roughness, known)
     heights = column_means(points[~off], grid)
     if not off.any():
         return Survey(heights)
     under = np.isin(np.arange(grid.z.size), columns_of(points[off], grid)[1]).reshape(grid.z.shape)
-    # the lower part of a wall counts as ground, but does not raise it
-    heights = replace(heights, z=np.where(under, column_lowest(points[~off], grid), heights.z))
+    # the lower part of a wall counts as ground, but does not raise it, nor does a stray point below lower it
+    lowest = column_lowest(points[~off], grid)
+    lowest = np.where(lowest < ground - roughness, ground, lowest)
+    heights = replace(heights, z=np.where(under, lowest, heights.z))
     hidden = under & np.isnan(heights.z)
     there = filled_at(heights, hidden).z if known is None else known
     heights = replace(heights, z=np.where(hidden, there, heights.z))

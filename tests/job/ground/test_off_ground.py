@@ -97,6 +97,20 @@ def test_slopes_steps_and_heaps_are_ground() -> None:
         np.testing.assert_allclose(found.surface[row, 1:-1], mean, atol=1e-9)
 
 
+def test_stray_points_below_the_ground_do_not_turn_it_into_a_thing() -> None:
+    """A column in every square metre or so has a point 2 m below; the wall stands on another one."""
+    stray = LEVEL[37::97] - [0.0, 0.0, 2.0]
+    wall = upright((1.0, 3.0), -1.0, 2.0, 0.1)
+    found = ground_of(np.vstack((LEVEL, stray, [[2.0, -1.0, -2.0]], wall)))
+    assert found.off_ground is not None
+    stands = wall[wall[:, 2] > 0.15]
+    assert {tuple(key) for key in found.off_ground.keys.tolist()} == {
+        tuple(key) for key in np.floor(stands / CELL).astype(int).tolist()
+    }
+    assert found.surface[10, 20] == 0.0
+    assert ground_of(np.vstack((LEVEL, stray))).off_ground is None
+
+
 def test_a_warning_says_how_many_columns_have_something_on_them(tmp_path: Path) -> None:
     wall = upright((3.0, 5.0), -1.0, 2.0, 1.0)
     keys = {"file": "ground.xyz", "cell": CELL, "low": list(LOW), "high": list(HIGH)}
