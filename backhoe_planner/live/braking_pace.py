@@ -27,6 +27,7 @@ _PACES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # that are tried; c
 _ALONG = (0.33, 0.67, 1.0)  # parts of the braking line that are looked at; the servo proves all of it
 _CHANGES = 0.5  # part of the acceleration for changes of the pace; the rest is for the plan's own
 _ROUNDING = 1e-6  # rad or m
+_TOLD = 10  # moments in a row, 0.2 s, for which the same cause is told; chosen, naming an obstacle takes 1 ms
 
 
 class StopRule(NamedTuple):
@@ -36,10 +37,12 @@ class StopRule(NamedTuple):
     ----------
     keep: the conditions to be kept.
     screen: for the static obstacles; None if only the conditions count.
+    proximity: of the same obstacles, to name the one that is in the way; None if none is to be named.
     """
 
     keep: Keep
     screen: ClearanceScreen | None
+    proximity: Proximity | None = None
 
 
 class PlanPart(NamedTuple):
@@ -68,6 +71,7 @@ class BrakingPace:
     def __init__(self, reference: Reference, limits: JointLimits, parts: Sequence[PlanPart]) -> None:
         if reference.end <= 0.0:
             self._time, self._pace = np.zeros(1), np.ones(1)
+            self._own = self._pace
             return
         count = max(round(reference.end / _STEP), 1) + 1
         self._time = np.linspace(0.0, reference.end, count)
@@ -88,7 +92,37 @@ class BrakingPace:
                 fits = _fit(slower**2 * line, rows, q, clear, limits, one.stop)
                 pace[rows[fits]] = slower
                 rows = rows[~fits]
-        self._pace = _changing_slowly(pace, self._time, v, limits)
+        self._own, self._pace = pace, _changing_slowly(pace, self._time, v, limits)
+        self._q, self._line, self._rules, self._limits = q, line, [parts[index].stop for index in part], limits
+        self._causes: dict[int, str] = {}
+
+    def cause(self, time: float) -> str:
+        """What the machine would violate where it stopped straight ahead from the full pace at `time` [s], in words.
+
+        It is told for the place that determines the pace there. Empty if nothing does.
+        """
+        rows = np.flatnonzero((self._own < 1.0) & (self._own <= self._pace + _ROUNDING))
+        if len(rows) == 0:
+            return ""
+        row = int(rows[int(np.abs(self._time[rows] - time).argmin())])
+        told = self._causes.get(row // _TOLD)
+        if told is None:
+            told = self._causes[row // _TOLD] = self._violated(row)
+        return told
+
+    def _violated(self, row: int) -> str:
+        rule, limits = self._rules[row], self._limits
+        if rule is None:
+            return ""
+        q = self._q[row]
+        places = q + np.array(_ALONG)[:, None] * self._line[row]
+        if not _kept_along(rule.keep, q[None], places).all():
+            return "`keep`"
+        if ((places < limits.lower - _ROUNDING) | (places > limits.upper + _ROUNDING)).any():
+            return "a joint limit"
+        found = [] if rule.proximity is None else [rule.proximity.tightest(place) for place in places]
+        nearest = min((one for one in found if one is not None), key=lambda one: one.margin, default=None)
+        return "a clearance" if nearest is None else f"the clearance of {nearest.link} from {nearest.name}"
 
     def at(self, time: float) -> float:
         """The greatest pace at `time` [s] of the plan, above 0 and at most 1."""
@@ -106,7 +140,8 @@ def _part(begins: float, keep: Keep | None, robot: Robot, obstacles: Sequence[Ob
     if keep is None:
         return PlanPart(begins, None)
     still = [one for one in obstacles if not one.moves and one.appears_at <= 0.0]
-    return PlanPart(begins, StopRule(keep, ClearanceScreen(Proximity(robot, still))))
+    proximity = Proximity(robot, still)
+    return PlanPart(begins, StopRule(keep, ClearanceScreen(proximity), proximity))
 
 
 def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimits, rule: StopRule) -> Flags:
@@ -119,14 +154,21 @@ def _fit(line: Matrix, rows: Indices, q: Matrix, clear: Flags, limits: JointLimi
         here = np.flatnonzero(fits)
         places = q[rows[here]] + along * line[rows[here]]
         within = np.all((places >= limits.lower - _ROUNDING) & (places <= limits.upper + _ROUNDING), axis=1)
-        for condition in rule.keep.conditions:
-            least = np.minimum(condition.margins(condition.values(q[rows[here]])), 0.0) - _ROUNDING
-            within &= condition.margins(condition.values(places)) >= least
+        within &= _kept_along(rule.keep, q[rows[here]], places)
         if rule.screen is not None:
             asked = np.flatnonzero(within & clear[rows[here]])
             within[asked] = rule.screen.keeps(places[asked])
         fits[here] = within
     return fits
+
+
+def _kept_along(keep: Keep, q: Matrix, places: Matrix) -> Flags:
+    """(K,) whether `places` (K, n) break no condition more than q does, (K, n) or (1, n)."""
+    kept = np.ones(len(places), dtype=bool)
+    for condition in keep.conditions:
+        least = np.minimum(condition.margins(condition.values(q)), 0.0) - _ROUNDING
+        kept &= condition.margins(condition.values(places)) >= least
+    return kept
 
 
 def _changing_slowly(pace: Vector, time: Vector, v: Matrix, limits: JointLimits) -> Vector:

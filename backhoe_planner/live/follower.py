@@ -26,6 +26,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector, as_count, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule, parts_of
+from backhoe_planner.live.delay import Delay, Paces
 from backhoe_planner.live.detours.attempts import Attempts
 from backhoe_planner.live.detours.detour import Detour
 from backhoe_planner.live.detours.detour_ahead import DetourAhead
@@ -48,7 +49,7 @@ from backhoe_planner.live.pace_ramp import PaceRamp
 from backhoe_planner.live.plan_fit import check_fits, refuse_failed
 from backhoe_planner.live.progress import ARRIVED, Progress
 from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState, Status
+from backhoe_planner.live.servo.servo_state import ServoState, Status
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.motion import Keep, Trajectory, keep_of
 from backhoe_planner.planning import Plan
@@ -138,6 +139,7 @@ class PlanFollower:
         self._steps = 0  # until it was done
         self._was_done = False
         self._left_out: tuple[LeftOut, ...] = ()
+        self._delay = Delay(servo)
         self._slowest = float(servo.limits.velocity.min())
         self._progress = Progress(self._slowest)
         self._searches, self._proofs = Searches(executor), Searches(executor)
@@ -290,6 +292,7 @@ class PlanFollower:
             state = servo.step_along_unchecked(track, pace=self._asked_pace)
             if state.pace >= self._asked_pace:  # the machine is as fast as it can be; otherwise a zone slows it down
                 self._ramp.pace = track.pace
+            self._delay.on_track(state, track.pace, self._asked_pace)
         else:
             state = self._step_towards(reference, waits=track is not None and self._waits_to_join(proven=on_track))
         if self._progress.made(reference, deviation, self._ramp.pace * servo.dt):
@@ -327,14 +330,18 @@ class PlanFollower:
         if kept is None:
             return self._held()
         if self._detour is None:
-            stops = self._paces.at(self._plan.clock)
+            stopping, time = self._paces, self._plan.clock
         else:
-            stops = self._detour_paces.at(self._detour.reference.clock)
+            stopping, time = self._detour_paces, self._detour.reference.clock
+        stops = stopping.at(time)
         asked = self._ramp.towards(self._asked_pace, reference)
-        pace = 0.0 if waits else min(pace, kept, stops, asked)
+        paces = Paces(pace, kept, stops, asked, waits)
+        pace = 0.0 if waits else min(paces[:4])
         state = self._drive(pace * rates + pull)
         if reference.clock == clock:  # unless the servo went on along the plan
             reference.advance(pace * servo.dt)
+        beside = float(np.abs(reference.q - state.q).max())
+        self._delay.off_track(state, paces, self._asked_pace, beside, lambda: stopping.cause(time))
         return state
 
     def _waits_to_join(self, *, proven: bool) -> bool:
@@ -364,7 +371,7 @@ class PlanFollower:
             self._hold()
             if self._detour is not None:  # it led nowhere: search another one
                 self._detour = None
-                self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
+                self._note_failure(f"a way round was found, but {self._delay.held_by(state)}", servo.revision)
 
     def _hold(self) -> None:
         """Come to rest, and search a detour from there."""
@@ -559,15 +566,10 @@ class PlanFollower:
             lost = self._kept.lost(evades=state.status is Status.EVADING)
             kept = f"; {lost}" if lost else ""
             sought = "; a way round is searched for" if self._holding else ""
-            return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}{sought}"
+            return FollowerStatus.WAITING, f"{self._delay.held_by(state)}{kept}{sought}"
         if self._detour is not None:
             return FollowerStatus.GOING_ROUND, self._detour.reason
         if self._asked_pace == 0.0:
             return FollowerStatus.WAITING, "a pace of 0 is asked for"
-        return FollowerStatus.FOLLOWING, self._proof.slowed_by if self._behind > _NOTICED else ""
-
-    @staticmethod
-    def _held_by(state: ServoState) -> str:
-        if state.nearest is None or state.margin > HOLDS_WITHIN:
-            return "the machine is off the plan"
-        return f"{state.nearest.link} is held back by {state.nearest.name}"
+        late = self._proof.slowed_by if self._behind > _NOTICED else ""
+        return FollowerStatus.FOLLOWING, "; ".join(part for part in (late, self._delay.reason) if part)

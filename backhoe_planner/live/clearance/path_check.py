@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_path
@@ -265,6 +265,20 @@ class PathCheck:
         """
         return () if self._last is None else self.rows(*self._last, firm=firm, now=self.path(q, v))
 
+    def rows_of_last(self) -> tuple[Indices, Rows] | None:
+        """The pairs (R,) and rows of the path that was taken; None if it was clear from the start."""
+        if self._last is None or len(self._last[0].pairs) == 0:
+            return None
+        pairs, G, h = self._pairs_and_rows(*self._last, firm=False, now=None)
+        return pairs, Rows("braking", G, h)
+
+    def worst_of_last(self) -> int:
+        """The pair that keeps the path that was checked last from being taken; -1 if it is not known."""
+        if self._last is None or len(self._last[0].pairs) == 0:
+            return -1
+        (pairs, _), _, found = self._last
+        return int(pairs[int((found.bound - self.bounds.required.take(pairs)).argmin())])
+
     def rows(
         self,
         awake: Awake,
@@ -284,26 +298,32 @@ class PathCheck:
             soft, they would be traded off against a person who walks into the machine, and the result could run into
             a post behind it. A machine that stands still keeps the hard rows.
         """
-        separation, (pairs, budget) = self.separation, awake
-        if len(pairs) == 0:
+        if len(awake.pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
-        bounds, of = self.bounds, path if now is None else now
+        pairs, G, h = self._pairs_and_rows(awake, path, found, firm=firm, now=now)
+        if not firm or len(h) == 0:
+            return (Rows("braking", G, h),)
+        hard = self.bounds.stands.take(pairs)
+        soft = ~hard | (h < 0.0)  # a return to the buffer is wished for, not demanded
+        return (
+            Rows("braking", G[hard], np.maximum(h[hard], 0.0), Kind.HARD),
+            Rows("braking, soft", G[soft], h[soft]),
+        )
+
+    def _pairs_and_rows(
+        self, awake: Awake, path: BrakingPath, found: PathClearance, *, firm: bool, now: BrakingPath | None
+    ) -> tuple[Indices, Matrix, Vector]:
+        """The pairs (R,) whose corners could bind along a path, and their rows; see `rows`."""
+        separation, (pairs, budget), bounds = self.separation, awake, self.bounds
+        of = path if now is None else now
         planes, joint, other, piece, corners, mask, T, J, drift = separation.of_rows(self.at)
-        pairs, G, h = rows_of_path(
+        return rows_of_path(
             pairs, *found.gaps, found.bound, found.closely, bounds.required, separation.classes,
             path.off_chord(separation.travel), budget, bounds.stands if firm else None, _RULES,
             planes, joint, other, piece, corners, mask, T, J, drift,
             path.parts, of.v, of.look, *of.bend_of_end, path.q, path.end,
             None if now is None else now.q, None if now is None else now.end, self.joints.dt,
         )  # fmt: skip
-        if not firm or len(h) == 0:
-            return (Rows("braking", G, h),)
-        hard = bounds.stands.take(pairs)
-        soft = ~hard | (h < 0.0)  # a return to the buffer is wished for, not demanded
-        return (
-            Rows("braking", G[hard], np.maximum(h[hard], 0.0), Kind.HARD),
-            Rows("braking, soft", G[soft], h[soft]),
-        )
 
 
 _NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), NO_GAPS, np.zeros(0, dtype=np.intp))

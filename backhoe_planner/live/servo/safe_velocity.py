@@ -228,6 +228,10 @@ class VelocityFilter:
     ----------
     check: the check of the machine's braking paths.
     recovery: finds the way out if the machine is closer to something than allowed.
+
+    Attributes
+    ----------
+    of_what_moves: the pairs (K,) and rows of the last step for evasion, then for evading early; empty if nothing comes.
     """
 
     def __init__(self, check: PathCheck, recovery: Recovery) -> None:
@@ -235,6 +239,7 @@ class VelocityFilter:
         self._check, self._recovery, self._at = check, recovery, check.at
         self._acceleration, self._fastest = check.joints.limits.acceleration, check.joints.limits.velocity
         self._nothing_comes = Rows.none("evasion", len(self._acceleration))
+        self.of_what_moves: tuple[tuple[Indices, Rows], ...] = ()
 
     def choose(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
         """The velocity nearest to the wish whose braking path is proven clear; braking if there is none."""
@@ -462,7 +467,7 @@ class VelocityFilter:
 
         The second rows are those of a machine that gives way early enough to keep what is `kept` meanwhile.
         """
-        separation = self._separation
+        separation, self.of_what_moves = self._separation, ()
         if len(near.pairs) == 0 or not self._bounds.anything_moves:
             return self._nothing_comes, self._nothing_comes
         clearance = separation.clearance.take(near.pairs)
@@ -498,7 +503,9 @@ class VelocityFilter:
         most = np.add.reduce(np.maximum(G * low, G * high), axis=1)
         if kept is None:
             could = most > h
-            return Rows("evasion", G[could], h[could]), self._nothing_comes
+            evasion = Rows("evasion", G[could], h[could])
+            self.of_what_moves = ((near.pairs.take(k)[could], evasion),)
+            return evasion, self._nothing_comes
         # running from what is faster than the link can be does not help; it would only cost what is to be kept
         helps = np.abs(G).dot(self._fastest) >= -comes
         urgent = margin < -_URGENT * comes
@@ -507,4 +514,7 @@ class VelocityFilter:
         part = np.sqrt(np.minimum(np.maximum(beside, _LEAST_AUTHORITY), 1.0))
         sooner = np.where(moves, h - (1.0 - part) * allowed, h)
         soon = helps & moves & ((sooner < h) | ~urgent) & (most > sooner)
-        return Rows("evasion", G[could], h[could]), Rows("early", G[soon], sooner[soon])
+        pairs = near.pairs.take(k)
+        evasion, early = Rows("evasion", G[could], h[could]), Rows("early", G[soon], sooner[soon])
+        self.of_what_moves = (pairs[could], evasion), (pairs[soon], early)
+        return evasion, early

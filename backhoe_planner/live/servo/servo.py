@@ -42,6 +42,7 @@ from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.live.servo.feedback import Feedback
+from backhoe_planner.live.servo.holding import Hold, find_hold
 from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState
@@ -131,6 +132,7 @@ class Servo:
         self._compare_from = math.inf  # s: from then on stops are compared anew
         self._compared_at = -math.inf  # s: when a comparison began
         self._steps = 0
+        self._chosen: tuple[VelocityWish, SafeVelocity] | None = None  # in the last step, unless it was a stop
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
@@ -335,6 +337,17 @@ class Servo:
         changed = track.revision != self.revision or track.carried is not self.robot.carried
         return not (changed or self._site.anything_moves or self._joints.shares_load)
 
+    def held_by_unchecked(self) -> Hold | None:
+        """What held the machine back in the last step; None if nothing did, or if it stopped along a track.
+
+        Takes 0.1 ms, and is to be asked before anything else changes.
+        """
+        if self._chosen is None:
+            return None
+        return find_hold(
+            self._check, self._filter, self._site, *self._chosen, joints=self.robot.joint_names, time=self.time
+        )
+
     @property
     def on_track(self) -> bool:
         """Whether the machine, if it has to stop, does so along the track of `step_along_unchecked`."""
@@ -410,7 +423,7 @@ class Servo:
 
     def _step(self, command: Command, track: Track | None, pace: float, *, kept: KeptRows | None = None) -> ServoState:
         self._steps += 1
-        before = self._state
+        self._chosen, before = None, self._state
         try:
             return self._move(command, track, pace, kept)
         except Exception as error:  # noqa: BLE001  whatever the error, a way to stand still was proven before
@@ -447,6 +460,7 @@ class Servo:
             if chosen.end is None or not self._may_leave(self._stop, chosen.v, chosen.end):
                 return self._brake(command, failed=False)
             self._stop = None
+        self._chosen = request, chosen
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=chosen.end is None)
         self._advance(chosen.v, chosen.end)
