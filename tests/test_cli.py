@@ -114,12 +114,14 @@ def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, 
 
 
 def test_a_sequence_that_fails_prints_the_tip_error_of_the_legs_that_are_done(run: Run, tmp_path: Path) -> None:
-    """The tip is 9 m from the goal of the second leg: that is no error of the motion."""
+    """The tip is far from the goal of the second leg, in a ball: that is no error of the motion."""
     legs = [
         {"name": "out", "goal": {"joints": {**JOINTS, "joint1": 0.4}}},
-        {"name": "far", "goal": {"position": [9, 9, 0]}},
+        {"name": "far", "goal": {"position": [-2.6, 2.4, 0.0]}},
     ]
-    status, planned, _ = run("plan", PLANAR4, scene_file(tmp_path, {**REACH, "task": {"sequence": legs}}), *QUICK)
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [-2.6, 2.4, 0.0]}
+    content = {**REACH, "obstacles": [ball], "task": {"sequence": legs}}
+    status, planned, _ = run("plan", PLANAR4, scene_file(tmp_path, content), *QUICK)
     assert status == 1
     for said in (planned, run("check", "plan.json")[1]):
         assert re.search(r"leg +out .*, tip error \d\.\d\d mm\n", said)
