@@ -218,6 +218,26 @@ def test_long_searches_for_least_work_are_repeated_until_one_gains_little(
     assert searches.earlier == list(range(len(costs)))
 
 
+@pytest.mark.parametrize(
+    ("costs", "leads_round", "best"),
+    [
+        ([10.0, 10.2], False, "search 1"),  # two costs agree
+        ([10.0, 12.0, 10.1], False, "search 1"),
+        ([10.0, 8.0, 6.0, 4.0], False, "search 4"),  # and no fifth
+        ([10.0, 9.0, 9.1], True, "search 2"),  # the second continues the first, and agrees with the third
+    ],
+)
+def test_short_searches_for_another_cost_than_work_are_repeated_until_two_costs_agree(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, costs: list[float], leads_round: bool, best: str
+) -> None:
+    found = iter([(cost, DURATION) for cost in costs])
+    way, searches = way_of(
+        planar4, "effort", found, monkeypatch, effort=EFFORTS["normal"], leads_round=leads_round, rounds=10
+    )  # fmt: skip
+    assert (way, len(searches.seeds)) == (best, len(costs))
+    assert [one is not None for one in searches.before] == [leads_round and number == 1 for number in range(len(costs))]
+
+
 @pytest.mark.parametrize(("paid", "count"), [(False, 1), (True, 2)])
 def test_a_short_search_is_repeated_if_refining_took_much_from_its_best(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, paid: bool, count: int

@@ -14,6 +14,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.lift import lift_of
+from backhoe_planner.planning.goals.motion_descents import is_frugal
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.goals.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS
@@ -27,6 +28,9 @@ _FEWER = 3  # times fewer further searches for a cost that jumps, as each takes 
 # part of the cost that a search begun anew must gain for another to follow; measured on 63 sites of three machines: of
 # 32 such searches three gained more than 1 %, and of nine that followed one without a gain, one did (1.1 %)
 _DULL = 0.03
+# part of the cost by which the results of two searches count as equal where searches are not frugal, and so many equal
+# ones end them; chosen
+_ALIKE, _AGREE = 0.03, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +119,8 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
     # a result that was found quickly is mostly found again, unless much depended on refining it
     is_easy = first.rounds <= _HARD and not first.refining_paid
-    anew = 0 if effort.frugal and is_easy else effort.restarts
-    goes_on = effort.restarts_round if first.leads_round else 0
+    anew = 0 if is_frugal(world) and is_easy else effort.restarts
+    goes_on = effort.restarts_round if first.leads_round and not is_frugal(world) else 0
     if world.problem.objective.jumps:
         anew, goes_on = -(-anew // _FEWER), -(-goes_on // _FEWER)
     return (True,) * goes_on + (False,) * anew
@@ -125,9 +129,9 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
 def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: GoalPostures) -> bool:
     """Whether another search that is begun anew may find a motion that costs clearly less.
 
-    It is unlikely if one costs little, or little more than the lift to the lowest posture, or if the last of the
-    `costs` of searches from the same start is not much below the others: by a few per cent, and what is worth another
-    search.
+    It is unlikely if one costs little, or little more than the lift to the lowest posture. For little work, also if
+    the last of the `costs` of searches from the same start is not much below the others: by a few per cent, and what
+    is worth another search. For another cost, if two of them are nearly equal to the least.
     """
     if not world.work.effort.frugal:
         return True
@@ -137,4 +141,6 @@ def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: G
         if least <= lift.little or lift.is_near(least, start, found.clear):
             return False
         worth = lift.worth
+    if not is_frugal(world):
+        return sum(cost <= max((1.0 + _ALIKE) * least, least + worth) for cost in costs) < _AGREE
     return len(costs) == 1 or costs[-1] < min((1.0 - _DULL) * min(costs[:-1]), min(costs[:-1]) - worth)

@@ -57,10 +57,12 @@ class Effort:
     begins_with: the effort of a search that comes first, so that more effort never costs more; empty for none.
     restarts: further searches for another cost than the time, each begun anew with the normal effort and random choices
         of its own.
-    frugal: whether searches for another cost than the time end where little more can be expected: restarts after one
-        that gained little, after a short first search, or at a cost little above that of the lift. Unless the cost
-        jumps, also starts that fall behind others, and refining that gains little, or starts at a little cost.
-    restarts_round: further searches if the best motion goes around an obstacle; each continues from what is known.
+    frugal: whether searches for another cost than the time end where little more can be expected: restarts at a cost
+        little above that of the lift, or once two agree. For little work, also restarts after one that gained little
+        or after a short first search, starts that fall behind others, and refining that gains little, or starts at a
+        little cost.
+    restarts_round: further searches if the best motion goes around an obstacle, each of which continues from what is
+        known; none for little work with a frugal effort.
     restarts_long: further searches for the time, each begun anew with the normal effort, if the best motion takes
         much longer than the joints need, until one finds a motion that does not.
     rough: whether a descent on a coarse curve ends at larger gains, for another cost than the time: a finer curve
@@ -116,7 +118,7 @@ _NORMAL = Effort(
     begins_with="",
     restarts=3,
     frugal=True,
-    restarts_round=0,
+    restarts_round=1,
     restarts_long=1,
     rough=True,
 )
