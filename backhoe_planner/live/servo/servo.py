@@ -340,7 +340,7 @@ class Servo:
     def held_by_unchecked(self) -> Hold | None:
         """What held the machine back in the last step; None if nothing did, or if it stopped along a track.
 
-        Takes 0.1 ms, and is to be asked before anything else changes.
+        It is to be asked before anything else changes.
         """
         if self._chosen is None:
             return None
