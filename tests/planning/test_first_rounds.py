@@ -95,16 +95,6 @@ def test_a_start_falls_behind_if_it_costs_much_more_than_another_one_after_as_ma
     assert little.falls_behind(at(3.7), 1.5)
 
 
-def test_no_start_is_tried_after_one_that_gets_clear_and_costs_little() -> None:
-    """4 J beside 2 J is not little, 1 J that lacks 0.1 m is not clear, 1.9 J is both; without a field all are tried."""
-    first = {"1.0": (4.0, 0.0), "2.0": (1.0, 0.1), "3.0": (1.9, 0.0), "4.0": (0.5, 0.0)}
-    starts = starts_at(1.0, 2.0, 3.0, 4.0)
-    found = after_first_rounds(starts, Rounds(first, {}), far_off=0.2, pushed=0, field=Field(little=2.0))
-    assert [start.way for _, start in found.clear] == ["2.0", "3.0", "1.0"]
-    every = after_first_rounds(starts, Rounds(first, {}), far_off=0.2, pushed=0)
-    assert [start.way for _, start in every.clear] == ["4.0", "2.0", "3.0", "1.0"]
-
-
 def test_a_start_that_stays_in_an_obstacle_is_pushed_for_some_rounds_only() -> None:
     """It gives up in the fifth round with more than four fifths of its first miss, but not with less."""
     ended: dict[str, list[int]] = {"stays": [], "leaves": []}

@@ -14,7 +14,7 @@ from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import Goal, build_problem, drive_of, limit_usage, motion_cost, time_curve
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve, basis
-from backhoe_planner.planning.descent.descent import Descent, Timed, repairs_a_miss
+from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
 from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.world.outcome import Outcome
@@ -358,14 +358,6 @@ def test_a_descent_does_not_raise_the_cost_and_its_end_stays_on_the_goal(backhoe
     position, _ = goal.distances(world.kinematics.at(found.curve.control[-1]))
     assert position < 1e-7
     assert found.cost + 20.0 * costs[0] * found.missed <= costs[0] * (1.0 + 1e-6)
-
-
-@pytest.mark.parametrize(("cost", "repairs"), [(10.05, False), (10.1, True), (10.19, True), (10.21, False)])
-def test_a_miss_is_repaired_at_no_more_than_the_price_in_the_programs(cost: float, repairs: bool) -> None:
-    """A miss of 1 mm counts 0.06 J at 60 J/m and 0.2 J at 200 J/m; below 10.06 J a clear curve is better anyway."""
-    here, there = (Timed(JointCurve(np.zeros((3, 1))), 1.0, *one, margins=[]) for one in ((10.0, 0.001), (cost, 0.0)))
-    assert repairs_a_miss(here, there, 60.0, 200.0) is repairs
-    assert not repairs_a_miss(here, there, 60.0, 60.0)
 
 
 def test_a_hurried_descent_ends_once_its_first_program_promises_little(backhoe: bp.Robot) -> None:

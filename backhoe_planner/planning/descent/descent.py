@@ -50,9 +50,7 @@ _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of
 _CLEAR_FIRST = 10.0  # times both prices, if a curve has to get clear first; chosen: 50 leads further away
 # times the price of missing after a step deeper into an obstacle, and times the first price at most; chosen
 _MORE_MISSED, _MOST_MISSED = 4.0, 1e3
-# the same in the comparison of two curves, until it refuses a step that repairs a miss; chosen among 3 to 20: the next
-# step repairs a miss
-MISSED_WORTH = 6.0
+MISSED_WORTH = 6.0  # the same in the comparison of two curves; chosen among 3 to 20: the next step repairs a miss
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint: most move of a control point in a step; chosen
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose curvature shrinks steps too; chosen
 _AROUND = 3.0  # times the last step: the largest box of the next one, for another cost than the time; chosen
@@ -60,10 +58,8 @@ NO_COST = 1e-9  # in the objective's unit: a smaller cost counts as this
 _GROW, _SHRINK = 1.5, 0.4
 _SHORTENINGS = 2  # of a step that costs more, if the cost is not the time; chosen: each takes half of a round
 _SHORTEST = 0.1  # least part of a step that one shortening leaves; chosen
-# part of the mean cost per joint and second, by which the cost's kinks are rounded off; chosen. With 0.2 the rounded
-# cost is up to a fourteenth too low, and is least elsewhere: that leads to better valleys at first, and past their
-# deepest places at the end
-_SOFT, _SOFT_FINE, _SOFTEST = 0.2, 0.05, 1.5
+# part of the mean cost per joint and second, by which the cost's kinks are rounded off; chosen
+_SOFT, _SOFTEST = 0.2, 1.5
 _LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has a width too
 # part of the cost of a motion if no energy were regained, below which its cost counts as nothing; chosen: below it the
 # programs become ill-conditioned
@@ -165,7 +161,6 @@ class Descent:
         self._curved: Matrix | None = None  # the curvature learnt with a softer cost, in its unit
         self._times_missed = 1.0  # factor on the price of what a curve of this descent misses
         self._rough = False  # whether this descent may end at larger gains
-        self._fine = False  # whether this descent is one of the last
         self.rounds = 0
 
     def run(
@@ -191,8 +186,7 @@ class Descent:
         rough: whether the descent ends at larger gains, because a finer curve continues from its end; not for the time.
         clear_first: whether misses cost much more than usual, so that the curve gets out of an obstacle that
             is cheap to go through.
-        fine: for the last descents, if the cost is not the time: it is evaluated at more places, its kinks are rounded
-            off less, and the miss of a clearance is repaired at any cost that the programs accept.
+        fine: whether the cost is evaluated at more places, if it is not the time; for the last descents.
         is_hopeless: decides from a curve and the number of steps so far whether the descent is given up.
 
         Returns
@@ -205,7 +199,7 @@ class Descent:
         """
         if self._own_time is not None:
             self._own_time = self._own_time.looked_at(fine=fine)
-        self._rough, self._fine, self._times_missed = rough, fine, _CLEAR_FIRST if clear_first else 1.0
+        self._rough, self._times_missed = rough, _CLEAR_FIRST if clear_first else 1.0
         down = partial(self._down, goal=goal, spare=spare, density=density)
         if self._own_time is None:
             return down(curve, duration, most_rounds=most_rounds, box=box, is_hopeless=is_hopeless, longest=longest)
@@ -294,13 +288,9 @@ class Descent:
                 bend = replace(bend, slope=slope, known=curvature, kinks=kinks)
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = here.cost + price * here.missed, looks.known
-            dearer = max(price, self._times_missed * _MISSED_PRICE * unit) if bend is not None and self._fine else price
-            tried = there = self._step(here, free, looks, box, bend, below=here.cost + dearer * here.missed)
+            tried = there = self._step(here, free, looks, box, bend, below=worst)
             if there is here:
                 break
-            if there is not None and repairs_a_miss(here, there, price, dearer):
-                price = dearer
-                worst = here.cost + price * here.missed
             part, noticed = 1.0, False
             if there is not None and bend is None and worst <= there.cost + price * there.missed:
                 there = self._mended(there, free, looks, box, below=worst)
@@ -338,7 +328,7 @@ class Descent:
             if bend is not None and there.missed > max(here.missed, looks.allowed):
                 # so far, going into an obstacle gains more than it costs
                 self._times_missed = min(_MORE_MISSED * self._times_missed, _MOST_MISSED)
-                price = max(price, self._times_missed * MISSED_WORTH * unit)
+                price = self._times_missed * MISSED_WORTH * unit
             here, failed = there, 0
             if here.missed <= looks.allowed:
                 clear, box_then, bend_then = here, box, bend
@@ -368,8 +358,7 @@ class Descent:
         return np.asarray(costs * (1.0 + _LATE * late))
 
     def _soft(self, here: Timed) -> float:
-        soft = _SOFT_FINE if self._fine else _SOFT
-        return max(soft * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
+        return max(_SOFT * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
 
     def _rounded_off(self, here: Timed) -> Timed:
         """The same curve with the cost's kinks rounded off by a suitable width."""
@@ -566,16 +555,6 @@ class Descent:
             J, error = np.vstack((J[asked], G)), np.concatenate((error[asked], missing))
             q = np.clip(q + step_onto(J, error, q, limits), limits.lower, limits.upper)
         return None
-
-
-def repairs_a_miss(here: Timed, there: Timed, price: float, dearer: float) -> bool:
-    """Whether the curve `there` is better than `here` only at the `dearer` price of a metre missed.
-
-    That is the price in the programs, which repair such a miss in every step. If comparisons refused these steps, the
-    box would shrink to nothing.
-    """
-    dear, cheap = (there.cost - here.cost + each * (there.missed - here.missed) for each in (dearer, price))
-    return dear < 0.0 <= cheap
 
 
 def step_onto(J: Matrix, error: Vector, q: Vector, limits: JointLimits) -> Vector:

@@ -61,14 +61,12 @@ class Field:
         least = min((known for after, known in self._least.items() if after <= rounds), default=np.inf)
         return worth > (1.0 + _BEHIND / rounds) * least
 
-    def end(self, found: Timed | None) -> bool:
-        """The present start has ended at `found`; whether that gets clear and costs so little that it will do."""
-        is_clear = found is not None and found.missed <= _NEARLY
-        if is_clear:
+    def end(self, found: Timed | None) -> None:
+        """The present start has ended at `found`."""
+        if found is not None and found.missed <= _NEARLY:
             for rounds, worth in self._own.items():
                 self._least[rounds] = min(worth, self._least.get(rounds, np.inf))
         self._own = {}
-        return is_clear and found is not None and _worth(found) <= self._little
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +107,12 @@ def after_first_rounds(
     blocked: list[tuple[float, Start]] = []
     for start in starts:
         found = bend(start, _FIRST_ROUNDS, gives_up=_never if field is None else field.falls_behind)
+        if field is not None:
+            field.end(found)
         if found is not None and found.missed > far_off:
             blocked.append((found.cost, _as_far(start, found)))
         elif found is not None:
             clear.append((_worth(found), _as_far(start, found)))
-        if field is not None and field.end(found):
-            break
     blocked.sort(key=lambda one: one[0])
     least = min((cost for cost, _ in clear), default=np.inf)
     for cost, start in blocked[:pushed]:

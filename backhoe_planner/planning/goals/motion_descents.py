@@ -36,9 +36,6 @@ _FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 200
 # the end is 0.60 with 6 rounds on 6 pieces, in 75 ms, and 0.20 with 3 rounds on 12 pieces, in 116 ms
 _COARSE_PIECES, _COARSE_FOR_ONE, _COARSE_IN_ONE = 6, 2, 3
 _SPARE = 0.003  # m that a descent keeps beyond every clearance at the places that it checks
-# m: the same for another cost than the time, unless hurried; chosen: in a narrow place a millimetre may cost 1 to 3 %,
-# and of 170 motions three were not proven, with 0.001 one
-_SPARE_OF_COST = 0.0005
 _MORE_SPARE = 0.002  # m that it keeps in addition after its motion could not be proven
 _PROOFS = 3  # tries to prove one motion, each with more spare and twice as many places; chosen
 _ROUNDS = 24  # of a descent at most; chosen, half of them end after 7
@@ -109,7 +106,6 @@ class MotionDescents:
         self._hurried = world.work.effort.is_hurried
         self.lift = lift_of(world.problem)
         self.is_frugal = is_frugal(world)
-        self._spare = _SPARE if world.problem.objective.is_time or self._hurried else _SPARE_OF_COST
         # a cost that counts as little, in the objective's unit
         self._little = self.lift.little if self.lift is not None and self.is_frugal else 0.0
         self._descent = Descent(
@@ -241,7 +237,7 @@ class MotionDescents:
             else:
                 self.blocked = min(self.blocked, cost)
             # a descent that goes where another one ended adds none
-            if self.costs_little or len(self.ended) - before >= ways / _WAYS_FOR_ONE:
+            if len(self.ended) - before >= ways / _WAYS_FOR_ONE:
                 break
 
     def descend(self, start: Start) -> bool:
@@ -249,8 +245,8 @@ class MotionDescents:
         curve, duration, goal = start.curve, start.duration, start.goal
         is_time = self._problem.objective.is_time
         rounds = _ROUNDS if is_time else _MORE_ROUNDS * self._more
-        box, spare, density = _FIRST_BOX, self._spare, 2
-        least = max(self._least_to(curve, goal), self._little)
+        box, spare, density = _FIRST_BOX, _SPARE, 2
+        least = self._least_to(curve, goal)
 
         def is_over(here: Timed, rounds: int) -> bool:
             return self._is_hopeless(here, rounds) or (here.missed <= KEPT_PART * spare and here.cost <= least)
@@ -318,7 +314,7 @@ class MotionDescents:
 
     def _refine(self, found: FoundMotion, pieces: int) -> bool:
         """Descend from a found motion on a curve of more pieces; false if too few rounds are left for that."""
-        is_time, limits, kept = self._problem.objective.is_time, self._problem.limits, KEPT_PART * self._spare
+        is_time, limits = self._problem.objective.is_time, self._problem.limits
         if self._rounds_left_of_cost() < FINE_ROUNDS:
             return False
         curve, duration = found.curve, found.motion.duration
@@ -328,10 +324,9 @@ class MotionDescents:
             curve, duration = curve.finer(pieces, limits.velocity), min(duration, self.longest)
         fine = self._bend(
             curve, duration, found.goal, FINE_ROUNDS * (1 if is_time else _FINER * self._more),
-            spare=self._spare, density=2, box=_SMALL_BOX, fine=True,
-            is_hopeless=lambda here, rounds: here.missed <= kept and here.cost <= self._little,
+            spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False, fine=True,
         )  # fmt: skip
-        if fine is not None and fine.missed <= kept:
+        if fine is not None and fine.missed <= KEPT_PART * _SPARE:
             self.offer(replace(found, motion=fine.motion, cost=fine.cost, curve=None if is_time else fine.curve))
         return True
 
@@ -356,11 +351,11 @@ class MotionDescents:
         before, in_one = self._descent.rounds, _COARSE_FOR_ONE if coarse else 1
 
         def is_over(here: Timed, rounds: int) -> bool:
-            return (clear_first and here.missed <= KEPT_PART * self._spare) or gives_up(here, rounds / in_one)
+            return (clear_first and here.missed <= KEPT_PART * _SPARE) or gives_up(here, rounds / in_one)
 
         found = self._bend(
             curve, max(start.duration, self.longest), start.goal, rounds,
-            spare=self._spare, density=density, box=_FIRST_BOX, unsampled=True, clear_first=clear_first,
+            spare=_SPARE, density=density, box=_FIRST_BOX, unsampled=True, clear_first=clear_first,
             is_hopeless=is_over, rough=coarse and self.is_frugal,
             in_one=_COARSE_IN_ONE if coarse else 1,
         )  # fmt: skip
