@@ -114,6 +114,13 @@ class Problem:
         """Whether any obstacle moves or appears."""
         return any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in self.obstacles)
 
+    @property
+    def begin_target(self) -> TipTarget | None:
+        """Where the tip begins, if the start or a path says so: that of the start, otherwise that of the path."""
+        if self.start_target is not None or self.path is None:
+            return self.start_target
+        return self.path.target(0.0)
+
 
 def build_problem(robot: Robot, scene: Scene) -> Problem:
     """Check a scene against a machine, and build the obstacles, targets and path in it.

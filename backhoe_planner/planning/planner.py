@@ -338,9 +338,7 @@ def _begin(world: World) -> Vector:
     problem = world.problem
     if problem.start_q is not None:
         return problem.start_q
-    target = problem.start_target
-    if target is None:
-        assert problem.path is not None
-        target = problem.path.target(0.0)
+    target = problem.begin_target
+    assert target is not None
     found = world.postures.at(target)
     return found.clear[0] if found.clear else found.best.q

@@ -45,6 +45,7 @@ from .scene_file import scene_schema as scene_schema
 from .schema.digging import Soil as Soil
 from .schema.names import Title as Title
 from .schema.names import check_name as check_name
+from .schema.obstacle_shapes import MOST_VOXELS as MOST_VOXELS
 from .schema.obstacle_shapes import Box as Box
 from .schema.obstacle_shapes import Capsule as Capsule
 from .schema.obstacle_shapes import HalfSpace as HalfSpace

@@ -141,18 +141,27 @@ def filled_at(grid: HeightGrid, wanted: Flags) -> HeightGrid:
     if not wanted.any() or holes.all():
         return grid
     from scipy.interpolate import griddata
-    from scipy.ndimage import binary_dilation, distance_transform_edt
+    from scipy.ndimage import binary_dilation
 
-    nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
     rim = binary_dilation(holes, np.ones((3, 3), dtype=bool)) & ~holes
     z = grid.z.copy()
-    z[wanted] = z[tuple(nearest)][wanted]  # beyond the hull of the rim
+    z[wanted] = from_nearest(z, holes)[wanted]  # beyond the hull of the rim
     corners = np.argwhere(rim)
     if np.linalg.matrix_rank(corners - corners[0]) == 2:
         between = griddata(corners, grid.z[rim], np.argwhere(wanted), method="linear")
         places = tuple(np.argwhere(wanted)[np.isfinite(between)].T)
         z[places] = between[np.isfinite(between)]
     return replace(grid, z=z)
+
+
+def from_nearest(values: Matrix, missing: Flags) -> Matrix:
+    """Values (rows, columns) with the missing ones replaced by the nearest that there are."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not missing.any():
+        return values
+    nearest: Indices = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(nearest)])
 
 
 def refuse_holes(grid: HeightGrid, file: Path | None) -> None:

@@ -11,7 +11,7 @@ from backhoe_planner.arrays import Vector, as_number
 from backhoe_planner.errors import check_kind
 from backhoe_planner.job.ground.off_ground import OffGround
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.machine import Cluster, TerrainSolid
+from backhoe_planner.machine import Cluster, Piece, TerrainSolid
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, scan_body, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
@@ -48,18 +48,10 @@ def terrain_obstacle(
         body = Cluster(cluster.solid.with_heights(heights), place)
     else:
         body = terrain_body(heights, size, place)
-    return Obstacle(
-        name=name,
-        pieces=(),
-        clearance=as_number(clearance, key="clearance", least=0.0),
-        links=None if links is None else tuple(links),
-        appears_at=0.0,
-        velocity=np.zeros(3),
-        spec=obstacle_shapes.HeightMap(
-            name=name, shape="heightmap", file="", size=size, position=tuple(place.translation.tolist())
-        ),
-        cluster=body,
+    spec = obstacle_shapes.HeightMap(
+        name=name, shape="heightmap", file="", size=size, position=tuple(place.translation.tolist())
     )
+    return _unmoved(spec, body, clearance, None if links is None else tuple(links))
 
 
 def off_ground_obstacles(off_ground: OffGround | None, clearance: float) -> tuple[Obstacle, ...]:
@@ -79,18 +71,8 @@ def off_ground_obstacles(off_ground: OffGround | None, clearance: float) -> tupl
     found = []
     for name, keys in off_ground.things:
         body = scan_body(np.asarray(edge * (keys + 0.5), dtype=float), edge, pin.SE3.Identity())
-        found.append(
-            Obstacle(
-                name=name,
-                pieces=() if isinstance(body, Cluster) else tuple(body),
-                clearance=as_number(clearance, key="clearance", least=0.0),
-                links=None,
-                appears_at=0.0,
-                velocity=np.zeros(3),
-                spec=obstacle_shapes.PointCloud(name=name, shape="pointcloud", file="", resolution=edge),
-                cluster=body if isinstance(body, Cluster) else None,
-            )
-        )
+        spec = obstacle_shapes.PointCloud(name=name, shape="pointcloud", file="", resolution=edge)
+        found.append(_unmoved(spec, body, clearance))
     return tuple(found)
 
 
@@ -117,15 +99,24 @@ def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clea
         x, y = (0.5 * (np.asarray(end, dtype=float) + np.asarray(start, dtype=float))).tolist()
         size, place = (length, width, _DEEP), (x, y, level - 0.5 * _DEEP)
         title = f"the ground {name} of what is known"
-        found.append(
-            Obstacle(
-                name=title,
-                pieces=(shapes.box(np.array(size), pin.SE3(np.eye(3), np.array(place))),),
-                clearance=as_number(clearance, key="clearance", least=0.0),
-                links=None,
-                appears_at=0.0,
-                velocity=np.zeros(3),
-                spec=obstacle_shapes.Box(name=title, shape="box", size=size, position=place),
-            )
-        )
+        box = shapes.box(np.array(size), pin.SE3(np.eye(3), np.array(place)))
+        spec = obstacle_shapes.Box(name=title, shape="box", size=size, position=place)
+        found.append(_unmoved(spec, [box], clearance))
     return tuple(found)
+
+
+def _unmoved(
+    spec: obstacle_shapes.ObstacleSpec, body: Cluster | Sequence[Piece], clearance: float,
+    links: tuple[str, ...] | None = None,
+) -> Obstacle:  # fmt: skip
+    """An obstacle that is there from the start, and does not move."""
+    return Obstacle(
+        name=spec.name,
+        pieces=() if isinstance(body, Cluster) else tuple(body),
+        clearance=as_number(clearance, key="clearance", least=0.0),
+        links=links,
+        appears_at=0.0,
+        velocity=np.zeros(3),
+        spec=spec,
+        cluster=body if isinstance(body, Cluster) else None,
+    )

@@ -15,12 +15,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, as_number
+from backhoe_planner.arrays import Flags, Matrix, as_number
 from backhoe_planner.errors import InputError
-from backhoe_planner.job.ground.grids import MOST_COLUMNS, HeightGrid, column_lowest, columns_of
+from backhoe_planner.job.ground.grids import MOST_COLUMNS, HeightGrid, column_lowest, columns_of, from_nearest
 from backhoe_planner.machine import VoxelSolid, voxel_keys
+from backhoe_planner.site import MOST_VOXELS
 
-MOST_VOXELS = 4_000_000  # as for a scan in a scene
 _WIDEST = 3.0  # m across the narrower side of what is told from the ground: a vehicle, with room; chosen
 _STEP = 0.1  # m by which the half width of the opening grows; chosen
 _STEEPEST = 1.0  # m per m: ridges of soil are not steeper on both sides; it comes to rest at 0.5 to 0.8 rad
@@ -227,7 +227,7 @@ def _ground_of(lowest: Matrix, cell: float, roughness: float) -> Matrix:
     from scipy.ndimage import grey_opening, minimum_filter
 
     unknown = np.isnan(lowest)
-    filled = _from_nearest(lowest, unknown)
+    filled = from_nearest(lowest, unknown)
     # scanners put stray points below the ground: a column far below each of the eight around it has one
     beside = minimum_filter(filled, footprint=_BESIDE, mode="nearest")
     filled = np.where(filled < beside - roughness - _STEEPEST * cell, beside, filled)
@@ -241,17 +241,7 @@ def _ground_of(lowest: Matrix, cell: float, roughness: float) -> Matrix:
         surface, before = opened, half
     if hidden.all():
         return filled
-    return _from_nearest(lowest, np.isnan(lowest) | hidden)
-
-
-def _from_nearest(values: Matrix, missing: Flags) -> Matrix:
-    """Values with the missing ones replaced by the nearest that there are."""
-    from scipy.ndimage import distance_transform_edt
-
-    if not missing.any():
-        return values
-    nearest: Indices = distance_transform_edt(missing, return_distances=False, return_indices=True)
-    return np.asarray(values[tuple(nearest)])
+    return from_nearest(lowest, np.isnan(lowest) | hidden)
 
 
 def _highest_around(heights: Matrix) -> Matrix:

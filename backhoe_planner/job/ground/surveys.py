@@ -61,9 +61,8 @@ def read_survey(
         ends = tuple(None if one is None else tuple(as_vector(one, 2, key=key).tolist())
                      for key, one in (("low", low), ("high", high)))  # fmt: skip
         origin, rough = _origin(map_origin), as_number(roughness, key="roughness", least=0.0)
-        if not is_file(file):
-            return _of_cloud(file, b"", ends, cell, origin, rough)
-        return _of_cloud(file, sha256(file.read_bytes()).digest(), ends, cell, origin, rough)
+        digest = sha256(file.read_bytes()).digest() if is_file(file) else b""  # reading tells what is wrong
+        return _of_cloud(file, digest, ends, cell, origin, rough)
     moved = high is None and map_origin is None
     grid = _read_table(file, low, cell, map_origin, moved=moved)
     if high is None and (moved or low is None) and (cell is None or cell == grid.cell):

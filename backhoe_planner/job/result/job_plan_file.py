@@ -24,13 +24,13 @@ from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.job.ground.grids import MOST_COLUMNS
-from backhoe_planner.job.ground.off_ground import MOST_VOXELS, OffGround
+from backhoe_planner.job.ground.off_ground import OffGround
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import EffortName
-from backhoe_planner.site import Finite
+from backhoe_planner.site import MOST_VOXELS, Finite
 
 FORMAT: Literal["backhoe-planner/job"] = "backhoe-planner/job"
 VERSION: Literal[1] = 1

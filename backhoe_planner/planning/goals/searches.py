@@ -119,8 +119,9 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
     # a result that was found quickly is mostly found again, unless much depended on refining it
     is_easy = first.rounds <= _HARD and not first.refining_paid
-    anew = 0 if is_frugal(world) and is_easy else effort.restarts
-    goes_on = effort.restarts_round if first.leads_round and not is_frugal(world) else 0
+    frugal = is_frugal(world)
+    anew = 0 if frugal and is_easy else effort.restarts
+    goes_on = effort.restarts_round if first.leads_round and not frugal else 0
     if world.problem.objective.jumps:
         anew, goes_on = -(-anew // _FEWER), -(-goes_on // _FEWER)
     return (True,) * goes_on + (False,) * anew

@@ -59,6 +59,6 @@ def _start(leg: Leg) -> Vector:
     problem = leg.problem
     if problem.start_q is not None:
         return problem.start_q
-    target = problem.start_target if problem.path is None else problem.path.target(0.0)
+    target = problem.begin_target
     assert target is not None
     return solve_inverse_kinematics(problem.robot, target).q

@@ -55,7 +55,7 @@ _FEW_BOXES = 32  # of a scan, measured one by one; chosen, about where one tree 
 _FEW_CELLS = 100  # of a terrain, built as columns; chosen
 _FEW_TRIANGLES = 2_000  # of a mesh, covered by a few hulls; chosen
 _MOST_CELLS = 4_000_000  # of a terrain
-_MOST_VOXELS = 4_000_000  # of a scan: some 300 MB
+MOST_VOXELS = 4_000_000  # of a scan: some 300 MB
 _MOST_TRIANGLES = 500_000  # of a mesh: some 300 MB
 _MOST_PIECES = 20_000  # of one obstacle that moves; chosen: with the 20 pieces of a machine that is 400,000 pairs
 _FLATTEST = 1e-5  # of the radius: no hull can be built of a flatter prism
@@ -383,7 +383,7 @@ def scan_body(points: Matrix, resolution: float, placement: pin.SE3) -> list[sha
                 shapes.box(resolution * size, placement * pin.SE3(np.eye(3), resolution * centre))
                 for centre, size in boxes
             ]
-    return Cluster(VoxelSolid(keys, resolution, most=_MOST_VOXELS), placement)
+    return Cluster(VoxelSolid(keys, resolution, most=MOST_VOXELS), placement)
 
 
 ObstacleSpec = Annotated[
