@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.job import nearest_columns
 from backhoe_planner.machine import Base, Robot
 
 _CELL = 0.05  # m, cell of the grid of distances: that of the ground
@@ -54,12 +55,9 @@ class MachineFootprint:
         It is accurate to 4 cm, never too large, and at most 3 m.
         """
         own = _in_axes_of(base, points)
-        last = np.array(self._distance.shape[::-1]) - 1
-        place = np.round((own - self._low) / _CELL).astype(int)
-        beyond = ((place < 0) | (place > last)).any(axis=-1)
-        column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
+        row, column, on = nearest_columns(own, self._low, _CELL, self._distance.shape)
         found = np.maximum(self._distance[row, column] - _HALF_DIAGONAL * _CELL, 0.0)
-        return np.where(beyond, _AROUND, found)
+        return np.where(on, found, _AROUND)
 
     def placed(self, base: Base) -> tuple[Matrix, ...]:
         """The `outlines` of the machine that stands at `base` [m], world."""

@@ -10,6 +10,7 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import SceneError
 from backhoe_planner.job.cycles.dumping import empty_bed, postures_over, radii_of_dumps
+from backhoe_planner.job.ground.grids import nearest_columns
 from backhoe_planner.job.worksite.column_parts import parts_within
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.site import Proximity
@@ -32,11 +33,11 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
         for number, place in enumerate(heap.places):
             at = np.array(place)
             key = "dump.heap.at" if len(heap.places) == 1 else f"dump.heap.at[{number}]"
-            last = site.ground.low + site.ground.cell * (np.array(site.ground.shape[::-1]) - 1)
-            if (at < site.ground.low).any() or (at > last).any():
+            low, high = site.ground.low, site.ground.high
+            if (at < low).any() or (at > high).any():
                 raise SceneError(
                     "lies beyond the ground that the job has", file=job.file, key=key, found=list(place),
-                    allowed=f"{site.ground.low.tolist()} to {last.tolist()}",
+                    allowed=f"{low.tolist()} to {high.tolist()}",
                     hint="ground.low and ground.high say how far it goes",
                 )  # fmt: skip
             if bool(site.design.within(at, heap.edge_distance)):
@@ -45,7 +46,7 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
                     allowed=f"more than {heap.edge_distance:g} m from it, and the heap's own foot besides",
                     hint="move it away, or lower dump.heap.edge_distance",
                 )  # fmt: skip
-            column, row = np.round((at - site.ground.low) / site.ground.cell).astype(int)
+            row, column, _ = nearest_columns(at, low, site.ground.cell, site.ground.shape)
             if site.taken[row, column]:
                 raise SceneError(
                     "is where something stands on the ground", file=job.file, key=key, found=list(place),

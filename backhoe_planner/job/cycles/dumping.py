@@ -9,6 +9,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.job.ground.grids import nearest_columns
 from backhoe_planner.job.ground.heaps import Refusal, deposited
 from backhoe_planner.job.ground.obstacle import terrain_obstacle
 from backhoe_planner.job.ground.terrain import Terrain
@@ -375,5 +376,5 @@ def dump_of(site: Worksite) -> DumpSite:
 
 def _height(ground: Terrain, place: Vector) -> float:
     """The highest ground within two columns of a place (2,) [m]."""
-    column, row = np.clip(np.round((place - ground.low) / ground.cell), 0, np.array(ground.shape[::-1]) - 1).astype(int)
+    row, column, _ = nearest_columns(place, ground.low, ground.cell, ground.shape)
     return float(ground.surface[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3].max())

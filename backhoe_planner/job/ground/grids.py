@@ -108,10 +108,23 @@ def column_lowest(points: Matrix, grid: HeightGrid) -> Matrix:
 
 def columns_of(points: Matrix, grid: HeightGrid) -> tuple[Flags, Indices]:
     """(n,) which of the points (n, 3) [m] are on the grid, and (m,) the columns of these."""
-    rows, columns = grid.z.shape
-    at = np.round((points[:, :2] - grid.low) / grid.cell).astype(np.int64)
-    on = np.all((at >= 0) & (at < [columns, rows]), axis=1)
-    return on, at[on, 1] * columns + at[on, 0]
+    row, column, on = nearest_columns(points[:, :2], grid.low, grid.cell, grid.z.shape)
+    return on, row[on] * grid.z.shape[1] + column[on]
+
+
+def nearest_columns(points: Array, low: Vector, cell: float, shape: tuple[int, ...]) -> tuple[Indices, Indices, Flags]:
+    """(...), (...) row and column nearest to each of the points (..., 2), and (...) whether a point is in that column.
+
+    Parameters
+    ----------
+    points: x, y [m].
+    low: (2,) x, y of the first node of the grid [m].
+    cell: distance between nodes, and edge of the column around each [m].
+    shape: rows and columns of the grid.
+    """
+    place = np.round((points - low) / cell).astype(np.int64)
+    nearest = np.clip(place, 0, np.array(shape[1::-1]) - 1)
+    return nearest[..., 1], nearest[..., 0], np.asarray((place == nearest).all(axis=-1))
 
 
 def resampled(grid: HeightGrid, onto: HeightGrid) -> HeightGrid:

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.job.ground.grids import nearest_columns
 from backhoe_planner.job.schema.work import Trench
 from backhoe_planner.job.worksite.column_parts import overlaps, parts_within
 
@@ -107,11 +108,8 @@ class SurfaceDesign:
 
     def height(self, points: Array) -> Array:
         """See `Design`."""
-        place = np.round((np.asarray(points, dtype=float) - self.low) / self.cell).astype(int)
-        last = np.array(self.z.shape[::-1]) - 1
-        beyond = ((place < 0) | (place > last)).any(axis=-1)
-        column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
-        return np.where(beyond, np.nan, self.z[row, column])
+        row, column, on = nearest_columns(np.asarray(points, dtype=float), self.low, self.cell, self.z.shape)
+        return np.where(on, self.z[row, column], np.nan)
 
     def within(self, points: Array, slack: float) -> Flags:
         """See `Design`; `slack` is rounded up to whole cells."""
@@ -122,11 +120,9 @@ class SurfaceDesign:
         if steps:
             known = np.pad(known, steps)
             known = binary_dilation(known, np.ones((3, 3), dtype=bool), iterations=steps)
-        place = np.round((np.asarray(points, dtype=float) - self.low) / self.cell).astype(int) + steps
-        last = np.array(known.shape[::-1]) - 1
-        beyond = ((place < 0) | (place > last)).any(axis=-1)
-        column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
-        return np.asarray(~beyond & known[row, column])
+        low = self.low - self.cell * steps
+        row, column, on = nearest_columns(np.asarray(points, dtype=float), low, self.cell, known.shape)
+        return np.asarray(on & known[row, column])
 
     def columns(self, x: Vector, y: Vector, cell: float) -> tuple[Matrix, Matrix]:
         """See `Design`."""

@@ -13,7 +13,7 @@ from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
-from backhoe_planner.job.ground.grids import HeightGrid
+from backhoe_planner.job.ground.grids import HeightGrid, nearest_columns
 from backhoe_planner.job.ground.obstacle import ground_around, off_ground_obstacles
 from backhoe_planner.job.ground.off_ground import columns_below
 from backhoe_planner.job.ground.scanned import Scanned, scanned
@@ -307,13 +307,11 @@ def _design(job: Job, ground: Terrain) -> Design:
 
 
 def _height_at(ground: Terrain, point: Vector, job: Job) -> float:
-    place = (point - ground.low) / ground.cell
-    last = np.array(ground.bank.shape[::-1]) - 1
-    if (place < 0).any() or (place > last).any():
-        far = (ground.low + ground.cell * last).tolist()
+    if (point < ground.low).any() or (point > ground.high).any():
         raise SceneError(
             "lies beyond the ground that the job has", file=job.file, key="dig.trench.from", found=point.tolist(),
-            allowed=f"{ground.low.tolist()} to {far}", hint="ground.low and ground.high say how far it goes",
+            allowed=f"{ground.low.tolist()} to {ground.high.tolist()}",
+            hint="ground.low and ground.high say how far it goes",
         )  # fmt: skip
-    column, row = np.round(place).astype(int)
+    row, column, _ = nearest_columns(point, ground.low, ground.cell, ground.shape)
     return float(ground.surface[row, column])

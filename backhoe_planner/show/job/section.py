@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.job import JobPlan
+from backhoe_planner.job import JobPlan, nearest_columns
 from backhoe_planner.machine import BatchKinematics, Robot
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Capsule, Obstacle
@@ -64,9 +64,7 @@ def section_content(plan: JobPlan, problem: Problem, q: Matrix) -> dict[str, Any
     count = int(np.ceil(section.length / ground.cell)) + 1
     along = np.linspace(0.0, section.length, count)
     places = section.begin + along[:, None] * section.along
-    column, row = np.clip(
-        np.round((places - ground.low) / ground.cell).astype(int), 0, np.array(ground.shape[::-1]) - 1
-    ).T
+    row, column, _ = nearest_columns(places, ground.low, ground.cell, ground.shape)
     index = row * ground.shape[1] + column
     at = BatchKinematics(plan.robot).at(q)
     station, aside = section.stations(at.tip_position)
