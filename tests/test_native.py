@@ -1076,7 +1076,7 @@ def test_with_40_joints_the_compiled_versions_agree_with_the_plain_ones(
     monkeypatch.setattr(sys.modules[__name__], "joints", lambda _: 40)
     rng = np.random.default_rng(17)
     plain, compiled = plain_versions()[source.__name__], getattr(find_compiled(), source.__name__)
-    for _ in range(5):
+    for _ in range(2):
         arguments = source(rng)
         found, expected = compiled(*copied(arguments)), plain(*copied(arguments))
         assert agree(source, found, expected)

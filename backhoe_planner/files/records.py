@@ -166,6 +166,8 @@ def explain(
         if detail["type"] == "too_short" and any(_is_within(other["loc"], detail["loc"]) for other in found):
             continue  # the list is only too short because pydantic does not count entries that are wrong
         place = _place_in_file(detail["loc"], content, missing=detail["type"] == "missing")
+        is_short = detail["type"] == "missing" and isinstance(place[-1], int)  # the list, whose last entries it lacks
+        place = place[:-1] if is_short else place
         above = (place[:k] for k in range(len(place), 0, -1))
         line = next((lines[part] for part in above if part in lines), None) if lines else None
         where = _spell(place) + (f" (line {line})" if line is not None else "")
@@ -177,9 +179,10 @@ def explain(
         elif detail["type"].startswith("union_tag"):
             what = _wrong_tag(detail, tagged)
         elif detail["type"] == "tuple_type" and detail["input"] is not None:
-            what = f"{describe(detail)}{entries_at(detail['loc'], root, tagged)}"
-        elif detail["type"] == "missing" and isinstance(place[-1], int):
-            what = f"{describe(detail)}{entries_at(detail['loc'][:-1], root, tagged).replace(', ', '; allowed: ', 1)}"
+            what = describe(detail, entries=entries_at(detail["loc"], root, tagged))
+        elif is_short:
+            given, entries = _at(place, content), entries_at(detail["loc"][:-1], root, tagged)
+            what = f"has {len(given)} entries, allowed: {entries}{_brief(given)}"
         elif detail["type"] in _OF_NUMBERS:
             what = describe(detail, unit=_unit_at(detail["loc"], root, tagged))
         elif detail["type"] == "missing" and place == ("version",):
@@ -208,20 +211,21 @@ def _unit_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[
     return ""
 
 
-def describe(detail: Any, *, unit: str = "") -> str:
+def describe(detail: Any, *, unit: str = "", entries: str = "") -> str:
     """One of pydantic's complaints in plain words, without the place.
 
     Parameters
     ----------
     detail: an entry of `ValidationError.errors`.
     unit: of the number that it is about; empty if it has none.
+    entries: what the list that it is about must hold; empty if that is not fixed.
     """
     kind, found = detail["type"], detail.get("input")
     if kind == "missing":
         return "is missing"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
-    brief = f"; found {found!r}" if len(str(found)) < _BRIEF else ""
+    brief = _brief(found)
     if kind == "too_long":
         count, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
         commas = isinstance(found, list) and count <= 2 * most and all(type(one) is int for one in found)
@@ -237,7 +241,7 @@ def describe(detail: Any, *, unit: str = "") -> str:
     if kind in ("model_type", "dict_type"):
         return f"does not hold keys and values{shown}; allowed: {{key: value, ...}}"
     if kind == "tuple_type":
-        return f"is not a list{shown}; allowed: [...]"
+        return f"is not a list{shown}; allowed: {f'a list of {entries}' if entries else '[...]'}"
     if kind in ("bool_type", "bool_parsing"):
         return f"is not true or false{shown}"
     if kind in ("float_type", "float_parsing") and isinstance(found, str) and _WITH_COMMA.fullmatch(found):
@@ -246,6 +250,11 @@ def describe(detail: Any, *, unit: str = "") -> str:
     if unit:
         what += f" {unit}" if kind in _BOUNDS else f", in {unit}"
     return f"{what}{shown}"
+
+
+def _brief(found: Any) -> str:
+    """What was found, unless it is long."""
+    return f"; found {found!r}" if len(str(found)) < _BRIEF else ""
 
 
 def _not_a_choice(found: str, shown: str, expected: str) -> str:

@@ -90,12 +90,20 @@ def _takes_numbers_by_name(annotation: Any) -> bool:
 
 def entries_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]) -> str:
     """How many numbers the list at `loc` has, in words; empty if that is not fixed."""
-    for field in _fields_called(loc[-1], record_at(loc, root, tagged)):
-        for annotation in (field.annotation, *get_args(field.annotation)):
-            entries = get_args(annotation) if get_origin(annotation) is tuple else ()
-            if entries and Ellipsis not in entries:
-                return f", {len(entries)} numbers"
+    for end in range(len(loc), 0, -1):  # the last parts may be what pydantic adds for a member of a union
+        fields = _fields_called(loc[end - 1], record_at(loc[:end], root, tagged))
+        if fields:
+            count = next((count for count in (_entries_of(field.annotation) for field in fields) if count), 0)
+            return f"{count} numbers" if count else ""
     return ""
+
+
+def _entries_of(annotation: Any) -> int:
+    """How many entries a list has that an annotation, or a member of its union, accepts; 0 if that is not fixed."""
+    entries = get_args(annotation)
+    if get_origin(annotation) is tuple:
+        return 0 if Ellipsis in entries else len(entries)
+    return next((count for count in map(_entries_of, entries) if count), 0)
 
 
 def _models_in(annotation: Any, *, in_lists: bool = True) -> Iterator[type[BaseModel]]:

@@ -376,7 +376,8 @@ def test_a_motion_in_the_middle_of_the_cone_is_told_if_time_runs_out_before_the_
     assert outcome.message == f"{brake.message}; the search for a cheaper motion was not finished"
 
 
-@pytest.mark.parametrize("seed", [57, *(pytest.param(seed, marks=pytest.mark.long) for seed in (62, 69))])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [57, 62, 69])
 def test_a_path_that_is_blocked_only_in_the_middle_of_the_cone_is_not_left(tmp_path: Path, seed: int) -> None:
     """A small ball is where the last hinge is in the middle; the configurations of which the path is made pass it."""
     robot = light_arm(SEVEN_AXES, tmp_path)

@@ -282,7 +282,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     ),
     "number for a list": (
         shaped("box", size=12),
-        ["obstacles[0].size: is not a list; found 12; allowed: [...], 3 numbers"],
+        ["obstacles[0].size: is not a list; found 12; allowed: a list of 3 numbers"],
     ),
     "unknown key of soil": (scene(soil={"densty": 1}), ["soil.densty", "did you mean 'density'?"]),
     "a key of something else": (scene(soil={"position": 1}), ["soil.position: there is no such key. Allowed: "]),
@@ -309,7 +309,14 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "truth for a number": (obstacle(radius=True), ["obstacles[0].radius", "valid number", "found True"]),
     "number for a name": (obstacle(name=5), ["obstacles[0].name", "string", "found 5"]),
     "number for a vector": (goal(position=5), ["task.goal.position", "found 5"]),
-    "vector of two": (scene(task={"goal": {"position": [1, 2]}}), ["task.goal.position[2]", "missing"]),
+    "vector of two": (
+        scene(task={"goal": {"position": [1, 2]}}),
+        ["task.goal.position: has 2 entries, allowed: 3 numbers; found [1, 2]"],
+    ),
+    "two angles": (
+        scene(task={"goal": {"position": [1, 2, 3], "rpy": [0, 1]}}),
+        ["task.goal.rpy: has 2 entries, allowed: 3 numbers; found [0, 1]"],
+    ),
     "vector of four": (scene(task={"goal": {"position": [1, 2, 3, 4]}}), ["task.goal.position", "at most 3"]),
     "NaN": (scene(task={"goal": {"position": [1, 2, float("nan")]}}), ["task.goal.position[2]", "finite", "nan"]),
     "infinite": (scene(clearance=float("inf")), ["clearance", "finite", "found inf"]),
@@ -445,7 +452,7 @@ def test_errors_in_a_scene_name_the_key(data: Data, said: list[str]) -> None:
     [
         ([1, -1, 1], "obstacles[0].scale[1]: input should be greater than 0; found -1"),
         (-2, "obstacles[0].scale: input should be greater than 0; found -2"),
-        ([1, 1], "obstacles[0].scale[2]: is missing"),
+        ([1, 1], "obstacles[0].scale: has 2 entries, allowed: 3 numbers; found [1, 1]"),
         ("big", "obstacles[0].scale: input should be a valid number; found 'big'"),
     ],
 )
