@@ -57,7 +57,7 @@ def ball_on(robot: bp.Robot, motion: bp.Trajectory, above: float) -> dict[str, A
     return {"name": "ball", "shape": "sphere", "radius": 0.15, "position": tip.tolist()}
 
 
-@pytest.mark.parametrize("keep", LEVEL)
+@pytest.mark.parametrize("keep", [pytest.param(LEVEL[0], marks=pytest.mark.long), LEVEL[1]])
 def test_a_follower_waits_rather_than_tipping_the_bucket(backhoe: bp.Robot, keep: Any) -> None:
     """The ball pushes the bucket's side: sliding along it would tip the bucket by up to 10 degrees."""
     motion = straight()

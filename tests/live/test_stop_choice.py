@@ -161,6 +161,7 @@ def test_an_obstacle_that_the_track_stops_short_of_does_not_lead_off_it(past_wal
     np.testing.assert_allclose(stopped(servo)[:20], expected[:20], atol=1e-9)
 
 
+@pytest.mark.long
 def test_among_many_obstacles_beside_the_way_other_stops_are_looked_at_too(
     past_wall: bp.Plan, balls: list[Ball]
 ) -> None:

@@ -292,10 +292,8 @@ def test_no_branch_of_the_solutions_is_missed(name: str, asked: str) -> None:
     assert missed == 0
 
 
-@pytest.mark.parametrize(
-    ("machine", "index", "seed"),
-    [("telescope", 7, 99131), pytest.param("panda", 8, 98911, marks=pytest.mark.long)],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("machine", "index", "seed"), [("telescope", 7, 99131), ("panda", 8, 98911)])
 def test_a_path_with_a_known_motion_is_not_reported_as_blocked(machine: str, index: int, seed: int) -> None:
     """One needs configurations far from the usual guesses, the other a curve of self-motion close to another."""
     robot = load_machine(machine)

@@ -68,10 +68,11 @@ def answer() -> bp.StandPlan:
     return bp.stand(job, count=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "keys",
     [
-        pytest.param({"soil": {"cohesion": 120_000.0}}, marks=pytest.mark.long, id="hard soil"),
+        pytest.param({"soil": {"cohesion": 120_000.0}}, id="hard soil"),
         pytest.param({"bucket": {"capacity": 1.5}}, id="large bucket"),
     ],
 )
