@@ -268,7 +268,7 @@ def test_every_stop_keeps_the_accelerations_and_ends_where_it_says(v: list[float
     """
     start, q0 = np.array(v), np.array([0.1, 0.2, -0.3, 0.4])
     own, more = np.abs(start) / ACCELERATION, 0.25 * dt**2 / np.abs(start[start != 0.0]) * ACCELERATION[start != 0.0]
-    for stop in stops_from(start, ACCELERATION, dt):
+    for stop in stops_from(start, ACCELERATION, dt).values():
         places, times = stop.way_to_rest(q0, start)
         assert times[-1] == pytest.approx(own.max())
         rests = 2.0 * np.abs(places[-1] - q0)[start != 0.0] / np.abs(start)[start != 0.0] + dt
@@ -280,6 +280,15 @@ def test_every_stop_keeps_the_accelerations_and_ends_where_it_says(v: list[float
             assert (np.abs(slower - speed) <= ACCELERATION * dt * (1.0 + 1e-9)).all()
             q, speed = q + dt * slower, slower
         np.testing.assert_allclose(q, places[-1], atol=1e-12)
+
+
+def test_a_stop_has_the_same_key_at_another_velocity() -> None:
+    """First the first joint takes longest to stop, 1 s, then the second one, 0.95 s. The third alone stops as late."""
+    for v, longest, without in (([0.5, 0.38, 0.12, 0.1], 1.0, 4), ([0.4, 0.38, 0.12, 0.1], 0.95, 5)):
+        stops, start = stops_from(np.array(v), ACCELERATION, DT), np.array(v)
+        assert list(stops) == [key for key in range(8) if key != without]
+        slowing = (start - stops[6].slower(start, start)) / DT
+        np.testing.assert_allclose(slowing, [0.5, 0.4, 0.12 / longest, 1.0], rtol=1e-9)
 
 
 def test_a_stop_within_the_limits_is_measured_though_the_present_one_ends_beyond_them(backhoe: Robot) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import chain
-
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
@@ -41,16 +39,17 @@ class JointStop:
         return np.asarray(q + since * (v - 0.5 * np.sign(v) * self._slowing * (since + self._dt))), times
 
 
-def stops_from(v: Vector, acceleration: Vector, dt: float) -> list[JointStop]:
+def stops_from(v: Vector, acceleration: Vector, dt: float) -> dict[int, JointStop]:
     """Different stops from v (n,): no joint slows down faster than its acceleration (n,), nor later than the last one.
 
-    First all joints stop as soon as they can, then all of them later, up to all at once, then single ones later.
+    First all joints stop as soon as they can, then all of them later, up to all at once, then single ones later. The
+    keys say which is which, also at another velocity: from 0 on for all joints, then one for each joint. The joint that
+    takes longest to stop has no stop of its own.
     """
     own = np.abs(v) / acceleration
     longest = float(own.max())
-    together = [own + part * (longest - own) for part in _STRETCHED]
-    single = [np.where(np.arange(len(v)) == joint, longest, own) for joint in range(len(v)) if own[joint] < longest]
-    return [
-        JointStop(np.abs(v) / np.where(time > 0.0, time, 1.0), dt)
-        for time in chain(together, single if len(single) > 1 else ())
-    ]
+    times = {number: own + part * (longest - own) for number, part in enumerate(_STRETCHED)}
+    later = [joint for joint in range(len(v)) if own[joint] < longest]
+    for joint in later if len(later) > 1 else ():
+        times[len(_STRETCHED) + joint] = np.where(np.arange(len(v)) == joint, longest, own)
+    return {key: JointStop(np.abs(v) / np.where(time > 0.0, time, 1.0), dt) for key, time in times.items()}

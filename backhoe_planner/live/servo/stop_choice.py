@@ -13,7 +13,6 @@ down along its track meanwhile, until one is found that leaves more room.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from typing import TypeAlias
@@ -65,8 +64,8 @@ class StopChoice:
         """The comparison of a machine's present `stop` with others, over the next steps."""
         return Comparison(self, stop)
 
-    def stops_from(self, v: Vector) -> list[JointStop]:
-        """The stops off the track from a velocity v (n,)."""
+    def stops_from(self, v: Vector) -> dict[int, JointStop]:
+        """The stops off the track from a velocity v (n,), by their keys."""
         return stops_from(v, self._acceleration, self._joints.dt)
 
     def look(self, looks: Iterator[None]) -> bool:
@@ -165,8 +164,8 @@ class Comparison:
                 self.until = begun + _AGAIN
                 return
             yield
-            for number in self._order(self.best):  # one that touches nothing is worth more the sooner it is known
-                other = next(itertools.islice(self._stops_from_here(), number, None), None)
+            for key in self._order(self.best):  # one that touches nothing is worth more the sooner it is known
+                other = self._from_here().get(key)
                 if other is None:
                     continue
                 way, times = other.way_to_rest(self._state.q, self._state.v)
@@ -189,17 +188,20 @@ class Comparison:
         if self._margin >= -_TOUCH:
             return
         yield
-        least_bad: int | None = None  # number of a stop from here: none of them touches nothing
-        for number, other in enumerate(self._stops_from_here()):
+        least_bad: int | None = None  # key of a stop from here: none of them touches nothing
+        for key in list(self._from_here()):
+            other = self._from_here().get(key)
+            if other is None:
+                continue
             if self._is_better(*other.way_to_rest(self._state.q, self._state.v)):
-                least_bad = number
+                least_bad = key
             yield
         for part in _LATER if isinstance(self.best, Track) else ():
             row = math.ceil(part * (len(times) - 1))
             if row >= len(times) - 1:
                 break
             rates = (places[row] - places[row - 1]) / (times[row] - times[row - 1])
-            for other in self._choice.stops_from(rates):
+            for other in self._choice.stops_from(rates).values():
                 gone = int(times.searchsorted(self._now - begun))
                 if gone >= row:  # the machine is already farther
                     break
@@ -211,25 +213,22 @@ class Comparison:
                     return
                 yield
         if least_bad is not None:
-            self.best = next(itertools.islice(self._stops_from_here(), least_bad, None), self.best)
+            self.best = self._from_here().get(least_bad, self.best)
 
     def _order(self, track: Track) -> list[int]:
-        """Numbers of the stops from here, first those that keep what is kept along the track, or break it the least."""
-        ways = [stop.way_to_rest(self._state.q, self._state.v)[0] for stop in self._stops_from_here()]
+        """Keys of the stops from here, first those that keep what is kept along the track, or break it the least."""
+        stops = self._from_here()
         if track.keep is None:
-            return list(range(len(ways)))
+            return list(stops)
+        ways = [stop.way_to_rest(self._state.q, self._state.v)[0] for stop in stops.values()]
         self._choice.work += _WORK_OF_STOP
         margins = track.keep.rows_each(np.concatenate(ways))[0].min(axis=1)
         lost = [max(-float(part.min()), 0.0) for part in np.split(margins, len(ways))]
-        return sorted(range(len(ways)), key=lost.__getitem__)
+        return [key for _, key in sorted(zip(lost, stops, strict=True))]
 
-    def _stops_from_here(self) -> Iterator[JointStop]:
-        """The stops off the track, each from where the machine is when it is asked for."""
-        for number in itertools.count():
-            stops = self._choice.stops_from(self._state.v)
-            if number >= len(stops):
-                return
-            yield stops[number]
+    def _from_here(self) -> dict[int, JointStop]:
+        """The stops off the track by their keys, from where the machine is when they are asked for."""
+        return self._choice.stops_from(self._state.v)
 
     def _is_better(self, places: Matrix, times: Vector) -> bool:
         """Whether a stop at `places` (K, n) and `times` (K,) leaves more room than the best so far; notes how much."""
