@@ -67,7 +67,7 @@ _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it 
 _JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
 _AHEAD_AGAIN = 0.5  # s between two searches ahead of the machine, while obstacles on the plan change
 _STANDS = 0.5  # s since the last change of the surroundings after which they count as standing still; chosen
-_GIVING_WAY = (Status.SLIDING, Status.STOPPED, Status.EVADING)
+_GIVING_WAY = (Status.SLIDING, Status.STOPPED, Status.EVADING, Status.TOO_CLOSE)
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
 
@@ -209,6 +209,8 @@ class PlanFollower:
             state = self._follow()
         done = self._was_done = self.done
         status, reason = self._status(state, done)
+        if state.status is Status.TOO_CLOSE and state.nearest is not None:
+            reason = "; ".join(part for part in (state.nearest.describe(), reason) if part)
         return FollowerState(
             state=state,
             plan_time=self._plan.clock,

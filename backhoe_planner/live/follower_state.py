@@ -35,7 +35,8 @@ class FollowerState:
         further searches follow; ``arrived``.
     reason: what the machine waits for, goes around, or is blocked by, or what is on the rest of the plan, in words, and
         whether a way round is searched for; while it is slower than the plan, what delays it: of several things the one
-        that binds, which need not be the nearest; at the end, what was left out of the plan; otherwise empty.
+        that binds, which need not be the nearest; at the end, what was left out of the plan; otherwise empty. While
+        a clearance is lost, it begins with what is too close, and how close.
     left_out: the parts of the plan that were left out so far, because detours rejoined it further on.
     """
 

@@ -751,6 +751,6 @@ def test_the_refused_part_of_a_wish_equals_the_hand_calculation(difference: list
 
 def test_status_and_command_names_are_words() -> None:
     assert [status.value for status in Status] == [
-        "ok", "near_singularity", "near_limit", "near_obstacle", "sliding", "stopped", "evading",
+        "ok", "near_singularity", "near_limit", "near_obstacle", "sliding", "stopped", "evading", "too_close",
     ]  # fmt: skip
-    assert len(set(itertools.chain(Status, Command))) == 11
+    assert len(set(itertools.chain(Status, Command))) == 12

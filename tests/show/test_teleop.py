@@ -425,6 +425,7 @@ def test_a_better_caption_is_shown_only_once_it_has_lasted() -> None:
     assert wording.next(state(1.8, Status.STOPPED, 0.2), has_wish=True).word == "Held by a limit"
     assert wording.next(state(1.81, Status.STOPPED, 0.004), has_wish=False).word == "Coming to rest"
     assert wording.next(state(1.9, Status.EVADING, -0.01), has_wish=False).kind == "held"
+    assert wording.next(state(2.0, Status.TOO_CLOSE, -0.01), has_wish=True).word == "Too close to road"
 
 
 def test_obstacles_that_move_wait_until_somebody_takes_the_controls(backhoe: Robot, tmp_path: Path) -> None:

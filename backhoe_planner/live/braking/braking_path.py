@@ -24,6 +24,7 @@ from backhoe_planner.native import compiled
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
 FINEST_PARTS = 2 * MOST_PARTS  # of a path that is examined in halves of its parts
+STEP_END = FINEST_PARTS + 1  # row of the placements, after those of a braking path, for the end of a step
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
 _BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
 _NO_POINTS = np.zeros((4, 3))

@@ -24,7 +24,7 @@ from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_path
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
-from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
+from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, MOST_TOLD, StepWork
 from backhoe_planner.live.clearance.pair_bounds import Awake, PairBounds
 from backhoe_planner.live.planes.path_rows import rows_of_path
 from backhoe_planner.live.planes.separation import Separation
@@ -33,7 +33,8 @@ MOST_CANDIDATES = 24  # rows of one kind, among which the binding ones are searc
 _OF_STANDING = 16  # of these for static obstacles, if there are static and moving ones; chosen, most of them
 _LOOKS = 12  # pairs that are measured again per path at most; chosen
 _MOVING_LOOKS = 3  # the same if only moving obstacles are too near: they do not decide whether a path may be taken
-_RESERVED = CLOSER_LOOK + 1  # distances for the end of a step: of a pair that is clear again, and the oldest plane
+# distances for the end of a step: of a pair that is clear again, of the oldest plane, and of pairs that are too close
+_RESERVED = CLOSER_LOOK + 1 + MOST_TOLD
 _WHOLE = 3.0  # a whole part adds this many times the chord error of its halves
 _RULES = BUFFER, float(MOST_CANDIDATES), float(_OF_STANDING)
 _SHARE = 3  # a path may use one in so many of the distances that a step has left; the rest are for the next paths

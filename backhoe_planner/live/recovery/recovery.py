@@ -46,7 +46,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import Rows
-from backhoe_planner.live.braking.braking_path import FINEST_PARTS, BrakingPath, JointState, PathClearance
+from backhoe_planner.live.braking.braking_path import STEP_END, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
 from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK
@@ -77,7 +77,6 @@ _AT_NODE = 0.01  # rad or m within which a node of a route counts as reached; ch
 _AHEAD = 0.06  # rad or m: look-ahead on a falling route; chosen, twice the longest step of a descent
 _BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks along a braking path, and the most looks; chosen
 _SLOWEST_RETURN = 1e-5  # rad/s or m/s of a joint beyond its limit; chosen, so that it never stands still
-_STEP_END = FINEST_PARTS + 1  # row of the placements, after those of a braking path
 
 
 @dataclass(frozen=True)
@@ -305,8 +304,8 @@ class Recovery:
         before = most + _LEVEL if below else most - self._falls
         highest = level = np.zeros(len(pairs))
         for span in self._spans(path):
-            at.place(_STEP_END, path.q + path.v * span)
-            found = self._deepest_at(pairs, _STEP_END, np.maximum(before, 0.0))
+            at.place(STEP_END, path.q + path.v * span)
+            found = self._deepest_at(pairs, STEP_END, np.maximum(before, 0.0))
             if found is None:
                 return None
             there, falls = found

@@ -30,7 +30,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Vector, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.live.braking.braking_path import FINEST_PARTS, JointState, Placements
+from backhoe_planner.live.braking.braking_path import STEP_END, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import StepWork
@@ -136,7 +136,7 @@ class Servo:
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
-        self._at = Placements(robot, FINEST_PARTS + 2)
+        self._at = Placements(robot, STEP_END + 1)
         self._bare, self._loads = robot, Loads(robot, scene)
         self._separation = Separation(robot, q, self_collision=self_collision, laden=self._loads.laden)
         influence = min(scene.influence, _INFLUENCE)

@@ -18,7 +18,9 @@ class Status(str, Enum):
     `SLIDING` and `STOPPED` mean that something is in the way of a command to move: the machine follows it as far as
     possible, or stands still. They do not apply to a machine that is not commanded to move, or that only begins to
     move. Without a valid command (`TIMED_OUT` or `INVALID`) the status is `STOPPED` once the machine stands still. It
-    is also `STOPPED` in every step that failed.
+    is also `STOPPED` in every step that failed. `TOO_CLOSE` means that a clearance is lost at the end of the step, as
+    was measured: `nearest` is the pair. It may be an obstacle that was put there, or that came faster than the machine
+    can give way.
     """
 
     OK = "ok"
@@ -28,6 +30,7 @@ class Status(str, Enum):
     SLIDING = "sliding"
     STOPPED = "stopped"
     EVADING = "evading"
+    TOO_CLOSE = "too_close"
 
 
 class Command(str, Enum):
@@ -49,7 +52,7 @@ class ServoState(NamedTuple):
     status: what the servo is doing.
     command: what became of the command of this step.
     nearest: the tightest pair of a link and what it must not touch, with proven lower bounds of
-        distance and margin; None if nothing is within the influence distance.
+        distance and margin, which are measured if it is too close; None if nothing is within the influence distance.
     tip_position: (3,) at the beginning of the step [m], world.
     tip_velocity: (3,) of the tip at `v` [m/s], world.
     refused: (3,) part of the wish that the tip does not follow [m/s], world; never longer than the wish for the tip.

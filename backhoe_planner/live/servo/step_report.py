@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
-from backhoe_planner.live.braking.braking_path import JointState
+from backhoe_planner.arrays import Indices, Vector
+from backhoe_planner.live.braking.braking_path import STEP_END, JointState
+from backhoe_planner.live.braking.step_work import MOST_TOLD
 from backhoe_planner.live.clearance.pair_bounds import CLOSE, Near
 from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.live.servo.commands import Commands
@@ -20,6 +21,7 @@ from backhoe_planner.site import Obstruction
 
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
 _PARTLY = 0.1  # refused part of the wish above which a machine near an obstacle counts as sliding along it; chosen
+_LOST = 1e-3  # m by which a distance falls short of its clearance from which the pair is told as too close; chosen
 _MOSTLY = 0.5  # refused part of the wish above which a machine at rest counts as held; chosen
 
 
@@ -76,6 +78,9 @@ class StepReport:
             v, command, margin, wish.tip, refused, held_back=chosen.held_back, evading=chosen.evading,
             at_limit=request.range.cuts_wish, singular=wish.singular,
         )  # fmt: skip
+        lost = self._lost_clearance(state.q, near.pairs, margin, time)
+        if lost is not None:
+            status, nearest = Status.TOO_CLOSE, lost
         proven = chosen.end is not None
         return self._state(state, time, command, status, nearest, refused, force, proven=proven, pace=pace)
 
@@ -89,6 +94,9 @@ class StepReport:
         nearest, force = self._nearest(pair, margin, time), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
         refused = refused_part(wish, wish - J.dot(state.v))
         status = self._status(state.v, command, margin, wish, refused, held_back=True)
+        lost = self._lost_clearance(state.q, np.array([pair]), margin, time)
+        if lost is not None:
+            status, nearest = Status.TOO_CLOSE, lost
         status = Status.STOPPED if failed else status
         return self._state(state, time, command, status, nearest, refused, force, proven=False, pace=1.0)
 
@@ -115,6 +123,31 @@ class StepReport:
     def _nearest(self, pair: int, margin: float, time: float) -> Obstruction | None:
         """The tightest pair as an obstruction; None if it is beyond the influence distance."""
         return self._site.obstruction(pair, margin, time) if margin < self._influence else None
+
+    def _lost_clearance(self, q: Vector, pairs: Indices, margin: float, time: float) -> Obstruction | None:
+        """The worst of `pairs` (K,) that are too close at q (n,), at the end of the step; None if none is.
+
+        Bounds may be far below the distance of what moves, so the few pairs with the least are measured.
+
+        Parameters
+        ----------
+        margin: the least of the lower bounds [m].
+        time: at the end of the step [s].
+        """
+        if margin >= -_LOST:
+            return None
+        bounds, clearance = self._bounds, self._separation.clearance[pairs]
+        lower = bounds.lower()[pairs]
+        # of what stands still the required distance was proven; a box of a scan may be nearer than all its cells
+        left = np.where(bounds.stands[pairs], np.maximum(lower, bounds.required[pairs]), lower) - clearance
+        short = pairs[np.argsort(left)[: min(MOST_TOLD, np.count_nonzero(left < -_LOST))]]
+        self._at.place(STEP_END, q)
+        found = [self._separation.measure(pair, self._at, STEP_END).distance for pair in short.tolist()]
+        margins = np.array(found) - self._separation.clearance[short]
+        if margins.min(initial=0.0) >= -_LOST:
+            return None
+        worst = int(margins.argmin())
+        return self._site.obstruction(int(short[worst]), float(margins[worst]), time)
 
     def _status(
         self, v: Vector, command: Command, margin: float, wish: Vector, refused: Vector,

@@ -72,6 +72,8 @@ def _caption(state: ServoState, *, has_wish: bool) -> Caption:
         name, more = nearest.name, f"{nearest.link}, {distance}"
     if status is Status.EVADING:
         return Caption("held", f"Evading {name}".rstrip(), more)
+    if status is Status.TOO_CLOSE:
+        return Caption("held", f"Too close to {name}", more)
     if not has_wish:
         rests = float(np.abs(state.v).max()) < _MOVES
         return Caption("rest", "At rest" if rests else "Coming to rest", f"near {name}, {distance}" if name else "")

@@ -1,0 +1,75 @@
+"""Obstacles that move: when the machine gives way, when it does not, and what it says if it could not."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import Axis, load_chain
+
+import backhoe_planner as bp
+from backhoe_planner.live import Status
+from backhoe_planner.site import Proximity
+
+DT = 0.02
+
+
+class Never(Executor):
+    """Never answers."""
+
+    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
+        return Future()
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory: pytest.TempPathFactory) -> bp.Robot:
+    """A ball of radius 0.1 m that slides along x from -5 to 5 m, at up to 1 m/s."""
+    folder: Path = tmp_path_factory.mktemp("slide")
+    return load_chain(folder, [Axis("prismatic", "1 0 0", -5.0, 5.0)], ball=0.1)
+
+
+def slide_scene(acceleration: float) -> bp.Scene:
+    return bp.scene_from_dict(
+        {
+            "version": 1, "start": {"joints": {"joint0": 0.0}}, "task": {"goal": {"joints": {"joint0": 1.0}}},
+            "clearance": 0.05, "limits": {"acceleration": {"joint0": acceleration}},
+        }
+    )  # fmt: skip
+
+
+def thrown(servo: bp.Servo, at: list[float], velocity: list[float], radius: float = 0.1) -> Proximity:
+    """A ball that moves in a straight line, and the distances from it."""
+    servo.add({"name": "ball", "shape": "sphere", "radius": radius, "position": at})
+    servo.set_velocity("ball", velocity)
+    ball = [one for one in servo.snapshot() if one.name == "ball"]
+    return Proximity(servo.robot, ball, self_collision=False)
+
+
+def test_a_clearance_that_is_lost_is_told_with_the_obstacle_and_the_distance(slide: bp.Robot) -> None:
+    """A ball comes at 3 m/s; the machine reaches 1 m/s at most."""
+    servo, lost = bp.Servo(slide, slide_scene(0.5), DT), []
+    distances = thrown(servo, [-1.5, 0.0, 0.0], [3.0, 0.0, 0.0])
+    for step in range(80):
+        state = servo.step(joint_velocity=[0.0])
+        short = float(distances.distances(state.q, time=(step + 1) * DT).min()) - 0.05
+        lost.append(short < -1e-3)
+        assert (state.status is Status.TOO_CLOSE) == lost[-1]
+        if lost[-1]:
+            assert state.nearest is not None
+            assert state.nearest.name == "ball"
+            assert state.margin == pytest.approx(short, abs=1e-5)
+    assert 3 < sum(lost) < 40
+
+
+def test_a_follower_says_that_a_clearance_is_lost(slide: bp.Robot) -> None:
+    servo = bp.Servo(slide, slide_scene(0.5), DT)
+    thrown(servo, [-1.5, 0.0, 0.0], [3.0, 0.0, 0.0])
+    motion = bp.Trajectory.from_steps(np.linspace(0.0, 4.0, 81), np.zeros((81, 1)))
+    with bp.PlanFollower(servo, motion, executor=Never()) as follower:
+        steps = [follower.step() for _ in range(40)]
+    lost = [step for step in steps if step.state.status is Status.TOO_CLOSE]
+    assert lost
+    assert all("ball" in step.reason.split(";")[0] for step in lost)
