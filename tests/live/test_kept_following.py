@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.law import Rows
 from backhoe_planner.live import Rejoining, RejoiningQuery, find_rejoining
 from backhoe_planner.live.braking.joint_bounds import BRAKING
+from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.live.kept_following import KeptFollowing, held_velocity, velocity_back
@@ -321,3 +323,19 @@ def test_a_machine_in_something_that_stands_still_comes_out_with_its_bucket_leve
     assert margins[0] < -0.01
     assert margins[-1] > -1e-4
     assert least > -1e-3
+
+
+@pytest.mark.parametrize(("kept", "holds"), [([[0.0, 1.0, 1.0, 1.0]], True), (np.eye(4).tolist(), False)])
+def test_what_is_kept_holds_on_the_way_out_if_it_leaves_one(backhoe: bp.Robot, kept: Any, holds: bool) -> None:
+    """A box is put onto the bucket. There is a way out with the pitch as it is, and none with every joint as it is."""
+    servo = bp.Servo(backhoe, level_scene(), 0.01, q=np.array(A))
+    tip = bp.Kinematics(backhoe).at(servo.q).tip_position
+    place = (tip + np.array([0.25, 0.0, 0.1])).tolist()
+    servo.add({"name": "box", "shape": "box", "size": [0.3, 0.3, 0.3], "position": place})
+    G = np.vstack((kept, -np.array(kept)))
+    rows = KeptRows(G, np.zeros(len(G)), np.zeros((0, 4)), Rows.none("keep", 4), firm=False)
+    states = [servo.step_keeping_unchecked(np.zeros(4), rows) for _ in range(30)]
+    changes = np.array([np.abs(G @ state.v).max() for state in states])
+    assert states[-1].margin > states[0].margin + 1e-3
+    assert states[-1].margin < 0.0
+    assert bool(changes.max() < 1e-6) is holds

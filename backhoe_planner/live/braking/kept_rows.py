@@ -21,6 +21,7 @@ class KeptRows(NamedTuple):
     early: of the velocity with which the machine begins early enough to evade what moves within the conditions; they
         count less than these. None if the servo has not found them.
     firm: whether a machine that is too close to what stands still may not come out at the cost of a condition.
+        Otherwise it may, if there is no other way.
     """
 
     G: Matrix

@@ -45,9 +45,9 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
-from backhoe_planner.law import Rows
+from backhoe_planner.law import Kind, Rows
 from backhoe_planner.live.braking.braking_path import STEP_END, BrakingPath, JointState, PathClearance
-from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
+from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY, TOLERANCE
 from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK
 from backhoe_planner.live.clearance.pair_bounds import Awake
@@ -231,18 +231,18 @@ class Recovery:
         all_rows, all_slack = rows[measured], slack[measured]
         others: tuple[Rows, ...] = (step.evasion,)
         kept = step.kept
-        if kept is not None and kept.firm and stands[pairs].all():
-            others = (*others, Rows("keep", -kept.G, RECOVERY * np.maximum(kept.left, 0.0)))
+        firm: tuple[Rows, ...] = ()
+        if kept is not None:
+            firm = (Rows("keep", -kept.G, RECOVERY * np.maximum(kept.left, 0.0), Kind.HARD),)
+            if kept.firm and stands[pairs].all():
+                others, firm = (*others, firm[0]._replace(kind=Kind.SOFT)), ()
         tried = step.brake
         for attempt in range(ATTEMPTS + len(BLENDS)):
             if attempt < ATTEMPTS:
-                fall = way_back(
-                    all_rows, all_slack, target=target, low=step.low, high=step.high,
-                    fastest=fastest, others=others, note=self._check.note, little=None if kept is None else kept.near,
-                )  # fmt: skip
+                fall = self._fall(step, all_rows, all_slack, target=target, fastest=fastest, others=others, firm=firm)
                 if fall is None:
                     continue
-                v = tried = fall[0]
+                v = tried = fall
             else:
                 v = step.brake + BLENDS[attempt - ATTEMPTS] * (tried - step.brake)
             if below and not self._nearer(step.state.q, v):
@@ -267,6 +267,27 @@ class Recovery:
                 (more,) = self._check.rows(step.awake, path, found)
                 others = (*others, more._replace(h=np.maximum(more.h, 0.0)))
         return depth, None
+
+    def _fall(
+        self, step: RecoveryStep, rows: Matrix, slack: Vector, *, target: Vector, fastest: float,
+        others: tuple[Rows, ...], firm: tuple[Rows, ...],
+    ) -> Vector | None:  # fmt: skip
+        """(n,) the velocity by which the deepest violation falls fastest; None if the solver fails. See `way_back`.
+
+        firm: rows that are kept if there is such a velocity, by which the violation falls at all and the machine
+            gives way to what comes. Otherwise they are left out, and what is to be kept changes as little as it can.
+        """
+        little = None if step.kept is None else step.kept.near
+        for block in (firm, ()) if firm else ((),):
+            found = way_back(
+                rows, slack, target=target, low=step.low, high=step.high, fastest=fastest,
+                others=(*others, *block), note=self._check.note, little=little,
+            )  # fmt: skip
+            if found is not None:
+                v, speed = found
+                if not block or (speed * self._dt > self._falls and step.evasion.are_kept_by(v, TOLERANCE)):
+                    return v
+        return None
 
     def _aim(self, step: RecoveryStep, deepest: float) -> tuple[Vector, float]:
         """(n,) the wished velocity, and how fast V is to fall [m/s]; `deepest` is V [m]."""
