@@ -96,7 +96,7 @@ def test_a_cup_stays_upright_while_the_arm_evades_a_ball(
             least = min(least, float(keep.margins(state.q).min()))
             if state.nearest is not None and state.nearest.name == "ball":
                 nearest = min(nearest, state.nearest.distance)
-    assert most > 0.05  # it gave way
+    assert most > 0.02  # it gave way
     assert least >= 0.0
     assert nearest > 0.02
 

@@ -12,6 +12,7 @@ from machines import Axis, load_chain
 
 import backhoe_planner as bp
 from backhoe_planner.live import Status
+from backhoe_planner.machine import shipped_folder
 from backhoe_planner.site import Proximity
 
 DT = 0.02
@@ -48,14 +49,46 @@ def thrown(servo: bp.Servo, at: list[float], velocity: list[float], radius: floa
     return Proximity(servo.robot, ball, self_collision=False)
 
 
+def test_a_slow_machine_gives_way_in_time_to_what_comes_fast(slide: bp.Robot) -> None:
+    """At 0.5 m/s^2 it needs 1.2 s to be as fast as the ball, 0.6 m/s, which comes 0.36 m nearer meanwhile.
+
+    That is farther than the influence distance of 0.3 m. Running away at 0.6 m/s, it is at 3 m after 5.6 s.
+    """
+    servo, least = bp.Servo(slide, slide_scene(0.5), DT), np.inf
+    distances = thrown(servo, [-1.5, 0.0, 0.0], [0.6, 0.0, 0.0])
+    for step in range(250):
+        state = servo.step(joint_velocity=[0.0])
+        least = min(least, float(distances.distances(state.q, time=(step + 1) * DT).min()))
+    assert least > 0.05 - 1e-4
+    assert state.q[0] > 1.0
+
+
+def test_a_machine_does_not_evade_what_has_gone_by() -> None:
+    """A ball passes a Panda at 1 m/s, 0.2 m beside its hand. Once it is farther and leaves, nothing is evaded."""
+    scene = bp.load_scene(shipped_folder("scenes") / "cup.yaml")
+    robot = bp.load_robot("example:panda", tip=scene.tip)
+    servo = bp.Servo(robot, scene, DT)
+    tip = bp.Kinematics(servo.robot).at(servo.q).tip_position
+    distances = thrown(servo, (tip + np.array([0.3, -1.0, 0.1])).tolist(), [0.0, 1.0, 0.0], 0.05)
+    after = []
+    for step in range(140):
+        state = servo.step(joint_velocity=np.zeros(7))
+        away = float(distances.distances(state.q, time=(step + 1) * DT).min())
+        if step * DT > 1.0 and away > 0.35:
+            after.append(state.status)
+    assert len(after) > 40
+    assert Status.EVADING not in after
+
+
 def test_a_clearance_that_is_lost_is_told_with_the_obstacle_and_the_distance(slide: bp.Robot) -> None:
-    """A ball comes at 3 m/s; the machine reaches 1 m/s at most."""
+    """A ball comes at 3 m/s; the machine reaches 1 m/s at most, so that it does not run away from afar."""
     servo, lost = bp.Servo(slide, slide_scene(0.5), DT), []
     distances = thrown(servo, [-1.5, 0.0, 0.0], [3.0, 0.0, 0.0])
     for step in range(80):
         state = servo.step(joint_velocity=[0.0])
         short = float(distances.distances(state.q, time=(step + 1) * DT).min()) - 0.05
         lost.append(short < -1e-3)
+        assert short < 0.35 or state.v[0] == 0.0
         assert (state.status is Status.TOO_CLOSE) == lost[-1]
         if lost[-1]:
             assert state.nearest is not None

@@ -24,7 +24,7 @@ from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.odometers import count_travel, keep_proven
 from backhoe_planner.live.braking.step_work import MOST_NEAR
-from backhoe_planner.live.planes.pair_choice import near_now, not_proven, stalest_pair, tightest_pair
+from backhoe_planner.live.planes.pair_choice import margins_now, near_now, not_proven, stalest_pair, tightest_pair
 from backhoe_planner.live.planes.separation import FAR, Separation
 from backhoe_planner.site import pace
 
@@ -40,6 +40,7 @@ _ROOM = 0.1  # m beyond their clearance at which the planes of boxes are not exa
 _URGENT = 0.02  # m of margin: chosen, nearer pairs are renewed about equally often
 _MOVED = 0.1  # of margin + `_URGENT`: chosen, planes are renewed after 2 mm at a wall, and after 2 cm at 0.2 m from it
 _STALE = CLOSE, _URGENT, _MOVED
+_MOST_MOVERS = 8  # pairs of moving obstacles that are measured at the beginning of a step; chosen, some 20 us each
 _EXACT = (
     0.1 * BUFFER
 )  # m by which a bound may be below the distance without being measured again; chosen, hardly anything
@@ -104,10 +105,11 @@ class PairBounds:
 
     Parameters
     ----------
-    influence: margin within which a pair is examined [m].
+    influence: margin within which a pair is examined, unless its obstacle may come from farther away [m].
 
     Attributes
     ----------
+    influence: as above.
     required: (P,) distance that must be kept [m]: the clearance, or, for a pair that is closer
         than allowed, the distance that was proven last.
     inside: indices of the pairs that are closer than allowed and whose obstacle stands still.
@@ -120,7 +122,7 @@ class PairBounds:
 
     def __init__(self, separation: Separation, *, influence: float) -> None:
         self._separation = separation
-        self._influence = influence
+        self.influence = influence
         count, classes = len(separation), len(separation.travel)
         # bounds over the braking path and at its start, each plus the odometer's value at that time
         self._proven, self._distance = np.full(count, -FAR), np.full(count, -FAR)
@@ -152,7 +154,7 @@ class PairBounds:
         self.required = np.append(self.required, self._separation.clearance[pairs])
         self._renewed_at = np.append(self._renewed_at, np.full(count, -np.inf))
         self._slow_from = np.append(self._slow_from, slow)
-        self._reach = np.append(self._reach, np.maximum(slow, self._influence))
+        self._reach = np.append(self._reach, np.maximum(slow, self.influence))
 
     def keep(self, kept: Flags) -> None:
         """Remove the pairs for which `kept` (P,) is false."""
@@ -160,21 +162,27 @@ class PairBounds:
             setattr(self, name, getattr(self, name)[kept])
         self._accepted = _NOTHING
 
-    def sort(self, stands: Flags, per_step: Vector, per_step_on_path: Vector) -> None:
+    def sort(self, stands: Flags, coming: Vector, per_step: Vector, per_step_on_path: Vector) -> None:
         """Set which pairs' obstacles stand still, and how fast the others move.
 
         Parameters
         ----------
         stands: (P,) whether the obstacle does.
+        coming: (P,) margin within which a pair is examined because its obstacle may come [m].
         per_step: (P,) how far it moves in a step [m].
         per_step_on_path: (P,) how much nearer it may come to a braking path that is one step later [m].
         """
         self.stands, self.anything_moves = stands, not stands.all()
         self._per_step, self._per_step_on_path = per_step, per_step_on_path
-        self._within = self._separation.clearance + self._reach
+        self._coming = coming
+        self._set_within()
         self._slows = bool(self._slow_from.any())
         self._furthest_step = float(per_step_on_path.max(initial=0.0))
         self._look_at_all()
+
+    def _set_within(self) -> None:
+        """Set the distances within which pairs are examined."""
+        self._within = self._separation.clearance + np.maximum(self._reach, self._coming)
 
     def _look_at_all(self) -> None:
         """Choose again which pairs are examined, because the pairs or their motion have changed."""
@@ -219,7 +227,7 @@ class PairBounds:
         """
         separation = self._separation
         self.required = np.minimum(self.required, separation.clearance)
-        self._within = separation.clearance + self._reach
+        self._set_within()
         self._look_at_all()
         bound = self.lower()[pairs] - separation.travel.dot(np.abs(path.delta))[separation.classes[pairs]]
         clear = self.stands[pairs] & (bound >= separation.clearance[pairs] + BUFFER)
@@ -259,7 +267,7 @@ class PairBounds:
     def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
         """Begin to find these boxes bit by bit in the following steps; False if they have to be found at once."""
         search = self._separation.search_boxes(
-            one, at, 0, reach=reach, exact=one.clearance + self._influence, slack=SLACK
+            one, at, 0, reach=reach, exact=one.clearance + self.influence, slack=SLACK
         )
         self._search = None if search is None else (search, float(self._start_odometer[one.classes]))
         return search is not None
@@ -348,7 +356,7 @@ class PairBounds:
         False if there are none, as before.
         """
         found = self._separation.find_boxes(
-            one, at, 0, reach=reach, exact=one.clearance + self._influence,
+            one, at, 0, reach=reach, exact=one.clearance + self.influence,
             is_new=is_new, slack=slack,
         )  # fmt: skip
         if found is None:
@@ -404,6 +412,30 @@ class PairBounds:
         if len(found.pairs) > 0 and found.next < 0 and not (self.anything_moves or self._slows):
             self._seen = found, _SEEN_ANEW if found.margin[found.margin.argmin()] > CLOSE + _SEEN_ANEW else 0.0
         return found
+
+    def look_at_movers(self, near: Near, at: Placements) -> Near:
+        """The near pairs after those of moving obstacles whose planes are old were measured, at the placements' row 0.
+
+        A plane keeps its normal while the obstacle passes. If it were not measured again, the machine would evade an
+        obstacle that has gone by. The pairs that moved the most relative to their margin come first.
+        """
+        pairs = near.pairs[~self.stands.take(near.pairs)]
+        if len(pairs) == 0:
+            return near
+        separation, odometer = self._separation, self._start_odometer
+        classes = separation.classes.take(pairs)
+        margin = margins_now(pairs, self._distance, separation.clearance, separation.classes, odometer)
+        counted = odometer.take(classes)
+        moved = (counted - self._renewed_at.take(pairs)) / (_URGENT + np.maximum(margin, 0.0))
+        old = (moved > _MOVED).nonzero()[0]
+        if len(old) == 0:
+            return near
+        if len(old) > _MOST_MOVERS:
+            old = old[np.argpartition(-moved[old], _MOST_MOVERS - 1)[:_MOST_MOVERS]]
+        again = pairs[old]
+        self._distance[again] = counted[old] + [separation.renew(pair, at, 0) for pair in again.tolist()]
+        self._renewed_at[again] = counted[old]
+        return self._near(near.q, at)
 
     def _near(self, q: Vector, at: Placements) -> Near:
         """The near pairs, examined now."""

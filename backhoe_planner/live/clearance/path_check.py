@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_path
@@ -101,27 +101,12 @@ class PathCheck:
         """The pairs that could come too close in a step; for `look` [s] see `VelocityRange`."""
         return self.bounds.awake(self.joints.changes_of_end(*state, look))
 
-    def clearance(
-        self,
-        awake: Awake,
-        path: BrakingPath,
-        *,
-        first: tuple[BrakingPath, PathClearance] | None = None,
-        by_rows: bool = False,
-    ) -> PathClearance:
+    def clearance(self, awake: Awake, path: BrakingPath, *, by_rows: bool = False) -> PathClearance:
         """The proven clearance of a path for the pairs `awake`. If there are any, the placements hold the path then.
 
-        Parameters
-        ----------
-        first: the path of this step that was checked for all pairs, and its clearance. With it, the bounds of moving
-            obstacles are derived from that clearance, as they do not decide whether a path may be taken.
         by_rows: whether the path's velocity already keeps rows. Moving obstacles are not measured again then.
         """
         pairs = awake.pairs
-        if first is not None:
-            stands = self.bounds.stands.take(pairs)
-            if np.count_nonzero(stands) < len(pairs):
-                return self._clearance_of_standing(awake, stands, path, *first)
         self._paths += 1
         if len(pairs) == 0:
             found = _NOTHING_AWAKE
@@ -175,27 +160,6 @@ class PathCheck:
         """Whether static obstacles that have room `left` (K,) [m] with half parts would fall short with whole ones."""
         off = path.off_chord(self.separation.travel).take(self.separation.classes.take(pairs))
         return bool(np.count_nonzero((left < _WHOLE * off) & self.bounds.stands.take(pairs)))
-
-    def _clearance_of_standing(
-        self, awake: Awake, stands: Flags, path: BrakingPath, before: BrakingPath, found: PathClearance
-    ) -> PathClearance:
-        """The clearance with the bounds of moving obstacles derived from what was `found` for the path `before`.
-
-        stands: (K,) whether the pair's obstacle stands still.
-
-        The two paths are compared at equal parts of their lengths, where they differ by no more than their ends.
-        """
-        separation, (pairs, budget) = self.separation, awake
-        now = self.clearance(Awake(pairs[stands], budget), path)
-        nearer = separation.travel.dot(np.abs(path.end - before.end)).take(separation.classes.take(pairs))
-        velocity = separation.velocity.take(pairs, axis=0)
-        velocity *= velocity
-        nearer += abs(path.time - before.time) * np.sqrt(np.add.reduce(velocity, axis=1))
-        bound = found.bound - nearer
-        bound[stands] = now.bound
-        kept = bound >= self.bounds.required.take(pairs) - TOLERANCE
-        clear = now.clear and np.count_nonzero(kept) == len(kept)
-        return PathClearance(False, clear, now.stands_clear, bound, now.gaps, now.closely)
 
     def _look_again(
         self,

@@ -251,7 +251,7 @@ class VelocityFilter:
         if wish.kept is not None:
             wish = wish._replace(kept=wish.kept._replace(early=early))
         held_back = evading = False
-        first = straight = None
+        straight = None
         # a moving obstacle may demand a velocity that a static one forbids
         torn = self._bounds.anything_moves and (
             len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
@@ -268,9 +268,7 @@ class VelocityFilter:
         for attempt in range(start, most):
             late = not evasion.are_kept_by(v, TOLERANCE)
             path = check.path(state.q, v)
-            found = check.clearance(awake, path, first=first, by_rows=attempt > 0)
-            if wish.kept is None:  # otherwise the next step needs the rows of what moves, too: the wish may alternate
-                first = first or (path, found)
+            found = check.clearance(awake, path, by_rows=attempt > 0)
             if (found.free if attempt == 0 else found.clear) and not late:
                 return self._accept(path, awake, found, held_back=held_back, evading=evading)
             if attempt == 0 and found.clear and not late:
@@ -295,7 +293,7 @@ class VelocityFilter:
         blend = 0.0 if brakes else self._part_of_the_way(awake, found)
         for part in (_SURE * blend, _SURER * blend) if blend > _LEAST_BLEND else ():
             path = check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
-            found = check.clearance(awake, path, first=first)
+            found = check.clearance(awake, path)
             if found.stands_clear:
                 return self._accept(path, awake, found, evading=evading)
         return SafeVelocity(self._joints.brake(state.v), True, evading, None)
@@ -501,13 +499,13 @@ class VelocityFilter:
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
         most = np.add.reduce(np.maximum(G * low, G * high), axis=1)
+        # running from what is faster than the link can be does not help; it would only cost what is to be kept
+        helps = np.abs(G).dot(self._fastest) >= -comes
         if kept is None:
-            could = most > h
+            could = (most > h) & (helps | (margin < self._bounds.influence))
             evasion = Rows("evasion", G[could], h[could])
             self.of_what_moves = ((near.pairs.take(k)[could], evasion),)
             return evasion, self._nothing_comes
-        # running from what is faster than the link can be does not help; it would only cost what is to be kept
-        helps = np.abs(G).dot(self._fastest) >= -comes
         urgent = margin < -_URGENT * comes
         could = (most > h) & helps & (urgent | ~moves)
         beside = authority_beside(kept.near, G, self._acceleration) / np.maximum(2.0 * authority, _TINY)

@@ -64,6 +64,7 @@ from backhoe_planner.site import (
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish and are not named in the state; chosen
+_SEEN_COMING = 1.5  # s before a moving obstacle could arrive from which on it acts, also from farther away; chosen
 _UNCOMPARED = 0.1  # s between two comparisons of stops while the surroundings change; chosen, a stop takes longer
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, a dt outside is a slip
 
@@ -367,7 +368,8 @@ class Servo:
         self._boxes.forget(blocking=True)
         per_step = self.dt * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later
-        self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
+        coming = _SEEN_COMING * self._site.speed
+        self._bounds.sort(self._site.stands, coming, per_step, (1.0 + 2.0 / BRAKING) * per_step)
 
     def _measure(self, pairs: Indices) -> None:
         """Measure `pairs` (K,) that are new or were moved."""
@@ -440,6 +442,8 @@ class Servo:
             return self._brake(command, failed=False)
         near = self._bounds.near(self._state.q, self._at)
         self._check.begin_step(len(near.pairs))
+        if self._bounds.anything_moves:
+            near = self._bounds.look_at_movers(near, self._at)
         if track is not None:
             return self._move_along(command, track, most, near, covered=covered)
         q, v, _ = self._state
