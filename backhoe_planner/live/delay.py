@@ -123,7 +123,5 @@ class Delay:
 
     def _for_what_moves(self) -> str:
         """Why the machine must be able to stop straight ahead, although its plan is proven; empty if nothing moves."""
-        moving = [name for name in self._servo.obstacles if self._servo.is_moving(name)]
-        if not moving:
-            return ""
-        return f"; while {moving[0]} moves, the machine must be able to stop straight ahead"
+        comes = self._servo.reached_by
+        return f"; while {comes} moves, the machine must be able to stop straight ahead" if comes else ""

@@ -66,7 +66,7 @@ _PATIENCE = 1.0  # s without progress after which a detour is searched
 _PATIENCE_CROSSING = 4.0  # s, if the obstacle that holds the machine moves: it may pass
 _JOINS = 0.8  # s for which a machine off the plan may come onto its track before it goes on; shorter than the patience
 _AHEAD_AGAIN = 0.5  # s between two searches ahead of the machine, while obstacles on the plan change
-_STANDS = 0.5  # s since the last change of the surroundings after which they count as standing still; chosen
+_STEADY = 0.5  # s since the last change of the surroundings after which they count as steady; chosen
 _GIVING_WAY = (Status.SLIDING, Status.STOPPED, Status.EVADING, Status.TOO_CLOSE)
 _OFF = 0.1  # rad or m that the machine may have moved from the start of a detour
 _RECHECK = 0.2  # s between two checks of a detour while the surroundings change
@@ -245,13 +245,18 @@ class PlanFollower:
         """One step towards a velocity (n,); if something is in the way, it gives way at little cost of `keep`."""
         servo = self.servo
         # what stands still does not come nearer; something that is moved from step to step by hand may
-        stands = not servo.is_moving() and servo.time > self._seen_at + _STANDS
+        stands = not servo.is_moving() and self._is_steady
         kept = self._kept.rows(servo.q, servo.v, servo.dt, gives_way=self._gives_way, firm=stands)
         if kept is None:
             return servo.step(joint_velocity=velocity)
         state = servo.step_keeping_unchecked(velocity, kept)
         self._gives_way = state.status in _GIVING_WAY
         return state
+
+    @property
+    def _is_steady(self) -> bool:
+        """Whether nothing was added, removed, moved or steered for a while."""
+        return self.servo.time > self._seen_at + _STEADY
 
     def _look_around(self) -> None:
         """Restart the patience when the site has changed, as what was in the way may be gone, and prove the rest anew.
@@ -264,7 +269,7 @@ class PlanFollower:
             if servo.time > self._seen_at + _PATIENCE_CROSSING:
                 self._progress.waited = 0.0
             self._seen, self._seen_at = servo.revision, servo.time
-        query = self._proof.query(may_ask=not self._proofs.under_way)
+        query = self._proof.query(may_ask=not self._proofs.under_way, steady=self._is_steady)
         if query is not None:
             self._proofs.begin(servo.revision, servo.time, prove_rest, query)
         self._take_proof()

@@ -106,3 +106,40 @@ def test_a_follower_says_that_a_clearance_is_lost(slide: bp.Robot) -> None:
     lost = [step for step in steps if step.state.status is Status.TOO_CLOSE]
     assert lost
     assert all("ball" in step.reason.split(";")[0] for step in lost)
+
+
+@pytest.fixture(scope="module")
+def cup() -> bp.Plan:
+    """A plan of least time, whose straight braking lines tilt the cup too far."""
+    scene = bp.load_scene(shipped_folder("scenes") / "cup.yaml")
+    plan = bp.plan(bp.load_robot("example:panda", tip=scene.tip), scene, effort="quick")
+    assert plan.verified, plan.message
+    return plan
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity", "late"),
+    [
+        ([6.0, 0.0, 1.0], [-0.3, 0.0, 0.0], False),  # 3.7 m away at the end of the plan, which takes 5 s
+        ([1.5, 1.5, 1.0], [0.1, 0.1, 0.0], False),  # it leaves
+        ([0.5, -2.0, 1.5], [0.0, 1.0, -0.4], True),  # it crosses the middle of the plan after 2 s
+    ],
+)
+def test_a_machine_keeps_to_its_track_while_what_moves_cannot_reach_it(
+    cup: bp.Plan, place: list[float], velocity: list[float], late: bool
+) -> None:
+    servo, keep = bp.Servo(cup.robot, cup.scene, DT, q=cup.trajectory.q[0]), cup.problem.keep
+    assert keep is not None
+    distances = thrown(servo, place, velocity)
+    deviation = least = 0.0
+    nearest = np.inf
+    with bp.PlanFollower(servo, cup, executor=Never()) as follower:
+        for number in range(round(cup.trajectory.duration / DT) + 2):
+            step = follower.step()
+            deviation, least = max(deviation, step.deviation), min(least, float(keep.margins(servo.q).min()))
+            if late and number % 5 == 0:
+                nearest = min(nearest, float(distances.distances(servo.q, time=(number + 1) * DT).min()))
+    assert step.done is not late
+    assert least > -1e-3
+    assert nearest > 0.02
+    assert late or deviation < 1e-6

@@ -146,16 +146,19 @@ class TrackProof:
         self._leg = leg
         self._look_again()
 
-    def query(self, *, may_ask: bool) -> RestQuery | None:
+    def query(self, *, may_ask: bool, steady: bool) -> RestQuery | None:
         """What is to be proven now, because the surroundings have changed; None if nothing is.
 
         If all that is there now is the plan's own, nothing is to be proven: then the track counts as proven at once.
 
+        Parameters
+        ----------
         may_ask: whether a query can be answered; otherwise it is put off.
+        steady: whether nothing has changed for a while. While obstacles that move are steered, nothing is proven.
         """
         servo, plan = self._servo, self._plan
         revision = servo.revision
-        if plan is None or revision in (self._track.revision, self._asked) or servo.is_moving():
+        if plan is None or revision in (self._track.revision, self._asked) or (servo.is_moving() and not steady):
             return None
         if servo.time < self._again_at or not self._carries_the_same():
             return None
@@ -194,7 +197,7 @@ class TrackProof:
         if self._plan is None:
             return
         self._known = {one.name: _Known.of(one, _shape_of(one.pieces, one.cluster)) for one in self._problem.obstacles}
-        if self._carries_the_same() and not self._servo.is_moving() and not self._new_obstacles():
+        if self._carries_the_same() and not self._new_obstacles():
             self._prove(self._servo.revision)
 
     @property
@@ -212,10 +215,15 @@ class TrackProof:
         return planned[0] == own[0] and _shape_of(planned[1]) == _shape_of(own[1])
 
     def _new_obstacles(self) -> tuple[Obstacle, ...]:
-        """The obstacles that are there now and are not, in shape and place, those of the plan in the present leg."""
+        """The obstacles that stand there now and are not, in shape and place, those of the plan in the present leg.
+
+        Those that move are left to the servo (`Servo.is_proven_along_unchecked`).
+        """
         shapes, new = self._shapes, []
         self._shapes = {}  # of those that are gone, nothing is kept
         for one in self._servo.snapshot():
+            if one.moves:
+                continue
             key = tuple(map(id, one.pieces))
             kept = (shapes.get(key) if key else None) or (one.pieces, _shape_of(one.pieces, one.cluster))
             self._shapes[key], shape = kept, kept[1]  # with the pieces, so that no other ones get their identities

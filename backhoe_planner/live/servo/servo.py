@@ -34,6 +34,7 @@ from backhoe_planner.live.braking.braking_path import STEP_END, JointState, Plac
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import StepWork
+from backhoe_planner.live.clearance.approach_check import SEEN_COMING, ApproachCheck
 from backhoe_planner.live.clearance.box_upkeep import BoxUpkeep
 from backhoe_planner.live.clearance.pair_bounds import Near, PairBounds
 from backhoe_planner.live.clearance.path_check import PathCheck
@@ -64,7 +65,6 @@ from backhoe_planner.site import (
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish and are not named in the state; chosen
-_SEEN_COMING = 1.5  # s before a moving obstacle could arrive from which on it acts, also from farther away; chosen
 _UNCOMPARED = 0.1  # s between two comparisons of stops while the surroundings change; chosen, a stop takes longer
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, a dt outside is a slip
 
@@ -146,6 +146,7 @@ class Servo:
         self._boxes = BoxUpkeep(robot, self._check, influence=influence)
         self._tip = TipTask(robot, self._check, influence=influence)
         self._recovery = Recovery(robot, self._check)
+        self._approach = ApproachCheck(robot, self._separation, self._bounds, self._joints)
         self._stops = StopChoice(robot, self._check)
         self._filter = VelocityFilter(self._check, self._recovery)
         self._sectors = [
@@ -321,7 +322,7 @@ class Servo:
 
     @property
     def work(self) -> StepWork:
-        """The counted work of the last step, without that for obstacles that appeared in it."""
+        """The counted work of the last step, without that for obstacles that appeared in it or may reach a track."""
         return self._check.work
 
     def shift_of(self, name: str) -> Vector:
@@ -334,9 +335,20 @@ class Servo:
         return self._site.shift_of(name)
 
     def is_proven_along_unchecked(self, track: Track) -> bool:
-        """Whether a track is proven for what is there now and what the machine carries."""
+        """Whether a track is proven for what is there now and what the machine carries.
+
+        Obstacles that move count if they may come too close before the machine has come to rest along the track and
+        begins to give way.
+        """
         changed = track.revision != self.revision or track.carried is not self.robot.carried
-        return not (changed or self._site.anything_moves or self._joints.shares_load)
+        if changed or self._joints.shares_load:
+            return False
+        return not (self._site.anything_moves and self._approach.reaches(track, self._state.v, self._steps))
+
+    @property
+    def reached_by(self) -> str:
+        """Name of a moving obstacle that may reach the machine on its track, as far as was asked; empty if none may."""
+        return self._site.name_of(self._approach.pair) if self._site.anything_moves else ""
 
     def held_by_unchecked(self) -> Hold | None:
         """What held the machine back in the last step; None if nothing did, or if it stopped along a track.
@@ -366,9 +378,8 @@ class Servo:
         """Update which pairs there are, which of them move, and how far they move in a step."""
         self._check.forget()
         self._boxes.forget(blocking=True)
-        per_step = self.dt * self._site.speed
+        per_step, coming = self.dt * self._site.speed, SEEN_COMING * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later
-        coming = _SEEN_COMING * self._site.speed
         self._bounds.sort(self._site.stands, coming, per_step, (1.0 + 2.0 / BRAKING) * per_step)
 
     def _measure(self, pairs: Indices) -> None:

@@ -90,6 +90,10 @@ class Surroundings:
         """Whether the obstacle of that name, or any if `name` is None, has a velocity."""
         return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
+    def name_of(self, pair: int) -> str:
+        """Name of the obstacle of a pair; empty if the pair is -1, or of the machine alone."""
+        return self._name_of.get(int(self._separation.owner[pair]), "") if 0 <= pair < len(self._separation) else ""
+
     def obstruction(self, pair: int, margin: float, now: float) -> Obstruction:
         """A pair's link and what it must not touch, with the `margin` [m] found at the time `now` [s]."""
         separation = self._separation

@@ -124,8 +124,12 @@ class Track:
 
     def ahead(self, time: float) -> tuple[Matrix, Vector]:
         """(K, n) places on the track for a `time` [s] from the clock on, and (K,) when they are due [s]."""
-        times = np.linspace(0.0, time, _PLACES_AHEAD)
-        return np.array([self.reference.at(self.reference.clock + since) for since in times.tolist()]), times
+        return self.places_within(time, _PLACES_AHEAD), np.linspace(0.0, time, _PLACES_AHEAD)
+
+    def places_within(self, time: float, count: int) -> Matrix:
+        """(count, n) places on the track for a `time` [s] from the clock on."""
+        moments = self.reference.clock + np.linspace(0.0, time, count)
+        return np.array([self.reference.at(moment) for moment in moments.tolist()])
 
     def time_to_rest(self, q: Vector, v: Vector) -> float:
         """About how far the clock advances while a machine at q, v (n,) slows down along the track [s]."""
