@@ -6,11 +6,13 @@ are found by distances without coal, at every `--check`-th step and at every ste
 is small; limits are checked at every step (validation/placements.py). `removals` counts the drives
 that do not arrive although the obstacle before their end is gone (validation/removals.py).
 `undisturbed` counts the steps by which plans of three machines take longer than planned
-(validation/undisturbed.py). The results are in docs/measurements.md. Ctrl-C ends the run and prints
-the results so far; the same command resumes it, also after a kill. The exit status is 1 if a limit
-was broken, something was touched, or an undisturbed drive did not arrive, 130 after Ctrl-C.
+(validation/undisturbed.py). `balls` counts what is touched and what is not kept by three machines with
+something to keep among balls that fly past and into them (validation/moving_balls.py). The results are
+in docs/measurements.md. Ctrl-C ends the run and prints the results so far; the same command resumes it,
+also after a kill. The exit status is 1 if a limit was broken, something that stands still was touched, or
+an undisturbed drive did not arrive, 130 after Ctrl-C.
 
-    python scripts/study_following.py [placements|removals|undisturbed] [--count 120] [--seed 0]
+    python scripts/study_following.py [placements|removals|undisturbed|balls] [--count 120] [--seed 0]
         [--check 10] [--save FILE]
 """
 
@@ -26,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from validation.campaigns import kept_campaigns
+from validation.moving_balls import follow_among_balls
 from validation.placements import Followed, place_obstacles
 from validation.removals import take_obstacles_away
 from validation.undisturbed import follow_undisturbed
@@ -34,7 +37,9 @@ from validation.undisturbed import follow_undisturbed
 def main() -> int:
     """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", nargs="?", choices=("placements", "removals", "undisturbed"), default="placements")
+    parser.add_argument(
+        "study", nargs="?", choices=("placements", "removals", "undisturbed", "balls"), default="placements"
+    )
     parser.add_argument("--count", type=int, default=120, help="drives; of `undisturbed` plans of each machine")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--check", type=int, default=10)
@@ -45,6 +50,7 @@ def main() -> int:
         "placements": partial(place_obstacles, every=options.check),
         "removals": take_obstacles_away,
         "undisturbed": follow_undisturbed,
+        "balls": follow_among_balls,
     }
     found = studies[options.study](
         count=options.count, seed=options.seed, jobs=options.jobs, folder=kept_campaigns(), watch=_print_drive
