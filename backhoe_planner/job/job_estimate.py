@@ -13,7 +13,7 @@ from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.schema.job_file import Job
-from backhoe_planner.job.worksite.checks import check_job, check_start
+from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import build_worksite
 
@@ -55,6 +55,7 @@ def estimate_job(job: Job, *, terrain: Terrain | None = None, few: bool = False)
     """
     site = build_worksite(job, terrain=terrain)
     check_start(site)
+    check_place(site)
     check_truck(site)
     lanes, design = lanes_of(site), site.design_heights()
     allowed, _ = allowed_heights(site, lanes, design)

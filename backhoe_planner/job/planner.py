@@ -22,7 +22,7 @@ from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, interruption, same_ground, same_job
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.undug import find_undug
-from backhoe_planner.job.worksite.checks import check_job, check_start
+from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
 from backhoe_planner.planning import EFFORTS
@@ -118,6 +118,7 @@ class _Run:
     def __init__(self, site: Worksite, effort: str, seed: int, begun: float) -> None:
         self._site, self._effort, self._seed, self._begun = site, effort, seed, begun
         check_start(site)
+        check_place(site)
         check_truck(site)
         self._lanes = lanes_of(site)
         self._design = site.design_heights()

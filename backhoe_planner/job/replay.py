@@ -32,6 +32,7 @@ from backhoe_planner.job.result.job_plan_file import (
 )
 from backhoe_planner.job.schema.job_file import Job, job_from_dict
 from backhoe_planner.job.undug import find_undug
+from backhoe_planner.job.worksite.checks import in_its_place
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite, plain_soil
 
@@ -119,6 +120,9 @@ def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list
         found.append("the file says that the ground was surveyed, which is that of the job")
     if record.choices != record.choices_digest:
         found.append("effort, seed, compared patterns or steps were changed after the job was planned")
+    stands = in_its_place(site)
+    if stands is not None:
+        found.append(f"{stands.link} of the machine is in {stands.obstacle}")
     if plan.beside > plan.job.dig.tolerance:
         found.append(f"the cuts go {plan.beside:.2f} m deep beside what is to be dug")
     return found + job_differences(record, job_plan_record(plan, None))

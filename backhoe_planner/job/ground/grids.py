@@ -80,6 +80,24 @@ def empty_grid(low: Sequence[float] | Vector, high: Sequence[float] | Vector, ce
     return HeightGrid(start, cell, np.full((int(counts[1]), int(counts[0])), np.nan))
 
 
+def widened(grid: HeightGrid, low: Vector, high: Vector, reach: float) -> tuple[HeightGrid, tuple[slice, slice]]:
+    """Unknown heights in the columns of a grid and up to `reach` [m] around it, and the rows and columns of the grid.
+
+    Parameters
+    ----------
+    low, high: (2,) where heights are known [m]: the columns go no further, except those of the grid.
+    """
+    count, last = int(reach / grid.cell), np.array(grid.z.shape[::-1]) - 1
+    first = np.clip(np.round((low - grid.low) / grid.cell), -count, 0).astype(int)
+    end = np.clip(np.round((high - grid.low) / grid.cell), last, last + count).astype(int)
+    if np.prod(end - first + 1) > 4 * MOST_COLUMNS:
+        first, end = np.zeros(2, dtype=int), last
+    wide = np.full(tuple((end - first + 1)[::-1].tolist()), np.nan)
+    column, row = (-first).tolist()
+    part = (slice(row, row + grid.z.shape[0]), slice(column, column + grid.z.shape[1]))
+    return HeightGrid(grid.low + grid.cell * first, grid.cell, wide), part
+
+
 def check_counts(shape: tuple[int, ...], *, key: str) -> None:
     """Raise InputError if `shape` has fewer than 2 x 2 columns, or too many."""
     if min(shape) < 2:

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector, as_number
 from backhoe_planner.errors import check_kind
+from backhoe_planner.job.ground.grids import HeightGrid
 from backhoe_planner.job.ground.off_ground import OffGround
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.machine import Cluster, Piece, TerrainSolid
@@ -16,6 +17,7 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, scan_body, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
 
+_SAME = 1e-6  # columns; rounding is less
 _DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
 
 
@@ -85,24 +87,58 @@ def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clea
     low, high: (2,) least and greatest x, y of the area to be covered [m].
     clearance: distance to be kept from the boxes [m].
     """
-    (west, south), (east, north) = ground.low.tolist(), ground.high.tolist()
-    least, most = np.minimum(low, ground.low), np.maximum(high, ground.high)
-    sides = {
-        "west": (least, (west, most[1])), "east": ((east, least[1]), most),
-        "south": ((west, least[1]), (east, south)), "north": ((west, north), (east, most[1])),
-    }  # fmt: skip
     found = []
-    for name, (start, end) in sides.items():
-        length, width = (np.asarray(end, dtype=float) - np.asarray(start, dtype=float)).tolist()
-        if min(length, width) <= ground.cell:
-            continue
-        x, y = (0.5 * (np.asarray(end, dtype=float) + np.asarray(start, dtype=float))).tolist()
+    for name, (start, end) in _sides(ground, low, high).items():
+        length, width = (end - start).tolist()
+        x, y = (0.5 * (end + start)).tolist()
         size, place = (length, width, _DEEP), (x, y, level - 0.5 * _DEEP)
         title = f"the ground {name} of what is known"
         box = shapes.box(np.array(size), pin.SE3(np.eye(3), np.array(place)))
         spec = obstacle_shapes.Box(name=title, shape="box", size=size, position=place)
         found.append(_unmoved(spec, [box], clearance))
     return tuple(found)
+
+
+def ground_beyond(
+    ground: Terrain, beyond: HeightGrid | None, low: Vector, high: Vector, clearance: float
+) -> tuple[Obstacle, ...]:
+    """The ground of a file beyond the grid of a terrain, on its sides; empty if the file goes no further.
+
+    Parameters
+    ----------
+    beyond: the ground in the columns of the terrain and around them, without holes; None for none.
+    low, high: (2,) least and greatest x, y of the area to be covered [m].
+    clearance: distance to be kept from it [m].
+    """
+    if beyond is None:
+        return ()
+    found, last = [], np.array(beyond.z.shape[::-1]) - 1
+    for name, ends in _sides(ground, np.maximum(low, beyond.low), np.minimum(high, beyond.high)).items():
+        # whole columns that contain the side
+        start, end = ((one - beyond.low) / beyond.cell for one in ends)
+        first = np.clip(np.floor(start + _SAME), 0, last).astype(int)
+        end = np.clip(np.ceil(end - _SAME), 0, last).astype(int)
+        z = beyond.z[first[1] : end[1] + 1, first[0] : end[0] + 1]
+        size = tuple((beyond.cell * (end - first)).tolist())
+        place = pin.SE3(np.eye(3), np.array([*(beyond.low + 0.5 * beyond.cell * (first + end)), 0.0]))
+        title = f"the ground {name} of what is modelled"
+        spec = obstacle_shapes.HeightMap(
+            name=title, shape="heightmap", file="", size=size, position=tuple(place.translation.tolist())
+        )
+        found.append(_unmoved(spec, terrain_body(z, size, place), clearance))
+    return tuple(found)
+
+
+def _sides(ground: Terrain, low: Vector, high: Vector) -> dict[str, tuple[Vector, Vector]]:
+    """Name, and least and greatest x, y (2,) [m], of the rectangles that cover an area beyond the grid of a terrain."""
+    (west, south), (east, north) = ground.low.tolist(), ground.high.tolist()
+    (left, down), (right, up) = np.minimum(low, ground.low).tolist(), np.maximum(high, ground.high).tolist()
+    sides = {
+        "west": ((left, down), (west, up)), "east": ((east, down), (right, up)),
+        "south": ((west, down), (east, south)), "north": ((west, north), (east, up)),
+    }  # fmt: skip
+    found = {name: (np.array(start), np.array(end)) for name, (start, end) in sides.items()}
+    return {name: (start, end) for name, (start, end) in found.items() if (end - start).min() > ground.cell}
 
 
 def _unmoved(

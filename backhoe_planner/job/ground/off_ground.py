@@ -9,7 +9,7 @@ not: they are at most as high as the ground beside them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Flags, Matrix, as_number
 from backhoe_planner.errors import InputError
-from backhoe_planner.job.ground.grids import MOST_COLUMNS, HeightGrid, column_lowest, columns_of, from_nearest
+from backhoe_planner.job.ground.grids import HeightGrid, column_lowest, columns_of, from_nearest, widened
 from backhoe_planner.machine import VoxelSolid, voxel_keys
 from backhoe_planner.site import MOST_VOXELS
 
 _WIDEST = 3.0  # m across the narrower side of what is told from the ground: a vehicle, with room; chosen
 _STEP = 0.1  # m by which the half width of the opening grows; chosen
 _STEEPEST = 1.0  # m per m: ridges of soil are not steeper on both sides; it comes to rest at 0.5 to 0.8 rad
-_BEYOND = 10.0  # m beyond the modelled ground where things are kept, too: further than an arm reaches; chosen
+BEYOND = 10.0  # m beyond the modelled ground where ground and things are kept, too: further than an arm reaches; chosen
 _COARSEST = 0.4  # m, edge of the voxels of a sparse cloud; chosen: thicker ones keep a bucket from free ground
 _OFF_BORDER = 1e-6  # m: rounding puts points on the border of two voxels into either
 _BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
@@ -164,8 +164,13 @@ def describe(points: Matrix, ground: HeightGrid, off: OffGround) -> str:
 
 def off_the_ground(
     points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None
-) -> tuple[Flags, Matrix]:
-    """(n,) which points (n, 3) [m] stand on the ground, on the grid or near it, and (rows, columns) that ground [m].
+) -> tuple[Flags, HeightGrid, tuple[slice, slice]]:
+    """(n,) which points (n, 3) [m] stand on the ground, on the grid or near it, and that ground.
+
+    Returns
+    -------
+    Beside the flags: the ground on the grid and up to 10 m around it, without holes unless nothing is known of it,
+    and the rows and columns of the grid in it.
 
     Parameters
     ----------
@@ -173,19 +178,18 @@ def off_the_ground(
     roughness: height above the ground up to which a point belongs to it [m].
     known: (rows, columns) heights of the ground at an earlier time [m]: nothing stands on what is below them.
     """
-    wide, (row, column) = _around(points, grid)
+    wide, part = widened(grid, points[:, :2].min(axis=0), points[:, :2].max(axis=0), BEYOND)
     near, index = columns_of(points, wide)
     lowest = column_lowest(points, wide)
-    part = (slice(row, row + grid.z.shape[0]), slice(column, column + grid.z.shape[1]))
     if not np.isfinite(lowest).any():
-        return np.zeros(len(points), dtype=bool), lowest[part]
-    ground = _ground_of(lowest, wide.cell, roughness)
-    reference = _highest_around(ground)
+        return np.zeros(len(points), dtype=bool), wide, part
+    wide = replace(wide, z=_ground_of(lowest, wide.cell, roughness))
+    reference = _highest_around(wide.z)
     if known is not None:
         reference[part] = np.maximum(reference[part], _highest_around(known))
     found = np.zeros(len(points), dtype=bool)
     found[near] = points[near, 2] > reference.ravel()[index] + roughness
-    return found, ground[part]
+    return found, wide, part
 
 
 def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
@@ -206,20 +210,6 @@ def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
     level = np.concatenate([np.zeros(0), *(np.arange(count) + 0.5 for count in counts.tolist())])
     places = np.repeat(ground.nodes()[reached], counts, axis=0) + _OFF_BORDER
     return np.column_stack((places, np.repeat(ground.z[reached], counts) + level * ground.cell))
-
-
-def _around(points: Matrix, grid: HeightGrid) -> tuple[HeightGrid, tuple[int, int]]:
-    """The columns of a grid and those around it with points, and the row and column of the grid's first one there."""
-    reach = int(_BEYOND / grid.cell)
-    last = np.array(grid.z.shape[::-1]) - 1
-    at = np.round((points[:, :2] - grid.low) / grid.cell)
-    first = np.clip(at.min(axis=0), -reach, 0).astype(int)
-    end = np.clip(at.max(axis=0), last, last + reach).astype(int)
-    if np.prod(end - first + 1) > 4 * MOST_COLUMNS:
-        first, end = np.zeros(2, dtype=int), last
-    shape = tuple((end - first + 1)[::-1].tolist())
-    wide = HeightGrid(grid.low + grid.cell * first, grid.cell, np.full(shape, np.nan))
-    return wide, (-int(first[1]), -int(first[0]))
 
 
 def _ground_of(lowest: Matrix, cell: float, roughness: float) -> Matrix:

@@ -22,9 +22,11 @@ from backhoe_planner.job.ground.grids import (
     columns_of,
     empty_grid,
     filled_at,
+    from_nearest,
     resampled,
+    widened,
 )
-from backhoe_planner.job.ground.off_ground import OffGround, below, describe, off_the_ground, voxels_of
+from backhoe_planner.job.ground.off_ground import BEYOND, OffGround, below, describe, off_the_ground, voxels_of
 from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import read_height_grid, read_points
 
@@ -40,11 +42,14 @@ class Survey:
     heights: of the ground; NaN where there is none.
     off_ground: what stands on it; None if nothing does, or for a table of heights.
     remark: what stands on it in words; empty if nothing does.
+    beyond: the ground in the same columns and up to 10 m around them, with holes filled from the nearest column; None
+        if the file goes no further.
     """
 
     heights: HeightGrid
     off_ground: OffGround | None = None
     remark: str = ""
+    beyond: HeightGrid | None = None
 
 
 def read_survey(
@@ -69,7 +74,9 @@ def read_survey(
         return Survey(grid)
     start = grid.low if low is None else low
     step = CELL if cell is None else cell
-    return Survey(resampled(grid, empty_grid(start, grid.high if high is None else high, step)))
+    wanted = empty_grid(start, grid.high if high is None else high, step)
+    wide = widened(wanted, grid.low, grid.high, BEYOND)[0]
+    return Survey(resampled(grid, wanted), beyond=_further(resampled(grid, wide), wanted))
 
 
 @lru_cache(maxsize=2)
@@ -96,11 +103,14 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     known: (rows, columns) the ground at an earlier time [m]. Where things hide the ground it is taken as it was then,
         otherwise between the columns around them.
     """
-    off, ground = off_the_ground(points, grid, roughness, known)
-    heights = column_means(points[~off], grid)
+    off, wide, part = off_the_ground(points, grid, roughness, known)
+    means = column_means(points[~off], wide)
+    below_things = np.isin(np.arange(wide.z.size), columns_of(points[off], wide)[1]).reshape(wide.z.shape)
+    beyond = _further(replace(wide, z=np.where(below_things | np.isnan(means.z), wide.z, means.z)), grid)
+    heights = replace(grid, z=means.z[part])
     if not off.any():
-        return Survey(heights)
-    under = np.isin(np.arange(grid.z.size), columns_of(points[off], grid)[1]).reshape(grid.z.shape)
+        return Survey(heights, beyond=beyond)
+    under, ground = below_things[part], wide.z[part]
     # the lower part of a wall counts as ground, but does not raise it, nor does a stray point below lower it
     lowest = column_lowest(points[~off], grid)
     lowest = np.where(lowest < ground - roughness, ground, lowest)
@@ -109,7 +119,15 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     there = filled_at(heights, hidden).z if known is None else known
     heights = replace(heights, z=np.where(hidden, there, heights.z))
     stands = voxels_of(np.vstack((points[off], below(points[off], heights, hidden))), grid.cell)
-    return Survey(heights, stands, describe(points[off], heights, stands))
+    return Survey(heights, stands, describe(points[off], heights, stands), beyond)
+
+
+def _further(wide: HeightGrid, grid: HeightGrid) -> HeightGrid | None:
+    """The heights on a wider grid, without holes; None if it is no wider than the grid, or nothing is known on it."""
+    unknown = np.isnan(wide.z)
+    if wide.z.shape == grid.z.shape or unknown.all():
+        return None
+    return replace(wide, z=from_nearest(wide.z, unknown))
 
 
 def survey_on(

@@ -131,7 +131,7 @@ class Terrain:
         points = as_array(points, None, 3, key="points")
         grid = empty_grid(low, high, cell)
         found = split(points, grid, as_number(roughness, key="roughness", least=0.0))
-        return cls._of(found, fill=fill, soil=soil, swell=swell, repose=repose, file=None)
+        return terrain_of(found, fill=fill, soil=soil, swell=swell, repose=repose)
 
     @classmethod
     def from_file(
@@ -162,16 +162,7 @@ class Terrain:
         """
         file = check_path(file, key="file")
         found = read_survey(file, low=low, high=high, cell=cell, map_origin=map_origin, roughness=roughness)
-        return cls._of(found, fill=fill, soil=soil, swell=swell, repose=repose, file=file)
-
-    @classmethod
-    def _of(
-        cls, survey: Survey, *, fill: float, soil: Soil | None, swell: float, repose: float, file: Path | None
-    ) -> Terrain:
-        heights = filled(survey.heights, as_number(fill, key="fill", least=0.0))
-        refuse_holes(heights, file)
-        zero = np.zeros_like(heights.z)
-        return cls(heights.low, heights.cell, heights.z, zero, _soil(soil), swell, repose, survey.off_ground)
+        return terrain_of(found, fill=fill, soil=soil, swell=swell, repose=repose, file=file)
 
     # --- what it is ------------------------------------------------------------------------
 
@@ -255,6 +246,27 @@ class Terrain:
         if check_kind(other, Terrain, key="other").shape != self.shape:
             raise InputError("is on another grid", key="other", allowed="a terrain made from the same one")
         return np.asarray(self.surface != other.surface)
+
+
+def terrain_of(
+    survey: Survey, *, fill: float = 0.0, soil: Soil | None = None, swell: float = SWELL, repose: float = REPOSE,
+    file: Path | None = None,
+) -> Terrain:  # fmt: skip
+    """The ground of a survey, all of it undisturbed.
+
+    Parameters
+    ----------
+    fill, soil, swell, repose: as in `Terrain.from_file`.
+    file: of the survey, for the message.
+
+    Raises
+    ------
+    InputError: a column is left without a height, or an argument is not such a number; says where.
+    """
+    heights = filled(survey.heights, as_number(fill, key="fill", least=0.0))
+    refuse_holes(heights, file)
+    zero = np.zeros_like(heights.z)
+    return Terrain(heights.low, heights.cell, heights.z, zero, _soil(soil), swell, repose, survey.off_ground)
 
 
 def check_points(points: Array) -> Array:

@@ -12,6 +12,7 @@ from backhoe_planner.errors import SceneError
 from backhoe_planner.job.worksite.lanes import Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import angles_in_degrees
+from backhoe_planner.site import InTheWay, stands_in
 
 _COLUMNS = 4  # least number of columns side by side under the blade; chosen: with fewer, half of them are edges
 
@@ -56,6 +57,31 @@ def check_start(site: Worksite) -> None:
             found=here, allowed=f"{lower} to {upper}",
             hint=f"angles are in radians: {q[j]:.4g} degrees are {meant[j]:.4g}" if np.isfinite(meant[j]) else None,
         )  # fmt: skip
+
+
+def check_place(site: Worksite) -> None:
+    """Check that the machine does not stand in what the cloud of its ground contains.
+
+    Raises
+    ------
+    SceneError: names the link and what stands there.
+    """
+    found = in_its_place(site)
+    if found is not None:
+        base = site.robot.base
+        raise SceneError(
+            f"puts {found.link} of the machine into {found.obstacle}", file=site.job.file, key="site.base",
+            found=f"position {list(base.position)}, heading {base.heading:g}",
+            allowed="a place where no part of the machine that does not move overlaps what stands on the ground",
+            hint="leave out the points of the machine itself; `backhoe-planner stand` finds a place",
+        )  # fmt: skip
+
+
+def in_its_place(site: Worksite) -> InTheWay | None:
+    """The first part of the machine that does not move and overlaps what stands on the ground, or None."""
+    stands = site.ground.off_ground
+    names = {name for name, _ in stands.things} if stands is not None else set()
+    return stands_in(site.robot, [one for one in site.problem.obstacles if one.name in names])
 
 
 def _check_width(site: Worksite) -> None:

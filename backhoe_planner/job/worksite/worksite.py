@@ -14,11 +14,11 @@ from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.ground.grids import HeightGrid, nearest_columns
-from backhoe_planner.job.ground.obstacle import ground_around, off_ground_obstacles
+from backhoe_planner.job.ground.obstacle import ground_around, ground_beyond, off_ground_obstacles
 from backhoe_planner.job.ground.off_ground import columns_below
 from backhoe_planner.job.ground.scanned import Scanned, scanned
-from backhoe_planner.job.ground.surveys import read_survey
-from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.ground.surveys import Survey, read_survey
+from backhoe_planner.job.ground.terrain import Terrain, terrain_of
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
 from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign
@@ -128,20 +128,21 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
     problem = _problem(job, robot)
     digger = _digger(job, problem)
     # a survey of what was dug does not say how deep it was to be dug
-    own = _ground(job, digger.plane)
+    own, beyond = _ground(job, digger.plane)
     ground = own if terrain is None else terrain
     design = _design(job, own)
-    if job.ground.file is None:
-        reach = reach_area(digger.plane)
-        around = ground_around(
-            ground, job.ground.level or 0.0, reach.min(axis=0), reach.max(axis=0), problem.scene.clearance
-        )
-        problem = replace(problem, obstacles=(*problem.obstacles, *around))
-    stands = off_ground_obstacles(ground.off_ground, problem.scene.clearance)
-    for one in stands:
+    reach, clearance = reach_area(digger.plane), problem.scene.clearance
+    low, high = reach.min(axis=0), reach.max(axis=0)
+    around = (
+        ground_around(ground, job.ground.level or 0.0, low, high, clearance)
+        if job.ground.file is None
+        else ground_beyond(ground, beyond, low, high, clearance)
+    )
+    stands = off_ground_obstacles(ground.off_ground, clearance)
+    for one in (*around, *stands):
         if one.cluster is not None:
             one.cluster.prepare(*reach_ball(robot))
-    problem = replace(problem, obstacles=(*problem.obstacles, *stands))
+    problem = replace(problem, obstacles=(*problem.obstacles, *around, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, own, design, arm)
 
@@ -198,7 +199,8 @@ def _stretched(robot: Robot) -> Matrix:
     return rng.uniform(robot.limits.lower, robot.limits.upper, (4000, robot.n))
 
 
-def _ground(job: Job, plane: ArmPlane) -> Terrain:
+def _ground(job: Job, plane: ArmPlane) -> tuple[Terrain, HeightGrid | None]:
+    """The ground before the first cycle, and that of its file beyond it; None if the file goes no further."""
     given, soil = job.ground, plain_soil(job)
     points = [reach_area(plane)]
     if job.dig.trench is not None:
@@ -212,7 +214,7 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
     loose = {"swell": job.soil.swell, "repose": job.soil.repose}
     if given.file is None:
         try:
-            return Terrain.level(given.level or 0.0, low, high, given.cell, soil=soil, **loose)
+            return Terrain.level(given.level or 0.0, low, high, given.cell, soil=soil, **loose), None
         except InputError as error:
             raise SceneError(
                 error.problem, file=job.file, key="ground.cell", found=f"{given.cell:g} m from {low.tolist()} to "
@@ -220,19 +222,18 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
                 hint="a larger ground.cell, or less ground from ground.low to ground.high",
             ) from None  # fmt: skip
     try:
-        return Terrain.from_file(
-            job.folder / given.file,
-            low=given.low,
-            high=given.high,
-            cell=given.cell,
-            soil=soil,
-            fill=given.fill,
-            map_origin=given.map_origin,
-            roughness=given.roughness,
-            **loose,
-        )
+        found = _survey(job, given.file)
+        return terrain_of(found, soil=soil, fill=given.fill, file=job.folder / given.file, **loose), found.beyond
     except InputError as error:
         raise SceneError(str(error), file=job.file, key="ground.file") from None
+
+
+def _survey(job: Job, file: str) -> Survey:
+    given = job.ground
+    return read_survey(
+        job.folder / file, low=given.low, high=given.high, cell=given.cell, map_origin=given.map_origin,
+        roughness=given.roughness,
+    )  # fmt: skip
 
 
 def ground_warnings(job: Job) -> tuple[str, ...]:
@@ -240,14 +241,11 @@ def ground_warnings(job: Job) -> tuple[str, ...]:
 
     A file that cannot be read gives none: `build_worksite` tells what is wrong with it.
     """
-    given = check_kind(job, Job, key="job").ground
-    if given.file is None:
+    file = check_kind(job, Job, key="job").ground.file
+    if file is None:
         return ()
     try:
-        words = read_survey(
-            job.folder / given.file, low=given.low, high=given.high, cell=given.cell, map_origin=given.map_origin,
-            roughness=given.roughness,
-        ).remark  # fmt: skip
+        words = _survey(job, file).remark
     except InputError:
         return ()
     return (f"ground.file: {words}",) if words else ()

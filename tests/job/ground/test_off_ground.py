@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from small_jobs import TINY, small_job
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.errors import InputError
+from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.job import (
     Job,
     OffGround,
@@ -26,6 +26,7 @@ from backhoe_planner.job import (
     plan_job,
     read_ground,
 )
+from backhoe_planner.job.worksite.checks import check_place
 from backhoe_planner.site import read_points
 
 LOW, HIGH, CELL = (0.0, -2.0), (6.0, 2.0), 0.1
@@ -204,15 +205,17 @@ def test_a_motion_through_a_wall_is_refuted_with_its_name(tmp_path: Path) -> Non
     assert plan.start.off_ground is None
     plan.save(tmp_path / "plan.json")
     content = json.loads((tmp_path / "plan.json").read_text())
-    walled_job(tmp_path, WALL)
-    # 49 columns along x; in each, points from 0.17 to 2.02 m
-    content["ground"]["off_ground"] = {"edge": 0.05, "stacks": [[x, -28, 3, 38] for x in range(52, 101)]}
+    walled_job(tmp_path, np.vstack((WALL, through_the_tractor(1.0))))
+    # 49 columns along x; in each, points from 0.17 to 2.02 m; and 60 across the tractor
+    stacks = [[x, -28, 3, 38] for x in range(52, 101)] + [[-30, y, 3, 17] for y in range(-30, 30)]
+    content["ground"]["off_ground"] = {"edge": 0.05, "stacks": stacks}
     (tmp_path / "plan.json").write_text(json.dumps(content))
     found = load_job_plan(tmp_path / "plan.json")
     assert not found.verified
     assert "what stands at x 3.8, y -1.4 m" in found.note
     assert found.start.off_ground is not None
-    assert len(found.start.off_ground.keys) == 49 * 38
+    assert len(found.start.off_ground.keys) == 49 * 38 + 60 * 17
+    assert "chassis of the machine is in what stands at x -1.5, y 0.0 m" in found.note
 
 
 def test_what_stands_in_a_survey_during_a_job_is_kept(tmp_path: Path) -> None:
@@ -249,3 +252,17 @@ def test_voxels_of_two_sizes_are_joined_without_losing_space() -> None:
     assert {tuple(key) for key in np.floor(inside / 0.07).astype(int).tolist()} <= keys
     assert {tuple(key) for key in coarse.keys.tolist()} <= keys
     assert off_ground_obstacles(None, 0.1) == ()
+
+
+def through_the_tractor(height: float) -> Matrix:
+    """Points of a wall across the middle of the tractor, at x = -1.5 m."""
+    return upright((-1.5, 1.5), 1.5, height, 0.05)[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]
+
+
+def test_a_machine_that_stands_in_what_the_cloud_contains_is_refused(tmp_path: Path) -> None:
+    """A wall of 1.5 m goes through the tractor; a kerb of 0.2 m is under it."""
+    with pytest.raises(SceneError, match=r"site\.base: puts chassis of the machine into what stands at x -1\.5, y"):
+        plan_job(walled_job(tmp_path, through_the_tractor(1.5)))
+    site = build_worksite(walled_job(tmp_path, through_the_tractor(0.2)))
+    assert site.ground.off_ground is not None
+    check_place(site)

@@ -7,10 +7,19 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from small_jobs import TINY
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.job import BladeSweep, Terrain, deposited, swept, terrain_obstacle
+from backhoe_planner.job import (
+    BladeSweep,
+    Terrain,
+    build_worksite,
+    deposited,
+    job_from_dict,
+    swept,
+    terrain_obstacle,
+)
 from backhoe_planner.job.ground.obstacle import ground_around
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, build_obstacle, obstacle_from_dict
@@ -103,3 +112,30 @@ def test_level_ground_lies_on_all_sides_of_what_is_known() -> None:
     # where the known ground reaches far enough, there is none
     beyond = ground_around(ground, -0.5, np.array([1.0, -8.0]), np.array([5.0, 2.0]), 0.1)
     assert [one.name.split()[2] for one in beyond] == ["south"]
+
+
+@pytest.mark.parametrize("name", ["ground.csv", "ground.xyz"])
+def test_the_ground_of_a_file_beyond_the_modelled_ground_is_an_obstacle(name: str, tmp_path: Path) -> None:
+    """The job has the ground up to x = 4.4 m; in the file it rises by 3 m from x = 4.6 to 4.7 m."""
+    low, high, cell = TINY["ground"]["low"], TINY["ground"]["high"], 0.1
+    x, y = np.meshgrid(np.arange(low[0], 9.05, cell), np.arange(low[1], high[1] + 0.05, cell))
+    heights = np.where(x > 4.65, 3.0, 0.0)
+    points = np.column_stack((x.ravel(), y.ravel(), heights.ravel()))
+    table = name.endswith(".csv")
+    np.savetxt(tmp_path / name, heights if table else points, delimiter="," if table else " ", fmt="%.3f")
+    ground = {"file": name, "low": low, "high": [4.4, high[1]], "cell": cell}
+    site = build_worksite(job_from_dict(TINY | {"ground": ground}, folder=tmp_path))
+    assert site.ground.surface.max() == 0.0
+    (east,) = (one for one in site.problem.obstacles if "of what is modelled" in one.name)
+    assert east.name == "the ground east of what is modelled"
+    assert east.clearance == TINY["site"]["clearance"]
+    assert east.cluster is not None
+    ball = shapes.capsule(0.1, 0.0, pin.SE3.Identity())
+    before = 0.4 / np.hypot(3.0, 0.1) - 0.1  # from the middle at x 4.5, z 1 to the slope from 4.6, 0 to 4.7, 3
+    for place, distance in (((4.5, 0.0, 1.0), before), ((5.0, -2.0, 4.0), 0.9), ((4.45, -4.4, 0.12), 0.02)):
+        reading = east.cluster.measure(ball, pin.SE3(np.eye(3), np.array(place)))
+        assert reading is not None
+        assert reading.distance == pytest.approx(distance, abs=1e-6)
+    # where the file goes no further, there is none
+    whole = build_worksite(job_from_dict(TINY | {"ground": ground | {"high": [9.0, high[1]]}}, folder=tmp_path))
+    assert not [one for one in whole.problem.obstacles if "of what is modelled" in one.name]
