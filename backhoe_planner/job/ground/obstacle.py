@@ -17,7 +17,6 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, scan_body, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
 
-_SAME = 1e-6  # columns; rounding is less
 _DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
 
 
@@ -37,9 +36,8 @@ def terrain_obstacle(
     InputError: an argument is of another kind.
     """
     check_kind(terrain, Terrain, key="terrain")
-    heights, width = terrain.surface, terrain.high - terrain.low
-    size = (float(width[0]), float(width[1]))
-    place = pin.SE3(np.eye(3), np.array([*(0.5 * (terrain.low + terrain.high)), 0.0]))
+    heights, spec = terrain.surface, _height_map(name, terrain.low, terrain.high)
+    size, place = spec.size, spec.placement
     cluster = None if before is None else check_kind(before, Obstacle, key="before").cluster
     if (
         cluster is not None
@@ -50,9 +48,6 @@ def terrain_obstacle(
         body = Cluster(cluster.solid.with_heights(heights), place)
     else:
         body = terrain_body(heights, size, place)
-    spec = obstacle_shapes.HeightMap(
-        name=name, shape="heightmap", file="", size=size, position=tuple(place.translation.tolist())
-    )
     return _unmoved(spec, body, clearance, None if links is None else tuple(links))
 
 
@@ -87,10 +82,18 @@ def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clea
     low, high: (2,) least and greatest x, y of the area to be covered [m].
     clearance: distance to be kept from the boxes [m].
     """
+    (west, south), (east, north) = ground.low.tolist(), ground.high.tolist()
+    least, most = np.minimum(low, ground.low), np.maximum(high, ground.high)
+    sides = {
+        "west": (least, (west, most[1])), "east": ((east, least[1]), most),
+        "south": ((west, least[1]), (east, south)), "north": ((west, north), (east, most[1])),
+    }  # fmt: skip
     found = []
-    for name, (start, end) in _sides(ground, low, high).items():
-        length, width = (end - start).tolist()
-        x, y = (0.5 * (end + start)).tolist()
+    for name, (start, end) in sides.items():
+        length, width = (np.asarray(end, dtype=float) - np.asarray(start, dtype=float)).tolist()
+        if min(length, width) <= ground.cell:
+            continue
+        x, y = (0.5 * (np.asarray(end, dtype=float) + np.asarray(start, dtype=float))).tolist()
         size, place = (length, width, _DEEP), (x, y, level - 0.5 * _DEEP)
         title = f"the ground {name} of what is known"
         box = shapes.box(np.array(size), pin.SE3(np.eye(3), np.array(place)))
@@ -102,7 +105,7 @@ def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clea
 def ground_beyond(
     ground: Terrain, beyond: HeightGrid | None, low: Vector, high: Vector, clearance: float
 ) -> tuple[Obstacle, ...]:
-    """The ground of a file beyond the grid of a terrain, on its sides; empty if the file goes no further.
+    """The ground of a file beyond the grid of a terrain, as one obstacle; empty if the file goes no further.
 
     Parameters
     ----------
@@ -112,33 +115,26 @@ def ground_beyond(
     """
     if beyond is None:
         return ()
-    found, last = [], np.array(beyond.z.shape[::-1]) - 1
-    for name, ends in _sides(ground, np.maximum(low, beyond.low), np.minimum(high, beyond.high)).items():
-        # whole columns that contain the side
-        start, end = ((one - beyond.low) / beyond.cell for one in ends)
-        first = np.clip(np.floor(start + _SAME), 0, last).astype(int)
-        end = np.clip(np.ceil(end - _SAME), 0, last).astype(int)
-        z = beyond.z[first[1] : end[1] + 1, first[0] : end[0] + 1]
-        size = tuple((beyond.cell * (end - first)).tolist())
-        place = pin.SE3(np.eye(3), np.array([*(beyond.low + 0.5 * beyond.cell * (first + end)), 0.0]))
-        title = f"the ground {name} of what is modelled"
-        spec = obstacle_shapes.HeightMap(
-            name=title, shape="heightmap", file="", size=size, position=tuple(place.translation.tolist())
-        )
-        found.append(_unmoved(spec, terrain_body(z, size, place), clearance))
-    return tuple(found)
+    # whole columns, counted from the first
+    area = np.stack((np.minimum(low, ground.low), np.maximum(high, ground.high))) - beyond.low
+    first, last = np.clip(np.round(area / beyond.cell), 0, np.array(beyond.z.shape[::-1]) - 1).astype(int)
+    z = beyond.z[first[1] : last[1] + 1, first[0] : last[0] + 1].copy()
+    inner = np.round((np.stack((ground.low, ground.high)) - beyond.low) / beyond.cell).astype(int) - first
+    (west, south), (east, north) = inner.tolist()
+    if z.shape == (north - south + 1, east - west + 1):
+        return ()
+    # the terrain is an obstacle of its own: within its border, this one is deeper than any arm reaches
+    z[south + 1 : north, west + 1 : east] = z.min() - _DEEP
+    ends = beyond.low + beyond.cell * np.stack((first, last))
+    spec = _height_map("the ground beyond what is modelled", *ends)
+    return (_unmoved(spec, terrain_body(z, spec.size, spec.placement), clearance),)
 
 
-def _sides(ground: Terrain, low: Vector, high: Vector) -> dict[str, tuple[Vector, Vector]]:
-    """Name, and least and greatest x, y (2,) [m], of the rectangles that cover an area beyond the grid of a terrain."""
-    (west, south), (east, north) = ground.low.tolist(), ground.high.tolist()
-    (left, down), (right, up) = np.minimum(low, ground.low).tolist(), np.maximum(high, ground.high).tolist()
-    sides = {
-        "west": ((left, down), (west, up)), "east": ((east, down), (right, up)),
-        "south": ((west, down), (east, south)), "north": ((west, north), (east, up)),
-    }  # fmt: skip
-    found = {name: (np.array(start), np.array(end)) for name, (start, end) in sides.items()}
-    return {name: (start, end) for name, (start, end) in found.items() if (end - start).min() > ground.cell}
+def _height_map(name: str, low: Vector, high: Vector) -> obstacle_shapes.HeightMap:
+    """Heights in memory, from the first x, y (2,) to the last [m]."""
+    x, y = (0.5 * (low + high)).tolist()
+    size = (float(high[0] - low[0]), float(high[1] - low[1]))
+    return obstacle_shapes.HeightMap(name=name, shape="heightmap", file="", size=size, position=(x, y, 0.0))
 
 
 def _unmoved(

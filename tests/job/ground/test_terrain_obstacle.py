@@ -126,16 +126,18 @@ def test_the_ground_of_a_file_beyond_the_modelled_ground_is_an_obstacle(name: st
     ground = {"file": name, "low": low, "high": [4.4, high[1]], "cell": cell}
     site = build_worksite(job_from_dict(TINY | {"ground": ground}, folder=tmp_path))
     assert site.ground.surface.max() == 0.0
-    (east,) = (one for one in site.problem.obstacles if "of what is modelled" in one.name)
-    assert east.name == "the ground east of what is modelled"
-    assert east.clearance == TINY["site"]["clearance"]
-    assert east.cluster is not None
+    (beyond,) = (one for one in site.problem.obstacles if "modelled" in one.name)
+    assert beyond.name == "the ground beyond what is modelled"
+    assert beyond.clearance == TINY["site"]["clearance"]
+    assert beyond.cluster is not None
     ball = shapes.capsule(0.1, 0.0, pin.SE3.Identity())
-    before = 0.4 / np.hypot(3.0, 0.1) - 0.1  # from the middle at x 4.5, z 1 to the slope from 4.6, 0 to 4.7, 3
-    for place, distance in (((4.5, 0.0, 1.0), before), ((5.0, -2.0, 4.0), 0.9), ((4.45, -4.4, 0.12), 0.02)):
-        reading = east.cluster.measure(ball, pin.SE3(np.eye(3), np.array(place)))
+    slope = 0.4 / np.hypot(3.0, 0.1) - 0.1  # from x 4.5, z 1 to the line from 4.6, 0 to 4.7, 3
+    within = 0.9 - 0.1 / 20.0 - 0.1  # to the border at x 4.4, z 0, below which it falls by 20 m in a column
+    places = [(4.5, 0.0, 1.0), (5.0, -2.0, 4.0), (4.45, -4.4, 0.12), (3.5, 0.0, -1.0)]
+    for place, distance in zip(places, (slope, 0.9, 0.02, within), strict=True):
+        reading = beyond.cluster.measure(ball, pin.SE3(np.eye(3), np.array(place)))
         assert reading is not None
-        assert reading.distance == pytest.approx(distance, abs=1e-6)
+        assert reading.distance == pytest.approx(distance, abs=1e-4)
     # where the file goes no further, there is none
     whole = build_worksite(job_from_dict(TINY | {"ground": ground | {"high": [9.0, high[1]]}}, folder=tmp_path))
-    assert not [one for one in whole.problem.obstacles if "of what is modelled" in one.name]
+    assert not [one for one in whole.problem.obstacles if "modelled" in one.name]
