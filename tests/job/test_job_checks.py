@@ -69,6 +69,14 @@ def test_impossible_values_in_a_job_are_refused_naming_the_key(keys: dict[str, A
         small_job(**keys)
 
 
+def test_a_trench_below_a_cable_is_refused_with_the_advice_to_move_the_cable() -> None:
+    """It hangs 0.3 m above the whole trench, so that no place of the machine on its line helps."""
+    cable = {"name": "cable", "shape": "capsule", "from": [3.0, 0.0, 0.3], "to": [4.6, 0.0, 0.3], "radius": 0.03}
+    said = r"cannot be dug anywhere; found protected: cable \(the teeth must not touch cable: move it"
+    with pytest.raises(bp.SceneError, match=said):
+        plan_job(small_job(site={"obstacles": [cable]}, dig=trench(depth=0.5)))
+
+
 def test_a_design_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "surface.csv"
     np.savetxt(file, np.full((7, 11), -0.3), delimiter=",")

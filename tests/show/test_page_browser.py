@@ -258,6 +258,13 @@ def test_the_page_plays_and_its_switches_work(backhoe: Robot, tab: Tab, tmp_path
     assert row.inner_text().endswith(" m")
     assert tab.ask(f"[{late}.scale.x, {late}.position.x]") == pytest.approx([1.0, 1.0], abs=0.02)
 
+    # the longest name that a thing on a job's ground has
+    tab.ask("document.getElementById('names').append(document.createElement('span'))")
+    label = "document.querySelector('#names span:last-child')"
+    tab.ask(f"{label}.textContent = 'what stands at x -12.8, y -12.7 m'")
+    assert tab.ask(f"{label}.scrollWidth <= {label}.clientWidth")
+    tab.ask(f"{label}.remove()")
+
     assert not tab.page.locator(".dg.main").is_visible()
     tab.page.locator("#tree").click()
     assert tab.page.locator(".dg.main").is_visible()

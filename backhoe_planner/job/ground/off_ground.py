@@ -27,8 +27,28 @@ _STEEPEST = 1.0  # m per m: ridges of soil are not steeper on both sides; it com
 BEYOND = 10.0  # m beyond the modelled ground where ground and things are kept, too: further than an arm reaches; chosen
 _COARSEST = 0.4  # m, edge of the voxels of a sparse cloud; chosen: thicker ones keep a bucket from free ground
 _OFF_BORDER = 1e-6  # m: rounding puts points on the border of two voxels into either
-_BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
+_BESIDE = (1, 2)  # columns on each side that show that a point is stray; the second for clouds with holes, chosen
+_KNOWN_BESIDE = 5  # known columns among them that are needed; chosen, most of eight
+SMALL_THINGS = "what else stands on the ground"
 _OWN_NAMES = 5  # of the largest things; chosen: each is measured by itself
+
+
+@dataclass(frozen=True, eq=False)
+class PartedPoints:
+    """Points of a cloud, parted into those of the ground and others.
+
+    Attributes
+    ----------
+    off: (n,) which stand on the ground, or hang above it.
+    stray: (n,) which are far below it, by an error of the scanner.
+    ground: on a grid and up to 10 m around it, by its lowest points, without holes unless nothing is known of it.
+    part: the rows and columns of the grid in that.
+    """
+
+    off: Flags
+    stray: Flags
+    ground: HeightGrid
+    part: tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +98,7 @@ class OffGround:
             name = f"what stands at x {x:.1f}, y {y:.1f} m"
             found[name if name not in found else f"{name} ({one})"] = own
         if len(order) > _OWN_NAMES:
-            found["what else stands on the ground"] = self.keys[np.isin(number, order[_OWN_NAMES:])]
+            found[SMALL_THINGS] = self.keys[np.isin(number, order[_OWN_NAMES:])]
         return tuple(found.items())
 
     @property
@@ -162,18 +182,12 @@ def describe(points: Matrix, ground: HeightGrid, off: OffGround) -> str:
     )
 
 
-def off_the_ground(
-    points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None
-) -> tuple[Flags, HeightGrid, tuple[slice, slice]]:
-    """(n,) which points (n, 3) [m] stand on the ground, on the grid or near it, and that ground.
-
-    Returns
-    -------
-    Beside the flags: the ground on the grid and up to 10 m around it, without holes unless nothing is known of it,
-    and the rows and columns of the grid in it.
+def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None) -> PartedPoints:
+    """Tell what stands on the ground from the ground.
 
     Parameters
     ----------
+    points: (n, 3) [m].
     grid: the columns of the ground.
     roughness: height above the ground up to which a point belongs to it [m].
     known: (rows, columns) heights of the ground at an earlier time [m]: nothing stands on what is below them.
@@ -181,15 +195,17 @@ def off_the_ground(
     wide, part = widened(grid, points[:, :2].min(axis=0), points[:, :2].max(axis=0), BEYOND)
     near, index = columns_of(points, wide)
     lowest = column_lowest(points, wide)
+    off, stray = np.zeros((2, len(points)), dtype=bool)
     if not np.isfinite(lowest).any():
-        return np.zeros(len(points), dtype=bool), wide, part
-    wide = replace(wide, z=_ground_of(lowest, wide.cell, roughness))
-    reference = _highest_around(wide.z)
+        return PartedPoints(off, stray, wide, part)
+    ground, is_stray = _ground_of(lowest, wide.cell, roughness)
+    reference = _highest_around(ground)
     if known is not None:
         reference[part] = np.maximum(reference[part], _highest_around(known))
-    found = np.zeros(len(points), dtype=bool)
-    found[near] = points[near, 2] > reference.ravel()[index] + roughness
-    return found, wide, part
+    z = points[near, 2]
+    off[near] = z > reference.ravel()[index] + roughness
+    stray[near] = is_stray.ravel()[index] & (z < ground.ravel()[index] - roughness)
+    return PartedPoints(off, stray, replace(wide, z=ground), part)
 
 
 def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
@@ -212,16 +228,25 @@ def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
     return np.column_stack((places, np.repeat(ground.z[reached], counts) + level * ground.cell))
 
 
-def _ground_of(lowest: Matrix, cell: float, roughness: float) -> Matrix:
-    """(rows, columns) the ground [m] in columns with those lowest points (NaN without): that around what hides it."""
-    from scipy.ndimage import grey_opening, minimum_filter
+def _ground_of(lowest: Matrix, cell: float, roughness: float) -> tuple[Matrix, Flags]:
+    """(rows, columns) the ground [m] in columns with those lowest points (NaN without): that around what hides it.
+
+    And (rows, columns) whose lowest point is a stray one below the ground.
+    """
+    from scipy.ndimage import convolve, grey_opening, minimum_filter
 
     unknown = np.isnan(lowest)
+    is_stray = np.zeros(lowest.shape, dtype=bool)
+    for half in _BESIDE:
+        # scanners put stray points below the ground: a column far below all known ones around it has one
+        around = np.ones((2 * half + 1, 2 * half + 1), dtype=int)
+        around[half, half] = 0
+        beside = minimum_filter(np.where(unknown, np.inf, lowest), footprint=around, mode="constant", cval=np.inf)
+        known = convolve((~unknown).astype(int), around, mode="constant")
+        found = (lowest < beside - roughness - _STEEPEST * half * cell) & (known >= _KNOWN_BESIDE)
+        lowest = np.where(found, beside, lowest)
+        is_stray |= found
     filled = from_nearest(lowest, unknown)
-    # scanners put stray points below the ground: a column far below each of the eight around it has one
-    beside = minimum_filter(filled, footprint=_BESIDE, mode="nearest")
-    filled = np.where(filled < beside - roughness - _STEEPEST * cell, beside, filled)
-    lowest = np.where(unknown, np.nan, filled)
     hidden = np.zeros(lowest.shape, dtype=bool)
     surface, before = filled, 0
     steps = np.arange(_STEP, 0.5 * _WIDEST + 1e-9, _STEP)
@@ -230,8 +255,8 @@ def _ground_of(lowest: Matrix, cell: float, roughness: float) -> Matrix:
         hidden |= surface - opened > roughness + _STEEPEST * (half - before) * cell
         surface, before = opened, half
     if hidden.all():
-        return filled
-    return from_nearest(lowest, np.isnan(lowest) | hidden)
+        return filled, is_stray
+    return from_nearest(lowest, np.isnan(lowest) | hidden), is_stray
 
 
 def _highest_around(heights: Matrix) -> Matrix:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.found_file import is_file
 from backhoe_planner.job.ground.grids import (
@@ -26,7 +26,7 @@ from backhoe_planner.job.ground.grids import (
     resampled,
     widened,
 )
-from backhoe_planner.job.ground.off_ground import BEYOND, OffGround, below, describe, off_the_ground, voxels_of
+from backhoe_planner.job.ground.off_ground import BEYOND, OffGround, below, describe, part_points, voxels_of
 from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import read_height_grid, read_points
 
@@ -103,16 +103,20 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     known: (rows, columns) the ground at an earlier time [m]. Where things hide the ground it is taken as it was then,
         otherwise between the columns around them.
     """
-    off, wide, part = off_the_ground(points, grid, roughness, known)
-    means = column_means(points[~off], wide)
-    below_things = np.isin(np.arange(wide.z.size), columns_of(points[off], wide)[1]).reshape(wide.z.shape)
-    beyond = _further(replace(wide, z=np.where(below_things | np.isnan(means.z), wide.z, means.z)), grid)
-    heights = replace(grid, z=means.z[part])
+    parted = part_points(points, grid, roughness, known)
+    off, wide, part = parted.off, parted.ground, parted.part
+    own = points[~(off | parted.stray)]
+    means = column_means(own, wide).z
+    # where there is a stray point alone, the ground is that around it
+    means = np.where(np.isnan(means) & _columns_with(points[parted.stray], wide), wide.z, means)
+    with_things = _columns_with(points[off], wide)
+    beyond = _further(replace(wide, z=np.where(with_things | np.isnan(means), wide.z, means)), grid)
+    heights = replace(grid, z=means[part])
     if not off.any():
         return Survey(heights, beyond=beyond)
-    under, ground = below_things[part], wide.z[part]
+    under, ground = with_things[part], wide.z[part]
     # the lower part of a wall counts as ground, but does not raise it, nor does a stray point below lower it
-    lowest = column_lowest(points[~off], grid)
+    lowest = column_lowest(own, grid)
     lowest = np.where(lowest < ground - roughness, ground, lowest)
     heights = replace(heights, z=np.where(under, lowest, heights.z))
     hidden = under & np.isnan(heights.z)
@@ -120,6 +124,11 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     heights = replace(heights, z=np.where(hidden, there, heights.z))
     stands = voxels_of(np.vstack((points[off], below(points[off], heights, hidden))), grid.cell)
     return Survey(heights, stands, describe(points[off], heights, stands), beyond)
+
+
+def _columns_with(points: Matrix, grid: HeightGrid) -> Flags:
+    """(rows, columns) of a grid in which there is one of the points (n, 3) [m]."""
+    return np.isin(np.arange(grid.z.size), columns_of(points, grid)[1]).reshape(grid.z.shape)
 
 
 def _further(wide: HeightGrid, grid: HeightGrid) -> HeightGrid | None:

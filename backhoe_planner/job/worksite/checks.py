@@ -9,6 +9,8 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import SceneError
+from backhoe_planner.job.ground.obstacle import off_ground_obstacles
+from backhoe_planner.job.ground.off_ground import SMALL_THINGS, OffGround
 from backhoe_planner.job.worksite.lanes import Lane, passes_beside
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import angles_in_degrees
@@ -71,7 +73,7 @@ def check_place(site: Worksite) -> None:
         base = site.robot.base
         raise SceneError(
             f"puts {found.link} of the machine into {found.obstacle}", file=site.job.file, key="site.base",
-            found=f"position {list(base.position)}, heading {base.heading:g}",
+            found=f"position {list(base.position)}, heading {base.heading:g}{_point_in_the_way(site, found.obstacle)}",
             allowed="a place where no part of the machine that does not move overlaps what stands on the ground",
             hint="leave out the points of the machine itself; `backhoe-planner stand` finds a place",
         )  # fmt: skip
@@ -82,6 +84,20 @@ def in_its_place(site: Worksite) -> InTheWay | None:
     stands = site.ground.off_ground
     names = {name for name, _ in stands.things} if stands is not None else set()
     return stands_in(site.robot, [one for one in site.problem.obstacles if one.name in names])
+
+
+def _point_in_the_way(site: Worksite, name: str) -> str:
+    """Where fixed parts of the machine are in small things, whose name does not say it, in words; empty for others."""
+    stands = site.ground.off_ground
+    assert stands is not None
+    if name != SMALL_THINGS:
+        return ""
+    for key in dict(stands.things)[name]:
+        voxel = OffGround(stands.edge, key[None])
+        if stands_in(site.robot, off_ground_obstacles(voxel, 0.0)) is not None:
+            x, y, z = voxel.centres[0].tolist()
+            return f"; in its way at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
+    return ""
 
 
 def _check_width(site: Worksite) -> None:
@@ -170,7 +186,7 @@ def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
         key="dig.trench.depth" if trench is not None else "dig.surface",
         found=f"{trench.depth:g} m below the ground at `from`" if trench is not None else found,
         allowed=f"about {trench.depth - least:.2f} m where they reach deepest" if trench is not None else None,
-        hint="stand nearer, or dig less deep",
+        hint=_move_what_protects(lanes) or "stand nearer, or dig less deep",
     )  # fmt: skip
 
 
@@ -208,7 +224,7 @@ def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
     if len(reached) == 0:
         raise SceneError(
             "cannot be dug anywhere", file=job.file, key="dig.trench",
-            found=_causes(lanes[:1]) or "out of reach", hint=_from_where(site, asked),
+            found=_causes(lanes[:1]) or "out of reach", hint=_move_what_protects(lanes[:1]) or _from_where(site, asked),
         )  # fmt: skip
     beyond = out[(out > reached.max()) | (out < reached.min())]
     if len(beyond) and float(np.ptp(beyond)) > 0.1:
@@ -225,6 +241,13 @@ def _causes(lanes: Sequence[Lane]) -> str:
     """What holds the teeth up in some lanes, in words; empty if nothing does."""
     kinds = sorted({lane.causes[int(index)] for lane in lanes for index in lane.cause if index > 0})
     return "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
+
+
+def _move_what_protects(lanes: Sequence[Lane]) -> str:
+    """The advice to move what must not be touched and holds the teeth up in some lanes; empty if nothing does."""
+    kinds = {lane.causes[int(index)] for lane in lanes for index in lane.cause if index > 0}
+    names = ", ".join(sorted(name for kind, name in kinds if kind == "protected"))
+    return f"the teeth must not touch {names}: move it, or reduce its clearance; or stand elsewhere" if names else ""
 
 
 def _is_out(lane: Lane) -> Flags:

@@ -26,6 +26,8 @@ from backhoe_planner.job import (
     plan_job,
     read_ground,
 )
+from backhoe_planner.job.ground.grids import empty_grid
+from backhoe_planner.job.ground.surveys import split
 from backhoe_planner.job.worksite.checks import check_place
 from backhoe_planner.site import read_points
 
@@ -108,8 +110,17 @@ def test_stray_points_below_the_ground_do_not_turn_it_into_a_thing() -> None:
     assert {tuple(key) for key in found.off_ground.keys.tolist()} == {
         tuple(key) for key in np.floor(stands / CELL).astype(int).tolist()
     }
-    assert found.surface[10, 20] == 0.0
-    assert ground_of(np.vstack((LEVEL, stray))).off_ground is None
+    assert np.all(found.surface == 0.0)
+    # a third of the columns has no point, and some have a stray one alone
+    seen = np.random.default_rng(8).random(len(LEVEL)) < 0.67
+    sparse = split(np.vstack((LEVEL[seen], stray)), empty_grid(LOW, HIGH, CELL), 0.15)
+    assert sparse.off_ground is None
+    known = np.isfinite(sparse.heights.z)
+    assert 0.6 < known.mean() < 0.75
+    assert np.all(sparse.heights.z[known] == 0.0)
+    # a pit of 2 x 2 columns is no stray point
+    pit = LEVEL - [[0.0, 0.0, 1.0]] * np.isin(np.arange(len(LEVEL)), [900, 901, 961, 962])[:, None]
+    assert np.count_nonzero(ground_of(pit).surface == -1.0) == 4
 
 
 def test_a_warning_says_how_many_columns_have_something_on_them(tmp_path: Path) -> None:
@@ -263,6 +274,13 @@ def test_a_machine_that_stands_in_what_the_cloud_contains_is_refused(tmp_path: P
     """A wall of 1.5 m goes through the tractor; a kerb of 0.2 m is under it."""
     with pytest.raises(SceneError, match=r"site\.base: puts chassis of the machine into what stands at x -1\.5, y"):
         plan_job(walled_job(tmp_path, through_the_tractor(1.5)))
+    # the sixth largest thing has no place in its name, so that the message gives that of its voxel of 0.1 m
+    posts = np.vstack([upright((x, x), -4.0, 1.0, 0.1) for x in (0.8, 1.8, 2.8, 3.8, 4.8)])
+    speck = [[-1.52, 0.02, 1.02]]
+    with pytest.raises(
+        SceneError, match=r"into what else stands on the ground.*in its way at x -1\.55, y 0\.05, z 1\.05"
+    ):
+        plan_job(walled_job(tmp_path, np.vstack((posts, speck))))
     site = build_worksite(walled_job(tmp_path, through_the_tractor(0.2)))
     assert site.ground.off_ground is not None
     check_place(site)
