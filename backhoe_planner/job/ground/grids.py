@@ -103,7 +103,10 @@ def check_counts(shape: tuple[int, ...], *, key: str) -> None:
     if min(shape) < 2:
         raise InputError("holds less than 2 x 2 columns", key=key, found=str(shape))
     if math.prod(shape) > MOST_COLUMNS:
-        raise InputError("has too many columns", key=key, found=f"{math.prod(shape)}", allowed=f"{MOST_COLUMNS}")
+        raise InputError(
+            "has too many columns", key=key, found=f"{math.prod(shape)}", allowed=f"{MOST_COLUMNS}",
+            hint="a larger cell, or less ground from low to high; coordinates are metres",
+        )  # fmt: skip
 
 
 def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
@@ -195,8 +198,12 @@ def from_nearest(values: Matrix, missing: Flags) -> Matrix:
     return np.asarray(values[tuple(nearest)])
 
 
-def refuse_holes(grid: HeightGrid, file: Path | None) -> None:
+def refuse_holes(grid: HeightGrid, file: Path | None, *, before: HeightGrid) -> None:
     """Check that every column of a grid has a height.
+
+    Parameters
+    ----------
+    before: the grid before holes were filled.
 
     Raises
     ------
@@ -206,8 +213,14 @@ def refuse_holes(grid: HeightGrid, file: Path | None) -> None:
     if holes.any():
         row, column = np.argwhere(holes)[0].tolist()
         x, y = (grid.low + grid.cell * np.array([column, row])).tolist()
+        hint = "give a rectangle without holes by low and high"
+        if not holes.all():
+            from scipy.ndimage import distance_transform_edt
+
+            furthest = float(distance_transform_edt(np.isnan(before.z)).max()) * grid.cell
+            hint += f", or fill: holes are up to {math.ceil(100.0 * furthest - 1e-6) / 100.0:g} m from a known column"
         raise InputError(
             "a height is missing", file=file, key=f"row {row + 1}, column {column + 1} (x {x:.2f} m, y {y:.2f} m)",
             found=f"{int(holes.sum())} of {holes.size} columns without a height",
-            hint="give a rectangle without holes, or fill: how far they may be filled from known columns [m]",
+            hint=hint,
         )  # fmt: skip

@@ -89,7 +89,16 @@ def _of_cloud(
     low, high = ends
     start = points[:, :2].min(axis=0) if low is None else low
     end = points[:, :2].max(axis=0) if high is None else high
-    return split(points, empty_grid(start, end, CELL if cell is None else cell), roughness)
+    grid = empty_grid(start, end, CELL if cell is None else cell)
+    if not columns_of(points, grid)[0].any():
+        (west, south, _), (east, north, _) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        raise InputError(
+            "has no point on the ground that is modelled", file=file,
+            found=f"points from x {west:g}, y {south:g} to x {east:g}, y {north:g} m",
+            allowed=f"points between low {grid.low.tolist()} and high {np.round(grid.high, 6).tolist()}",
+            hint="coordinates are metres, z is up, and map_origin is the point of the file that is the site's origin",
+        )  # fmt: skip
+    return split(points, grid, roughness)
 
 
 def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None) -> Survey:

@@ -264,7 +264,7 @@ def terrain_of(
     InputError: a column is left without a height, or an argument is not such a number; says where.
     """
     heights = filled(survey.heights, as_number(fill, key="fill", least=0.0))
-    refuse_holes(heights, file)
+    refuse_holes(heights, file, before=survey.heights)
     zero = np.zeros_like(heights.z)
     return Terrain(heights.low, heights.cell, heights.z, zero, _soil(soil), swell, repose, survey.off_ground)
 

@@ -87,6 +87,16 @@ def test_ground_in_map_coordinates_is_moved_by_its_map_origin(tmp_path: Path) ->
         Terrain.from_file(tmp_path / "ground.csv", low=(0.0, 0.0), cell=0.5, map_origin=MAP)
 
 
+def test_a_cloud_that_lies_elsewhere_is_refused_with_its_place(tmp_path: Path) -> None:
+    """Points over 3 m x 2 m, in millimetres."""
+    points = np.column_stack((nodes((0.0, 0.0), (5, 7), 0.5).reshape(-1, 2), np.zeros(35)))
+    np.savetxt(tmp_path / "ground.xyz", 1000.0 * points, fmt="%.1f")
+    with pytest.raises(InputError, match=r"no point on .*from x 0, y 0 to x 3000, y 2000 m; .*coordinates are metres"):
+        Terrain.from_file(tmp_path / "ground.xyz", low=(1.0, 0.5), high=(2.0, 1.5), cell=0.5)
+    with pytest.raises(InputError, match=r"too many columns; .*coordinates are metres"):
+        Terrain.from_file(tmp_path / "ground.xyz")
+
+
 def test_a_geotiff_places_its_heights(tmp_path: Path) -> None:
     # pixels are areas: the north-west corner is half a cell off the first height
     low, counts = (500_001.0, 4_100_003.0), (5, 7)
@@ -238,11 +248,16 @@ def test_holes_in_the_ground_are_named_or_filled(tmp_path: Path) -> None:
     file.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(InputError) as caught:
         Terrain.from_file(file, low=(2.0, 1.0), cell=0.1)
-    for part in (str(file), "row 9, column 11 (x 3.00 m, y 1.80 m)", "12 of 651 columns", "fill"):
+    for part in (
+        str(file),
+        "row 9, column 11 (x 3.00 m, y 1.80 m)",
+        "12 of 651 columns",
+        "fill: holes are up to 0.2 m from",
+    ):
         assert part in str(caught.value)
     with pytest.raises(InputError, match="a height is missing"):  # the middle of the hole is two columns from its rim
         Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.15)
-    found = Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.25)
+    found = Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.2)
     np.testing.assert_allclose(found.surface, heights, atol=1e-9)
     for keys, missing in (({"cell": 0.1}, "low"), ({"low": (0.0, 0.0)}, "cell")):
         with pytest.raises(InputError, match=f"{missing}: does not say where its heights lie"):
