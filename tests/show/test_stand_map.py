@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import label
-from small_jobs import small_job
+from small_jobs import small_job, tiny_plan
 
 import backhoe_planner as bp
+from backhoe_planner.job import OffGround
 from backhoe_planner.machine import Base
 from backhoe_planner.show import plot_stand, write_stand_page
-from backhoe_planner.standing import SiteMap, Spot
+from backhoe_planner.standing import Place, SiteMap, Spot
 
 SHADES = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear, a quarter of the range apart
 COSTS = [10.0, 11.0, 12.25, 13.0, 14.5, 15.0, 16.75, 17.0, 18.0, 19.0, 25.0]
@@ -155,3 +157,20 @@ def test_the_picture_has_every_place_at_its_position(plan: bp.StandPlan, tmp_pat
         moved = middle(SHADES[AT[cost]]) - middle(SHADES[AT[four]])
         assert moved == pytest.approx(metre * (where[cost] - where[four]), abs=1.5)
     assert middle(EDGE) - middle(SHADES[3]) == pytest.approx(metre * np.array([0.0, 2.0]), abs=1.5)
+
+
+def test_what_stands_on_the_ground_of_a_cloud_is_on_the_map(plan: bp.StandPlan, tmp_path: Path) -> None:
+    """Two walls of 2 m at a right angle, 0.1 m thick and 0.4 m high: 39 columns of 0.1 m."""
+    columns = [(x, -14) for x in range(20, 40)] + [(20, y) for y in range(-13, 6)]
+    stands = OffGround(0.1, np.array([(*one, z) for one in columns for z in range(4)]))
+    first = tiny_plan()
+    placed = replace(first, start=replace(first.start, off_ground=stands))
+    places = (Place(Base((0.0, 0.0), 0.0), placed),)
+    write_stand_page(replace(plan, job=small_job(site={}), places=places), tmp_path / "stand.html")
+    text = (tmp_path / "stand.html").read_text()
+    drawn = [np.array(POINT.findall(one), dtype=float) * [1.0, -1.0]
+             for one in re.findall(r'<polygon class="obstacle" points="([^"]*)"', text)]  # fmt: skip
+    assert sum(np.prod(np.ptp(one, axis=0)) for one in drawn) == pytest.approx(0.39)
+    every = np.vstack(drawn)
+    np.testing.assert_allclose([every.min(axis=0), every.max(axis=0)], [[2.0, -1.4], [4.0, 0.6]], atol=1e-9)
+    assert "</i>stands on the ground</li>" in text

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.job import Terrain, off_ground_obstacles
-from backhoe_planner.machine import Base
+from backhoe_planner.job import Terrain
+from backhoe_planner.machine import Base, voxel_boxes
 from backhoe_planner.site import Obstacle, build_obstacles
 from backhoe_planner.standing import Place, Spot, StandPlan
 
@@ -22,6 +21,7 @@ WHY = {  # why a machine cannot stand somewhere: a colour and words; places out 
     "ground": ("#d8d8cf", "not level there, or not known"),
 }
 DIG, OBSTACLE, HEAP, MACHINE, GIVEN = "#8a6a4a", "#7d8894", "#b99b6b", "#1d2731", "#5d6b78"
+THINGS = "stands on the ground"  # the words for what a cloud shows
 WHOLE = 0.98  # part of the soil from which a place counts as reaching all of it; as in the search
 _LAID = 0.05  # m of loose soil from which it is drawn as a heap
 _DEAREST = 0.9  # of the costs in order: the most expensive tenth has one colour, so that a few do not stretch the scale
@@ -68,6 +68,7 @@ class Sketch:
     cells: places that get a colour.
     digs: outlines of what is dug, section by section.
     obstacles: names and outlines of the obstacles.
+    things: outlines of what stands on the ground of a cloud.
     heaps: outlines of the heaps at the end; for trucks, of their beds.
     machines: machines at the places of the answer.
     given: machine at the place of the job file; None if that is the answer.
@@ -79,6 +80,7 @@ class Sketch:
     cells: tuple[Cell, ...]
     digs: tuple[Matrix, ...]
     obstacles: tuple[tuple[str, Matrix], ...]
+    things: tuple[Matrix, ...]
     heaps: tuple[Matrix, ...]
     machines: tuple[Machine, ...]
     given: Machine | None
@@ -105,7 +107,6 @@ def sketch_of(plan: StandPlan) -> Sketch:
     own = None if is_answer else Machine(_outlines(plan, base), np.array(base.position), _middle(plan.map.outline), "")
     digs = tuple(_section(place) for place in plan.places if place.section is not None) or (found.outline,)
     heaps = _heaps(plan)
-    robot_obstacles = _obstacles(plan)
     drawn = [found.outline, *digs, *heaps, *(outline for one in (*machines, own) if one for outline in one.outlines)]
     drawn += [cell.corners for cell in cells if np.isfinite(cell.spot.cost)]
     every = np.vstack(drawn)
@@ -114,7 +115,7 @@ def sketch_of(plan: StandPlan) -> Sketch:
     limits = (float(costs[0]), float(costs[int(_DEAREST * (len(costs) - 1))])) if len(costs) else (0.0, 1.0)
     time = plan.job.objective == "time"
     return Sketch(
-        cells, digs, robot_obstacles, heaps, machines, own, low, high, limits,
+        cells, digs, _obstacles(plan), _things(plan), heaps, machines, own, low, high, limits,
         "s/m³" if time else "kJ/m³", 1.0 if time else 1e-3,
     )  # fmt: skip
 
@@ -197,16 +198,24 @@ def _laid(ground: Terrain) -> tuple[Matrix, ...]:
 
 def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
     """Names and outlines of the obstacles that have an outline from above."""
-    robot: Any = plan.places[0].plan.robot if plan.places else None
-    if robot is None:
+    if not plan.places:
         return ()
     found = []
-    stands = off_ground_obstacles(plan.places[0].plan.start.off_ground, 0.0)
-    for obstacle in (*build_obstacles(plan.job.site_scene, robot), *stands):
+    for obstacle in build_obstacles(plan.job.site_scene, plan.places[0].plan.robot):
         outline = None if obstacle.zone is not None else _outline(obstacle)
         if outline is not None:
             found.append((obstacle.name, outline))
     return tuple(found)
+
+
+def _things(plan: StandPlan) -> tuple[Matrix, ...]:
+    """(4, 2) corners of rectangles [m] that together are the columns in which something stands on the ground."""
+    stands = plan.places[0].plan.start.off_ground if plan.places else None
+    if stands is None:
+        return ()
+    flat = np.column_stack((stands.keys[:, :2] + 0.5, np.full(len(stands.keys), 0.5)))
+    corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return tuple(stands.edge * (centre[:2] + size[:2] * corners) for centre, size in voxel_boxes(flat, 1.0))
 
 
 def _outline(obstacle: Obstacle) -> Matrix | None:

@@ -16,6 +16,7 @@ from backhoe_planner.show.standing.site_sketch import (
     HEAP,
     MACHINE,
     OBSTACLE,
+    THINGS,
     WHOLE,
     WHY,
     Machine,
@@ -80,6 +81,7 @@ def _drawing(sketch: Sketch) -> str:
         )
     parts += [f'<polygon points="{_points(one)}" fill="{HEAP}" fill-opacity=".6"/>' for one in sketch.heaps]
     parts += [f'<polygon class="dig" points="{_points(one)}" fill="{DIG}"/>' for one in sketch.digs]
+    parts += [f'<polygon class="obstacle" points="{_points(one)}" fill="{OBSTACLE}"/>' for one in sketch.things]
     for name, outline in sketch.obstacles:
         parts.append(f'<polygon class="obstacle" points="{_points(outline)}" fill="{OBSTACLE}"/>')
         place = name_place(sketch, outline)
@@ -148,7 +150,7 @@ def _legend(sketch: Sketch) -> str:
     least, most = (f"{sketch.scale * cost:.0f}" for cost in sketch.range)
     seen = {cell.spot.reason for cell in sketch.cells if cell.spot.reason}
     keys = [(shade, words) for reason, (shade, words) in WHY.items() if reason in seen]
-    keys += [(DIG, "dug"), (HEAP, "heap or truck")]
+    keys += [(DIG, "dug"), (HEAP, "heap or truck"), *([(OBSTACLE, THINGS)] if sketch.things else [])]
     if any(cell.spot.share < WHOLE for cell in sketch.cells if math.isfinite(cell.spot.cost)):
         keys.append(("rgba(95,174,123,.35)", "pale: reaches a part only"))
     given = '<li><i class="dashed"></i>the given place</li>' if sketch.given is not None else ""

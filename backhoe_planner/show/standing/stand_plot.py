@@ -15,6 +15,7 @@ from backhoe_planner.show.standing.site_sketch import (
     HEAP,
     MACHINE,
     OBSTACLE,
+    THINGS,
     WHOLE,
     WHY,
     Machine,
@@ -74,8 +75,9 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
         axes.add_patch(Polygon(outline, facecolor=HEAP, edgecolor="none", alpha=0.6, zorder=2))
     for outline in sketch.digs:
         axes.add_patch(Polygon(outline, facecolor=DIG, edgecolor="#4d3a26", linewidth=0.8, alpha=0.85, zorder=3))
-    for name, outline in sketch.obstacles:
+    for outline in (*sketch.things, *(one for _, one in sketch.obstacles)):
         axes.add_patch(Polygon(outline, facecolor=OBSTACLE, edgecolor="none", alpha=0.5, zorder=4))
+    for name, outline in sketch.obstacles:
         place = name_place(sketch, outline)
         if place is not None:
             axes.annotate(plain_text(name), place, fontsize=8, color="#3b4650", ha="center", zorder=7)
@@ -86,6 +88,8 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
     seen = {cell.spot.reason for cell in sketch.cells if cell.spot.reason}
     handles = [Patch(facecolor=shade, label=words) for reason, (shade, words) in WHY.items() if reason in seen]
     handles += [Patch(facecolor=DIG, label="dug"), Patch(facecolor=HEAP, label="heap or truck")]
+    if sketch.things:
+        handles.append(Patch(facecolor=OBSTACLE, alpha=0.5, label=THINGS))
     if any(cell.spot.share < WHOLE for cell in sketch.cells if np.isfinite(cell.spot.cost)):
         handles.append(Patch(facecolor=colour(sketch, sketch.range[0]), alpha=0.35, label="pale: reaches a part only"))
     if sketch.given is not None:
