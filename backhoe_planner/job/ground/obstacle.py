@@ -51,12 +51,15 @@ def terrain_obstacle(
     return _unmoved(spec, body, clearance, None if links is None else tuple(links))
 
 
-def off_ground_obstacles(off_ground: OffGround | None, clearance: float) -> tuple[Obstacle, ...]:
+def off_ground_obstacles(
+    off_ground: OffGround | None, clearance: float, *, within: tuple[Vector, Vector] | None = None
+) -> tuple[Obstacle, ...]:
     """What stands on the ground, one obstacle for each of the largest things; empty if nothing does.
 
     Parameters
     ----------
     clearance: distance to be kept from it [m].
+    within: only of things that reach between these least and greatest x, y (2,) [m]; by default of all.
 
     Raises
     ------
@@ -66,7 +69,7 @@ def off_ground_obstacles(off_ground: OffGround | None, clearance: float) -> tupl
         return ()
     edge = check_kind(off_ground, OffGround, key="off_ground").edge
     found = []
-    for name, keys in off_ground.things:
+    for name, keys in off_ground.things if within is None else off_ground.things_within_unchecked(*within):
         body = scan_body(np.asarray(edge * (keys + 0.5), dtype=float), edge, pin.SE3.Identity())
         spec = obstacle_shapes.PointCloud(name=name, shape="pointcloud", file="", resolution=edge)
         found.append(_unmoved(spec, body, clearance))

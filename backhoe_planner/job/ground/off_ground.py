@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Flags, Matrix, as_number
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.job.ground.grids import HeightGrid, column_lowest, columns_of, from_nearest, widened
 from backhoe_planner.machine import VoxelSolid, voxel_keys
@@ -29,7 +29,6 @@ _COARSEST = 0.4  # m, edge of the voxels of a sparse cloud; chosen: thicker ones
 _OFF_BORDER = 1e-6  # m: rounding puts points on the border of two voxels into either
 _BESIDE = (1, 2)  # columns on each side that show that a point is stray; the second for clouds with holes, chosen
 _KNOWN_BESIDE = 5  # known columns among them that are needed; chosen, most of eight
-SMALL_THINGS = "what else stands on the ground"
 _OWN_NAMES = 5  # of the largest things; chosen: each is measured by itself
 
 
@@ -80,16 +79,26 @@ class OffGround:
         return np.asarray(self.edge * (self.keys + 0.5))
 
     @cached_property
-    def things(self) -> tuple[tuple[str, NDArray[np.int64]], ...]:
-        """Name and voxels (k, 3) of each thing, the largest first; small ones are one, without a place in its name."""
+    def _numbers(self) -> NDArray[np.int64]:
+        """(n,) the number of the thing that each voxel belongs to."""
         from scipy.ndimage import binary_dilation, label
 
         flat = self.keys[:, :2] - self.keys[:, :2].min(axis=0) + 1
         plan = np.zeros(flat.max(axis=0) + 2, dtype=bool)
         plan[tuple(flat.T)] = True
         joined = binary_dilation(plan, np.ones((3, 3), dtype=bool))  # across a gap of up to two voxels
-        number = label(joined, np.ones((3, 3)))[0][tuple(flat.T)]
-        sizes = np.bincount(number)
+        return np.asarray(label(joined, np.ones((3, 3)))[0][tuple(flat.T)])
+
+    @property
+    def things(self) -> tuple[tuple[str, NDArray[np.int64]], ...]:
+        """Name and voxels (k, 3) of each thing, the largest first; small ones are one, without a place in its name."""
+        return self.things_within_unchecked(np.full(2, -np.inf), np.full(2, np.inf))
+
+    def things_within_unchecked(self, low: Vector, high: Vector) -> tuple[tuple[str, NDArray[np.int64]], ...]:
+        """As `things`, of those with a voxel whose middle is between x, y `low` and `high` (2,) [m]."""
+        number, middle = self._numbers, self.centres[:, :2]
+        near = np.all((middle >= low) & (middle <= high), axis=1)
+        sizes = np.where(np.isin(np.arange(number.max() + 1), number[near]), np.bincount(number), 0)
         order = np.argsort(-sizes, kind="stable")[: np.count_nonzero(sizes)].tolist()
         found: dict[str, NDArray[np.int64]] = {}
         for one in order[:_OWN_NAMES]:
@@ -98,7 +107,7 @@ class OffGround:
             name = f"what stands at x {x:.1f}, y {y:.1f} m"
             found[name if name not in found else f"{name} ({one})"] = own
         if len(order) > _OWN_NAMES:
-            found[SMALL_THINGS] = self.keys[np.isin(number, order[_OWN_NAMES:])]
+            found["what else stands on the ground"] = self.keys[np.isin(number, order[_OWN_NAMES:])]
         return tuple(found.items())
 
     @property

@@ -10,9 +10,9 @@ from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import SceneError
 from backhoe_planner.job.ground.obstacle import off_ground_obstacles
-from backhoe_planner.job.ground.off_ground import SMALL_THINGS, OffGround
+from backhoe_planner.job.ground.off_ground import OffGround
 from backhoe_planner.job.worksite.lanes import Lane, passes_beside
-from backhoe_planner.job.worksite.worksite import Worksite
+from backhoe_planner.job.worksite.worksite import Worksite, fixed_corners
 from backhoe_planner.motion import angles_in_degrees
 from backhoe_planner.site import InTheWay, stands_in
 
@@ -73,7 +73,7 @@ def check_place(site: Worksite) -> None:
         base = site.robot.base
         raise SceneError(
             f"puts {found.link} of the machine into {found.obstacle}", file=site.job.file, key="site.base",
-            found=f"position {list(base.position)}, heading {base.heading:g}{_point_in_the_way(site, found.obstacle)}",
+            found=f"position {list(base.position)}, heading {base.heading:g}{_point_in_the_way(site)}",
             allowed="a place where no part of the machine that does not move overlaps what stands on the ground",
             hint="leave out the points of the machine itself; `backhoe-planner stand` finds a place",
         )  # fmt: skip
@@ -81,18 +81,16 @@ def check_place(site: Worksite) -> None:
 
 def in_its_place(site: Worksite) -> InTheWay | None:
     """The first part of the machine that does not move and overlaps what stands on the ground, or None."""
-    stands = site.ground.off_ground
-    names = {name for name, _ in stands.things} if stands is not None else set()
-    return stands_in(site.robot, [one for one in site.problem.obstacles if one.name in names])
+    return stands_in(site.robot, site.things)
 
 
-def _point_in_the_way(site: Worksite, name: str) -> str:
-    """Where fixed parts of the machine are in small things, whose name does not say it, in words; empty for others."""
-    stands = site.ground.off_ground
+def _point_in_the_way(site: Worksite) -> str:
+    """A place where something stands in fixed parts of the machine, in words; empty if that takes several voxels."""
+    stands, corners = site.ground.off_ground, fixed_corners(site.robot)
     assert stands is not None
-    if name != SMALL_THINGS:
-        return ""
-    for key in dict(stands.things)[name]:
+    middle = stands.centres[:, :2]
+    near = ((middle >= corners.min(axis=0)) & (middle <= corners.max(axis=0))).all(axis=1)
+    for key in stands.keys[near]:
         voxel = OffGround(stands.edge, key[None])
         if stands_in(site.robot, off_ground_obstacles(voxel, 0.0)) is not None:
             x, y, z = voxel.centres[0].tolist()

@@ -24,7 +24,7 @@ from backhoe_planner.job.worksite.arm_clearance import ArmOutline
 from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign
 from backhoe_planner.machine import Robot, load_robot, reach_ball
 from backhoe_planner.motion import Problem, build_problem
-from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
+from backhoe_planner.site import Obstacle, Soil, read_height_grid, scene_from_dict
 
 _AROUND = 1.0  # m of ground around all that is dug and heaped
 _ARM_SPARE = 0.015  # m beyond the clearance, for positions between the sampled ones; a few mm were seen
@@ -46,6 +46,7 @@ class Worksite:
     own_ground: the job's own ground, whatever a survey says.
     design: the design to be dug.
     arm: boom and stick, which must stay above the ground.
+    things: what stands on the ground of a cloud where the machine or its arm may be, as obstacles.
     """
 
     job: Job
@@ -56,6 +57,7 @@ class Worksite:
     own_ground: Terrain
     design: Design
     arm: ArmOutline
+    things: tuple[Obstacle, ...]
 
     @property
     def bucket(self) -> Bucket:
@@ -138,13 +140,15 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
         if job.ground.file is None
         else ground_beyond(ground, beyond, low, high, clearance)
     )
-    stands = off_ground_obstacles(ground.off_ground, clearance)
+    stands = off_ground_obstacles(
+        ground.off_ground, clearance, within=_where_it_may_be(robot, clearance + problem.scene.influence)
+    )
     for one in (*around, *stands):
         if one.cluster is not None:
             one.cluster.prepare(*reach_ball(robot))
     problem = replace(problem, obstacles=(*problem.obstacles, *around, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
-    return Worksite(job, problem.robot, problem, digger, ground, own, design, arm)
+    return Worksite(job, problem.robot, problem, digger, ground, own, design, arm, stands)
 
 
 def plain_soil(job: Job) -> Soil:
@@ -191,6 +195,20 @@ def reach_area(plane: ArmPlane) -> Matrix:
     swings = np.linspace(limits.lower[0], limits.upper[0], _HEADINGS) if plane.swings else np.zeros(1)
     ends = np.concatenate([plane.world(float(s), np.array([farthest]), np.zeros(1))[:, :2] for s in swings])
     return np.vstack((ends, plane.axis))
+
+
+def _where_it_may_be(robot: Robot, around: float) -> tuple[Vector, Vector]:
+    """Least and greatest x, y (2,) of a machine and its arm in any posture, and `around` it [m]."""
+    centre, radius = reach_ball(robot)
+    every = np.vstack((centre[:2] - radius, centre[:2] + radius, fixed_corners(robot)))
+    return every.min(axis=0) - around, every.max(axis=0) + around
+
+
+def fixed_corners(robot: Robot) -> Matrix:
+    """(k, 2) x, y of points around the parts of a machine that do not move [m]; none if it has no such parts."""
+    fixed = [one.piece for one in robot.pieces if one.joint == 0 and len(one.piece.hull)]
+    sides = [np.asarray(one.hull)[:, :2] + side * one.radius for one in fixed for side in (-1.0, 1.0)]
+    return np.vstack(sides) if sides else np.zeros((0, 2))
 
 
 def _stretched(robot: Robot) -> Matrix:

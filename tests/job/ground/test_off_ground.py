@@ -274,13 +274,22 @@ def test_a_machine_that_stands_in_what_the_cloud_contains_is_refused(tmp_path: P
     """A wall of 1.5 m goes through the tractor; a kerb of 0.2 m is under it."""
     with pytest.raises(SceneError, match=r"site\.base: puts chassis of the machine into what stands at x -1\.5, y"):
         plan_job(walled_job(tmp_path, through_the_tractor(1.5)))
-    # the sixth largest thing has no place in its name, so that the message gives that of its voxel of 0.1 m
+    # the sixth largest thing has no place in its name
     posts = np.vstack([upright((x, x), -4.0, 1.0, 0.1) for x in (0.8, 1.8, 2.8, 3.8, 4.8)])
     speck = [[-1.52, 0.02, 1.02]]
-    with pytest.raises(
-        SceneError, match=r"into what else stands on the ground.*in its way at x -1\.55, y 0\.05, z 1\.05"
-    ):
+    with pytest.raises(SceneError, match=r"into what else stands on.*in its way at x -1\.55, y 0\.05, z 1\.05"):
         plan_job(walled_job(tmp_path, np.vstack((posts, speck))))
     site = build_worksite(walled_job(tmp_path, through_the_tractor(0.2)))
     assert site.ground.off_ground is not None
     check_place(site)
+
+
+def test_things_far_away_are_no_obstacles_and_do_not_take_the_names(tmp_path: Path) -> None:
+    """Five walls more than 9 m from the swing axis, whose arm reaches 6 m, and a post within its reach."""
+    walls = [upright((8.0, 9.5), y, 2.0, 0.1) for y in (-6.0, -7.0, -8.0, -9.0, -10.0)]
+    post = upright((1.0, 1.0), -3.5, 1.0, 0.1)
+    site = build_worksite(walled_job(tmp_path, np.vstack((*walls, post))))
+    (near,) = site.things
+    assert "at x 1.0, y -3." in near.name
+    assert site.ground.off_ground is not None
+    assert [name for name, _ in site.ground.off_ground.things][-1] == "what else stands on the ground"
