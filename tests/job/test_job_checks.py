@@ -12,8 +12,9 @@ import pytest
 from small_jobs import small_job, tiny_plan
 
 import backhoe_planner as bp
-from backhoe_planner.job import build_worksite, plan_job
-from backhoe_planner.job.cycles import cycle_planning
+from backhoe_planner.arrays import Vector
+from backhoe_planner.job import Terrain, build_worksite, plan_job
+from backhoe_planner.job.cycles import cycle_planning, dumping
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.dump_checks import check_dump
 from backhoe_planner.job.cycles.dumping import NoDump, dump_of, ground_obstacle
@@ -333,3 +334,15 @@ def test_missing_values_of_a_design_surface_are_left_out_of_the_design(tmp_path:
     design = build_worksite(small_job(dig={"surface": surface})).design_heights()
     np.testing.assert_allclose(np.nanmin(design), -0.2)
     np.testing.assert_allclose(np.nanmax(design), -0.2)
+
+
+def test_the_bucket_is_emptied_from_higher_up_if_the_heap_is_in_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The heap is said to be 0.3 m lower than it is, so that the lowest open bucket comes too near to it."""
+
+    def lower(terrain: Terrain, place: Vector) -> float:
+        return height(terrain, place) - 0.3
+
+    height = dumping._height
+    monkeypatch.setattr(dumping, "_height", lower)
+    plan = plan_job(small_job())
+    assert plan.verified

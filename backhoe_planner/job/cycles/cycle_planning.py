@@ -179,21 +179,15 @@ class CyclePlanner:
             return Failed(options.reason, options.words)
         failed = Failed("swing", "")
         for option in options[:_PLACES]:
-            swing = self._transfers.to(
-                "swing", motion.q[-1], list(option.arrivals), ground=after_cut.obstacles, payload=payload, level=True
-            )
-            if swing.leg is None:
-                failed = Failed("swing", swing.why)
-                continue
             after = self.dumped(after_cut, option.place[:2], dug.held, option.number)
             if isinstance(after, str):
                 return Failed("full", after)
-            opening = self._open(swing.leg.trajectory.q[-1], option, after, payload)
-            if isinstance(opening, Failed):
-                failed = opening
+            emptied = self._empty(motion.q[-1], option, after_cut, after, payload)
+            if isinstance(emptied, Failed):
+                failed = emptied
                 continue
             cycle = Cycle(
-                number, (*legs, swing.leg, opening), dug.digging, load_of(site, cut.swing, dug.digging),
+                number, (*legs, *emptied), dug.digging, load_of(site, cut.swing, dug.digging),
                 before=state.ground, dug=dug.ground,
                 after=after.ground, bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=option.place,
                 truck=option.number, truck_load=after.truck_load, step=chosen.step,
@@ -202,13 +196,37 @@ class CyclePlanner:
             return cycle, after
         return failed
 
-    def _open(self, q: Vector, option: Dumping, after: SiteState, payload: float) -> CycleLeg | Failed:
-        """Open the bucket above the soil that is then there."""
-        reached = int(np.argmin(np.max(np.abs(option.arrivals - q), axis=1)))
-        found = self._transfers.to("dump", q, [option.openings[reached]], ground=after.obstacles, payload=payload)
+    def _empty(
+        self, start: Vector, option: Dumping, before: SiteState, after: SiteState, payload: float
+    ) -> tuple[CycleLeg, CycleLeg] | Failed:
+        """The swing to a place and the dump there; from higher up if the soil that is then there is in the way.
+
+        Parameters
+        ----------
+        before, after: the site before and after the dump.
+        """
+        failed, lowest = Failed("swing", ""), 0
+        while lowest < len(option.arrivals):
+            arrivals = option.arrivals[lowest:]
+            swing = self._transfers.to(
+                "swing", start, list(arrivals), ground=before.obstacles, payload=payload, level=True
+            )
+            if swing.leg is None:
+                return failed if failed.words else Failed("swing", swing.why)
+            q = swing.leg.trajectory.q[-1]
+            reached = lowest + int(np.argmin(np.max(np.abs(arrivals - q), axis=1)))
+            opening = self._open(q, option.openings[reached], option.place[:2], after, payload)
+            if not isinstance(opening, Failed):
+                return swing.leg, opening
+            failed, lowest = opening, reached + 1
+        return failed
+
+    def _open(self, q: Vector, opened: Vector, place: Vector, after: SiteState, payload: float) -> CycleLeg | Failed:
+        """Open the bucket above the soil that is then there, at a place (2,) [m]."""
+        found = self._transfers.to("dump", q, [opened], ground=after.obstacles, payload=payload)
         if found.leg is None:
             return Failed("dump", found.why)
-        broken = broken_dump_rules(self._site, found.leg.trajectory.q, option.place[:2])
+        broken = broken_dump_rules(self._site, found.leg.trajectory.q, place)
         return Failed("dump", "; ".join(broken)) if broken else found.leg
 
 
