@@ -50,6 +50,7 @@ from .schema.job_file import load_job as load_job
 from .schema.work import Trench as Trench
 from .worksite.lanes import LEAVE as LEAVE
 from .worksite.lanes import lanes_of as lanes_of
+from .worksite.worksite import UNEVEN as UNEVEN
 from .worksite.worksite import Worksite as Worksite
 from .worksite.worksite import build_worksite as build_worksite
 from .worksite.worksite import ground_warnings as ground_warnings

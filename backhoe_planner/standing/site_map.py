@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
-from backhoe_planner.job import Job, Worksite, off_ground_obstacles
+from backhoe_planner.job import UNEVEN, Job, Worksite, off_ground_obstacles
 from backhoe_planner.machine import Base
 from backhoe_planner.site import build_obstacles, stands_in, starts_in
 from backhoe_planner.standing.dig_area import DigArea
@@ -22,7 +22,6 @@ _HEADINGS = 13  # at a place; chosen, 13 degrees apart for a swing of 180
 _SPARE = 0.03  # rad from the ends of the swing
 _HEAP = 0.5  # m, least height of a heap
 _TRUCK = 0.3  # m between the machine and a truck; chosen
-_LEVEL = 0.15  # m by which the ground may be higher or lower than the machine stands; chosen, jacks level that
 SAME_SHARE = 0.02  # of the soil: places that dig so much less count as equal
 _SAME_COST = 0.02  # of the cost: then the heading that reaches more dumps is taken; the map is no finer than that
 _ENOUGH_DUMPS = 3  # reached from a heading: more is no reason to turn the machine; chosen
@@ -214,7 +213,7 @@ class SpotFinder:
         heights = self.site.ground.height_at(points)
         if self._job.ground.file is None:
             heights = np.where(np.isfinite(heights), heights, self._job.ground.level or 0.0)
-        return bool(np.isfinite(heights).all() and np.abs(heights).max() <= _LEVEL)
+        return bool(np.isfinite(heights).all() and np.abs(heights).max() <= UNEVEN)
 
 
 def _later(one: Spot, other: Spot) -> Spot:

@@ -22,10 +22,11 @@ from backhoe_planner.job.ground.terrain import Terrain, terrain_of
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
 from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign
-from backhoe_planner.machine import Robot, load_robot, reach_ball
+from backhoe_planner.machine import Base, Robot, load_robot, reach_ball
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Obstacle, Soil, read_height_grid, scene_from_dict
 
+UNEVEN = 0.15  # m by which the ground may be higher or lower than the machine stands; chosen, jacks level that
 _AROUND = 1.0  # m of ground around all that is dug and heaped
 _ARM_SPARE = 0.015  # m beyond the clearance, for positions between the sampled ones; a few mm were seen
 _HEADROOM = 2.5  # m above the ground that a heap and the open bucket over it take up; chosen
@@ -255,7 +256,7 @@ def _survey(job: Job, file: str) -> Survey:
 
 
 def ground_warnings(job: Job) -> tuple[str, ...]:
-    """Doubts about the ground of a job, in words: what stands on a ground of points.
+    """Doubts about the ground of a job, in words: what stands on a ground of points, and ground that is not level.
 
     A file that cannot be read gives none: `build_worksite` tells what is wrong with it.
     """
@@ -263,10 +264,27 @@ def ground_warnings(job: Job) -> tuple[str, ...]:
     if file is None:
         return ()
     try:
-        words = _survey(job, file).remark
+        survey = _survey(job, file)
+        words = (survey.remark, _not_level(job, survey))
     except InputError:
         return ()
-    return (f"ground.file: {words}",) if words else ()
+    return tuple(f"ground.file: {one}" for one in words if one)
+
+
+def _not_level(job: Job, survey: Survey) -> str:
+    """How high the ground under the machine is, in words; empty if it is level with the machine, or unknown."""
+    robot = load_robot(job.machine_source, tip=job.site_scene.tip, hold=job.site_scene.hold)
+    base = job.site_scene.base
+    here = robot.with_base(Base(base.position, base.heading))
+    heights = survey.heights.at(fixed_corners(here))
+    heights = heights[np.isfinite(heights)]
+    if not len(heights) or np.abs(heights).max() <= UNEVEN:
+        return ""
+    return (
+        f"the ground under the machine is from {heights.min():.2f} to {heights.max():.2f} m high, and the machine "
+        f"stands level at 0: `stand` takes places within {UNEVEN:g} m. The last number of ground.map_origin is the "
+        "height in the file that is 0 on the site"
+    )
 
 
 def read_ground(job: Job, file: Path) -> Scanned:

@@ -293,3 +293,15 @@ def test_things_far_away_are_no_obstacles_and_do_not_take_the_names(tmp_path: Pa
     assert "at x 1.0, y -3." in near.name
     assert site.ground.off_ground is not None
     assert [name for name, _ in site.ground.off_ground.things][-1] == "what else stands on the ground"
+
+
+def test_a_warning_says_how_high_the_ground_under_the_machine_is(tmp_path: Path) -> None:
+    """Level ground in map coordinates, with a height of the map origin that is right, or 0.2 m too low."""
+    places = grid((-6.0, -3.0), (6.0, 3.0), 0.5)
+    np.savetxt(tmp_path / "ground.xyz", at(places, 40.0), fmt="%.2f")
+    content = small_job().to_dict()
+    for height, words in ((40.0, []), (39.8, ["under the machine is from 0.20 to 0.20 m high"])):
+        ground = {"file": "ground.xyz", "cell": 0.5, "map_origin": [0.0, 0.0, height]}
+        found = ground_warnings(job_from_dict(content | {"ground": ground}, folder=tmp_path))
+        assert len(found) == len(words)
+        assert all(one in said for one, said in zip(words, found, strict=True))
