@@ -127,7 +127,7 @@ def ground_beyond(
     if z.shape == (north - south + 1, east - west + 1):
         return ()
     # the terrain is an obstacle of its own: within its border, this one is deeper than any arm reaches
-    z[south + 1 : north, west + 1 : east] = z.min() - _DEEP
+    z[max(south + 1, 0) : max(north, 0), max(west + 1, 0) : max(east, 0)] = z.min() - _DEEP
     ends = beyond.low + beyond.cell * np.stack((first, last))
     spec = _height_map("the ground beyond what is modelled", *ends)
     return (_unmoved(spec, terrain_body(z, spec.size, spec.placement), clearance),)
