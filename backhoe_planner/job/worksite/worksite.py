@@ -135,18 +135,16 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
     ground = own if terrain is None else terrain
     design = _design(job, own)
     reach, clearance = reach_area(digger.plane), problem.scene.clearance
-    low, high = reach.min(axis=0), reach.max(axis=0)
+    within = _where_it_may_be(problem.robot, clearance + problem.scene.influence)
     around = (
-        ground_around(ground, job.ground.level or 0.0, low, high, clearance)
+        ground_around(ground, job.ground.level or 0.0, reach.min(axis=0), reach.max(axis=0), clearance)
         if job.ground.file is None
-        else ground_beyond(ground, beyond, low, high, clearance)
+        else ground_beyond(ground, beyond, *within, clearance)
     )
-    stands = off_ground_obstacles(
-        ground.off_ground, clearance, within=_where_it_may_be(robot, clearance + problem.scene.influence)
-    )
+    stands = off_ground_obstacles(ground.off_ground, clearance, within=within)
     for one in (*around, *stands):
         if one.cluster is not None:
-            one.cluster.prepare(*reach_ball(robot))
+            one.cluster.prepare(*reach_ball(problem.robot))
     problem = replace(problem, obstacles=(*problem.obstacles, *around, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, own, design, arm, stands)

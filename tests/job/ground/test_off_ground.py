@@ -293,6 +293,12 @@ def test_things_far_away_are_no_obstacles_and_do_not_take_the_names(tmp_path: Pa
     assert "at x 1.0, y -3." in near.name
     assert site.ground.off_ground is not None
     assert [name for name, _ in site.ground.off_ground.things][-1] == "what else stands on the ground"
+    # of a machine 6 m further along x, which digs towards the origin, the walls are within reach
+    job = walled_job(tmp_path, np.vstack((*walls, post)))
+    moved = job.to_dict() | {"site": {"base": {"position": [7.5, 0.0], "heading": np.pi}}}
+    there = build_worksite(job_from_dict(moved, folder=tmp_path))
+    assert len(there.things) > 1
+    assert any("what stands at x 8." in one.name for one in there.things)
 
 
 def test_a_warning_says_how_high_the_ground_under_the_machine_is(tmp_path: Path) -> None:
