@@ -336,6 +336,7 @@ def test_missing_values_of_a_design_surface_are_left_out_of_the_design(tmp_path:
     np.testing.assert_allclose(np.nanmax(design), -0.2)
 
 
+@pytest.mark.long
 def test_the_bucket_is_emptied_from_higher_up_if_the_heap_is_in_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """The heap is said to be 0.3 m lower than it is, so that the lowest open bucket comes too near to it."""
 
