@@ -92,3 +92,17 @@ def test_of_neighbouring_configurations_the_first_is_kept() -> None:
     assert find_distinct(chain, 1.0, np.array([[-0.5, 0.0]])) == [1, 3]
     assert find_distinct(np.array([[0.0, 0.0], [0.0, 1.1], [0.0, 0.2]]), 1.0) == [0, 1]
     assert find_distinct(np.zeros((0, 2)), 1.0, chain) == []
+
+
+def test_the_distinct_configurations_are_those_of_the_definition() -> None:
+    """One after the other, each compared with all that were kept before; some are exactly as far apart as that."""
+    rng = np.random.default_rng(8)
+    for count, known, n in ((60, 0, 3), (60, 20, 1), (200, 30, 7)):
+        q, before = (np.asarray(0.1 * rng.integers(0, 4, size=(size, n)), dtype=float) for size in (count, known))
+        kept, expected = list(before), []
+        for row, one in enumerate(q):
+            if all(np.max(np.abs(one - other)) > 0.1 for other in kept):
+                kept.append(one)
+                expected.append(row)
+        assert find_distinct(q, 0.1, before) == expected
+        assert 0 < len(expected) < count or (known and not expected)

@@ -78,7 +78,13 @@ class JointCurve:
     @classmethod
     def straight(cls, start: Vector, end: Vector, pieces: int) -> JointCurve:
         """The straight line from `start` to `end` (n,)."""
-        return cls(np.tile(start, (pieces + 1, 1))).ending_at(end)
+        return cls.straight_to_each(start, end[None, :], pieces)[0]
+
+    @classmethod
+    def straight_to_each(cls, start: Vector, ends: Matrix, pieces: int) -> list[JointCurve]:
+        """The straight lines from `start` (n,) to each of `ends` (C, n)."""
+        part = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+        return [cls(control) for control in start + from_rest_to_rest(part) * (ends - start)[:, None, :]]
 
     def finer(self, pieces: int, unit: Vector) -> JointCurve:
         """The same curve with at least `pieces` pieces, shorter where accelerations change more.

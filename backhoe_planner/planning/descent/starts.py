@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve, from_rest_to_rest
 from backhoe_planner.planning.descent.descent import Descent
@@ -21,7 +20,8 @@ _SAME = 0.05  # the same between a start and one that was tried before; chosen
 _EQUAL = 0.005  # the same between two starts whose descents end alike; chosen
 _DEAR = 3.0  # times the least price, above which no descent is tried; measured: above it hardly any becomes the best
 _BESIDE = 6  # starts with joints early or late, in addition to the cheapest of each line; chosen
-_TOGETHER = 100  # starts that are priced at once, to bound the memory
+# starts that are priced at once, to bound the memory, and that are checked at once: not all, as some need no check
+_TOGETHER, _CHECKED_TOGETHER = 100, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,19 +54,21 @@ class StartPrices:
 
     def __init__(self, descent: Descent, screen: ClearanceScreen, *, longest: float) -> None:
         self._descent, self._screen, self._longest = descent, screen, longest
-        self._u = np.linspace(0.0, 1.0, _PLACES)
 
     def in_order(self, starts: Sequence[Start]) -> Iterator[PricedStart]:
         """Starts with equally many pieces, the cheapest first; the blocked part is checked only if needed."""
         # a start that is not checked yet costs at least this
-        left = [(cost, False, index) for index, cost in enumerate(self._where_clear(starts))]
-        heapq.heapify(left)
-        while left:
-            price, looked_at, index = heapq.heappop(left)
-            if looked_at:
-                yield PricedStart(starts[index], price)
+        left = sorted((cost, index) for index, cost in enumerate(self._where_clear(starts)))
+        left.reverse()
+        checked: list[tuple[float, int]] = []
+        while left or checked:
+            if left and (not checked or left[-1] < checked[0]):
+                some = [left.pop() for _ in range(min(_CHECKED_TOGETHER, len(left)))]
+                for (cost, index), dearer in zip(some, self._dearer([starts[k] for _, k in some]), strict=True):
+                    heapq.heappush(checked, (cost * dearer, index))
             else:
-                heapq.heappush(left, (price * self._dearer(starts[index]), True, index))
+                price, index = heapq.heappop(checked)
+                yield PricedStart(starts[index], price)
 
     def cheapest(
         self, priced: Iterable[PricedStart], count: int, *, known: Sequence[JointCurve] = ()
@@ -83,8 +85,8 @@ class StartPrices:
             least = one.price if least is None else least
             if one.price > _DEAR * least:
                 break
-            apart = [self._apart(one.start.curve.control, other.start.curve.control) for other in chosen]
-            if min(apart, default=np.inf) > _APART * self._longest and not self._is_near(one, known):
+            others = [other.start.curve for other in chosen]
+            if not self._is_near(one, others, _APART) and not self._is_near(one, known):
                 chosen.append(one)
             if len(chosen) >= count:
                 break
@@ -138,7 +140,7 @@ class StartPrices:
                     price = next(cost)
                     met.append(PricedStart(other, price))
                     if price < best[index].price:
-                        price *= self._dearer(other)
+                        price *= self._dearer([other])[0]
                     if price < best[index].price:
                         best[index] = PricedStart(other, price)
         changed = [one for one, line in zip(best, lines, strict=True) if one is not line]
@@ -151,12 +153,9 @@ class StartPrices:
         for one in sorted(met, key=lambda one: one.price):
             if one.price > dear or len(found) >= _BESIDE:
                 break
-            others = (*best, *found)
-            if min(self._apart(one.start.curve.control, other.start.curve.control) for other in others) <= (
-                _APART * self._longest
-            ):
+            if self._is_near(one, [other.start.curve for other in (*best, *found)], _APART):
                 continue
-            price = one.price * self._dearer(one.start)
+            price = one.price * self._dearer([one.start])[0]
             if price <= dear:
                 found.append(PricedStart(one.start, price))
         return found
@@ -170,16 +169,18 @@ class StartPrices:
             found += self._descent.estimates([start.curve for start in some], durations, longest=self._longest).tolist()
         return found
 
-    def _dearer(self, start: Start) -> float:
-        """The factor on the cost of a start for its blocked part: 1 to 2."""
-        return 2.0 - float(np.mean(self._screen.keeps(start.curve(self._u))))
+    def _dearer(self, starts: Sequence[Start]) -> list[float]:
+        """The factors on the costs of starts with equally many pieces for their blocked parts: 1 to 2."""
+        q = starts[0].curve.weights(_PLACES) @ np.array([start.curve.control for start in starts])
+        keeps = self._screen.keeps(q.reshape(-1, q.shape[2])).reshape(len(starts), -1)
+        return [2.0 - part for part in np.mean(keeps, axis=1).tolist()]
 
     def _is_near(self, one: PricedStart, known: Sequence[JointCurve], within: float = _SAME) -> bool:
-        apart = (self._apart(one.start.curve.control, other.control) for other in known)
-        return min(apart, default=np.inf) <= within * self._longest
-
-    def _apart(self, one: Matrix, other: Matrix) -> float:
-        return float(np.max(np.abs(one - other) / self._descent.rate))
+        """Whether a start is near one of `known`, with equally many pieces, by `within`, a part of the longest time."""
+        if not known:
+            return False
+        apart = np.abs(one.start.curve.control - np.array([other.control for other in known])) / self._descent.rate
+        return bool(np.min(np.max(apart, axis=(1, 2))) <= within * self._longest)
 
 
 def _with_other_paces(line: Start, now: Start, joint: int) -> Iterator[Start]:

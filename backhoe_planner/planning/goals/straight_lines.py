@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from backhoe_planner.arrays import Vector
@@ -33,13 +35,19 @@ class StraightLines:
 
     def to(self, index: int) -> Start:
         """The line to one of the postures, over the least time to it."""
+        return self._to_each([index])[0]
+
+    def _to_each(self, which: Sequence[int]) -> list[Start]:
         ends = self._ends
-        line = JointCurve.straight(self._start, ends.postures[index], self._pieces)
-        return Start(line, ends.least[index], ends.goals[index], STRAIGHT)
+        lines = JointCurve.straight_to_each(self._start, ends.at(which), self._pieces)
+        return [
+            Start(line, ends.least[index], ends.goals[index], STRAIGHT)
+            for line, index in zip(lines, which, strict=True)
+        ]
 
     def within(self, longest: float) -> list[Start]:
         """Lines to postures that can be reached in `longest` [s]; of postures near each other only the soonest."""
-        return [self.to(index) for index in self._ends.within(longest, _APART * longest)]
+        return self._to_each(self._ends.within(longest, _APART * longest))
 
     def least_blocked(self) -> list[int]:
         """Of the soonest postures the one with the least blocked line, if that line is clear enough; otherwise none."""

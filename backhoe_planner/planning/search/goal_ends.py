@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -53,22 +53,16 @@ class GoalEnds:
 
     def at(self, which: Sequence[int]) -> Matrix:
         """(K, n) the postures `which`."""
-        return np.array([self.postures[index] for index in which])
+        return np.array([self.postures[index] for index in which]).reshape(-1, len(self._rate))
 
     def nearest(self, which: Sequence[int], q: Vector) -> int:
         """The index of the posture nearest to `q` (n,) among `which`."""
         return min(which, key=lambda index: float(np.max(np.abs(self.postures[index] - q))))
 
-    def within(self, longest: float, apart: float) -> Iterator[int]:
-        """Postures reachable in `longest` [s]; of those nearer than `apart` [s of joint time] only the soonest."""
-        at = np.array(self.postures).reshape(-1, len(self._rate)) / self._rate
-        free = np.ones(len(at), dtype=bool)  # whether far enough from the ones yielded before
-        for index in self.order:
-            if self.least[index] > longest:
-                return
-            if free[index]:
-                free &= np.abs(at - at[index]).max(axis=1) > apart
-                yield index
+    def within(self, longest: float, apart: float) -> list[int]:
+        """Postures reachable in `longest` [s]; of those not further than `apart` [s of joint time] only the soonest."""
+        soon = [index for index in self.order if self.least[index] <= longest]
+        return [soon[row] for row in find_distinct(self.at(soon) / self._rate, apart)]
 
     def least_to(self, q: Vector) -> float:
         """A lower bound on the duration of any motion from the start to `q` (n,) [s]."""

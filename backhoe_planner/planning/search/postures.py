@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine import (
     BatchKinematics,
     InverseKinematics,
@@ -23,6 +24,7 @@ POSTURE_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm kept
 _ITERATIONS = 20  # of the inverse kinematics from one starting point; chosen, one in fifty needs more
 _ITERATIONS_HURRIED = 14  # the same in a hurry; chosen among 12 to 20: some ends are then missed
 _SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
+_ROUNDED = 1.0 + 1e-6  # times a distance: rounding then hides no neighbour
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +118,27 @@ def find_distinct(q: Matrix, within: float, known: Matrix | None = None) -> list
     The configurations `known` (K, n) count as kept before all rows.
     """
     others = q if known is None else np.vstack((known, q))
-    near = np.ones((len(q), len(others)), dtype=bool)
-    for own, other in zip(q.T, others.T, strict=True):
-        near &= np.abs(own[:, None] - other) <= within
     first = len(others) - len(q)
-    taken = np.arange(len(others)) < first
-    for row in range(len(q)):
-        taken[first + row] = not (near[row] & taken).any()
+    taken = np.ones(len(others), dtype=bool)
+    for row, before in _near_before(others, first, within):
+        taken[row] = not taken[before].any()
     return np.flatnonzero(taken[first:]).tolist()
+
+
+def _near_before(q: Matrix, first: int, within: float) -> Iterator[tuple[int, Indices]]:
+    """The rows of `q` (N, n) from `first` on that are not further than `within` from some before them, and those."""
+    if not len(q):
+        return
+    # only neighbours in the column that differs most are compared
+    column = q[:, np.argmax(np.ptp(q, axis=0))]
+    order = np.argsort(column, kind="stable")
+    low, high = (np.searchsorted(column[order], column[first:] + side * _ROUNDED * within) for side in (-1.0, 1.0))
+    count = high - low
+    row = np.repeat(np.arange(first, len(q)), count)
+    other = order[np.arange(len(row)) - np.repeat(np.cumsum(count) - count - low, count)]
+    row, other = row[other < row], other[other < row]
+    near = (np.abs(q[row] - q[other]) <= within).all(axis=1)
+    row, other = row[near], other[near]
+    begin, end = np.flatnonzero(np.diff(row, prepend=-1)), np.flatnonzero(np.diff(row, append=-1)) + 1
+    for at, after in zip(begin.tolist(), end.tolist(), strict=True):
+        yield int(row[at]), other[at:after]
