@@ -61,8 +61,7 @@ class JointCurve:
 
     def shares(self, places: int) -> Vector:
         """(places,) weights of a sum over equally spaced u that approximates an integral over s (trapezium rule)."""
-        steps = np.diff(_place(np.linspace(0.0, 1.0, places), self.knots))
-        return np.asarray(0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))
+        return _shares(places, self.knots)
 
     def moved_to(self, control: Matrix) -> JointCurve:
         """The curve with the same pieces and other control points (L + 1, n)."""
@@ -210,6 +209,15 @@ def support(pieces: int, places: int, knots: tuple[float, ...] = ()) -> tuple[In
     acting.setflags(write=False)
     weights.setflags(write=False)
     return acting, weights
+
+
+@lru_cache(maxsize=64)
+def _shares(places: int, knots: tuple[float, ...]) -> Vector:
+    """(places,) see `JointCurve.shares`."""
+    steps = np.diff(_place(np.linspace(0.0, 1.0, places), knots))
+    found = np.asarray(0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))
+    found.setflags(write=False)
+    return found
 
 
 def _place(u: Vector, knots: tuple[float, ...]) -> Vector:
