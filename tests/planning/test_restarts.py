@@ -381,6 +381,21 @@ def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_not_refined(
     assert bool(begun) == refined
 
 
+@pytest.mark.parametrize(("missed", "kept"), [(0.0029, True), (0.0031, False)])
+def test_a_refined_motion_that_uses_some_of_the_spare_of_3_mm_is_kept_if_it_is_proven(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, missed: float, kept: bool
+) -> None:
+    """Nothing is near, so that the motion is proven; one that misses all of the spare is not even tried."""
+    world, _, search = ended_search(planar4)
+    descents, curve = search._descents, JointCurve.straight(START, END, 12)
+    motion = time_evenly(curve, DURATION)
+    descents.best = FoundMotion(motion, 10.0, world.problem.goals[0], "straight", curve)
+    fine = Timed(curve, DURATION, 9.0, missed, [], within_limits=motion)
+    monkeypatch.setattr(descents, "_bend", lambda *_, **__: fine)
+    assert descents._refine(descents.best, 20)
+    assert descents.best.cost == (9.0 if kept else 10.0)
+
+
 def test_what_an_earlier_search_has_refined_is_not_refined_again(planar4: bp.Robot) -> None:
     """The same search with other random choices about its starts finds the same coarse motion."""
     world, found, first = ended_search(planar4)

@@ -326,7 +326,7 @@ class MotionDescents:
             curve, duration, found.goal, FINE_ROUNDS * (1 if is_time else _FINER * self._more),
             spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False, fine=True,
         )  # fmt: skip
-        if fine is not None and fine.missed <= KEPT_PART * _SPARE:
+        if fine is not None and fine.missed <= _SPARE:  # the proof decides: a descent may end with less spare
             self.offer(replace(found, motion=fine.motion, cost=fine.cost, curve=None if is_time else fine.curve))
         return True
 
