@@ -1,6 +1,7 @@
 from .binding_rows import MOST_ITERATIONS as MOST_ITERATIONS
 from .binding_rows import MOST_SOFT_ROWS as MOST_SOFT_ROWS
 from .binding_rows import BindingSolution as BindingSolution
+from .binding_rows import NearRows as NearRows
 from .binding_rows import soft_solution as soft_solution
 from .binding_rows import solve_with_binding_rows as solve_with_binding_rows
 from .binding_rows import solve_with_near_rows as solve_with_near_rows

@@ -12,7 +12,7 @@ worst violations are then weighed against each other instead.
 Programs with up to `MOST_SOFT_ROWS` soft rows are solved at once, with all of them.
 
 Few hard rows bind, too, in a program with hundreds of them and a hundred variables, in which the solver spends most
-of its time on adding rows. `solve_with_near_rows` leaves out the rows that no x within the bounds comes near, and adds
+of its time on adding rows. `NearRows` leaves out the rows that no x within the bounds comes near, and adds
 those that the solution violates.
 """
 
@@ -108,35 +108,68 @@ def solve_with_binding_rows(
     return found
 
 
-def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int, coupled: int = 0) -> Vector | None:
-    """(n,) the x of least cost of a program without soft rows; None as for `solve_program`.
-
-    At the end x keeps every row that was left out, so that it is the x of the program with all rows.
+class NearRows:
+    """The rows that programs without soft rows share, of which only those that an x comes near are solved with.
 
     Parameters
     ----------
-    coupled: so many of the first variables are coupled by H, if it is known to be diagonal in the others; else 0.
+    program: with these rows; its bounds say which x are possible.
     """
-    rows = [row for row in program.rows if row.kind is Kind.HARD and len(row.h)]
-    others = tuple(row for row in program.rows if row.kind is not Kind.HARD)
-    if not rows:
-        found = solve_program(program, most_iterations=most_iterations)
-        return None if found is None else found.x
-    G, h = np.concatenate([row.G for row in rows]), np.concatenate([row.h for row in rows])
-    near = h < _FAR * (np.maximum(G, 0.0) @ program.high + np.minimum(G, 0.0) @ program.low)
-    while True:
-        some = program._replace(rows=(*others, Rows("near", G[near], h[near], Kind.HARD)))
-        if coupled and len(program.f) >= _MANY:
-            x = solve_in_unit_metric(some, coupled, most_iterations=most_iterations)
-        else:
-            found = solve_program(some, most_iterations=most_iterations)
-            x = None if found is None else found.x
-        if x is None:
-            return None
-        missed = ~near & (G @ x > h + _MISSED)
-        if not missed.any():
-            return x
-        near |= missed
+
+    def __init__(self, program: QuadraticProgram) -> None:
+        rows = [row for row in program.rows if row.kind is Kind.HARD and len(row.h)]
+        self._equal = [row for row in program.rows if row.kind is not Kind.HARD]
+        n = len(program.f)
+        self._G, self._h = (
+            np.concatenate([np.zeros((0, n)), *(row.G for row in rows)]),
+            np.concatenate([np.zeros(0), *(row.h for row in rows)]),
+        )
+        most = np.maximum(self._G, 0.0) @ program.high + np.minimum(self._G, 0.0) @ program.low
+        self._near = self._h < _FAR * most
+
+    def solve(self, program: QuadraticProgram, *, most_iterations: int, coupled: int = 0) -> Vector | None:
+        """(n,) the x of least cost with the shared rows and those of the program; None as for `solve_program`.
+
+        At the end x keeps every row that was left out, so that it is the x of the program with all rows. A row that it
+        has needed once is not left out again.
+
+        Parameters
+        ----------
+        program: it may have more variables, after those of the shared rows; none of its own rows is left out.
+        coupled: so many of the first variables are coupled by H, if it is known to be diagonal in the others; else 0.
+        """
+        shared = self._G.shape[1]
+        while True:
+            some = self._with(program, self._near)
+            if coupled and len(program.f) >= _MANY:
+                x = solve_in_unit_metric(some, coupled, most_iterations=most_iterations)
+            else:
+                found = solve_program(some, most_iterations=most_iterations)
+                x = None if found is None else found.x
+            if x is None:
+                return None
+            missed = ~self._near & (self._G @ x[:shared] > self._h + _MISSED)
+            if not missed.any():
+                return x
+            self._near |= missed
+
+    def all_with(self, program: QuadraticProgram) -> QuadraticProgram:
+        """The program with all shared rows and its own."""
+        return self._with(program, np.ones(len(self._h), dtype=bool))
+
+    def _with(self, program: QuadraticProgram, which: Flags) -> QuadraticProgram:
+        """The program with some of the shared rows; they do not depend on the variables that only it has."""
+        more = len(program.f) - self._G.shape[1]
+        rows = [*self._equal, Rows("near", self._G[which], self._h[which], Kind.HARD)]
+        if more:
+            rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), more))))) for row in rows]
+        return program._replace(rows=(*rows, *program.rows))
+
+
+def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int, coupled: int = 0) -> Vector | None:
+    """(n,) the x of least cost of a program without soft rows, see `NearRows.solve`."""
+    own = program._replace(rows=())
+    return NearRows(program).solve(own, most_iterations=most_iterations, coupled=coupled)
 
 
 @compiled

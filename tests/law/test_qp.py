@@ -18,6 +18,7 @@ from backhoe_planner.law import (
     PRICE,
     UNBOUNDED,
     Kind,
+    NearRows,
     QuadraticProgram,
     Rows,
     StackedRows,
@@ -289,6 +290,27 @@ def test_many_coupled_variables_have_the_same_solution_in_the_metric_of_their_co
 def test_a_cost_that_is_not_definite_has_no_unit_metric(H: np.ndarray) -> None:
     program = QuadraticProgram(H, np.zeros(3), np.full(3, -1.0), np.full(3, 1.0), ())
     assert solve_in_unit_metric(program, 2, most_iterations=100) is None
+
+
+def test_programs_that_share_rows_are_solved_with_their_own_variables_and_rows() -> None:
+    """The second program has 5 more variables, each at least a row of the first 20; both as with all rows at once."""
+    rng = np.random.default_rng(2)
+    ball = Rows("ball", rng.normal(size=(200, 20)), rng.uniform(0.1, 3.0, 200), Kind.HARD)
+    plane = Rows("plane", np.ones((1, 20)), np.zeros(1), Kind.EQUAL)
+    low, high = np.full(20, -1.0), np.full(20, 1.0)
+    first = QuadraticProgram(np.eye(20), rng.normal(size=20), low, high, (ball, plane))
+    shared = NearRows(first)
+    own = Rows("own", np.hstack((rng.normal(size=(5, 20)), -np.eye(5))), np.full(5, -0.1), Kind.HARD)
+    more = (np.append(first.low, np.zeros(5)), np.append(first.high, [UNBOUNDED] * 5))
+    second = QuadraticProgram(np.eye(25), np.append(3.0 * first.f, np.zeros(5)), *more, (own,))
+    for program in (first._replace(rows=()), second):
+        whole = shared.all_with(program)
+        assert sum(len(row.h) for row in whole.rows) == 201 + sum(len(row.h) for row in program.rows)
+        expected, found = solve_program(whole), shared.solve(program, most_iterations=1000)
+        assert expected is not None
+        assert found is not None
+        assert expected.residual < 1e-6
+        np.testing.assert_allclose(found, expected.x, atol=1e-6)
 
 
 def test_contradictory_near_rows_have_no_solution() -> None:

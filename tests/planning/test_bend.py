@@ -167,6 +167,27 @@ def test_a_step_lowers_the_cost_even_if_it_crosses_more_kinks_than_have_variable
         assert straight @ x[:m] + of_kinks[1] - of_kinks[0] < 0.0
 
 
+def test_a_step_is_found_although_each_of_three_solutions_crosses_a_steep_kink_of_which_it_does_not_know(
+    planar4: bp.Robot,
+) -> None:
+    """Four joints of a control point would each go to -1 rad, the edge of the box, which lowers the cost by 1 each.
+
+    The first three would cost 100 per rad, each only if those before it stay: so each solution stops one of them, and
+    even a fiftieth of it costs more than no step. Only the fourth solution knows of all three, and moves the last.
+    """
+    problem = problem_of(planar4, "work")
+    curve = JointCurve.straight(planar4.middle, planar4.middle, PIECES)
+    model = LinearModel(problem, curve, 1.0, end_moves=False, box=np.full(planar4.n, 1.0))
+    m = planar4.n * (PIECES - 1) + 1
+    slope, G = np.zeros(m), np.zeros((3, m))
+    slope[:4] = 1.0
+    G[:, :3] = -100.0 * np.eye(3) + 200.0 * np.tri(3, k=-1)
+    bend = Bend(slope, 1e-6 * np.eye(m), np.zeros((m, m)), Kinks(G, np.full(3, -1e-3), np.ones(3), 1e-3))
+    x = model.best_step(1.0, bend=bend, most_iterations=1000)
+    assert x is not None
+    np.testing.assert_allclose(x[:4], [0.0, 0.0, 0.0, -1.0], atol=1e-3)
+
+
 def test_the_work_of_a_lift_is_its_gain_in_potential_energy(planar4: bp.Robot) -> None:
     """Infinitely slow; one joint moves alone, against its weight for half of the way."""
     problem = problem_of(planar4, "work")
