@@ -120,10 +120,8 @@ class NearRows:
         rows = [row for row in program.rows if row.kind is Kind.HARD and len(row.h)]
         self._equal = [row for row in program.rows if row.kind is not Kind.HARD]
         n = len(program.f)
-        self._G, self._h = (
-            np.concatenate([np.zeros((0, n)), *(row.G for row in rows)]),
-            np.concatenate([np.zeros(0), *(row.h for row in rows)]),
-        )
+        self._G = np.concatenate([np.zeros((0, n)), *(row.G for row in rows)])
+        self._h = np.concatenate([np.zeros(0), *(row.h for row in rows)])
         most = np.maximum(self._G, 0.0) @ program.high + np.minimum(self._G, 0.0) @ program.low
         self._near = self._h < _FAR * most
 
