@@ -117,6 +117,25 @@ def cup() -> bp.Plan:
     return plan
 
 
+@pytest.mark.parametrize("moment", [1.0, 1.5, 4.0])  # s: at the last two the machine can only stop along its track
+def test_a_machine_that_stops_along_its_track_says_what_it_touches(cup: bp.Plan, moment: float) -> None:
+    """A ball of radius 0.03 m is put onto the tip, 0.06 m too close."""
+    servo, clearance, told = bp.Servo(cup.robot, cup.scene, DT, q=cup.trajectory.q[0]), cup.scene.clearance, 0
+    with bp.PlanFollower(servo, cup, executor=Never()) as follower:
+        while servo.time < moment:
+            follower.step()
+        tip = bp.Kinematics(servo.robot).at(servo.q).tip_position
+        distances = thrown(servo, tip.tolist(), [0.0, 0.0, 0.0], 0.03)
+        for _ in range(15):
+            state = follower.step().state
+            short = float(distances.distances(state.q).min()) - clearance
+            assert (state.status is Status.TOO_CLOSE) == (short < -1e-3)
+            if state.status is Status.TOO_CLOSE:
+                told += 1
+                assert state.margin == pytest.approx(short, abs=1e-5)
+    assert told > 2
+
+
 @pytest.mark.parametrize(
     ("place", "velocity", "late"),
     [

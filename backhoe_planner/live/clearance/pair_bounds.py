@@ -555,12 +555,17 @@ class PairBounds:
         pair, margin = tightest_pair(
             pairs, self._distance, separation.clearance, separation.classes, self._start_odometer
         )
+        if margin < 0.0:
+            lower = self.lower()[pairs]
+            margins = self.kept(pairs) - separation.clearance[pairs]
+            row = np.lexsort((lower, margins))[0]
+            pair, margin = int(pairs[row]), float(margins[row])
         if near.next >= 0:
             beyond = near.next_margin - float(self._moved_by.max())
+            if beyond < 0.0 and self.stands[near.next]:
+                beyond = max(beyond, float(self.required[near.next] - separation.clearance[near.next]))
             if beyond < margin:
                 pair, margin = near.next, beyond
-        if margin < 0.0 and self.stands[pair]:  # the required distance was proven, for this step or earlier braking
-            margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
         return pair, margin
 
     def tightest_cluster(self, near: Near) -> ClusterPairs | None:
@@ -571,6 +576,14 @@ class PairBounds:
     def lower(self) -> Vector:
         """(P,) lower bounds of all distances at the machine's present configuration [m]."""
         return self._distance - self._start_odometer[self._separation.classes]
+
+    def kept(self, pairs: Indices) -> Vector:
+        """(K,) lower bounds of the distances of `pairs` (K,) now, unless the machine stops along another path [m].
+
+        Of what stands still the required distance was proven, for this step or for earlier braking straight ahead.
+        """
+        lower = self.lower()[pairs]
+        return np.where(self.stands[pairs], np.maximum(lower, self.required[pairs]), lower)
 
     def tightest_of_all(self) -> tuple[int, float]:
         """The pair with the least margin of all pairs, and that margin [m], from the bounds alone; -1 without pairs."""

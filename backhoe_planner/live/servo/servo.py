@@ -567,6 +567,7 @@ class Servo:
 
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
+        straight = moved or self._stop is None
         if not moved and self._stop is not None:
             if not failed:
                 self._stop = self._best_stop(self._stop)
@@ -576,7 +577,7 @@ class Servo:
             self._go_on(self._stop, slower, self._check.path(q, slower).end, straight=False)
         elif not moved:
             self._advance(self._joints.brake(self._state.v), None)
-        return self._report.after_braking(self._state, self.time, command, failed=failed)
+        return self._report.after_braking(self._state, self.time, command, failed=failed, straight=straight)
 
 
 def _start(robot: Robot, scene: Scene) -> Vector:

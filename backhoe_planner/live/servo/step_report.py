@@ -78,14 +78,21 @@ class StepReport:
             v, command, margin, wish.tip, refused, held_back=chosen.held_back, evading=chosen.evading,
             at_limit=request.range.cuts_wish, singular=wish.singular,
         )  # fmt: skip
-        lost = self._lost_clearance(state.q, near.pairs, margin, time)
+        lost = None
+        if margin < -_LOST:
+            lost = self._lost_clearance(state.q, near.pairs, self._bounds.kept(near.pairs), time)
         if lost is not None:
             status, nearest = Status.TOO_CLOSE, lost
         proven = chosen.end is not None
         return self._state(state, time, command, status, nearest, refused, force, proven=proven, pace=pace)
 
-    def after_braking(self, state: JointState, time: float, command: Command, *, failed: bool) -> ServoState:
-        """The state at `time` [s] after a step in which nothing new was proven, or that failed; see `after_step`."""
+    def after_braking(
+        self, state: JointState, time: float, command: Command, *, failed: bool, straight: bool
+    ) -> ServoState:
+        """The state at `time` [s] after a step in which nothing new was proven, or that failed; see `after_step`.
+
+        straight: whether the machine braked straight ahead, along the path that was proven before.
+        """
         J, commands = self._tip.jacobian[:3], self._commands
         wish = _ZERO if commands.tip is None else commands.tip
         if commands.joints is not None:
@@ -94,7 +101,10 @@ class StepReport:
         nearest, force = self._nearest(pair, margin, time), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
         refused = refused_part(wish, wish - J.dot(state.v))
         status = self._status(state.v, command, margin, wish, refused, held_back=True)
-        lost = self._lost_clearance(state.q, np.array([pair]), margin, time)
+        lost = None
+        if margin < -_LOST:
+            pairs, lower = np.arange(len(self._separation), dtype=np.intp), self._bounds.lower()
+            lost = self._lost_clearance(state.q, pairs, self._bounds.kept(pairs) if straight else lower, time)
         if lost is not None:
             status, nearest = Status.TOO_CLOSE, lost
         status = Status.STOPPED if failed else status
@@ -124,30 +134,26 @@ class StepReport:
         """The tightest pair as an obstruction; None if it is beyond the influence distance."""
         return self._site.obstruction(pair, margin, time) if margin < self._influence else None
 
-    def _lost_clearance(self, q: Vector, pairs: Indices, margin: float, time: float) -> Obstruction | None:
+    def _lost_clearance(self, q: Vector, pairs: Indices, distance: Vector, time: float) -> Obstruction | None:
         """The worst of `pairs` (K,) that are too close at q (n,), at the end of the step; None if none is.
 
         Bounds may be far below the distance of what moves, so the few pairs with the least are measured.
 
         Parameters
         ----------
-        margin: the least of the lower bounds [m].
+        distance: (K,) lower bounds [m]. A box of a scan may be nearer than all its cells, for which they were proven.
         time: at the end of the step [s].
         """
-        if margin >= -_LOST:
-            return None
-        bounds, clearance = self._bounds, self._separation.clearance[pairs]
-        lower = bounds.lower()[pairs]
-        # of what stands still the required distance was proven; a box of a scan may be nearer than all its cells
-        left = np.where(bounds.stands[pairs], np.maximum(lower, bounds.required[pairs]), lower) - clearance
-        short = pairs[np.argsort(left)[: min(MOST_TOLD, np.count_nonzero(left < -_LOST))]]
+        clearance = self._separation.clearance[pairs]
+        left, worst, short = distance - clearance, -_LOST, -1
         self._at.place(STEP_END, q)
-        found = [self._separation.measure(pair, self._at, STEP_END).distance for pair in short.tolist()]
-        margins = np.array(found) - self._separation.clearance[short]
-        if margins.min(initial=0.0) >= -_LOST:
-            return None
-        worst = int(margins.argmin())
-        return self._site.obstruction(int(short[worst]), float(margins[worst]), time)
+        for row in np.argsort(left)[:MOST_TOLD].tolist():
+            if left[row] >= worst:
+                break
+            margin = self._separation.measure(int(pairs[row]), self._at, STEP_END).distance - float(clearance[row])
+            if margin < worst:
+                worst, short = margin, int(pairs[row])
+        return None if short < 0 else self._site.obstruction(short, worst, time)
 
     def _status(
         self, v: Vector, command: Command, margin: float, wish: Vector, refused: Vector,
