@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
@@ -162,3 +163,36 @@ def test_a_machine_keeps_to_its_track_while_what_moves_cannot_reach_it(
     assert least > -1e-3
     assert nearest > 0.02
     assert late or deviation < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "untrue"),
+    [
+        (lambda servo: servo.remove("early"), "late"),  # the pairs of what comes now have other numbers
+        (lambda servo: servo.set_velocity("comer", [0.0, 0.0, 0.0]), "comer"),  # it stands
+    ],
+    ids=["another is removed", "it stops"],
+)
+def test_what_may_come_is_not_confused_after_a_change(
+    cup: bp.Plan, change: Callable[[bp.Servo], None], untrue: str
+) -> None:
+    """Only the comer crosses the plan; the others creep 5 m away."""
+    servo = bp.Servo(cup.robot, cup.scene, DT, q=cup.trajectory.q[0])
+    for name, place, velocity in (
+        ("early", [6.0, 0.0, 1.0], [0.0, 0.01, 0.0]),
+        ("comer", [0.5, -2.0, 1.5], [0.0, 1.0, -0.4]),
+        ("late", [7.0, 0.0, 1.0], [0.0, 0.01, 0.0]),
+    ):
+        servo.add({"name": name, "shape": "sphere", "radius": 0.05, "position": place, "velocity": velocity})
+    with bp.PlanFollower(servo, cup, executor=Never()) as follower:
+        named = set()
+        for _ in range(60):
+            follower.step()
+            named.add(servo.reached_by)
+        assert "comer" in named
+        change(servo)
+        after = set()
+        for _ in range(20):
+            follower.step()
+            after.add(servo.reached_by)
+    assert untrue not in after

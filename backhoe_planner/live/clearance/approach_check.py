@@ -47,6 +47,10 @@ class ApproachCheck:
     def __init__(self, robot: Robot, separation: Separation, bounds: PairBounds, joints: JointBounds) -> None:
         self._separation, self._bounds, self._joints = separation, bounds, joints
         self._at = Placements(robot, _PLACES)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the last answer, since there are other pairs, or others of them move."""
         self._known: tuple[int, PlacesAhead | None] = -1, None
         self.pair = -1
 

@@ -377,6 +377,7 @@ class Servo:
     def _update_moving(self) -> None:
         """Update which pairs there are, which of them move, and how far they move in a step."""
         self._check.forget()
+        self._approach.forget()
         self._boxes.forget(blocking=True)
         per_step, coming = self.dt * self._site.speed, SEEN_COMING * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later

@@ -20,7 +20,7 @@ class Status(str, Enum):
     move. Without a valid command (`TIMED_OUT` or `INVALID`) the status is `STOPPED` once the machine stands still. It
     is also `STOPPED` in every step that failed. `TOO_CLOSE` means that a clearance is lost at the end of the step, as
     was measured: `nearest` is the pair. It may be an obstacle that was put there, or that came faster than the machine
-    can give way.
+    can give way. At most four pairs are measured: among many things that come at 3 m/s and more it may be missed.
     """
 
     OK = "ok"
