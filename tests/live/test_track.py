@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -422,6 +423,15 @@ def test_an_obstacle_of_another_leg_is_new(backhoe: Robot) -> None:
             q = follower.step().state.q
             assert np.min(proximity.distances(q) - proximity.clearance) > -KEPT
             assert not servo.on_track
+
+
+def test_a_plan_from_another_process_is_proven_among_its_own_obstacles(past_wall: bp.Plan) -> None:
+    """A process pool sends plans as pickles, in which everything is a copy."""
+    copied = pickle.loads(pickle.dumps(past_wall))
+    servo = servo_of(copied)
+    with PlanFollower(servo, copied, executor=Never()) as follower:
+        follower.step()
+        assert servo.is_proven_along_unchecked(follower._track)
 
 
 def test_a_scan_counts_as_the_plan_s_where_it_is_and_with_its_points(backhoe: Robot, tmp_path: Path) -> None:
