@@ -196,3 +196,22 @@ def test_what_may_come_is_not_confused_after_a_change(
             follower.step()
             after.add(servo.reached_by)
     assert untrue not in after
+
+
+@pytest.mark.parametrize(("beyond", "reached"), [(0.005, True), (0.02, False)])
+def test_a_joint_that_turns_round_between_two_places_may_go_beyond_both(
+    slide: bp.Robot, beyond: float, reached: bool
+) -> None:
+    """From 1 m/s it rests after 1 / 0.8 s, of which 1.5 times are looked at, in seven parts.
+
+    In one of them it can turn round up to 1 m/s^2 (1.875 s / 7)^2 / 8 = 9 mm beyond its ends.
+    """
+
+    class Still:
+        def places_within(self, time: float, count: int) -> np.ndarray:
+            assert time == pytest.approx(1.5 / 0.8)
+            return np.zeros((count, 1))
+
+    servo = bp.Servo(slide, slide_scene(1.0), DT)
+    thrown(servo, [0.25 + beyond, 0.0, 0.0], [-1e-6, 0.0, 0.0])  # two radii and the clearance are 0.25 m
+    assert servo._approach.reaches(Still(), np.ones(1), 1) is reached

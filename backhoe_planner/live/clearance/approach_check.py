@@ -13,7 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import Placements
-from backhoe_planner.live.braking.joint_bounds import JointBounds
+from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
 from backhoe_planner.live.clearance.pair_bounds import PairBounds
 from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.machine import Robot
@@ -62,14 +62,16 @@ class ApproachCheck:
         if self._known != (step, track):
             rest = _RESTS * self._joints.braking_time(v)
             self._known = step, track
-            self.pair = self.pair_that_comes(track.places_within(rest, _PLACES), rest + SEEN_COMING)
+            # a joint that turns round between two places goes at most this far beyond both
+            turn = self._joints.acceleration / BRAKING * (rest / (_PLACES - 1)) ** 2 / 8.0
+            self.pair = self.pair_that_comes(track.places_within(rest, _PLACES), turn, rest + SEEN_COMING)
         return self.pair >= 0
 
-    def pair_that_comes(self, places: Matrix, time: float) -> int:
+    def pair_that_comes(self, places: Matrix, turn: Vector, time: float) -> int:
         """A pair of something that moves and of a machine somewhere between `places` (S, n); -1 if there is none.
 
         It may come too close within a `time` [s], or it would take too many measurements to know. There are at most
-        `_PLACES` places.
+        `_PLACES` places. Between two of them each joint is at most `turn` (n,) [rad or m] off the straight line.
         """
         separation = self._separation
         for one in separation.counting_clusters:
@@ -78,16 +80,17 @@ class ApproachCheck:
         pairs = (~self._bounds.stands).nonzero()[0]
         before = [each[pairs] for each in separation.of_boxes]
         try:
-            return self._look_along(pairs, places, time) if len(pairs) else -1
+            return self._look_along(pairs, places, turn, time) if len(pairs) else -1
         finally:  # the planes that were measured where the machine is are of more use to the next steps
             for each, kept in zip(separation.of_boxes, before, strict=True):
                 each[pairs] = kept
 
-    def _look_along(self, pairs: Indices, places: Matrix, time: float) -> int:
+    def _look_along(self, pairs: Indices, places: Matrix, turn: Vector, time: float) -> int:
         """As `pair_that_comes`, among `pairs` (K,); changes their planes."""
         separation, at, count, pair = self._separation, self._at, len(places), -1
         at.place_each(places)
-        between = 0.5 * separation.travel.dot(np.abs(np.diff(places, axis=0)).T).max(axis=1, initial=0.0)
+        off = 0.5 * np.abs(np.diff(places, axis=0)) + turn
+        between = separation.travel.dot(off.T).max(axis=1, initial=0.0)
         needed = separation.clearance.take(pairs) + between.take(separation.classes.take(pairs))
         margins = separation.gaps(pairs, at, count).least - needed[:, None]
         margins += time * np.minimum(separation.drift.take(pairs), 0.0)[:, None]
