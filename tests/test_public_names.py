@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from source import nodes
 
 import backhoe_planner
 
@@ -106,10 +107,10 @@ def names_taken(file: Path) -> Iterator[tuple[str, str]]:
         if room in ROOMS:
             yield from ((room, alias.name) for alias in node.names)
         elif module == "backhoe_planner":
-            for alias in node.names:
-                if alias.name in ROOMS:
-                    used = re.findall(rf"\b{alias.asname or alias.name}\.([A-Za-z_]\w*)", text)
-                    yield from ((alias.name, name) for name in used)
+            whole = {alias.asname or alias.name: alias.name for alias in node.names if alias.name in ROOMS}
+            for used in nodes(file) if whole else ():
+                if isinstance(used, ast.Attribute) and isinstance(used.value, ast.Name) and used.value.id in whole:
+                    yield whole[used.value.id], used.attr
 
 
 def test_every_name_of_a_door_is_used() -> None:

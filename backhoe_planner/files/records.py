@@ -28,7 +28,7 @@ from pydantic import (
 )
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.files.schema_keys import entries_at, fields_of, meant_by, record_at, variants
+from backhoe_planner.files.schema_keys import entries_at, field_at, fields_of, meant_by, record_at, variants
 from backhoe_planner.files.yaml_text import DECIMAL_COMMA, KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: its square is still finite
@@ -202,13 +202,9 @@ def _is_within(place: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
 
 def _unit_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]) -> str:
     """The unit of the number at `loc`, or of the list that it is in, as the docstring of its key has it; else empty."""
-    for end in range(len(loc), 0, -1):
-        record, key = record_at(loc[:end], root, tagged), loc[end - 1]
-        for name, field in record.model_fields.items():
-            if key in (name, field.alias) and issubclass(record, Record):
-                found = _UNIT.search(described_fields(record).get(name, ""))
-                return found.group(1) if found else ""
-    return ""
+    field = field_at(loc, root, tagged)
+    unit = None if field is None else _UNIT.search(described_fields(field[0]).get(field[1], ""))
+    return unit.group(1) if unit else ""
 
 
 def describe(detail: Any, *, unit: str = "", entries: str = "") -> str:

@@ -44,6 +44,21 @@ def record_at(
     return node
 
 
+def field_at(
+    loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]
+) -> tuple[type[BaseModel], str] | None:
+    """The innermost field on the way to `loc`: its record, and its name in the code; None if there is none.
+
+    The last parts of `loc` may be indices, or what pydantic adds for a member of a union.
+    """
+    for end in range(len(loc), 0, -1):
+        record = record_at(loc[:end], root, tagged)
+        for name, field in record.model_fields.items():
+            if loc[end - 1] in (name, field.alias):
+                return record, name
+    return None
+
+
 def _fields_called(key: str | int, record: type[BaseModel]) -> list[FieldInfo]:
     return [field for name, field in record.model_fields.items() if key in (name, field.alias)]
 
@@ -90,12 +105,9 @@ def _takes_numbers_by_name(annotation: Any) -> bool:
 
 def entries_at(loc: tuple[str | int, ...], root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]) -> str:
     """How many numbers the list at `loc` has, in words; empty if that is not fixed."""
-    for end in range(len(loc), 0, -1):  # the last parts may be what pydantic adds for a member of a union
-        fields = _fields_called(loc[end - 1], record_at(loc[:end], root, tagged))
-        if fields:
-            count = next((count for count in (_entries_of(field.annotation) for field in fields) if count), 0)
-            return f"{count} numbers" if count else ""
-    return ""
+    found = field_at(loc, root, tagged)
+    count = 0 if found is None else _entries_of(found[0].model_fields[found[1]].annotation)
+    return f"{count} numbers" if count else ""
 
 
 def _entries_of(annotation: Any) -> int:

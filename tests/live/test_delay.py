@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
 import pytest
+from executors import Never
 
 import backhoe_planner as bp
 
 NAMES = ("swing", "boom", "stick", "bucket")
 POSTURE = (0.0, 0.3, -1.5, -1.5)
 CLEARANCE, ABOVE = 0.05, 0.02  # m; how far the machine is above the slab beyond its clearance
-
-
-class Never(Executor):
-    """Answers no search."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        return Future()
 
 
 def swinging() -> bp.Trajectory:

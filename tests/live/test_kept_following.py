@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
 import pytest
+from executors import AtOnce
 
 import backhoe_planner as bp
 from backhoe_planner.law import Rows
@@ -30,15 +30,6 @@ LEVEL = (
     {"pitch": list(BAND)},
     {"tilt": {"axis": [float(np.sin(-2.7)), 0.0, float(np.cos(-2.7))], "tolerance": 0.01}},
 )
-
-
-class AtOnce(Executor):
-    """Runs each call before it returns."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*args, **keys))
-        return future
 
 
 def level_scene(keep: Any = LEVEL[0]) -> bp.Scene:

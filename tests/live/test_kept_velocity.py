@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
-from typing import Any
-
 import numpy as np
 import pytest
+from executors import Never
 
 import backhoe_planner as bp
 from backhoe_planner.law import QuadraticProgram, Rows, solve_program
@@ -16,13 +14,6 @@ from backhoe_planner.motion import keep_of
 
 DT = 0.02
 KEPT = Rows("keep", np.array([[1.0, 0.0]]), np.array([0.2]))  # x <= 0.2
-
-
-class Never(Executor):
-    """Never answers."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        return Future()
 
 
 @pytest.mark.parametrize(

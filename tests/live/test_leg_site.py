@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
-from typing import Any
-
 import pytest
+from executors import Never
 
 import backhoe_planner as bp
 from backhoe_planner.live import PlanFollower, Servo
@@ -15,13 +13,6 @@ DT = 0.05  # s
 POSTURE = {"boom": 0.4, "stick": -1.6, "bucket": -0.9}
 BESIDE = {"shape": "sphere", "radius": 0.2, "position": [0.0, 4.0, 0.5]}
 FAR = {"shape": "sphere", "radius": 0.1, "position": [-9.0, 0.0, 0.0]}
-
-
-class Never(Executor):
-    """Never answers."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        return Future()
 
 
 @pytest.fixture(scope="module")

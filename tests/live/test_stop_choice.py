@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
 import pytest
+from executors import Never
 
 import backhoe_planner as bp
 from backhoe_planner.live import PlanFollower, Servo
@@ -21,13 +21,6 @@ from backhoe_planner.site import Proximity, build_obstacle, obstacle_from_dict
 DT = 0.01
 KEPT = 1.1e-4  # m that a certificate accepts as keeping a clearance
 ACCELERATION = np.array([0.5, 0.4, 0.6, 1.0])
-
-
-class Never(Executor):
-    """Never answers."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        return Future()
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import pickle
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from executors import AtOnce, Never
 
 import backhoe_planner as bp
 from backhoe_planner.live import FollowerState, PlanFollower, Servo
@@ -22,22 +23,6 @@ from backhoe_planner.site import Proximity
 SCENES = shipped_folder("scenes")
 DT = 0.01
 KEPT = 1.1e-4  # m that a certificate accepts as keeping a clearance
-
-
-class AtOnce(Executor):
-    """Runs each call before it returns."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*args, **keys))
-        return future
-
-
-class Never(Executor):
-    """Never answers."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        return Future()
 
 
 def planned(robot: Robot, name: str) -> bp.Plan:

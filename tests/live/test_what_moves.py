@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from executors import Never
 from machines import Axis, load_chain
 
 import backhoe_planner as bp
@@ -17,13 +16,6 @@ from backhoe_planner.machine import shipped_folder
 from backhoe_planner.site import Proximity
 
 DT = 0.02
-
-
-class Never(Executor):
-    """Never answers."""
-
-    def submit(self, function: Any, /, *args: Any, **keys: Any) -> Future[Any]:
-        return Future()
 
 
 @pytest.fixture(scope="module")

@@ -64,10 +64,10 @@ class ApproachCheck:
             self._known = step, track
             # a joint that turns round between two places goes at most this far beyond both
             turn = self._joints.acceleration / BRAKING * (rest / (_PLACES - 1)) ** 2 / 8.0
-            self.pair = self.pair_that_comes(track.places_within(rest, _PLACES), turn, rest + SEEN_COMING)
+            self.pair = self._pair_that_comes(track.places_within(rest, _PLACES), turn, rest + SEEN_COMING)
         return self.pair >= 0
 
-    def pair_that_comes(self, places: Matrix, turn: Vector, time: float) -> int:
+    def _pair_that_comes(self, places: Matrix, turn: Vector, time: float) -> int:
         """A pair of something that moves and of a machine somewhere between `places` (S, n); -1 if there is none.
 
         It may come too close within a `time` [s], or it would take too many measurements to know. There are at most
@@ -86,7 +86,7 @@ class ApproachCheck:
                 each[pairs] = kept
 
     def _look_along(self, pairs: Indices, places: Matrix, turn: Vector, time: float) -> int:
-        """As `pair_that_comes`, among `pairs` (K,); changes their planes."""
+        """As `_pair_that_comes`, among `pairs` (K,); changes their planes."""
         separation, at, count, pair = self._separation, self._at, len(places), -1
         at.place_each(places)
         off = 0.5 * np.abs(np.diff(places, axis=0)) + turn

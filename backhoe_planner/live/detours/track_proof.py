@@ -141,9 +141,7 @@ class TrackProof:
         self._leg: PlannedLeg | None = None
         self._asked, self._again_at = -1, 0.0
         self._known: dict[str, _Known] = {}
-        self._shapes: dict[
-            tuple[int, ...], tuple[tuple[Piece, ...], tuple[bytes, ...]]
-        ] = {}  # by the identities of pieces
+        self._shapes: dict[tuple[int, ...], tuple[tuple[Piece, ...], _Shape]] = {}  # by the identities of pieces
         self._look_again()
 
     def follow_leg(self, leg: PlannedLeg) -> None:

@@ -78,9 +78,7 @@ class StepReport:
             v, command, margin, wish.tip, refused, held_back=chosen.held_back, evading=chosen.evading,
             at_limit=request.range.cuts_wish, singular=wish.singular,
         )  # fmt: skip
-        lost = None
-        if margin < -_LOST:
-            lost = self._lost_clearance(state.q, near.pairs, self._bounds.kept(near.pairs), time)
+        lost = self._lost_clearance(state.q, near.pairs, time) if margin < -_LOST else None
         if lost is not None:
             status, nearest = Status.TOO_CLOSE, lost
         proven = chosen.end is not None
@@ -101,10 +99,7 @@ class StepReport:
         nearest, force = self._nearest(pair, margin, time), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
         refused = refused_part(wish, wish - J.dot(state.v))
         status = self._status(state.v, command, margin, wish, refused, held_back=True)
-        lost = None
-        if margin < -_LOST:
-            pairs, lower = np.arange(len(self._separation), dtype=np.intp), self._bounds.lower()
-            lost = self._lost_clearance(state.q, pairs, self._bounds.kept(pairs) if straight else lower, time)
+        lost = self._lost_clearance(state.q, None, time, straight=straight) if margin < -_LOST else None
         if lost is not None:
             status, nearest = Status.TOO_CLOSE, lost
         status = Status.STOPPED if failed else status
@@ -134,16 +129,22 @@ class StepReport:
         """The tightest pair as an obstruction; None if it is beyond the influence distance."""
         return self._site.obstruction(pair, margin, time) if margin < self._influence else None
 
-    def _lost_clearance(self, q: Vector, pairs: Indices, distance: Vector, time: float) -> Obstruction | None:
-        """The worst of `pairs` (K,) that are too close at q (n,), at the end of the step; None if none is.
+    def _lost_clearance(
+        self, q: Vector, pairs: Indices | None, time: float, *, straight: bool = True
+    ) -> Obstruction | None:
+        """The worst of `pairs` (K,), or of all, that are too close at q (n,), at the end of the step; None if none is.
 
         Bounds may be far below the distance of what moves, so the few pairs with the least are measured.
 
         Parameters
         ----------
-        distance: (K,) lower bounds [m]. A box of a scan may be nearer than all its cells, for which they were proven.
         time: at the end of the step [s].
+        straight: whether the machine keeps to what was proven of its braking straight ahead. A box of a scan may be
+            nearer than all its cells, for which the required distance was proven.
         """
+        if pairs is None:
+            pairs = np.arange(len(self._separation), dtype=np.intp)
+        distance = self._bounds.kept(pairs) if straight else self._bounds.lower()[pairs]
         clearance = self._separation.clearance[pairs]
         left, worst, short = distance - clearance, -_LOST, -1
         self._at.place(STEP_END, q)

@@ -354,9 +354,9 @@ class LinearModel:
             return solve_with_near_rows(self.program(slack_price, longest=longest), most_iterations=most_iterations)
         plain = self._plain(slack_price, longest=longest, late=True)
         rows, kinks, best, least = NearRows(plain), self._near_kinks(bend), None, np.inf
-        now = self._costs_of_parts(np.zeros(self._steps + 1), bend, slack_price, _NONE)[0]
+        still = np.zeros(self._steps + 1)
         for number in range(_MORE_SOLUTIONS):
-            if number >= _SOLUTIONS and least < now:
+            if number >= _SOLUTIONS and least < self._costs_of_parts(still, bend, slack_price, _NONE)[0]:
                 break
             bent = self._bent(plain, bend, kinks)
             x = rows.solve(bent, most_iterations=most_iterations, coupled=self._steps + 2)
