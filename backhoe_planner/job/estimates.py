@@ -14,13 +14,13 @@ from typing import Literal
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.job.checked_job import CheckedJob
 from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
-from backhoe_planner.job.cycles.dumping import DumpSite, NoDump, ground_obstacle
+from backhoe_planner.job.cycles.dumping import NoDump, ground_obstacle
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.result.job_plan import PatternEstimate
-from backhoe_planner.job.worksite.lanes import Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Dynamics
 
@@ -32,16 +32,17 @@ CLOSE = 0.02  # part of the cost within which estimates of one job do not tell p
 _LEAST = 1e-3  # m^3 dug by a cut: less is no progress
 
 
-def estimate_pattern(site: Worksite, lanes: Sequence[Lane], pattern: Pattern, dump: DumpSite) -> PatternEstimate:
+def estimate_pattern(work: CheckedJob, pattern: Pattern) -> PatternEstimate:
     """The cost of a pattern from the first cut to the last, with the soil dumped where a plan would dump it."""
+    site, dump = work.site, work.dump
     pace = 1.0 if site.job.objective == "time" else _EASY
     state = dump.first(site.ground, ground_obstacle(site, site.ground))
     empty = Dynamics(site.robot)
-    cycles, bank, duration, work = 0, 0.0, 0.0, 0.0
+    cycles, bank, duration, energy = 0, 0.0, 0.0, 0.0
     at: Vector | None = site.problem.start_q
     finished = False
     while cycles < _MOST_CYCLES:
-        found = next_cut(site, lanes, pattern, state.ground)
+        found = next_cut(site, work.lanes, pattern, state.ground)
         if not isinstance(found, NextCut):
             finished = found is None
             break
@@ -71,13 +72,13 @@ def estimate_pattern(site: Worksite, lanes: Sequence[Lane], pattern: Pattern, du
         if at is not None:
             runs.append(_air_run(site, at, path.q[0], empty, pace=pace))
         duration += sum(time for time, _ in runs)
-        work += sum(used for _, used in runs)
+        energy += sum(used for _, used in runs)
         at, state = opened, after
         bank += float(sweep.bank[-1])
         cycles += 1
-    per = duration if site.job.objective == "time" else work
+    per = duration if site.job.objective == "time" else energy
     cost = per / bank if bank > 0.0 else float("inf")
-    return PatternEstimate(pattern.name, cycles, bank, duration, work, cost, finished)
+    return PatternEstimate(pattern.name, cycles, bank, duration, energy, cost, finished)
 
 
 def _cut_run(site: Worksite, cut: Cut, path: CutPath, machines: tuple[Dynamics, Dynamics]) -> tuple[float, float]:
@@ -99,6 +100,14 @@ def _air_run(
     """Time [s] and work [J] of a motion on the straight line of the joints from `start` to `end` (n,)."""
     q = start + np.linspace(0.0, 1.0, _PLACES)[:, None] * (end - start)
     return site.digger.estimated_run(q, machine.gravity_torques(q), inertia=machine, part=1.0, pace=pace)
+
+
+def compared_patterns(work: CheckedJob, patterns: Sequence[Pattern]) -> tuple[PatternEstimate, ...]:
+    """The estimates of all `patterns` for a job, the one that is chosen first, the others by their costs."""
+    estimates = in_full([estimate_pattern(work, one) for one in patterns])
+    best = choose(estimates, work.site.job.objective)
+    order = sorted(range(len(estimates)), key=lambda index: (index != best, estimates[index].cost))
+    return tuple(replace(estimates[index], chosen=index == best) for index in order)
 
 
 def in_full(estimates: Sequence[PatternEstimate]) -> list[PatternEstimate]:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.job.cycles.dump_checks import check_dump, check_truck
-from backhoe_planner.job.cycles.dumping import dump_of
+from backhoe_planner.job.checked_job import check_whole_job
 from backhoe_planner.job.cycles.patterns import Pattern, patterns_to_compare
-from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
+from backhoe_planner.job.estimates import compared_patterns
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.schema.job_file import Job
-from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
-from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import build_worksite
 
 # for each way to cut, the patterns chosen in most of the jobs in scenes/jobs: a third of the work of all patterns
@@ -53,19 +50,8 @@ def estimate_job(job: Job, *, terrain: Terrain | None = None, few: bool = False)
     ------
     InputError: the job cannot be done as it is written, as for `plan_job`.
     """
-    site = build_worksite(job, terrain=terrain)
-    check_start(site)
-    check_place(site)
-    check_truck(site)
-    lanes, design = lanes_of(site), site.design_heights()
-    allowed, _ = allowed_heights(site, lanes, design)
-    check_job(site, lanes, design, allowed)
-    check_dump(site, allowed)
-    patterns: Sequence[Pattern] = patterns_to_compare(site)
+    work = check_whole_job(build_worksite(job, terrain=terrain))
+    patterns: Sequence[Pattern] = patterns_to_compare(work.site)
     if few and len(patterns) > 1:
         patterns = _FEW
-    dump = dump_of(site)
-    estimates = in_full([estimate_pattern(site, lanes, one, dump) for one in patterns])
-    best = choose(estimates, job.objective)
-    order = sorted(range(len(estimates)), key=lambda index: (index != best, estimates[index].cost))
-    return JobEstimate(tuple(replace(estimates[index], chosen=index == best) for index in order), design, allowed)
+    return JobEstimate(compared_patterns(work, patterns), work.design, work.allowed)

@@ -11,19 +11,16 @@ import numpy as np
 
 from backhoe_planner.arrays import as_count
 from backhoe_planner.errors import InputError, SceneError, check_kind
+from backhoe_planner.job.checked_job import check_whole_job
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
-from backhoe_planner.job.cycles.dump_checks import check_dump, check_truck
-from backhoe_planner.job.cycles.dumping import dump_of
 from backhoe_planner.job.cycles.patterns import WALLS, NextCut, next_cut, patterns_to_compare
-from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
+from backhoe_planner.job.estimates import compared_patterns
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, interruption, same_ground, same_job
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.undug import find_undug
-from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
-from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
 from backhoe_planner.planning import EFFORTS
 
@@ -117,33 +114,18 @@ class _Run:
 
     def __init__(self, site: Worksite, effort: str, seed: int, begun: float) -> None:
         self._site, self._effort, self._seed, self._begun = site, effort, seed, begun
-        check_start(site)
-        check_place(site)
-        check_truck(site)
-        self._lanes = lanes_of(site)
-        self._design = site.design_heights()
-        self._allowed, self._by = allowed_heights(site, self._lanes, self._design)
-        check_job(site, self._lanes, self._design, self._allowed)
-        check_dump(site, self._allowed)
-        self._dump = dump_of(site)
+        self._work = check_whole_job(site)
         self._patterns = patterns_to_compare(site)
         self._compared: tuple[PatternEstimate, ...] = ()
 
     def all(self, resume: JobPlan | None, watch: Callable[[JobStep], object] | None) -> JobPlan:
         """The plan of the whole job."""
         site = self._site
-        if resume is None:
-            estimates = in_full([estimate_pattern(site, self._lanes, one, self._dump) for one in self._patterns])
-            best = choose(estimates, site.job.objective)
-            chosen = [replace(one, chosen=index == best) for index, one in enumerate(estimates)]
-            order = sorted(range(len(chosen)), key=lambda index: (not chosen[index].chosen, chosen[index].cost))
-            self._compared = tuple(chosen[index] for index in order)
-        else:
-            self._compared = resume.compared
+        self._compared = compared_patterns(self._work, self._patterns) if resume is None else resume.compared
         names = [one.name for one in self._patterns]
         own = next(one for one in self._compared if one.chosen)
         pattern = self._patterns[names.index(own.name)]
-        planner = CyclePlanner(site, self._dump, effort=self._effort, seed=self._seed)
+        planner = CyclePlanner(site, self._work.dump, effort=self._effort, seed=self._seed)
         cycles = [] if resume is None else list(resume.cycles)
         state = planner.first(site.ground)
         for cycle in cycles:
@@ -153,12 +135,12 @@ class _Run:
         failure, note, stopped, too_hard, refused = "", "", "", "", 0
 
         def leave_out(cut: NextCut) -> None:
-            number = self._lanes.index(cut.lane)
+            number = self._work.lanes.index(cut.lane)
             done[number] = min(done.get(number, np.inf), float(cut.cut.r[0])) - _BESIDE
 
         self._tell(watch, cycles, own.cycles)
         while len(cycles) < _MOST_CYCLES:
-            found = next_cut(site, self._lanes, pattern, state.ground, done=tuple(done.items()))
+            found = next_cut(site, self._work.lanes, pattern, state.ground, done=tuple(done.items()))
             if not isinstance(found, NextCut):
                 if isinstance(found, NoCut):
                     note = found.reason
@@ -224,16 +206,14 @@ class _Run:
             )
 
     def _plan(self, cycles: list[Cycle], failure: JobReason, note: str) -> JobPlan:
-        site = self._site
+        site, work = self._site, self._work
         end = cycles[-1].after if cycles else site.ground
         hard = note if failure == "too_hard" else ""
-        heights = (self._design, self._allowed, self._by)
-        undug = (
-            () if failure == "interrupted" else find_undug(site, self._lanes, heights, end, hard=hard, ended=failure)
-        )
+        heights = (work.design, work.allowed, work.lane_of)
+        undug = () if failure == "interrupted" else find_undug(site, work.lanes, heights, end, hard=hard, ended=failure)
         return JobPlan(
-            job=site.job, robot=site.robot, start=site.ground, design=self._design, share=site.share,
-            allowed=self._allowed, outline=site.design.outline, cycles=tuple(cycles), undug=undug,
+            job=site.job, robot=site.robot, start=site.ground, design=work.design, share=site.share,
+            allowed=work.allowed, outline=site.design.outline, cycles=tuple(cycles), undug=undug,
             compared=self._compared,
             capacity=site.bucket.capacity, effort=self._effort, seed=self._seed,
             surveyed=not same_ground(site.own_ground, site.ground), failure=failure, note=note,

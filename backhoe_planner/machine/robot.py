@@ -153,6 +153,12 @@ class Robot:
         return tuple(dict.fromkeys(piece.link for piece in self.pieces if piece.joint > 0))
 
     @cached_property
+    def fixed_outlines(self) -> tuple[tuple[Matrix, float], ...]:
+        """Of each convex part that does not move: (k, 2) x, y of its corners [m], world, and its radius around them."""
+        fixed = (one.piece for one in self.pieces if one.joint == 0 and len(one.piece.hull))
+        return tuple((np.asarray(one.hull)[:, :2], one.radius) for one in fixed)
+
+    @cached_property
     def all_link_names(self) -> tuple[str, ...]:
         """Every link of the URDF."""
         return tuple(link.name for link in self.urdf.robot.links)

@@ -26,9 +26,7 @@ class MachineFootprint:
     """
 
     def __init__(self, robot: Robot) -> None:
-        here = robot.at_origin
-        fixed = [one.piece for one in here.pieces if one.joint == 0 and len(one.piece.hull)]
-        self.outlines: tuple[Matrix, ...] = tuple(_outline(np.asarray(one.hull)[:, :2], one.radius) for one in fixed)
+        self.outlines: tuple[Matrix, ...] = tuple(_outline(*one) for one in robot.at_origin.fixed_outlines)
         self._low = np.zeros(2)
         self._distance = np.full((1, 1), _AROUND)
         if self.outlines:

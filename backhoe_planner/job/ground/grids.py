@@ -122,8 +122,18 @@ def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
 def column_lowest(points: Matrix, grid: HeightGrid) -> Matrix:
     """(rows, columns) the least height of the points (n, 3) [m] in each column of a grid; NaN without points."""
     on, index = columns_of(points, grid)
+    return lowest_in_columns(points[on, 2], index, grid)
+
+
+def lowest_in_columns(heights: Vector, columns: Indices, grid: HeightGrid) -> Matrix:
+    """(rows, columns) the least of the heights (m,) [m] in each column of a grid, NaN for none.
+
+    Parameters
+    ----------
+    columns: (m,) of the heights, see `columns_of`.
+    """
     found = np.full(grid.z.size, np.inf)
-    np.minimum.at(found, index, points[on, 2])
+    np.minimum.at(found, columns, heights)
     return np.where(np.isinf(found), np.nan, found).reshape(grid.z.shape)
 
 

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Flags, Matrix, Vector, as_number
 from backhoe_planner.errors import InputError
-from backhoe_planner.job.ground.grids import HeightGrid, column_lowest, columns_of, from_nearest, widened
+from backhoe_planner.job.ground.grids import (
+    HeightGrid,
+    column_lowest,
+    columns_of,
+    from_nearest,
+    lowest_in_columns,
+    widened,
+)
 from backhoe_planner.machine import VoxelSolid, voxel_keys
 from backhoe_planner.site import MOST_VOXELS
 
@@ -203,7 +210,8 @@ def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matri
     """
     wide, part = widened(grid, points[:, :2].min(axis=0), points[:, :2].max(axis=0), BEYOND)
     near, index = columns_of(points, wide)
-    lowest = column_lowest(points, wide)
+    z = points[near, 2]
+    lowest = lowest_in_columns(z, index, wide)
     off, stray = np.zeros((2, len(points)), dtype=bool)
     if not np.isfinite(lowest).any():
         return PartedPoints(off, stray, wide, part)
@@ -211,7 +219,6 @@ def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matri
     reference = _highest_around(ground)
     if known is not None:
         reference[part] = np.maximum(reference[part], _highest_around(known))
-    z = points[near, 2]
     off[near] = z > reference.ravel()[index] + roughness
     stray[near] = is_stray.ravel()[index] & (z < ground.ravel()[index] - roughness)
     return PartedPoints(off, stray, replace(wide, z=ground), part)

@@ -205,8 +205,7 @@ def _where_it_may_be(robot: Robot, around: float) -> tuple[Vector, Vector]:
 
 def fixed_corners(robot: Robot) -> Matrix:
     """(k, 2) x, y of points around the parts of a machine that do not move [m]; none if it has no such parts."""
-    fixed = [one.piece for one in robot.pieces if one.joint == 0 and len(one.piece.hull)]
-    sides = [np.asarray(one.hull)[:, :2] + side * one.radius for one in fixed for side in (-1.0, 1.0)]
+    sides = [corners + side * radius for corners, radius in robot.fixed_outlines for side in (-1.0, 1.0)]
     return np.vstack(sides) if sides else np.zeros((0, 2))
 
 

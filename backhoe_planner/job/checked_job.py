@@ -1,0 +1,54 @@
+"""A job whose place, start, cuts and dump were checked: what estimates and plans begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.job.cycles.dump_checks import check_dump, check_truck
+from backhoe_planner.job.cycles.dumping import DumpSite, dump_of
+from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
+from backhoe_planner.job.worksite.lanes import Lane, allowed_heights, lanes_of
+from backhoe_planner.job.worksite.worksite import Worksite
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedJob:
+    """What is dug in a job, and where it goes.
+
+    Attributes
+    ----------
+    site: where it is done.
+    lanes: in which the bucket digs.
+    design: (rows, columns) heights of the design [m].
+    allowed: (rows, columns) heights down to which the lanes reach [m], see `allowed_heights`.
+    lane_of: (rows, columns) the index of the lane that reaches so far, or -1.
+    dump: a heap or trucks.
+    """
+
+    site: Worksite
+    lanes: tuple[Lane, ...]
+    design: Matrix
+    allowed: Matrix
+    lane_of: NDArray[np.int64]
+    dump: DumpSite
+
+
+def check_whole_job(site: Worksite) -> CheckedJob:
+    """Check a job before anything is planned.
+
+    Raises
+    ------
+    SceneError: names the key, what was found, and what is allowed.
+    """
+    check_start(site)
+    check_place(site)
+    check_truck(site)
+    lanes, design = lanes_of(site), site.design_heights()
+    allowed, lane_of = allowed_heights(site, lanes, design)
+    check_job(site, lanes, design, allowed)
+    check_dump(site, allowed)
+    return CheckedJob(site, lanes, design, allowed, lane_of, dump_of(site))
