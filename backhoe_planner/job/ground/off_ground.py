@@ -224,6 +224,11 @@ def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matri
     return PartedPoints(off, stray, replace(wide, z=ground), part)
 
 
+def tops_of(ground: HeightGrid, which: Flags) -> Matrix:
+    """(k, 3) points on top of those columns of a ground that `which` (rows, columns) names [m]."""
+    return np.column_stack((ground.nodes()[which] + _OFF_BORDER, ground.z[which]))
+
+
 def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
     """(k, 3) points that fill the unseen space between things and the ground that they hide [m].
 

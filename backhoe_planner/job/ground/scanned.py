@@ -38,13 +38,14 @@ class Scanned:
 def scanned(
     known: Terrain, file: str | Path, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
     fill: float = 0.0, noise: float = _NOISE, map_origin: Sequence[float] | Vector | None = None,
-    roughness: float = ROUGHNESS,
+    roughness: float = ROUGHNESS, around: HeightGrid | None = None,
 ) -> Scanned:  # fmt: skip
     """The ground according to a file, on the grid of the known ground.
 
     Where the scan is lower than the undisturbed soil was, soil was dug away and the rest is undisturbed. Where it is
     higher, there is loose soil on the undisturbed soil. What stands on the ground of a point cloud is told from it; a
-    thing of before stays where the scan did not look, and if the scan is a table of heights.
+    thing of before stays where the scan did not look, and if the scan is a table of heights. Where the ground beyond
+    the grid is higher than before, it is an obstacle like what stands there.
 
     Parameters
     ----------
@@ -54,6 +55,7 @@ def scanned(
     cell: distance between the file's heights [m]; required for a CSV.
     fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
     map_origin, roughness: of points, as in `Terrain.from_file`.
+    around: the known ground beyond the grid; by default it goes on level from the grid's border.
     noise: the ground is unchanged where the scan is this close to the known surface [m].
 
     Raises
@@ -63,7 +65,7 @@ def scanned(
     check_kind(known, Terrain, key="known")
     file, noise = check_path(file, key="file"), as_number(noise, key="noise", least=0.0)
     onto = HeightGrid(known.low, known.cell, known.surface)
-    survey = survey_on(file, onto, low=low, cell=cell, map_origin=map_origin, roughness=roughness)
+    survey = survey_on(file, onto, low=low, cell=cell, map_origin=map_origin, roughness=roughness, around=around)
     heights = filled(survey.heights, as_number(fill, key="fill", least=0.0)).z
     unknown = np.isnan(heights)
     if unknown.all():

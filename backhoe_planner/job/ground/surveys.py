@@ -26,8 +26,18 @@ from backhoe_planner.job.ground.grids import (
     resampled,
     widened,
 )
-from backhoe_planner.job.ground.off_ground import BEYOND, OffGround, below, describe, part_points, voxels_of
+from backhoe_planner.job.ground.off_ground import (
+    BEYOND,
+    OffGround,
+    below,
+    describe,
+    join_voxels,
+    part_points,
+    voxels_of,
+)
+from backhoe_planner.job.ground.raised import NOT_RAISED, Raised, raised_beyond
 from backhoe_planner.job.schema.work import ROUGHNESS
+from backhoe_planner.machine import voxel_keys
 from backhoe_planner.site import read_height_grid, read_points
 
 _POINTS = (".ply", ".pcd", ".las", ".laz", ".e57", ".obj", ".stl", ".xyz", ".txt", ".pts")
@@ -101,7 +111,9 @@ def _of_cloud(
     return split(points, grid, roughness)
 
 
-def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None) -> Survey:
+def split(
+    points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None, around: HeightGrid | None = None
+) -> Survey:  # fmt: skip
     """Ground and what stands on it, from points (n, 3) [m]: the ground of a column is the mean of its ground
     points, and the lowest of them where something stands.
 
@@ -111,6 +123,7 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     roughness: height above the ground up to which a point belongs to it [m].
     known: (rows, columns) the ground at an earlier time [m]. Where things hide the ground it is taken as it was then,
         otherwise between the columns around them.
+    around: the ground beyond it at that time; what is higher now stands there, see `raised_beyond`.
     """
     parted = part_points(points, grid, roughness, known)
     off, wide, part = parted.off, parted.ground, parted.part
@@ -121,8 +134,9 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     with_things = _columns_with(points[off], wide)
     beyond = _further(replace(wide, z=np.where(with_things | np.isnan(means), wide.z, means)), grid)
     heights = replace(grid, z=means[part])
+    raised = NOT_RAISED if known is None else raised_beyond(replace(wide, z=means), part, known, around, roughness)
     if not off.any():
-        return Survey(heights, beyond=beyond)
+        return Survey(heights, _voxels_of_raised(raised, grid.cell), raised.remark, beyond)
     under, ground = with_things[part], wide.z[part]
     # the lower part of a wall counts as ground, but does not raise it, nor does a stray point below lower it
     lowest = column_lowest(own, grid)
@@ -132,7 +146,12 @@ def split(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | No
     there = filled_at(heights, hidden).z if known is None else known
     heights = replace(heights, z=np.where(hidden, there, heights.z))
     stands = voxels_of(np.vstack((points[off], below(points[off], heights, hidden))), grid.cell)
-    return Survey(heights, stands, describe(points[off], heights, stands), beyond)
+    remark = "; ".join(one for one in (describe(points[off], heights, stands), raised.remark) if one)
+    return Survey(heights, join_voxels(stands, _voxels_of_raised(raised, grid.cell)), remark, beyond)
+
+
+def _voxels_of_raised(raised: Raised, cell: float) -> OffGround | None:
+    return OffGround(cell, voxel_keys(raised.points, cell)) if len(raised.points) else None
 
 
 def _columns_with(points: Matrix, grid: HeightGrid) -> Flags:
@@ -151,6 +170,7 @@ def _further(wide: HeightGrid, grid: HeightGrid) -> HeightGrid | None:
 def survey_on(
     file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
     map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
+    around: HeightGrid | None = None,
 ) -> Survey:  # fmt: skip
     """The ground in a file at the nodes of a grid of known heights; NaN where the file does not reach.
 
@@ -158,15 +178,19 @@ def survey_on(
     ----------
     low, cell: position and spacing of the heights, as in `Terrain.from_file`; points and a GeoTIFF need neither.
     map_origin, roughness: of points, as in `Terrain.from_file`.
+    around: the known ground beyond the grid; what is higher there by more than `roughness` is an obstacle.
 
     Raises
     ------
     InputError: as for `read_survey`.
     """
+    rough = as_number(roughness, key="roughness", least=0.0)
     if is_cloud(file):
-        points = read_points(file, map_origin=_origin(map_origin))
-        return split(points, onto, as_number(roughness, key="roughness", least=0.0), onto.z)
-    return Survey(resampled(_read_table(file, low, cell, None, moved=True), onto))
+        return split(read_points(file, map_origin=_origin(map_origin)), onto, rough, onto.z, around)
+    grid = _read_table(file, low, cell, None, moved=True)
+    wide, part = widened(onto, grid.low, grid.high, BEYOND)
+    raised = raised_beyond(resampled(grid, wide), part, onto.z, around, rough)
+    return Survey(resampled(grid, onto), _voxels_of_raised(raised, onto.cell), raised.remark)
 
 
 def is_cloud(file: Path) -> bool:

@@ -45,6 +45,7 @@ class Worksite:
     digger: the machine as a digger in the soil.
     ground: the ground before the first cycle.
     own_ground: the job's own ground, whatever a survey says.
+    beyond: the ground in the file of the job beyond that; None if it goes no further.
     design: the design to be dug.
     arm: boom and stick, which must stay above the ground.
     things: what stands on the ground of a cloud where the machine or its arm may be, as obstacles.
@@ -56,6 +57,7 @@ class Worksite:
     digger: Digger
     ground: Terrain
     own_ground: Terrain
+    beyond: HeightGrid | None
     design: Design
     arm: ArmOutline
     things: tuple[Obstacle, ...]
@@ -147,7 +149,7 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
             one.cluster.prepare(*reach_ball(problem.robot))
     problem = replace(problem, obstacles=(*problem.obstacles, *around, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
-    return Worksite(job, problem.robot, problem, digger, ground, own, design, arm, stands)
+    return Worksite(job, problem.robot, problem, digger, ground, own, beyond, design, arm, stands)
 
 
 def plain_soil(job: Job) -> Soil:
@@ -309,7 +311,7 @@ def read_ground(job: Job, file: Path) -> Scanned:
         )  # fmt: skip
     found = scanned(
         own, file, low=own.low, cell=own.cell, fill=job.ground.fill, map_origin=job.ground.map_origin,
-        roughness=job.ground.roughness,
+        roughness=job.ground.roughness, around=site.beyond,
     )  # fmt: skip
     holes = found.unknown & np.isfinite(site.design_heights())
     if holes.any():

@@ -25,8 +25,9 @@ from backhoe_planner.job import (
     off_ground_obstacles,
     plan_job,
     read_ground,
+    scanned,
 )
-from backhoe_planner.job.ground.grids import empty_grid
+from backhoe_planner.job.ground.grids import HeightGrid, empty_grid
 from backhoe_planner.job.ground.surveys import split
 from backhoe_planner.job.worksite.checks import check_place
 from backhoe_planner.site import read_points
@@ -249,6 +250,39 @@ def test_what_stands_in_a_survey_during_a_job_is_kept(tmp_path: Path) -> None:
     assert stays < now
     assert all(np.allclose([0.025 + 0.05 * x, 0.05 * y], [1.0, 0.5], atol=0.06) for x, y, _ in now - stays)
     assert "up to 1.00 m high at x 1.00, y 0.50" in found.remark
+
+
+@pytest.mark.parametrize("name", ["scan.xyz", "scan.csv"])
+def test_ground_that_was_heaped_beyond_the_modelled_ground_is_an_obstacle(name: str, tmp_path: Path) -> None:
+    """The job's ground ends at x = 5.5 m. A later survey has a bank there, from 6 m on, that rises by 0.6 to 1.5 m."""
+    job = job_from_dict(TINY | {"ground": TINY["ground"] | {"cell": 0.1}}, folder=tmp_path)
+    known = Terrain.level(0.0, (0.5, -4.5), (5.5, 1.0), 0.1)
+    places = grid((0.5, -4.5), (11.0, 1.0), known.cell)
+    heights = np.clip(0.6 * (places[:, 0] - 6.0), 0.0, 1.5)
+    if name.endswith(".csv"):
+        np.savetxt(tmp_path / name, heights.reshape(-1, len(np.unique(places[:, 0]))), delimiter=",", fmt="%.4f")
+        found = scanned(known, tmp_path / name, low=known.low, cell=known.cell)
+    else:
+        np.savetxt(tmp_path / name, at(places, heights), fmt="%.4f")
+        found = read_ground(job, tmp_path / name)
+        names = [one.name for one in build_worksite(job, terrain=found.terrain).problem.obstacles]
+        assert any(one.startswith("what stands at x ") for one in names)
+    assert np.array_equal(found.terrain.surface, known.surface)
+    stands = found.terrain.off_ground
+    assert stands is not None
+    assert stands.edge == known.cell
+    there = {tuple(key) for key in stands.keys.tolist()}
+    for x in (6.5, 8.0, 10.5):
+        level = np.arange(0.5 * known.cell, min(0.6 * (x - 6.0), 1.5), known.cell)
+        asked = np.column_stack((np.full(len(level), x), np.full(len(level), -2.0), level)) + 1e-6
+        assert {tuple(key) for key in np.floor(asked / known.cell).astype(int).tolist()} <= there
+    assert stands.centres[:, 0].min() == pytest.approx(6.25, abs=1.6 * known.cell)  # 0.15 m of height
+    assert "up to 1.50 m higher than before, at x 8.5" in found.remark
+    # ground that was as high before is no obstacle
+    before = HeightGrid(known.low, known.cell, heights.reshape(-1, len(np.unique(places[:, 0]))))
+    again = scanned(known, tmp_path / name, low=known.low, cell=known.cell, around=before)
+    assert again.terrain.off_ground is None
+    assert again.remark == ""
 
 
 def test_voxels_of_two_sizes_are_joined_without_losing_space() -> None:
