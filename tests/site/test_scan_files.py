@@ -235,6 +235,23 @@ def laz(version: str, form: int, points: list[list[float]] | np.ndarray, path: P
     return path.read_bytes()
 
 
+@pytest.mark.parametrize("ending", ["las", "laz"])
+@pytest.mark.parametrize(("version", "form"), [("1.2", 3), ("1.4", 6)])
+def test_points_that_a_las_marks_as_noise_or_withheld_do_not_count(
+    version: str, form: int, ending: str, tmp_path: Path
+) -> None:
+    """Ground, low noise, a building, high noise (from point format 6 on), a withheld point, and low noise again."""
+    header = laspy.LasHeader(version=version, point_format=form)
+    header.scales = [0.001] * 3
+    scan = laspy.LasData(header)
+    scan.x, scan.y, scan.z = np.arange(6.0), np.zeros(6), np.zeros(6)
+    scan.classification = [2, 7, 6, 18, 2, 7]
+    scan.withheld = [0, 0, 0, 0, 1, 0]
+    scan.synthetic = [1, 0, 1, 0, 0, 1]
+    scan.write(tmp_path / f"scan.{ending}")
+    assert read_points(tmp_path / f"scan.{ending}")[:, 0].tolist() == ([0.0, 2.0] if form == 6 else [0.0, 2.0, 3.0])
+
+
 @pytest.mark.parametrize(("version", "form"), [("1.2", 3), ("1.4", 6)])
 def test_points_of_a_laz_are_those_that_laspy_wrote(version: str, form: int, tmp_path: Path) -> None:
     """60,000 points take two chunks."""

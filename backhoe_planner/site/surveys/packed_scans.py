@@ -31,13 +31,13 @@ _LAYERED = 3  # the first number of that record, if a chunk of points has layers
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of a part by its kind; any other kind has one for each of its bytes
 
 
-def unpacked_places(content: bytes, begin: int, length: int, count: int, key: bytes) -> NDArray[np.int32]:
-    """(count, 3) x, y and z of the points of a LAZ, in the units of its header.
+def unpacked_points(content: bytes, begin: int, kind: np.dtype[np.void], count: int, key: bytes) -> NDArray[np.void]:
+    """(count,) the points of a LAZ, with the fields of `kind`.
 
     Parameters
     ----------
     content: all bytes of the file; `begin`: where its points begin.
-    length: bytes of a point when unpacked.
+    kind: some fields of a point when unpacked, and how long it is.
     key: the record of the file that says how they are packed.
 
     Raises
@@ -46,11 +46,13 @@ def unpacked_places(content: bytes, begin: int, length: int, count: int, key: by
     """
     import lazrs
 
+    length = kind.itemsize
     _check_chunks(content, begin, count)
     _check_parts(key, length)
     source = io.BytesIO(content)
     source.seek(begin)
-    found = np.empty((count, 3), dtype=np.int32)
+    shorter = np.dtype([(name, kind[name]) for name in kind.names or ()])  # only what is asked for is kept
+    found = np.empty(count, dtype=shorter)
     try:
         _check_layers(content, begin, length, key, lazrs.read_chunk_table(source, lazrs.LazVlr(key)))
         source.seek(begin)
@@ -59,7 +61,8 @@ def unpacked_places(content: bytes, begin: int, length: int, count: int, key: by
             some = found[first : first + _AT_ONCE]
             unpacked = np.zeros(len(some) * length, dtype=np.uint8)
             points.decompress_many(unpacked)
-            some[:] = unpacked.view(np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": length}))["xyz"]
+            for name in shorter.names or ():
+                some[name] = unpacked.view(kind)[name]
     except BaseException as error:  # what lazrs raises where it panics is none of Python's own exceptions
         if not isinstance(error, lazrs.LazrsError) and type(error).__name__ != "PanicException":
             raise

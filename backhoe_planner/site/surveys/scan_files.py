@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Flags, Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.site.surveys.geo_keys import GeoKeys
-from backhoe_planner.site.surveys.packed_scans import unpacked_places
+from backhoe_planner.site.surveys.packed_scans import unpacked_points
 from backhoe_planner.site.surveys.wkt_units import check_system_in_metres
 
 _AXES = ("x", "y", "z")
@@ -27,6 +27,11 @@ _LITERALS, _LONG = 32, 7  # of LZF: control bytes below the first copy bytes, le
 _SMALLEST = 20  # bytes of a point of a LAS
 _MARK = b"LASF"
 _COMPRESSED = 0xC0  # bits of the point format that LAZ sets
+# the two bytes of a point that mark it. Up to format 5 the first has the class in five bits, and the bit that withholds
+# it; from format 6 on the bits are there, and the second is the class. Version 1.0 does not say what they mean
+_MARKS, _FIRST_WITH_MARKS, _FIRST_NEW = 15, 1, 6
+_CLASS, _WITHHELD, _WITHHELD_NEW = 0x1F, 0x80, 0x04
+_NOISE, _NOISE_NEW = (7,), (7, 18)  # classes of points that are none: low noise, and high noise
 _PACKING = 22204  # the record of a LAZ that says how its points are packed
 _SYSTEM, _WKT = b"LASF_Projection", 2112
 _KEYS, _NUMBERS, _WORDS = 34735, 34736, 34737  # records of a reference system, numbered as the tags of a GeoTIFF
@@ -155,11 +160,11 @@ def _unpacked(data: bytes, size: int) -> bytes:
 
 
 def read_las(path: Path) -> Matrix:
-    """(n, 3) the points of a LAS or LAZ [m], of every class.
+    """(n, 3) the points of a LAS or LAZ [m], except those that it marks as noise (classes 7 and 18) or as withheld.
 
     Raises
     ------
-    InputError: it is no LAS, is cut short or damaged, or its reference system is not in metres.
+    InputError: it is no LAS, is cut short or damaged, has no other points, or its reference system is not in metres.
     """
     content = path.read_bytes()
     try:
@@ -174,17 +179,35 @@ def read_las(path: Path) -> Matrix:
         _check_system_of_las(found, path)
         if length < _SMALLEST:
             raise ValueError(f"{length} bytes for a point, not {_SMALLEST} or more")
+        kind = np.dtype(
+            {"names": ["xyz", "marks"], "formats": [("<i4", 3), ("u1", 2)], "offsets": [0, _MARKS], "itemsize": length}
+        )
         if form & _COMPRESSED:
             packing = next((data for _, number, data in found if number == _PACKING), b"")
-            return np.asarray(unpacked_places(content, begin, length, count, packing) * scale + offset)
-        if begin + count * length > len(content):
+            points = unpacked_points(content, begin, kind, count, packing)
+        elif begin + count * length > len(content):
             raise ValueError(f"{len(content)} bytes, not {begin + count * length}")
-        kind = np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": length})
-        return np.asarray(np.frombuffer(content, kind, count, begin)["xyz"] * scale + offset)
+        else:
+            points = np.frombuffer(content, kind, count, begin)
+        places = points["xyz"]
+        if minor >= _FIRST_WITH_MARKS:
+            counts = _counts(points["marks"], is_new=form & ~_COMPRESSED >= _FIRST_NEW)
+            if count and not counts.any():
+                raise InputError("marks all of its points as noise or as withheld", file=path, found=f"{count} points")
+            places = places if counts.all() else places[counts]
+        return np.asarray(places * scale + offset)
     except InputError:
         raise
     except (IndexError, ValueError, MemoryError, struct.error) as error:
         raise InputError(f"is a LAS that is cut short or damaged: {error}", file=path) from error
+
+
+def _counts(marks: NDArray[np.uint8], *, is_new: bool) -> Flags:
+    """(n,) which points of a LAS count, by the two bytes (n, 2) that mark each; `is_new` from point format 6 on."""
+    first, second = marks.T
+    if is_new:
+        return np.asarray(~np.isin(second, _NOISE_NEW) & (first & _WITHHELD_NEW == 0))
+    return np.asarray(~np.isin(first & _CLASS, _NOISE) & (first & _WITHHELD == 0))
 
 
 def _records_of_las(content: bytes, at: int, count: int) -> Iterator[tuple[bytes, int, bytes]]:
