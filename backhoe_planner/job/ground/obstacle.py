@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Vector, as_number
+from backhoe_planner.arrays import Indices, Matrix, Vector, as_number
 from backhoe_planner.errors import check_kind
 from backhoe_planner.job.ground.grids import HeightGrid
 from backhoe_planner.job.ground.off_ground import OffGround
@@ -17,6 +17,8 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, scan_body, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
 
+GROUND_BEYOND = "the ground beyond what is modelled"
+_BELOW = 0.05  # m below the terrain that the ground beyond it is drawn under its border; chosen
 _DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
 
 
@@ -129,8 +131,32 @@ def ground_beyond(
     # the terrain is an obstacle of its own: within its border, this one is deeper than any arm reaches
     z[max(south + 1, 0) : max(north, 0), max(west + 1, 0) : max(east, 0)] = z.min() - _DEEP
     ends = beyond.low + beyond.cell * np.stack((first, last))
-    spec = _height_map("the ground beyond what is modelled", *ends)
+    spec = _height_map(GROUND_BEYOND, *ends)
     return (_unmoved(spec, terrain_body(z, spec.size, spec.placement), clearance),)
+
+
+def surface_beyond(beyond: Obstacle, most: int) -> tuple[Matrix, Indices]:
+    """Vertices (k, 3) [m], world, and triangles (m, 3) of an obstacle of `ground_beyond`, down to the terrain's border.
+
+    Parameters
+    ----------
+    most: triangles, about.
+    """
+    assert beyond.cluster is not None
+    vertices, triangles = beyond.cluster.drawing(most)
+    lowest = float(vertices[:, 2].min())
+    sunk = vertices[:, 2] < lowest + 0.5 * _DEEP
+    if (vertices[sunk, 2] > lowest).any():  # the terrain is nowhere within it
+        return vertices, triangles
+    triangles = triangles[~sunk[triangles].all(axis=1)]
+    # at the border it goes on a little below the terrain
+    corners, level = triangles.ravel(), np.where(sunk[triangles], np.inf, vertices[triangles, 2]).min(axis=1)
+    beside = np.full(len(vertices), np.inf)
+    np.minimum.at(beside, corners, np.repeat(level - _BELOW, 3))
+    found = vertices.copy()
+    found[sunk, 2] = beside[sunk]
+    used, index = np.unique(corners, return_inverse=True)
+    return found[used], index.reshape(-1, 3)
 
 
 def _height_map(name: str, low: Vector, high: Vector) -> obstacle_shapes.HeightMap:

@@ -11,11 +11,10 @@ from trimesh.transformations import translation_matrix
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.show.drawing.drawing import draw, line_segments, mesh
-from backhoe_planner.show.drawing.palette import Rgba
+from backhoe_planner.show.drawing.palette import UNTOUCHED, Rgba
 from backhoe_planner.show.drawing.solids import Facets, sheet
 
 # Colours and the following values are chosen by eye.
-_COLOUR = (0.78, 0.76, 0.70)
 _LINE_COLOUR = (0.40, 0.40, 0.38)
 _LINE_STRENGTH = 0.3  # opacity in the middle: visible, but fainter than any machine or obstacle
 _LINE_STEP = 1.0  # m between lines, so that lengths can be read
@@ -31,7 +30,7 @@ def opening_of(points: Matrix) -> Matrix:
 
 def draw_ground(
     visualizer: Any, *, centre: Vector, radius: float, opacity: float, opening: Matrix | None = None,
-    height: float = 0.0, colour: tuple[float, float, float] = _COLOUR,
+    height: float = 0.0, colour: tuple[float, float, float] = UNTOUCHED,
 ) -> None:  # fmt: skip
     """Draw level ground.
 

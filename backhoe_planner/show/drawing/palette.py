@@ -15,6 +15,7 @@ TRACE = _rgb("f07f13")
 GOAL = _rgb("1fa35c")
 PASSED_BY = _rgb("9aa5ad")  # goals when another one is reached
 KEPT = _rgb("7a4fbf")  # the axis that a tilt keeps, and where it may point
+UNTOUCHED = (0.78, 0.76, 0.70)  # level ground, and soil that was not dug
 SOIL = _rgb("917659")
 LOOSE_SOIL = _rgb("b39770")  # soil that was dug, in a heap or a bucket
 LOAD = _rgb("b9b3aa")  # what the machine carries

@@ -10,11 +10,11 @@ import numpy as np
 import trimesh
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job import JobPlan, build_worksite
+from backhoe_planner.job import GROUND_BEYOND, JobPlan, build_worksite, surface_beyond
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.show.drawing.drawing import PlanAnimation, Track, draw, mesh, node_names
 from backhoe_planner.show.drawing.framing import View
-from backhoe_planner.show.drawing.palette import LOOSE_SOIL, SOIL
+from backhoe_planner.show.drawing.palette import LOOSE_SOIL, SOIL, UNTOUCHED
 from backhoe_planner.show.drawing.scene_graph import HIDDEN, SceneGraph
 from backhoe_planner.show.drawing.solids import facets
 from backhoe_planner.show.drawing.timeline import Timeline, frames_at
@@ -30,6 +30,7 @@ from backhoe_planner.site.schema import obstacle_shapes
 
 _LOAD_INSIDE = 0.9  # of the bucket's hull: size at which the soil in it is drawn; chosen by eye
 _HIDDEN = ("critical points",)  # while a bucket digs, the nearest obstacle is mostly the ground, which is no danger
+_MOST_BEYOND = 15_000  # triangles of the ground beyond the modelled one; chosen: some 1 MB of the page
 _NODE = ("ground", "terrain")  # where the page puts the ground in the viewer's tree
 
 
@@ -64,9 +65,14 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     frames = job_frames(plan) if plan.cycles else _standing(problem)
     visualizer, line = display.visualizer(), frames.timeline
     ground = plan.start
+    beyond = _beyond(problem)
     low, high = ground.low, ground.high
+    if beyond is not None:
+        low, high = np.minimum(low, beyond.bounds[0, :2]), np.maximum(high, beyond.bounds[1, :2])
     opening = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     graph = SceneGraph(visualizer, problem, q=line.q[0], apart=apart, opening=opening)
+    if beyond is not None:
+        draw(visualizer["ground"]["beyond"], mesh(facets(beyond), (*UNTOUCHED, 1.0), one_sided=True))
     tracks = list(graph.animation(line).tracks)
     tracks += _draw_load(visualizer, graph, plan, frames.parts, line.time)
     tracks += draw_truck_load(visualizer, graph.prefix, plan, frames.parts, line.time)
@@ -78,7 +84,7 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
         "job",
         {
             "buried": _buried(problem, graph, float(ground.surface.min())),
-            "ground": start_of(ground) | {"node": _NODE, "colours": [SOIL, LOOSE_SOIL]},
+            "ground": start_of(ground) | {"node": _NODE, "colours": [UNTOUCHED, SOIL, LOOSE_SOIL]},
             "changes": changes_of(plan, frames.parts),
             "parts": frames.parts,
             "cycles": cycle_rows(plan),
@@ -88,6 +94,15 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
         },
     )
     return graph.warnings
+
+
+def _beyond(problem: Problem) -> trimesh.Trimesh | None:
+    """The surface of the ground that the file of a job has beyond the modelled one [m]; None if there is none."""
+    found = next((one for one in problem.obstacles if one.name == GROUND_BEYOND), None)
+    if found is None:
+        return None
+    surface = trimesh.Trimesh(*surface_beyond(found, _MOST_BEYOND), process=False)
+    return None if surface.is_empty else surface
 
 
 def _words(plan: JobPlan) -> str:

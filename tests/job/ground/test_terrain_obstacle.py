@@ -21,7 +21,7 @@ from backhoe_planner.job import (
     terrain_obstacle,
 )
 from backhoe_planner.job.ground.grids import HeightGrid
-from backhoe_planner.job.ground.obstacle import ground_around, ground_beyond
+from backhoe_planner.job.ground.obstacle import ground_around, ground_beyond, surface_beyond
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, build_obstacle, obstacle_from_dict
 
@@ -139,11 +139,21 @@ def test_the_ground_of_a_file_beyond_the_modelled_ground_is_an_obstacle(name: st
         reading = beyond.cluster.measure(ball, pin.SE3(np.eye(3), np.array(place)))
         assert reading is not None
         assert reading.distance == pytest.approx(distance, abs=1e-4)
+    # its drawing ends a place within the border, a little below the terrain
+    vertices, triangles = surface_beyond(beyond, 15_000)
+    assert len(np.unique(triangles)) == len(vertices)
+    assert vertices[:, 2].min() == pytest.approx(-0.05)
+    assert vertices[:, 2].max() == 3.0
+    inside = (np.abs(vertices[:, 1] - 0.5 * (low[1] + high[1])) < 0.5 * (high[1] - low[1]) - 0.15) & (
+        vertices[:, 0] < 4.25
+    )
+    assert not (inside & (vertices[:, 0] > low[0] + 0.15)).any()
     # ground from elsewhere that is larger than that of the file: all of the obstacle is 20 m below it
     wide = Terrain.level(0.0, (-9.0, -9.0), (12.0, 9.0), 0.1)
     (deep,) = ground_beyond(wide, HeightGrid(np.array([0.0, 0.0]), 0.1, np.ones((11, 21))), wide.low, wide.high, 0.1)
     assert deep.cluster is not None
     assert deep.cluster.bounds[1, 2] == -19.0
+    assert len(surface_beyond(deep, 1_000)[1]) == 0
     # where the file goes no further, there is none
     whole = build_worksite(job_from_dict(TINY | {"ground": ground | {"high": [9.0, high[1]]}}, folder=tmp_path))
     assert not [one for one in whole.problem.obstacles if "modelled" in one.name]

@@ -6,7 +6,6 @@
   const { viewer, element, number, heard } = backhoe, THREE = MeshCat.THREE;
   const job = heard.job, plan = heard.plan, end = plan.time[plan.time.length - 1];
   const COLOURS = { approach: "#5b87b5", cut: "#a4632f", swing: "#2f8f83", dump: "#d29a1e", return: "#8fa9c4", wait: "#b9bfc5" };
-  const UNTOUCHED = [0.78, 0.76, 0.70];
 
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const shorts = (text) => new Int16Array(bytes(text).buffer);
@@ -19,12 +18,12 @@
   const first = shorts(job.ground.heights), firstLoose = bytes(job.ground.loose);
   const heights = new Float32Array(rows * columns);
   const position = new Float32Array(3 * rows * columns), colours = new Float32Array(3 * rows * columns);
-  const [soil, spoil] = job.ground.colours;
+  const [untouched, soil, spoil] = job.ground.colours;
 
   // Loose soil, from 0 for none to 255 where it hides what is below: dug soil where the ground is lower than at first.
   function put(index, millimetres, loose, changed) {
     heights[index] = position[3 * index + 2] = millimetres / 1000;
-    const below = changed && (millimetres < first[index] || loose === 0) ? soil : UNTOUCHED, part = loose / 255;
+    const below = changed && (millimetres < first[index] || loose === 0) ? soil : untouched, part = loose / 255;
     for (let k = 0; k < 3; k++) colours[3 * index + k] = below[k] + part * (spoil[k] - below[k]);
   }
 
