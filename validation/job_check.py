@@ -74,8 +74,10 @@ def _scene_with_maps(plan: bp.JobPlan, leg: bp.CycleLeg, folder: Path) -> bp.Sce
     for obstacle in leg.problem.obstacles:
         if obstacle.name in known:
             continue
+        own: dict[str, Any] = {"name": obstacle.name, "clearance": obstacle.clearance}
+        own |= {} if obstacle.links is None else {"links": list(obstacle.links)}
         if obstacle.cluster is None:  # added to the site by the job
-            maps.append(obstacle.spec.model_dump(mode="json", exclude_unset=True) | {"clearance": obstacle.clearance})
+            maps.append(obstacle.spec.model_dump(mode="json", exclude_unset=True) | own)
             continue
         solid: Any = obstacle.cluster.solid
         heights: Matrix = solid._heights
@@ -85,9 +87,8 @@ def _scene_with_maps(plan: bp.JobPlan, leg: bp.CycleLeg, folder: Path) -> bp.Sce
         size = (solid.bounds[1] - solid.bounds[0])[:2].tolist()
         yaw = float(np.arctan2(placement.rotation[1, 0], placement.rotation[0, 0]))
         maps.append(
-            {"name": obstacle.name, "shape": "heightmap", "file": file.name, "size": size,
-             "position": placement.translation.tolist(), "rpy": [0.0, 0.0, yaw], "clearance": obstacle.clearance}
-            | ({} if obstacle.links is None else {"links": list(obstacle.links)})
+            {"shape": "heightmap", "file": file.name, "size": size, "position": placement.translation.tolist(),
+             "rpy": [0.0, 0.0, yaw]} | own
         )  # fmt: skip
     joints = dict(zip(plan.robot.joint_names, leg.trajectory.q[0].tolist(), strict=True))
     obstacles = [*content.get("obstacles", []), *maps]

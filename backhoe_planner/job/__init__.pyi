@@ -11,6 +11,7 @@ from .ground.heaps import Refusal as Refusal
 from .ground.heaps import deposited as deposited
 from .ground.heaps import heap_room as heap_room
 from .ground.obstacle import GROUND_BEYOND as GROUND_BEYOND
+from .ground.obstacle import is_below_swung as is_below_swung
 from .ground.obstacle import off_ground_obstacles as off_ground_obstacles
 from .ground.obstacle import surface_beyond as surface_beyond
 from .ground.obstacle import terrain_obstacle as terrain_obstacle

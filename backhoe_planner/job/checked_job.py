@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix
+from backhoe_planner.errors import SceneError
 from backhoe_planner.job.cycles.dump_checks import check_dump, check_truck
-from backhoe_planner.job.cycles.dumping import DumpSite, dump_of
+from backhoe_planner.job.cycles.dumping import DumpSite, dump_of, ground_obstacles
+from backhoe_planner.job.ground.obstacle import is_below_swung
 from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
 from backhoe_planner.job.worksite.lanes import Lane, allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite
+from backhoe_planner.site import Proximity
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +50,28 @@ def check_whole_job(site: Worksite) -> CheckedJob:
     check_start(site)
     check_place(site)
     check_truck(site)
+    _check_swung(site)
     lanes, design = lanes_of(site), site.design_heights()
     allowed, lane_of = allowed_heights(site, lanes, design)
     check_job(site, lanes, design, allowed)
     check_dump(site, allowed)
     return CheckedJob(site, lanes, design, allowed, lane_of, dump_of(site))
+
+
+def _check_swung(site: Worksite) -> None:
+    """Check that links that only swing are not in the ground at the start."""
+    grounds = [one for one in (*site.problem.obstacles, *ground_obstacles(site, site.ground)) if is_below_swung(one)]
+    q = site.problem.start_q
+    assert q is not None
+    contact = Proximity(site.robot, grounds).tightest(q) if grounds else None
+    if contact is None or contact.margin >= 0.0:
+        return
+    from_file = site.job.ground.file is not None
+    raise SceneError(
+        f"puts the ground into {contact.link} of the machine", file=site.job.file,
+        key="ground.file" if from_file else "ground.level", found=f"ground {-contact.distance:.2f} m inside it",
+        allowed=f"ground below {contact.link}, which need not keep the clearance from it but must not touch it",
+        hint="the machine stands at z = 0, which is the last number of ground.map_origin in the file"
+        if from_file
+        else "the machine stands at z = 0",
+    )  # fmt: skip

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_jobs import small_job, tiny_plan
+from small_jobs import TINY, small_job, tiny_plan
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job import Terrain, build_worksite, plan_job
+from backhoe_planner.job import Terrain, build_worksite, job_from_dict, plan_job
+from backhoe_planner.job.checked_job import check_whole_job
 from backhoe_planner.job.cycles import cycle_planning, dumping
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.dump_checks import check_dump
-from backhoe_planner.job.cycles.dumping import NoDump, dump_of, ground_obstacle
+from backhoe_planner.job.cycles.dumping import NoDump, dump_of, ground_obstacles
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.estimates import choose, in_full
 from backhoe_planner.job.result.job_plan import PatternEstimate
@@ -26,6 +27,7 @@ from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.show.job.truck_load import load_body
+from backhoe_planner.site import Proximity
 
 _TRUCK: dict[str, Any] = {"bed": {"position": [1.8, 2.9, 0.9], "size": [3.6, 1.9, 0.5]}}
 _WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
@@ -140,7 +142,7 @@ def test_an_unreachable_heap_is_reported_with_the_range_in_which_the_bucket_empt
     )
     dump = dump_of(site)
     found = dump.options(
-        dump.first(site.ground, ground_obstacle(site, site.ground)), 0.1, np.array([0, 0.9, -1.6, -1.8])
+        dump.first(site.ground, ground_obstacles(site, site.ground)), 0.1, np.array([0, 0.9, -1.6, -1.8])
     )
     assert isinstance(found, NoDump)
     assert found.reason == "unreachable"
@@ -347,3 +349,22 @@ def test_the_bucket_is_emptied_from_higher_up_if_the_heap_is_in_its_way(monkeypa
     monkeypatch.setattr(dumping, "_height", lower)
     plan = plan_job(small_job())
     assert plan.verified
+
+
+def test_a_swing_post_may_be_nearer_to_the_ground_than_the_clearance_but_must_not_touch_it() -> None:
+    """The post ends 0.16 m above z = 0. A clearance of 0.2 m from the ground holds for boom, stick and bucket alone."""
+    site = build_worksite(job_from_dict(TINY | {"site": {"clearance": 0.2}}))
+    work = check_whole_job(site)
+    assert np.isfinite(work.allowed).any()
+    grounds = ground_obstacles(site, site.ground)
+    assert [(one.clearance, one.links) for one in grounds] == [
+        (0.2, ("boom", "stick", "bucket")),
+        (0.0, ("swing_post",)),
+    ]
+    proximity = Proximity(site.robot, grounds[1:])
+    distances = proximity.distances(np.array([1.0, 0.9, -1.6, -1.8]))
+    (to_ground,) = (d for d, pair in zip(distances, proximity.pairs, strict=True) if pair.kind == "obstacle")
+    assert to_ground == pytest.approx(0.16, abs=1e-4)
+    high = job_from_dict(TINY | {"ground": TINY["ground"] | {"level": 0.3}})
+    with pytest.raises(bp.SceneError, match=r"ground\.level: puts the ground into swing_post .* 0\.14 m inside it"):
+        check_whole_job(build_worksite(high))

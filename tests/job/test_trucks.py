@@ -11,7 +11,7 @@ from small_jobs import small_job
 
 import backhoe_planner as bp
 from backhoe_planner.job import build_worksite, plan_job
-from backhoe_planner.job.cycles.dumping import NoDump, SiteState, TruckDump, dump_of, ground_obstacle
+from backhoe_planner.job.cycles.dumping import NoDump, SiteState, TruckDump, dump_of, ground_obstacles
 
 TAN = math.tan(0.6)
 _WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
@@ -51,7 +51,7 @@ def test_a_truck_smaller_than_a_bucketful_is_refused_before_planning() -> None:
 def test_a_bed_is_filled_up_to_its_walls_before_the_next_truck_is_used() -> None:
     site = build_worksite(truck_job(count=2))
     dump = TruckDump(site, site.job.dump.truck)  # type: ignore[arg-type]
-    state = dump.first(site.ground, ground_obstacle(site, site.ground))
+    state = dump.first(site.ground, ground_obstacles(site, site.ground))
     start = np.array([0.0, 0.9, -1.6, -1.8])
     numbers = []
     for count in range(1, 8):

@@ -83,6 +83,13 @@ class ArmPlane:
         return self._hinges is not None
 
     @property
+    def swung(self) -> tuple[str, ...]:
+        """The links that only the swing moves, such as a swing post; none if nothing swings."""
+        pieces = self.robot.pieces if self.swings else ()
+        arm = {one.link for one in pieces if one.joint > 1}
+        return tuple(dict.fromkeys(one.link for one in pieces if one.joint == 1 and one.link not in arm))
+
+    @property
     def kinematics(self) -> BatchKinematics:
         """The kinematics of the machine."""
         return self._kinematics

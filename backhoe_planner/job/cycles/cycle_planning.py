@@ -12,7 +12,7 @@ from backhoe_planner.job.cuts.cut_rules import broken_rules
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_motion, cut_path, cut_problem, dig, load_of
 from backhoe_planner.job.cycles.dump_rules import broken_dump_rules
-from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, NoDump, SiteState, ground_obstacle
+from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, NoDump, SiteState, ground_obstacles
 from backhoe_planner.job.cycles.patterns import NextCut, shallower
 from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
 from backhoe_planner.job.ground.heaps import poured
@@ -66,11 +66,11 @@ class CyclePlanner:
 
     def first(self, ground: Terrain) -> SiteState:
         """The site before the first cycle."""
-        return self._dump.first(ground, ground_obstacle(self._site, ground))
+        return self._dump.first(ground, ground_obstacles(self._site, ground))
 
     def after_cut(self, ground: Terrain, before: SiteState) -> SiteState:
         """The site with the ground after a cut."""
-        return replace(before, ground=ground, obstacle=ground_obstacle(self._site, ground, before=before.obstacle))
+        return replace(before, ground=ground, grounds=ground_obstacles(self._site, ground, before=before.grounds))
 
     def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
         """See `DumpSite`."""
@@ -93,8 +93,8 @@ class CyclePlanner:
         keep = Keep(self._site.robot, [level_band(self._site.problem)]) if name == "swing" else None
         ground = state.obstacles
         if name == "cut":
-            arm = [link for link in self._site.robot.moving_links if link not in bucket_links(self._site)]
-            ground = (replace(state.obstacle, links=tuple(arm)), *ground[1:])
+            arm = [link for link in self._site.arm_and_swung[0] if link not in bucket_links(self._site)]
+            ground = (replace(ground[0], links=tuple(arm)), *ground[1:])
             payload = 0.0  # the load grows during the cut: it belongs to the soil
         ends = (motion.q[0], [motion.q[-1]])
         return self._transfers.problem(*ends, ground=ground, payload=payload, keep=keep)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -11,7 +12,7 @@ from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.job.ground.grids import nearest_columns
 from backhoe_planner.job.ground.heaps import Refusal, deposited
-from backhoe_planner.job.ground.obstacle import terrain_obstacle
+from backhoe_planner.job.ground.obstacle import kept_by_arm, terrain_obstacle
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.ground.truck_bed import Bed
 from backhoe_planner.job.schema.work import Heap
@@ -52,20 +53,20 @@ class SiteState:
     Attributes
     ----------
     ground: the ground as it is.
-    obstacle: the ground as an obstacle for all links.
+    grounds: the ground as obstacles, see `ground_obstacles`.
     truck: the present truck with its load; None for a heap.
     load: the truck's load as an obstacle.
     """
 
     ground: Terrain
-    obstacle: Obstacle
+    grounds: tuple[Obstacle, ...]
     truck: Truck | None = None
     load: Obstacle | None = None
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """All of these obstacles."""
-        return (self.obstacle,) if self.load is None else (self.obstacle, self.load)
+        return self.grounds if self.load is None else (*self.grounds, self.load)
 
     @property
     def truck_load(self) -> Terrain | None:
@@ -108,7 +109,7 @@ class NoDump:
 class DumpSite(Protocol):
     """A place where soil is dumped."""
 
-    def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
+    def first(self, ground: Terrain, grounds: tuple[Obstacle, ...]) -> SiteState:
         """The site before the first cycle."""
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
@@ -141,9 +142,9 @@ class HeapDump:
         # the last ground, and what heaps on it came to, by place and volume: what is chosen is not poured again
         self._poured: tuple[Terrain | None, dict[tuple[float, ...], Terrain | Refusal]] = (None, {})
 
-    def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
+    def first(self, ground: Terrain, grounds: tuple[Obstacle, ...]) -> SiteState:
         """See `DumpSite`."""
-        return SiteState(ground, obstacle)
+        return SiteState(ground, grounds)
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """See `DumpSite`."""
@@ -174,7 +175,7 @@ class HeapDump:
         after = self._deposited(state.ground, place, volume)
         if isinstance(after, Refusal):
             return after.reason
-        return SiteState(after, ground_obstacle(self._site, after, before=state.obstacle))
+        return SiteState(after, ground_obstacles(self._site, after, before=state.grounds))
 
     def _deposited(self, ground: Terrain, place: Vector, volume: float) -> Terrain | Refusal:
         """The ground after `volume` [m^3] was dumped at `place` (2,) [m]; or why that is impossible."""
@@ -205,9 +206,9 @@ class TruckDump:
         # on the upper edge of the walls, world
         self._places = [np.asarray(self._empty.placement.act(place)) for place in own]
 
-    def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
+    def first(self, ground: Terrain, grounds: tuple[Obstacle, ...]) -> SiteState:
         """See `DumpSite`."""
-        return self._with(SiteState(ground, obstacle), Truck(1, self._empty))
+        return self._with(SiteState(ground, grounds), Truck(1, self._empty))
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """See `DumpSite`."""
@@ -360,9 +361,11 @@ def travel_time(step: Vector, limits: JointLimits) -> float:
     return float(np.max(np.where(ramps, slow, fast)))
 
 
-def ground_obstacle(site: Worksite, ground: Terrain, *, before: Obstacle | None = None) -> Obstacle:
-    """The ground as an obstacle for all links; structures built for the ground `before` are reused."""
-    return terrain_obstacle(ground, _GROUND, site.problem.scene.clearance, before=before)
+def ground_obstacles(site: Worksite, ground: Terrain, *, before: Sequence[Obstacle] = ()) -> tuple[Obstacle, ...]:
+    """The ground for the arm, then for links that only swing; structures built for the ground `before` are reused."""
+    known = before[0] if before else None
+    found = terrain_obstacle(ground, _GROUND, site.problem.scene.clearance, before=known)
+    return kept_by_arm(found, *site.arm_and_swung)
 
 
 def dump_of(site: Worksite) -> DumpSite:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -51,6 +52,30 @@ def terrain_obstacle(
     else:
         body = terrain_body(heights, size, place)
     return _unmoved(spec, body, clearance, None if links is None else tuple(links))
+
+
+def kept_by_arm(ground: Obstacle, arm: Sequence[str], swung: Sequence[str]) -> tuple[Obstacle, ...]:
+    """The ground for the links of an arm, and, without clearance, for those that only swing.
+
+    A swing post comes no nearer to level ground than it stands. It must not touch what is higher.
+
+    Parameters
+    ----------
+    arm, swung: both kinds of links; if none only swings, all links keep the clearance.
+    """
+    if not swung:
+        return (ground,)
+    below = replace(ground, name=ground.name + _below(swung), clearance=0.0, links=tuple(swung))
+    return (replace(ground, links=tuple(arm)), below)
+
+
+def is_below_swung(obstacle: Obstacle) -> bool:
+    """Whether an obstacle is the ground once more, for links that only swing, see `kept_by_arm`."""
+    return obstacle.clearance == 0.0 and obstacle.links is not None and obstacle.name.endswith(_below(obstacle.links))
+
+
+def _below(swung: Sequence[str]) -> str:
+    return f", below {' and '.join(swung)}"
 
 
 def off_ground_obstacles(

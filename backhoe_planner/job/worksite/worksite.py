@@ -14,7 +14,7 @@ from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.ground.grids import HeightGrid, nearest_columns
-from backhoe_planner.job.ground.obstacle import ground_around, ground_beyond, off_ground_obstacles
+from backhoe_planner.job.ground.obstacle import ground_around, ground_beyond, kept_by_arm, off_ground_obstacles
 from backhoe_planner.job.ground.off_ground import columns_below
 from backhoe_planner.job.ground.scanned import Scanned, scanned
 from backhoe_planner.job.ground.surveys import Survey, read_survey
@@ -103,6 +103,11 @@ class Worksite:
         return np.where(share > 0.0, (ground.surface - beside) / np.where(share > 0.0, share, 1.0), ground.surface)
 
     @cached_property
+    def arm_and_swung(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The links that the arm moves, and those that only swing."""
+        return _arm_and_swung(self.plane)
+
+    @cached_property
     def taken(self) -> Flags:
         """(rows, columns) on which something stands, so that no heap can lie there."""
         ground = self.ground
@@ -144,12 +149,18 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
         else ground_beyond(ground, beyond, *within, clearance)
     )
     stands = off_ground_obstacles(ground.off_ground, clearance, within=within)
+    around = tuple(own for one in around for own in kept_by_arm(one, *_arm_and_swung(digger.plane)))
     for one in (*around, *stands):
         if one.cluster is not None:
             one.cluster.prepare(*reach_ball(problem.robot))
     problem = replace(problem, obstacles=(*problem.obstacles, *around, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, own, beyond, design, arm, stands)
+
+
+def _arm_and_swung(plane: ArmPlane) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The links that the arm moves, and those that only swing."""
+    return tuple(link for link in plane.robot.moving_links if link not in plane.swung), plane.swung
 
 
 def plain_soil(job: Job) -> Soil:

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job import GROUND_BEYOND, JobPlan, build_worksite, surface_beyond
+from backhoe_planner.job import GROUND_BEYOND, JobPlan, build_worksite, is_below_swung, surface_beyond
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.show.drawing.drawing import PlanAnimation, Track, draw, mesh, node_names
 from backhoe_planner.show.drawing.framing import View
@@ -61,6 +61,7 @@ def job_page(plan: JobPlan) -> tuple[str, tuple[str, ...]]:
 def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     """Draw a job and its animation, send the page its figures, and return what could not be drawn, in words."""
     problem = _problem(plan)
+    below = [obstacle.name for obstacle in problem.obstacles if is_below_swung(obstacle)]
     apart = [obstacle.name for obstacle in problem.obstacles if isinstance(obstacle.spec, obstacle_shapes.HeightMap)]
     frames = job_frames(plan) if plan.cycles else _standing(problem)
     visualizer, line = display.visualizer(), frames.timeline
@@ -70,7 +71,7 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     if beyond is not None:
         low, high = np.minimum(low, beyond.bounds[0, :2]), np.maximum(high, beyond.bounds[1, :2])
     opening = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    graph = SceneGraph(visualizer, problem, q=line.q[0], apart=apart, opening=opening)
+    graph = SceneGraph(visualizer, problem, q=line.q[0], apart=[*apart, *below], opening=opening)
     if beyond is not None:
         draw(visualizer["ground"]["beyond"], mesh(facets(beyond), (*UNTOUCHED, 1.0), one_sided=True))
     tracks = list(graph.animation(line).tracks)
@@ -78,7 +79,10 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     tracks += draw_truck_load(visualizer, graph.prefix, plan, frames.parts, line.time)
     visualizer.set_animation(PlanAnimation(tracks, float(line.time[-1])), play=False)
     view = graph.look_at_motion(line)
-    tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan), unnamed=_walls(plan), hidden=_HIDDEN)
+    tell_problem(
+        display, problem, graph, view, line.obstacles, task=_words(plan), unnamed=(*_walls(plan), *below),
+        hidden=_HIDDEN,
+    )  # fmt: skip
     display.tell("plan", _plan_content(plan, line, view))
     display.tell(
         "job",

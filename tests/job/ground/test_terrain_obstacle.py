@@ -127,9 +127,13 @@ def test_the_ground_of_a_file_beyond_the_modelled_ground_is_an_obstacle(name: st
     ground = {"file": name, "low": low, "high": [4.4, high[1]], "cell": cell}
     site = build_worksite(job_from_dict(TINY | {"ground": ground}, folder=tmp_path))
     assert site.ground.surface.max() == 0.0
-    (beyond,) = (one for one in site.problem.obstacles if "modelled" in one.name)
-    assert beyond.name == "the ground beyond what is modelled"
-    assert beyond.clearance == TINY["site"]["clearance"]
+    beyond, below = (one for one in site.problem.obstacles if "modelled" in one.name)
+    assert (beyond.name, beyond.clearance) == ("the ground beyond what is modelled", TINY["site"]["clearance"])
+    assert beyond.links == ("boom", "stick", "bucket")
+    # the swing post turns above it, as near as it is, but must not touch it
+    assert (below.name, below.clearance) == ("the ground beyond what is modelled, below swing_post", 0.0)
+    assert below.links == ("swing_post",)
+    assert below.cluster is beyond.cluster
     assert beyond.cluster is not None
     ball = shapes.capsule(0.1, 0.0, pin.SE3.Identity())
     slope = 0.4 / np.hypot(3.0, 0.1) - 0.1  # from x 4.5, z 1 to the line from 4.6, 0 to 4.7, 3
