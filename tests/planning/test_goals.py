@@ -346,6 +346,20 @@ def test_a_leg_names_the_goals_of_its_list_that_cannot_be_reached(planar4: bp.Ro
     assert "back" not in plan.message
 
 
+def test_what_several_goals_of_a_list_fail_by_is_said_once(planar4: bp.Robot) -> None:
+    """A ball on the first link, which stands alike at both goals by joints."""
+    turned = BENT | {"joint4": BENT["joint4"] + 0.1}
+    goals: list[dict[str, Any]] = [{"joints": BENT}, {"joints": turned}]
+    along = np.array([np.cos(BENT["joint1"]), np.sin(BENT["joint1"])])
+    on_link = (ball(float(0.5 * along[0]), float(0.5 * along[1]), 0.1),)
+    plan = bp.plan(planar4, site(goals, obstacles=on_link), effort="quick")
+    assert plan.message.startswith("at each of the 2 goals link1 is ")
+    assert plan.message.count("inside ball") == 1
+    plan = bp.plan(planar4, site([*goals, {"position": [9.0, 0.0, 0.0]}], obstacles=on_link), effort="quick")
+    assert plan.message.startswith("at the goal 1 and goal 2 link1 is ")
+    assert "; the goal 3 (9.00, 0.00, 0.00) is out of reach" in plan.message
+
+
 def test_if_no_goal_of_a_list_is_possible_each_is_named_with_its_reason(planar4: bp.Robot) -> None:
     scene = site([{"position": [9.0, 0.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}], obstacles=(ball(2.0, 1.0, 0.2),))
     plan = bp.plan(planar4, scene, effort="quick")

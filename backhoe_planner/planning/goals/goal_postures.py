@@ -42,6 +42,7 @@ _BEGINS = 8  # random postures from which that is searched too, for each of thes
 _NEARER = 16  # cones between the nearest posture and what is kept, as for a path; chosen
 _ANGLES_FIRST = 30.0  # m per rad in the search for the nearest pose: chosen, its angles are then off by mrad at most
 # if several goals fail, the mildest reason is reported; the mildest first
+_HERE = "\0"  # in a sentence, where a goal is named
 _MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
 
 
@@ -96,12 +97,25 @@ def find_goal_postures(
         if mildest.reason == "goal_in_collision" and travel is None and goals[first].q is None:
             free = find_free_place(world, goals[first].target, near, time=time)
             words[first] += "" if free is None else f"; {free}"
-        return Outcome(mildest.trajectory, mildest.reason, "; ".join(words), mildest.findings)
+        return Outcome(mildest.trajectory, mildest.reason, _in_short(words, goals), mildest.findings)
     rate = world.problem.limits.velocity
     found.sort(key=lambda one: float(np.max(np.abs(one[0] - near) / rate)))
     return GoalPostures(
         tuple(q for q, _ in found), tuple(goal for _, goal in found), tuple(failure.message for failure in failures)
     )
+
+
+def _in_short(words: Sequence[str], goals: Sequence[Goal]) -> str:
+    """A sentence for each goal, in one; what holds alike of several goals is said once."""
+    names: dict[str, list[str]] = {}
+    for sentence, goal in zip(words, goals, strict=True):
+        names.setdefault(sentence.replace(f"the {goal.name} ", _HERE, 1), []).append(goal.name)
+    found = []
+    for sentence, alike in names.items():
+        which = f"the {alike[0]} " if len(alike) == 1 else f"the {', '.join(alike[:-1])} and {alike[-1]} "
+        every = len(alike) == len(goals) > 1
+        found.append(sentence.replace(_HERE, f"each of the {len(goals)} goals " if every else which, 1))
+    return "; ".join(found)
 
 
 def aimed(world: World, goals: Sequence[Goal]) -> list[Goal]:
