@@ -38,14 +38,14 @@ class Scanned:
 def scanned(
     known: Terrain, file: str | Path, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
     fill: float = 0.0, noise: float = _NOISE, map_origin: Sequence[float] | Vector | None = None,
-    roughness: float = ROUGHNESS, around: HeightGrid | None = None,
+    roughness: float = ROUGHNESS,
 ) -> Scanned:  # fmt: skip
     """The ground according to a file, on the grid of the known ground.
 
     Where the scan is lower than the undisturbed soil was, soil was dug away and the rest is undisturbed. Where it is
     higher, there is loose soil on the undisturbed soil. What stands on the ground of a point cloud is told from it; a
     thing of before stays where the scan did not look, and if the scan is a table of heights. Where the ground beyond
-    the grid is higher than before, it is an obstacle like what stands there.
+    the grid is higher than at its border before, it is an obstacle like what stands there.
 
     Parameters
     ----------
@@ -55,7 +55,6 @@ def scanned(
     cell: distance between the file's heights [m]; required for a CSV.
     fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
     map_origin, roughness: of points, as in `Terrain.from_file`.
-    around: the known ground beyond the grid; by default it goes on level from the grid's border.
     noise: the ground is unchanged where the scan is this close to the known surface [m].
 
     Raises
@@ -63,10 +62,27 @@ def scanned(
     InputError: the file is missing or malformed, does not contain its position, or covers none of this ground.
     """
     check_kind(known, Terrain, key="known")
-    file, noise = check_path(file, key="file"), as_number(noise, key="noise", least=0.0)
+    file = check_path(file, key="file")
+    return scanned_around(
+        known, None, file, low=low, cell=cell, fill=as_number(fill, key="fill", least=0.0),
+        noise=as_number(noise, key="noise", least=0.0), map_origin=map_origin, roughness=roughness,
+    )  # fmt: skip
+
+
+def scanned_around(
+    known: Terrain, around: HeightGrid | None, file: Path, *, low: Sequence[float] | Vector | None = None,
+    cell: float | None = None, fill: float = 0.0, noise: float = _NOISE,
+    map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
+) -> Scanned:  # fmt: skip
+    """See `scanned`.
+
+    Parameters
+    ----------
+    around: the ground beyond the known one; None if it goes on level from its border.
+    """
     onto = HeightGrid(known.low, known.cell, known.surface)
     survey = survey_on(file, onto, low=low, cell=cell, map_origin=map_origin, roughness=roughness, around=around)
-    heights = filled(survey.heights, as_number(fill, key="fill", least=0.0)).z
+    heights = filled(survey.heights, fill).z
     unknown = np.isnan(heights)
     if unknown.all():
         raise InputError(

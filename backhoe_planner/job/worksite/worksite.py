@@ -16,7 +16,7 @@ from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.ground.grids import HeightGrid, nearest_columns
 from backhoe_planner.job.ground.obstacle import ground_around, ground_beyond, kept_by_arm, off_ground_obstacles
 from backhoe_planner.job.ground.off_ground import columns_below
-from backhoe_planner.job.ground.scanned import Scanned, scanned
+from backhoe_planner.job.ground.scanned import Scanned, scanned_around
 from backhoe_planner.job.ground.surveys import Survey, read_survey
 from backhoe_planner.job.ground.terrain import Terrain, terrain_of
 from backhoe_planner.job.schema.job_file import Job
@@ -320,9 +320,9 @@ def read_ground(job: Job, file: Path) -> Scanned:
             allowed=f"{own.shape[0]} x {own.shape[1]} heights, {own.cell:g} m apart from x {own.low[0]:g}, "
             f"y {own.low[1]:g} m", hint="ground.low, high and cell of the job say how large it is",
         )  # fmt: skip
-    found = scanned(
-        own, file, low=own.low, cell=own.cell, fill=job.ground.fill, map_origin=job.ground.map_origin,
-        roughness=job.ground.roughness, around=site.beyond,
+    found = scanned_around(
+        own, site.beyond, file, low=own.low, cell=own.cell, fill=job.ground.fill, map_origin=job.ground.map_origin,
+        roughness=job.ground.roughness,
     )  # fmt: skip
     holes = found.unknown & np.isfinite(site.design_heights())
     if holes.any():

@@ -28,6 +28,7 @@ from backhoe_planner.job import (
     scanned,
 )
 from backhoe_planner.job.ground.grids import HeightGrid, empty_grid
+from backhoe_planner.job.ground.scanned import scanned_around
 from backhoe_planner.job.ground.surveys import split
 from backhoe_planner.job.worksite.checks import check_place
 from backhoe_planner.site import read_points
@@ -280,7 +281,7 @@ def test_ground_that_was_heaped_beyond_the_modelled_ground_is_an_obstacle(name: 
     assert "up to 1.50 m higher than before, at x 8.5" in found.remark
     # ground that was as high before is no obstacle
     before = HeightGrid(known.low, known.cell, heights.reshape(-1, len(np.unique(places[:, 0]))))
-    again = scanned(known, tmp_path / name, low=known.low, cell=known.cell, around=before)
+    again = scanned_around(known, before, tmp_path / name, low=known.low, cell=known.cell)
     assert again.terrain.off_ground is None
     assert again.remark == ""
 
