@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any, TypeVar, cast
 
 _PACKAGE = "backhoe_planner_native"
-_INTERFACE = 19  # version of the functions' interface, in Python and C; increased if arguments or results change
+_INTERFACE = 20  # version of the functions' interface, in Python and C; increased if arguments or results change
 _PLAIN_ONLY = "BACKHOE_PLANNER_PLAIN"  # if set in the environment, the compiled versions are not used
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

@@ -35,6 +35,7 @@ from .obstacles import obstacle_warnings as obstacle_warnings
 from .obstacles import offset_at as offset_at
 from .obstacles import sweep as sweep
 from .obstruction import Obstruction as Obstruction
+from .pairs.hull_distances import NearInEach as NearInEach
 from .pairs.nearby import Nearby as Nearby
 from .scene_file import Gains as Gains
 from .scene_file import Scene as Scene

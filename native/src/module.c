@@ -43,7 +43,7 @@ PyMODINIT_FUNC PyInit_backhoe_planner_native(void)
     joints_beyond = PyErr_NewException("backhoe_planner_native.JointsBeyond", PyExc_ValueError, NULL);
     plain = PyDict_New();
     if (!made || !joints_beyond || !plain || PyModule_AddObjectRef(made, "plain", plain) < 0 ||
-        PyModule_AddIntConstant(made, "INTERFACE", 19) < 0) {
+        PyModule_AddIntConstant(made, "INTERFACE", 20) < 0) {
         Py_XDECREF(made);
         return NULL;
     }

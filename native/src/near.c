@@ -84,7 +84,7 @@ static void gradient_of(const Machine *m, const Mat *sense, npy_intp pair, npy_i
 
 /* what is found, row after row; it grows */
 typedef struct {
-    npy_intp *pair;
+    npy_intp *row, *pair;
     double *distance, *gradient;
     npy_intp count, most;
 } Found;
@@ -94,7 +94,9 @@ static int make_room(Found *found, npy_intp n)
     if (found->count < found->most)
         return 0;
     const npy_intp most = 2 * found->most + 256;
-    npy_intp *pair = PyMem_RawRealloc(found->pair, most * sizeof *pair);
+    npy_intp *row = PyMem_RawRealloc(found->row, most * sizeof *row);
+    found->row = row ? row : found->row;
+    npy_intp *pair = row ? PyMem_RawRealloc(found->pair, most * sizeof *pair) : NULL;
     found->pair = pair ? pair : found->pair;
     double *distance = pair ? PyMem_RawRealloc(found->distance, most * sizeof *distance) : NULL;
     found->distance = distance ? distance : found->distance;
@@ -122,9 +124,10 @@ static double plane_between(const Screen *s, const Machine *m, npy_intp pair, do
     return gap;
 }
 
-/* All pairs of one configuration: 1 where all are known, 0 where one takes coal, or -1 with an exception. */
-static int near_in_one(const Screen *s, const Machine *m, World *world, const Mat *sense, double margin, double *lower,
-                       Found *found)
+/* The pairs of one configuration, in a row of q; the distance of one that takes coal is not a number. 0, or -1 with an
+ * exception. */
+static int near_in_one(const Screen *s, const Machine *m, World *world, const Mat *sense, npy_intp row, double margin,
+                       double *lower, Found *found)
 {
     const npy_intp n = s->factors.columns;
     memset(world->placed, 0, s->own);
@@ -145,17 +148,23 @@ static int near_in_one(const Screen *s, const Machine *m, World *world, const Ma
             if (lower[pair] > needed)
                 continue;
         }
-        if (measure_pair(s, m, world, pair, &distance, normal, point) < 0)
-            return 0;
-        lower[pair] = distance;
-        if (distance > needed)
+        const int takes_coal = measure_pair(s, m, world, pair, &distance, normal, point) < 0;
+        if (!takes_coal)
+            lower[pair] = distance;
+        if (!takes_coal && distance > needed)
             continue;
         if (make_room(found, n) < 0)
             return -1;
-        found->pair[found->count] = pair, found->distance[found->count] = distance;
-        gradient_of(m, sense, pair, n, normal, point, found->gradient + n * found->count++);
+        double *gradient = found->gradient + n * found->count;
+        found->row[found->count] = row, found->pair[found->count] = pair;
+        found->distance[found->count++] = takes_coal ? NAN : distance;
+        if (takes_coal)
+            for (npy_intp j = 0; j < n; j++)
+                gradient[j] = NAN;
+        else
+            gradient_of(m, sense, pair, n, normal, point, gradient);
     }
-    return 1;
+    return 0;
 }
 
 PyObject *distances_within(PyObject *self, PyObject *const *args, Py_ssize_t count)
@@ -172,27 +181,23 @@ PyObject *distances_within(PyObject *self, PyObject *const *args, Py_ssize_t cou
         return NULL;
     const npy_intp rows = s.q.rows, pairs = s.least.n, n = s.factors.columns;
     double *lower, *distance, *gradient;
-    npy_intp *ends, *pair;
+    npy_intp *at, *pair;
     Found found = {0};
-    PyObject *parts[5] = {new_mat(rows, pairs, &lower), new_ind(rows, &ends), NULL, NULL, NULL}, *result = NULL;
-    if (!parts[0] || !parts[1] || world_of(&s, &world) < 0)
+    PyObject *parts[5] = {new_mat(rows, pairs, &lower), NULL, NULL, NULL, NULL}, *result = NULL;
+    if (!parts[0] || world_of(&s, &world) < 0)
         goto done;
     for (npy_intp row = 0; row < rows; row++) {
         for (npy_intp k = 0; k < pairs; k++)
             lower[pairs * row + k] = AT2(known, row, k);
         place_at(&s, &m, row);
-        const npy_intp before = found.count;
-        const int is_known = near_in_one(&s, &m, &world, &sense, AT(margin, row), lower + pairs * row, &found);
-        if (is_known < 0)
+        if (near_in_one(&s, &m, &world, &sense, row, AT(margin, row), lower + pairs * row, &found) < 0)
             goto done;
-        if (!is_known)
-            found.count = before;
-        ends[row] = is_known ? found.count : -1;
     }
-    if (!(parts[2] = new_ind(found.count, &pair)) || !(parts[3] = new_vec(found.count, &distance)) ||
-        !(parts[4] = new_mat(found.count, n, &gradient)))
+    if (!(parts[1] = new_ind(found.count, &at)) || !(parts[2] = new_ind(found.count, &pair)) ||
+        !(parts[3] = new_vec(found.count, &distance)) || !(parts[4] = new_mat(found.count, n, &gradient)))
         goto done;
     if (found.count) {
+        memcpy(at, found.row, found.count * sizeof *at);
         memcpy(pair, found.pair, found.count * sizeof *pair);
         memcpy(distance, found.distance, found.count * sizeof *distance);
         memcpy(gradient, found.gradient, found.count * n * sizeof *gradient);
@@ -203,7 +208,7 @@ PyObject *distances_within(PyObject *self, PyObject *const *args, Py_ssize_t cou
 done:
     for (int part = 0; part < 5; part++)
         Py_XDECREF(parts[part]);
-    PyMem_RawFree(found.pair), PyMem_RawFree(found.distance), PyMem_RawFree(found.gradient);
+    PyMem_RawFree(found.row), PyMem_RawFree(found.pair), PyMem_RawFree(found.distance), PyMem_RawFree(found.gradient);
     release(&m.room);
     if (world.point)
         release(&world.points);

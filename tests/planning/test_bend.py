@@ -23,7 +23,8 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
-from backhoe_planner.planning.descent.linear_model import LinearModel, Margin
+from backhoe_planner.planning.descent.linear_model import LinearModel
+from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.descent.own_time import FINE_PLACES, OwnTime
 
 PIECES, DURATION = 8, 3.0
@@ -245,8 +246,9 @@ def test_a_linear_clearance_gives_the_same_row_before_and_after_a_step(planar4: 
     moved = curve.control.copy()
     moved[1:-1] += step.reshape(-1, 4)
     margins = [
-        [Margin(9, 0.05 + gradient @ (at.weights(25) @ at.control)[9], gradient)]
+        Margins(np.array([9]), margin, margin, gradient)
         for at in (curve, curve.moved_to(moved))
+        for margin in [0.05 + gradient @ (at.weights(25) @ at.control)[9]]
     ]
     model.keep_clear(margins[0], 25)
     model.keep_clear(margins[1], 25, after=step)

@@ -14,6 +14,7 @@ from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
+from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.descent.starts import Start
 from backhoe_planner.planning.goals.first_rounds import Field, GivesUp, after_first_rounds
 from backhoe_planner.planning.goals.motion_descents import MotionDescents
@@ -45,7 +46,7 @@ class Rounds:
         known = (self.out if clear_first else self.first)[start.way]
         if known is None:
             return None
-        return Timed(start.curve, 1.0, *known, margins=[])
+        return Timed(start.curve, 1.0, *known, margins=Margins.none(4))
 
 
 def test_much_cheaper_starts_in_an_obstacle_are_pushed_out_and_ranked_by_their_new_cost() -> None:
@@ -69,7 +70,7 @@ def test_a_start_falls_behind_if_it_costs_much_more_than_another_one_after_as_ma
     start = starts_at(1.0)[0]
 
     def at(cost: float, missed: float = 0.0) -> Timed:
-        return Timed(start.curve, 1.0, cost, missed, margins=[])
+        return Timed(start.curve, 1.0, cost, missed, margins=Margins.none(4))
 
     field = Field(little=2.0)
     assert not any(field.falls_behind(at(cost), rounds) for rounds, cost in ((0.0, 50.0), (1.5, 30.0), (2.0, 10.0)))
@@ -102,7 +103,7 @@ def test_a_start_that_stays_in_an_obstacle_is_pushed_for_some_rounds_only() -> N
     def bend(
         start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
     ) -> Timed | None:  # fmt: skip
-        blocked = Timed(start.curve, 1.0, 1.0, 0.5, margins=[])
+        blocked = Timed(start.curve, 1.0, 1.0, 0.5, margins=Margins.none(4))
         if not clear_first:
             return replace(blocked, cost=10.0, missed=0.0) if start.way == "clear" else blocked
         left = 0.45 if start.way == "stays" else 0.35

@@ -15,8 +15,9 @@ from backhoe_planner.motion import Goal, build_problem, drive_of, limit_usage, m
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve, basis
 from backhoe_planner.planning.descent.descent import Descent
-from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
+from backhoe_planner.planning.descent.linear_model import LinearModel
 from backhoe_planner.planning.descent.looks import Looks
+from backhoe_planner.planning.descent.margins import find_margins
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.site import ClearanceScreen
 from validation.goal_runs import with_objective
@@ -295,14 +296,14 @@ def test_rows_of_the_linear_model_equal_the_change_of_the_limits_in_a_small_step
         q_near = JointCurve(control)(np.linspace(0.0, 1.0, places))
         return (
             np.abs(v) / limits.velocity, np.abs(a[::3]) / limits.acceleration, use.flow, use.power, use.effort,
-            find_margins(proximity, None, q_near, spare=0.0, reach=0.3, time=0.0)[0],
+            find_margins(proximity, None, q_near, spare=0.0, reach=0.3, time=0.0).least,
         )  # fmt: skip
 
     model = LinearModel(problem, curve, T, end_moves=True, box=box)
     model.keep_joint_limits()
     model.keep_drive_limits(drive)
     model.keep_clear(
-        find_margins(proximity, None, curve(np.linspace(0, 1, places)), spare=0.0, reach=0.3, time=0.0)[1], places
+        find_margins(proximity, None, curve(np.linspace(0, 1, places)), spare=0.0, reach=0.3, time=0.0), places
     )
     program = model.program(20.0)
     x = np.zeros(len(program.f))
@@ -332,9 +333,9 @@ def test_a_thin_post_between_two_places_is_found(planar4: bp.Robot) -> None:
     assert min(float(np.min(proximity.at(q).margin)) for q in curve(places)) > 0.1
     looks = Looks(proximity, ClearanceScreen(proximity), None, steps=3, spare=0.003, time=0.0)
     known = looks.known
-    assert looks.find_margins(curve)[0] < 0.0
+    assert looks.find_margins(curve).least < 0.0
     assert looks.known > known
-    assert len(looks.find_margins(JointCurve.straight(np.zeros(4), np.full(4, 0.01), 8))[1]) == 0
+    assert len(looks.find_margins(JointCurve.straight(np.zeros(4), np.full(4, 0.01), 8)).place) == 0
 
 
 def test_a_descent_does_not_raise_the_cost_and_its_end_stays_on_the_goal(backhoe: bp.Robot) -> None:

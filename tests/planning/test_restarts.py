@@ -15,6 +15,7 @@ from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Timed
+from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.descent.starts import PricedStart, Start
 from backhoe_planner.planning.goals import motion_descents
 from backhoe_planner.planning.goals import searches as goal_searches
@@ -274,7 +275,7 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
     begun: list[float] = []
 
     def bend(*_: Any, **__: Any) -> Timed:
-        return Timed(curve, DURATION, refined[begun[-1]], 0.0, [], within_limits=motion)
+        return Timed(curve, DURATION, refined[begun[-1]], 0.0, Margins.none(4), within_limits=motion)
 
     def finer(found: FoundMotion, pieces: int) -> bool:
         begun.append(found.cost)
@@ -390,7 +391,7 @@ def test_a_refined_motion_that_uses_some_of_the_spare_of_3_mm_is_kept_if_it_is_p
     descents, curve = search._descents, JointCurve.straight(START, END, 12)
     motion = time_evenly(curve, DURATION)
     descents.best = FoundMotion(motion, 10.0, world.problem.goals[0], "straight", curve)
-    fine = Timed(curve, DURATION, 9.0, missed, [], within_limits=motion)
+    fine = Timed(curve, DURATION, 9.0, missed, Margins.none(4), within_limits=motion)
     monkeypatch.setattr(descents, "_bend", lambda *_, **__: fine)
     assert descents._refine(descents.best, 20)
     assert descents.best.cost == (9.0 if kept else 10.0)

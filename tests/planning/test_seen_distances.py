@@ -10,8 +10,8 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kept_margins import KeptMargins
-from backhoe_planner.planning.descent.linear_model import find_margins
 from backhoe_planner.planning.descent.looks import Looks
+from backhoe_planner.planning.descent.margins import find_margins
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import ClearanceScreen
 from validation.habitats import load_machine
@@ -21,9 +21,13 @@ from validation.sites import SiteKey, random_site
 def test_a_known_distance_is_reduced_by_the_motion_since() -> None:
     """Joint 1 moved by 0.1 rad, joint 2 by -0.2: the first distance loses 2 x 0.1, the second 0.1 + 0.2."""
     seen = SeenDistances()
-    seen.keep(7, np.array([0.0, 0.0]), np.array([1.0, 0.5]))
-    found = seen.bounds(np.array([3, 7]), np.array([[5.0, 5.0], [0.1, -0.2]]), np.array([[2.0, 0.0], [1.0, 1.0]]))
+    travel = np.array([[2.0, 0.0], [1.0, 1.0]])
+    seen.keep(np.array([7]), np.array([[0.0, 0.0]]), np.array([[1.0, 0.5]]))
+    found = seen.bounds(np.array([3, 7]), np.array([[5.0, 5.0], [0.1, -0.2]]), travel)
     np.testing.assert_allclose(found, [[-np.inf, -np.inf], [0.8, 0.2]])
+    seen.keep(np.array([90, 7]), np.array([[0.0, 1.0], [0.1, -0.2]]), np.array([[3.0, 4.0], [0.7, 0.6]]))
+    found = seen.bounds(np.array([7, 90]), np.array([[0.1, -0.1], [0.5, 1.0]]), travel)
+    np.testing.assert_allclose(found, [[0.7, 0.5], [2.0, 3.5]])
 
 
 @pytest.mark.parametrize("together", [True, False])
@@ -64,11 +68,10 @@ def test_margins_are_the_same_without_known_distances(
             )
             for proximity, own in ((with_it, seen), (without, None))
         )  # fmt: skip
-        assert found[0] == pytest.approx(plain[0], abs=1e-9)  # coal starts from its last result
-        assert [one.place for one in found[1]] == [one.place for one in plain[1]]
-        for one, other in zip(found[1], plain[1], strict=True):
-            np.testing.assert_allclose(one.margin, other.margin, atol=1e-9)
-            np.testing.assert_allclose(one.gradient, other.gradient, atol=1e-6)
+        assert found.least == pytest.approx(plain.least, abs=1e-9)  # coal starts from its last result
+        np.testing.assert_array_equal(found.place, plain.place)
+        np.testing.assert_allclose(found.margin, plain.margin, atol=1e-9)
+        np.testing.assert_allclose(found.gradient, plain.gradient, atol=1e-6)
         measured += np.array([with_it.measured, without.measured]) - before
     if kind == "narrow":
         assert measured[0] < 0.97 * measured[1]  # bounds by balls leave little else to save
@@ -101,8 +104,8 @@ def test_collisions_between_checked_places_are_noticed_the_same_without_known_di
         rng, found = np.random.default_rng(4), list[tuple[float, list[int]]]()
         for _ in range(6):
             end = np.clip(start + rng.uniform(-0.9, 0.9, robot.n), limits.lower, limits.upper)
-            least, margins = looks.find_margins(JointCurve.straight(start, end, 8))
-            found.append((round(least, 8), [one.place for one in margins]))
+            margins = looks.find_margins(JointCurve.straight(start, end, 8))
+            found.append((round(margins.least, 8), margins.place.tolist()))
         noticed.append((found, looks.known))
         asked.append(sum(screened))
     assert noticed[0] == noticed[1]

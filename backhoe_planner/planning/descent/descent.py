@@ -38,8 +38,9 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kinks import Kinks
-from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
+from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
+from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.descent.softening import soft_flows
 from backhoe_planner.planning.search.effort import Brake
@@ -117,7 +118,7 @@ class Timed:
     duration: float
     cost: float
     missed: float
-    margins: list[Margin]
+    margins: Margins
     own_cost: float | None = None
     within_limits: Trajectory | None = None
 
@@ -308,7 +309,8 @@ class Descent:
                 failed += 1
                 if failed >= _STUCK and here.missed > looks.allowed >= clear.missed:
                     here, box, bend = clear, min(box, box_then), bend_then
-                looks.widen([] if tried is None else tried.margins)
+                if tried is not None:
+                    looks.widen(tried.margins)
                 if looks.known != known:
                     here, noticed = self._seen_anew(here, looks), True
                 if bend is not None:
@@ -430,8 +432,8 @@ class Descent:
         return there if again is None or again.cost + price * again.missed >= worth else again
 
     def _seen_anew(self, here: Timed, looks: Looks) -> Timed:
-        least, margins = looks.find_margins(here.curve)
-        return replace(here, missed=max(-least, 0.0), margins=margins)
+        margins = looks.find_margins(here.curve)
+        return replace(here, missed=max(-margins.least, 0.0), margins=margins)
 
     def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:
         """How the cost, divided by `unit`, changes with the control points that may move, and T.
@@ -526,11 +528,8 @@ class Descent:
         else:
             duration = self._own_time.least_duration(curve, duration)
             cost = self._own_cost(curve, duration)
-        timed = Timed(curve, duration, cost, 0.0, [], within_limits=fastest)
-        if cost >= below:
-            return timed
-        least, margins = looks.find_margins(curve)
-        return replace(timed, missed=max(-least, 0.0), margins=margins)
+        margins = Margins.none(curve.control.shape[1]) if cost >= below else looks.find_margins(curve)
+        return Timed(curve, duration, cost, max(-margins.least, 0.0), margins, within_limits=fastest)
 
     def _looks(self, curve: JointCurve, spare: float, density: int, goal: Goal | None) -> Looks:
         if spare not in self._screens:

@@ -39,14 +39,15 @@ class KeptMargins:
                 least = max(_OF_END * float(np.min(at_ends)), 0.0)
                 self.spares[index] = min(self.spares[index], _OF_CONE * one.usable, least)
 
-    def at(self, q: Matrix) -> tuple[Matrix, Array, Vector]:
-        """(N, K) margins at `q` (N, n) beyond the spares, (N, K, n) gradients, and (N,) the least, as a clearance [m].
+    def at(self, q: Matrix) -> tuple[Matrix, Matrix, Array]:
+        """(N, K) margins at `q` (N, n) beyond the spares, (N, K) the same as clearances [m], and (N, K, n) gradients.
 
         A curve counts as clear if it misses the spare beyond a clearance by at most what is allowed. So it does if it
-        misses half of the spare of a condition: the least margin is lower by as much as the missed part of that.
+        misses half of the spare of a condition: as a clearance, the margin is lower by as much as the missed part of
+        that.
         """
         margins, gradients, owner = self.keep.facets_each(q)
         spares = self.spares[owner]
         margins = margins - spares
         missed = np.minimum(np.maximum(-margins, 0.0) / np.maximum(_USABLE * spares, _NOTHING), 1.0)
-        return margins, gradients, np.min(margins - self._allowed * missed, axis=1)
+        return margins, margins - self._allowed * missed, gradients

@@ -8,8 +8,6 @@ once [m]. The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,11 +17,8 @@ from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Problem
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
-from backhoe_planner.planning.descent.kept_margins import KeptMargins
 from backhoe_planner.planning.descent.kinks import NearKinks, rounded
-from backhoe_planner.planning.descent.seen_distances import SeenDistances
-from backhoe_planner.planning.descent.tight_ends import TightEnds
-from backhoe_planner.site import Proximity
+from backhoe_planner.planning.descent.margins import Margins
 
 PLACES_PER_PIECE = 3  # at which limits are linearised; chosen: accelerations are linear on a piece
 _NEAR_LIMIT = 0.8  # part of a limit: a row that stays below it within the box cannot bind and is left out; chosen
@@ -62,95 +57,6 @@ def _directions(parts: int) -> Matrix:
 
 
 _DIRECTIONS_FOR_TIME, _DIRECTIONS_FOR_COST = _directions(_PARTS_FOR_TIME), _directions(_PARTS_FOR_COST)
-
-
-@dataclass(frozen=True, eq=False)
-class Margin:
-    """Margins at one place of a curve.
-
-    Attributes
-    ----------
-    place: index of the place.
-    margin: (K,) of clearances [m] and of kept conditions [rad or m], beyond the spare; gradient: (K, n).
-    """
-
-    place: int
-    margin: Vector
-    gradient: Matrix
-
-
-def find_margins(
-    proximity: Proximity, kept: KeptMargins | None, q: Matrix, *, spare: float, reach: float | Vector, time: float,
-    places: Indices | None = None, seen: SeenDistances | None = None, ends: TightEnds | None = None,
-) -> tuple[float, list[Margin]]:  # fmt: skip
-    """The least margin over places q (K, n), infinite if nothing is near, and all margins below `reach` [m].
-
-    `reach` is one number, or (K,) for the places.
-
-    Parameters
-    ----------
-    kept: conditions to be kept besides the clearances, with their own spares.
-    spare: to be kept beyond every clearance [m].
-    time: at which the positions of the obstacles are taken [s].
-    places: (K,) their indices; by default they are counted.
-    seen: known lower bounds of the distances there, for the same `time`; the new ones are added.
-    ends: near which pairs keep less than `spare`.
-    """
-    places = np.arange(len(q)) if places is None else places
-    seen = seen or SeenDistances()
-    margins = np.asarray(np.broadcast_to(reach + spare, len(q)), dtype=float)
-    proximity.cover_unchecked(q)
-    bounds = seen.bounds(places, q, proximity.travel)
-    near = (bounds <= proximity.clearance + margins[:, None]).any(axis=1)
-    conditions = None if kept is None else kept.at(q)
-    of_pairs = _nearby(proximity, q[near], margins[near], bounds[near], time)
-    least, found = np.inf, []
-    for row, place in enumerate(places.tolist()):
-        if near[row]:
-            pairs, margin, gradient, lower = next(of_pairs)
-            seen.keep(place, q[row], lower)
-            beyond = ends.spares(q[row], pairs) if ends else spare
-            if len(margin):
-                found.append(Margin(place, margin - beyond, gradient))
-                least = min(least, float(found[-1].margin.min()))
-        if conditions is not None and place > 0:  # the start cannot be changed
-            found.append(Margin(place, conditions[0][row], conditions[1][row]))
-            least = min(least, float(conditions[2][row]))
-    proximity.clusters.forget_expected()
-    return least, found
-
-
-def _nearby(
-    proximity: Proximity, q: Matrix, margins: Vector, bounds: Matrix, time: float
-) -> Iterator[tuple[Indices, Vector, Matrix, Vector]]:
-    """The pairs within `margins` (K,) [m] at each of q (K, n): their indices (M,), margins and gradients (M, n).
-
-    Also lower bounds (P,) of all distances there, which are known to be at least `bounds` (K, P) [m].
-    """
-    plain = proximity.plain
-    if len(proximity.clusters) and len(q):
-        needed = proximity.clearance[plain:] + margins[:, None]
-        expected = proximity.clusters.expect(q, time, needed=needed, sunk=True)
-        bounds = np.column_stack((bounds[:, :plain], np.fmax(bounds[:, plain:], expected)))
-    together = proximity.near_in_each_unchecked(q, margins, bounds)
-    if together is None:
-        bounds = np.fmax(bounds, list(proximity.bounds_unchecked(q))) if len(q) else bounds
-    first = 0
-    for row, known in enumerate(bounds):
-        if together is None or together[1][row] < 0:
-            nearby = proximity.at(q[row], time=time, margin=float(margins[row]), known=known)
-            yield nearby.pair, nearby.margin, nearby.gradient, proximity.found_unchecked
-            continue
-        lower, ends, pairs, distances, gradients = together
-        rows = slice(first, int(ends[row]))
-        first = rows.stop
-        pair, gradient, clusters = pairs[rows], gradients[rows], known[plain:]
-        margin = distances[rows] - proximity.clearance[pair]
-        near = proximity.near_clusters_unchecked(q[row], float(margins[row]), clusters, time=time)
-        if near is not None:
-            pair, margin = np.concatenate((pair, near.pair)), np.concatenate((margin, near.margin))
-            gradient = np.concatenate((gradient, near.gradient))
-        yield pair, margin, gradient, np.concatenate((lower[row], clusters))
 
 
 class LinearModel:
@@ -262,24 +168,18 @@ class LinearModel:
         G = spread(acting[kept], changes[kept], moving, self._curve.pieces)
         self._add("drive", G, 1.0 - use[kept], by_duration=-slower / T)
 
-    def keep_clear(self, margins: list[Margin], places: int, *, after: Vector | None = None) -> None:
+    def keep_clear(self, margins: Margins, places: int, *, after: Vector | None = None) -> None:
         """Add rows for margins at some of `places` equally spaced u; all may be missed by the slack.
 
         Parameters
         ----------
         after: a step (steps,) of the control points after which these are the margins; None if they are the curve's.
         """
-        if not margins:
-            self._add(_CLEARANCE, np.zeros((0, self._steps)), np.zeros(0), slack=True)
-            return
-        weights = self._curve.weights(places)[:, self._moving]
-        place = np.repeat([found.place for found in margins], [len(found.margin) for found in margins])
-        margin, gradient = (
-            np.concatenate(each) for each in zip(*((m.margin, m.gradient) for m in margins), strict=True)
-        )
-        reach = np.abs(weights).sum(axis=1)[place]
-        near = np.flatnonzero(margin < _CURVED * reach * (np.abs(gradient) @ self._box[: self._n]))
-        G = (gradient[near, None, :] * weights[place[near], :, None]).reshape(len(near), self._steps)
+        weights, margin = self._curve.weights(places)[:, self._moving], margins.margin
+        reach = np.abs(weights).sum(axis=1)[margins.place]
+        near = np.flatnonzero(margin < _CURVED * reach * (np.abs(margins.gradient) @ self._box[: self._n]))
+        G = margins.gradient[near, None, :] * weights[margins.place[near], :, None]
+        G = G.reshape(len(near), self._steps)
         self._add(_CLEARANCE, -G, margin[near] if after is None else margin[near] - G @ after, slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:

@@ -16,7 +16,7 @@ from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.into_cones import IntoCones
 from backhoe_planner.planning.descent.kept_margins import KeptMargins
-from backhoe_planner.planning.descent.linear_model import Margin, find_margins
+from backhoe_planner.planning.descent.margins import Margins, find_margins
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.planning.descent.tight_ends import TightEnds
 from backhoe_planner.site import ClearanceScreen, Proximity
@@ -46,7 +46,7 @@ class Looks:
 
     Attributes
     ----------
-    places: the number of equally spaced places that are distinguished; `Margin.place` counts these.
+    places: the number of equally spaced places that are distinguished; `Margins.place` counts these.
     allowed: a curve that misses the spare by no more than this counts as clear [m].
     kept: the margins of what has to be kept; None if there is nothing.
     cones: move curves into the cones that have to be kept; None if there are none.
@@ -76,40 +76,37 @@ class Looks:
         """How many places are checked, and at how many the larger reach is used; neither number decreases."""
         return len(self._looked_at), self._widened
 
-    def find_margins(self, curve: JointCurve) -> tuple[float, list[Margin]]:
-        """The least margin of a curve, infinite if nothing is near, and all small margins."""
-        least, margins = self._margins_at(curve, self._looked_at)
-        noticed = self._notice(curve, margins)
-        if len(noticed):
-            self._looked_at = np.union1d(self._looked_at, noticed)
-            less, more = self._margins_at(curve, noticed)
-            least, margins = min(least, less), margins + more
-        return least, margins
+    def find_margins(self, curve: JointCurve) -> Margins:
+        """All small margins of a curve."""
+        q = curve.at(self._u[self._looked_at])
+        margins = self._margins_at(q, self._looked_at)
+        noticed = self._notice(curve, q, margins)
+        if not len(noticed):
+            return margins
+        self._looked_at = np.union1d(self._looked_at, noticed)
+        return margins.and_those(self._margins_at(curve.at(self._u[noticed]), noticed))
 
-    def widen(self, margins: list[Margin]) -> None:
+    def widen(self, margins: Margins) -> None:
         """Use a larger reach from now on where a curve with these margins goes into an obstacle."""
-        for found in margins:
-            if found.margin.min() < -_MUCH:
-                self._widened += self._reach[found.place] < _FAR
-                self._reach[found.place] = _FAR
+        deep = np.unique(margins.place[margins.margin < -_MUCH])
+        self._widened += int(np.count_nonzero(self._reach[deep] < _FAR))
+        self._reach[deep] = _FAR
 
-    def _margins_at(self, curve: JointCurve, places: Indices) -> tuple[float, list[Margin]]:
+    def _margins_at(self, q: Matrix, places: Indices) -> Margins:
         return find_margins(
-            self._proximity, self.kept, curve.at(self._u[places]),
+            self._proximity, self.kept, q,
             spare=self._spare, reach=self._reach[places], time=self._time, places=places, seen=self._seen,
             ends=self._ends,
         )  # fmt: skip
 
-    def _notice(self, curve: JointCurve, margins: list[Margin]) -> Indices:
-        """The first places that are not clear between each two checked ones, which have these `margins`."""
+    def _notice(self, curve: JointCurve, q: Matrix, margins: Margins) -> Indices:
+        """The first places that are not clear between each two checked ones, at q (K, n) with these `margins`."""
         travel, at = self._proximity.travel, self._looked_at
         if not len(travel):
             return np.zeros(0, dtype=np.intp)
-        least = self._reach[at]
-        for found in margins:
-            index = np.searchsorted(at, found.place)
-            least[index] = min(least[index], found.margin.min())
-        q = curve.at(self._u[at])
+        least = self._reach.copy()
+        np.minimum.at(least, margins.place, margins.margin)
+        least = least[at]
         self._proximity.cover_unchecked(q)
         way = np.abs(np.diff(q, axis=0)) @ travel.max(axis=0)
         between: list[range] = []

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.site import Proximity
 
 _PART = 0.5  # part of a margin at such an end, that is kept there; chosen: a curve may come nearer before it leaves
@@ -27,22 +27,22 @@ class TightEnds:
 
     def __init__(self, proximity: Proximity, ends: Sequence[Vector], *, spare: float, time: float) -> None:
         self._proximity, self._spare = proximity, spare
-        self._tight: list[tuple[Vector, Indices, Vector]] = []
+        self._tight: list[tuple[Vector, Vector]] = []  # an end, and what each pair keeps there
         for q in ends:
             nearby = proximity.at(q, time=time, margin=spare)
             less = nearby.margin < spare
             if less.any():
-                kept = _PART * np.maximum(nearby.margin[less], 0.0)
-                self._tight.append((np.array(q), nearby.pair[less], kept))
+                kept = np.full(len(proximity.travel), spare)
+                kept[nearby.pair[less]] = _PART * np.maximum(nearby.margin[less], 0.0)
+                self._tight.append((np.array(q), kept))
 
     def __bool__(self) -> bool:
         """Whether any end is tight."""
         return bool(self._tight)
 
-    def spares(self, q: Vector, pairs: Indices) -> Vector:
-        """(M,) what each of `pairs` (M,) keeps beyond its clearance at `q` (n,) [m]."""
-        travel = self._proximity.travel
-        found = np.full(len(travel), self._spare)
-        for end, tight, kept in self._tight:
-            found[tight] = np.minimum(found[tight], kept + _SLOPE * (travel[tight] @ np.abs(q - end)))
-        return np.asarray(found[pairs])
+    def spares(self, q: Matrix, pairs: Indices) -> Vector:
+        """(M,) what each of `pairs` (M,) keeps beyond its clearance at q (M, n), one configuration for each [m]."""
+        travel, found = self._proximity.travel[pairs], np.full(len(pairs), self._spare)
+        for end, kept in self._tight:
+            found = np.minimum(found, kept[pairs] + _SLOPE * np.sum(travel * np.abs(q - end), axis=1))
+        return found

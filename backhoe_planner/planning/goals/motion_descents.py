@@ -264,7 +264,7 @@ class MotionDescents:
                 return False
             if self._goes_where_another_ended(found):
                 return True
-            free = all(float(near.margin.min()) > _SPARE for near in found.margins)
+            free = bool((found.margins.margin > _SPARE).all())
             ended = FoundMotion(found.motion, found.cost, goal, start.way, None if is_time else found.curve, free)
             if found.missed <= KEPT_PART * spare and self.offer(ended):
                 self.ended.append(ended)

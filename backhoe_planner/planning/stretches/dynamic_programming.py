@@ -299,10 +299,10 @@ class _Descent:
         known: (N, P) known lower bounds [m].
         """
         together = None if len(self._proximity.clusters) else self._proximity.near_in_each_unchecked(q, margin, known)
-        found, left = (
-            (known.copy(), range(len(q))) if together is None else (together[0], (together[1] < 0).nonzero()[0])
-        )
-        for row in left:
+        if together is not None:
+            return together.lower
+        found = known.copy()
+        for row in range(len(q)):
             found[row] = self._distances(q[row], self._proximity.clearance + margin[row])
         return found
 

@@ -36,7 +36,7 @@ from backhoe_planner.site.obstacles import Obstacle, as_obstacles, offset_at
 from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
-from backhoe_planner.site.pairs.hull_distances import HullDistances
+from backhoe_planner.site.pairs.hull_distances import HullDistances, NearInEach
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
 from backhoe_planner.site.pairs.nearby import Lead, Nearby, near_rows, pairs_within, reach_of_lead
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
@@ -193,28 +193,29 @@ class Proximity:
         """
         return self._balls.of(q)
 
-    def near_in_each_unchecked(
-        self, q: Matrix, margin: Vector, known: Matrix
-    ) -> tuple[Matrix, Indices, Indices, Vector, Matrix] | None:
-        """The plain pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
+    def near_in_each_unchecked(self, q: Matrix, margin: Vector, known: Matrix) -> NearInEach | None:
+        """The plain pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n), see `HullDistances`.
 
-        `known` (N, P) are lower bounds of the distances [m]. None if the time matters, or without the compiled
-        functions.
+        None if the time matters, or without the compiled functions.
         """
         if self._moving or self._some_appear or not 0 < self.plain <= _MANY or find_compiled() is None:
             return None
         self.cover_unchecked(q)
         return self._hulls.within(q, margin, np.maximum(known, self.floor)[:, : self.plain])
 
-    def near_clusters_unchecked(self, q: Vector, margin: float, lower: Vector, *, time: float) -> Nearby | None:
-        """The pairs with clusters within `margin` [m] beyond their clearance at q (n,); None if none can be.
+    def _results_at(self, q: Vector, pairs: Indices) -> tuple[Matrix, Matrix]:
+        """(K, 10) coal's results of plain `pairs` (K,) at q (n,), and (6, n) Pinocchio's joint Jacobians there."""
+        self._place(q, self._time)
+        self.measured += len(pairs)
+        return self._geometry.measure_each(pairs), self._J
+
+    def near_clusters_unchecked(self, q: Vector, margin: float, lower: Vector, *, time: float) -> Nearby:
+        """The pairs with clusters within `margin` [m] beyond their clearance at q (n,).
 
         `lower` (K,) are lower bounds of the distances of all of them [m]; they are raised.
         """
         reach = self.clearance[self.plain :] + margin
         rows = (lower <= reach).nonzero()[0]
-        if not len(rows):
-            return None
         self._place(q, time)
         pairs, reach = rows + self.plain, reach[rows]
         found, unread = self._measure(pairs, reach, lower[rows])
@@ -228,7 +229,7 @@ class Proximity:
         second[self.owner[plain] >= 0] += len(self_pieces(self.robot)) - len(self._pieces)
         return HullDistances(
             self.robot, self._bodies, first=self._first[plain].astype(np.intp), second=second,
-            clearance=self.clearance[plain], sense=self._sense[plain],
+            clearance=self.clearance[plain], sense=self._sense[plain], measure=self._results_at,
         )  # fmt: skip
 
     def ways_unchecked(self, q: Matrix) -> Iterator[Vector]:
@@ -546,9 +547,8 @@ class Proximity:
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""
         if as_count(index, key="index") >= len(self.obstacles):
-            raise InputError(
-                "there is no such obstacle", key="index", found=index, allowed=f"less than {len(self.obstacles)}"
-            )
+            allowed = f"less than {len(self.obstacles)}"
+            raise InputError("there is no such obstacle", key="index", found=index, allowed=allowed)
         return offset_at(self.obstacles[index], as_number(time, key="time"))
 
     def _checked(self, q: Vector, time: float) -> tuple[Vector, float]:

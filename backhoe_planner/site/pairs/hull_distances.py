@@ -1,12 +1,14 @@
 """Distances and gradients of all near pairs in many configurations at once, in one compiled call.
 
 Pairs whose balls are further apart than needed are not measured; for the others, the hulls are compared by the
-iterations of Gilbert, Johnson and Keerthi. Hulls that touch are left to coal, and so is everything without a compiler.
+iterations of Gilbert, Johnson and Keerthi. Pairs of hulls that touch are left to
+coal, and so are all without a compiler.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +17,25 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.native import compiled
 from backhoe_planner.site.pairs.certainly_clear import pieces_of_pairs
+from backhoe_planner.site.pairs.nearby import distance_gradients
+
+
+@dataclass(frozen=True, eq=False)
+class NearInEach:
+    """The near pairs in each of N configurations, those of one configuration after those of another.
+
+    Attributes
+    ----------
+    lower: (N, P) lower bounds of all distances [m].
+    row: (K,) the configuration of each near pair; it does not decrease.
+    pair, distance, gradient: (K,), (K,), (K, n) as in `Nearby`.
+    """
+
+    lower: Matrix
+    row: Indices
+    pair: Indices
+    distance: Vector
+    gradient: Matrix
 
 
 class HullDistances:
@@ -26,24 +47,39 @@ class HullDistances:
     first, second: (P,) the numbers of the pieces of each pair among `self_pieces`; bodies are numbered after these.
     clearance: (P,) to be kept [m].
     sense: (P, n) +1 for joints that move only the other body, -1 for those that move only the link, 0 otherwise.
+    measure: coal's results (K, 10) of pairs (K,) at q (n,), and the joint Jacobians there, see `distance_gradients`.
     """
 
     def __init__(
         self, robot: Robot, bodies: Sequence[shapes.Piece],
         *, first: Indices, second: Indices, clearance: Vector, sense: Matrix,
+        measure: Callable[[Vector, Indices], tuple[Vector, Matrix]],
     ) -> None:  # fmt: skip
+        self._clearance, self._measure, self._sense = clearance, measure, sense
         shifts = np.zeros((len(bodies), 3))
         pieces = pieces_of_pairs(robot, bodies, shifts, first, second)
-        self._arguments, self._sense = (*pieces, clearance, np.zeros((len(first), 3))), sense
+        self._arguments = (*pieces, clearance, np.zeros((len(first), 3)))
 
-    def within(self, q: Matrix, margin: Vector, known: Matrix) -> tuple[Matrix, Indices, Indices, Vector, Matrix]:
-        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n); see `distances_within`.
+    def within(self, q: Matrix, margin: Vector, known: Matrix) -> NearInEach:
+        """The pairs within `margin` (N,) [m] beyond their clearance at each of q (N, n).
 
         Parameters
         ----------
         known: (N, P) known lower bounds of the distances [m].
         """
-        return distances_within(margin, known, self._sense, q, *self._arguments)
+        found = NearInEach(*distances_within(margin, known, self._sense, q, *self._arguments))
+        left = np.isnan(found.distance).nonzero()[0]
+        if not len(left):
+            return found
+        for those in np.split(left, np.diff(found.row[left]).nonzero()[0] + 1):
+            row, pairs = int(found.row[those[0]]), found.pair[those]
+            results, J = self._measure(q[row], pairs)
+            found.distance[those] = found.lower[row, pairs] = results[:, 0]
+            found.gradient[those] = distance_gradients(results, J) * self._sense[pairs]
+        near = found.distance <= self._clearance[found.pair] + margin[found.row]
+        if near.all():
+            return found
+        return NearInEach(found.lower, found.row[near], found.pair[near], found.distance[near], found.gradient[near])
 
 
 @compiled
@@ -56,14 +92,13 @@ def distances_within(
 
     Returns
     -------
-    lower: (N, P) lower bounds of all distances [m].
-    ends: (N,) for each configuration the end of its rows in the next arrays; -1 if it is left to coal, without rows.
-    pair, distance, gradient: (K,), (K,), (K, n) as in `Nearby`, one configuration after the other.
+    As `NearInEach`, except that the distance and the gradient of a pair that is left to coal are not a number; it need
+    not be near.
 
     Parameters
     ----------
     margin, known, sense: (N,), (N, P), (P, n) see `HullDistances`.
     clearance: (P,) of each pair [m]. The other arguments are those of `first_not_apart`.
     """
-    none: Indices = np.zeros(0, dtype=np.intp)
-    return known.copy(), np.full(len(q), -1, dtype=np.intp), none, np.zeros(0), np.zeros((0, q.shape[1]))
+    row, pair = (~(known > clearance + margin[:, None])).nonzero()
+    return known.copy(), row, pair, np.full(len(row), np.nan), np.full((len(row), q.shape[1]), np.nan)
