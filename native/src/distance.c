@@ -161,31 +161,43 @@ static int grow(Simplex *simplex, const double *a, const double *b, double *v)
     return 0;
 }
 
-int hull_distance(const Hull *first, const Hull *second, double *distance, double *normal, double *on_first,
-                  double *on_second)
+int distance_within(Support furthest_on, const void *first, const void *second, double reach, double *normal,
+                    double *distance, double *on_first, double *on_second)
 {
     Simplex simplex = {.count = 0};
-    double v[3];
-    minus(second->points, first->points, v);
+    double v[3] = {normal[0], normal[1], normal[2]};
+    if (!(dot(v, v) > TOUCHES * TOUCHES))
+        v[0] = 1.0, v[1] = v[2] = 0.0;
     for (int round = 0; round < MOST_ROUNDS; round++) {
-        const double back[3] = {-v[0], -v[1], -v[2]}, size = dot(v, v);
-        const double *a = furthest(first, v), *b = furthest(second, back);
-        double w[3];
-        minus(b, a, w);
+        const double back[3] = {-v[0], -v[1], -v[2]}, size = dot(v, v), length = sqrt(size);
+        double a[3], b[3], w[3];
         if (!(size > TOUCHES * TOUCHES))
             return -1;
-        if (simplex.count && size - dot(v, w) <= PRECISE * size) {
-            const double length = sqrt(size);
+        furthest_on(first, v, a), furthest_on(second, back, b);
+        minus(b, a, w);
+        const double along = dot(v, w);
+        const int is_apart = along >= reach * length;
+        if (is_apart || (simplex.count && size - along <= PRECISE * size)) {
             for (int c = 0; c < 3; c++)
                 normal[c] = v[c] / length;
             *distance = dot(normal, w);
-            blend(&simplex, simplex.first, on_first), blend(&simplex, simplex.second, on_second);
-            return 0;
+            if (!is_apart)
+                blend(&simplex, simplex.first, on_first), blend(&simplex, simplex.second, on_second);
+            return !is_apart;
         }
         if (grow(&simplex, a, b, v) < 0)
             return -1;
     }
     return -1;
+}
+
+int hull_distance(const Hull *first, const Hull *second, double *distance, double *normal, double *on_first,
+                  double *on_second)
+{
+    minus(second->points, first->points, normal);
+    const int found =
+        distance_within(furthest_on_hull, first, second, INFINITY, normal, distance, on_first, on_second);
+    return found > 0 ? 0 : -1;
 }
 
 int come_nearer(Support furthest_on, const void *first, const void *second, double reach, double *normal)

@@ -9,15 +9,20 @@ typedef struct {
     ptrdiff_t count;
 } Hull;
 
-/* How far two hulls are apart, between which points, and the unit normal from the first to the second. The distance is
- * what two planes across the normal leave between them, so never more than the true one; it is less by 1e-11 of it at
- * most. 0, or -1 where they touch or that is not reached. */
-int hull_distance(const Hull *first, const Hull *second, double *distance, double *normal, double *on_first,
-                  double *on_second);
-
 /* the point of a body that is furthest along a direction */
 typedef void (*Support)(const void *body, const double *direction, double *point);
 void furthest_on_hull(const void *hull, const double *direction, double *point); /* of a `Hull` */
+
+/* How far two bodies are apart, between which points, and the unit normal from the first to the second, which begins as a
+ * guess. The distance is what two planes across the normal leave between them, so never more than the true one; it is less
+ * by 1e-11 of it at most. 1 with these; 0 where planes leave `reach` or more between them, with that distance and normal but
+ * no points; -1 where they touch or that is not reached. */
+int distance_within(Support furthest_on, const void *first, const void *second, double reach, double *normal,
+                    double *distance, double *on_first, double *on_second);
+
+/* The same of two hulls without a guess, however far they are apart. 0, or -1 where they touch or that is not reached. */
+int hull_distance(const Hull *first, const Hull *second, double *distance, double *normal, double *on_first,
+                  double *on_second);
 
 /* Whether two bodies come nearer than `reach`: 1 where they do, 0 where a plane across `normal` (from the first to the
  * second, which begins as a guess) proves that they do not, -1 where it is not decided: where the

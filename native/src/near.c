@@ -6,43 +6,10 @@
 
 static const double ROUNDING = 1e-9; /* m: far above what sums of a few products are off */
 
-/* The corners of all pieces, row after row, world: of bodies from the beginning, of a link's piece once it is asked for
- * where the machine stands. */
-typedef struct {
-    double *point;
-    unsigned char *placed;
-    Room points, marks;
-} World;
-
-static int world_of(const Screen *s, World *world)
-{
-    world->point = room_for(&world->points, (3 * s->corners + 1) * sizeof(double));
-    world->placed = room_for(&world->marks, s->own + 1);
-    if (!world->point || !world->placed)
-        return -1;
-    for (npy_intp k = INDEX(s->corner_starts, s->own); k < s->corners; k++)
-        for (int c = 0; c < 3; c++)
-            world->point[3 * k + c] = s->corner[c * s->corners + k];
-    return 0;
-}
-
-static Hull hull_of(const Screen *s, const Machine *m, World *world, npy_intp piece)
-{
-    const npy_intp begin = INDEX(s->corner_starts, piece), end = INDEX(s->corner_starts, piece + 1);
-    if (piece < s->own && !world->placed[piece]) {
-        const Pose *pose = m->pose + INDEX(s->joint, piece);
-        for (npy_intp k = begin; k < end; k++)
-            moved(pose, (double[]){s->corner[k], s->corner[s->corners + k], s->corner[2 * s->corners + k]},
-                  world->point + 3 * k);
-        world->placed[piece] = 1;
-    }
-    return (Hull){world->point + 3 * begin, end - begin};
-}
-
-/* The signed distance of a pair, its normal from the first to the second, and the point of the first; 0, or -1 where
- * that takes coal. */
-static int measure_pair(const Screen *s, const Machine *m, World *world, npy_intp pair, double *distance, double *normal,
-                        double *point)
+/* The signed distance of a pair, its normal from the first to the second, and the point of the first; 1 with these, 0 with
+ * a lower bound of the distance that is more than `needed`, or -1 where that takes coal. */
+static int measure_pair(const Screen *s, const Machine *m, npy_intp pair, double needed, double *distance,
+                        double *normal, double *point)
 {
     const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
     const double *box = b < s->own ? NULL : s->box + 15 * (b - s->own);
@@ -52,14 +19,11 @@ static int measure_pair(const Screen *s, const Machine *m, World *world, npy_int
             normal[c] = -box[c];
         furthest_corner(&corners, normal, point);
         *distance = box[0] * point[0] + box[1] * point[1] + box[2] * point[2] - box[9] - s->radius[a];
-        return 0;
+        return 1;
     }
-    double other[3];
-    const Hull first = hull_of(s, m, world, a), second = hull_of(s, m, world, b);
-    if (first.count < 1 || second.count < 1 || hull_distance(&first, &second, distance, normal, point, other) < 0)
-        return -1;
-    *distance -= s->radius[a] + s->radius[b];
-    return 0;
+    const int found = distance_from_kept(s, pair, m->pose, needed + 2.0 * ROUNDING, distance, normal, point);
+    *distance -= found == 0 ? ROUNDING : 0.0;
+    return found;
 }
 
 /* How fast a distance changes with each joint, from its normal and the link's point. */
@@ -108,29 +72,12 @@ static int make_room(Found *found, npy_intp n)
     return 0;
 }
 
-/* A lower bound of the distance of a pair by a plane between both, if there is one that leaves more than `needed`; else
- * minus infinity. The plane is looked for from the one that was found last. */
-static double plane_between(const Screen *s, const Machine *m, npy_intp pair, double needed)
-{
-    const npy_intp a = INDEX(s->first, pair), b = INDEX(s->second, pair);
-    const Corners from = corners_of(s, a, m->pose), to = corners_of(s, b, m->pose);
-    double normal[3] = {0.0, 0.0, 0.0}, near[3], far[3], gap = -from.radius - to.radius;
-    if (from.count < 1 || to.count < 1 || verdict_from_kept(s, pair, &from, &to, needed, normal) != APART)
-        return -INFINITY;
-    const double other[3] = {-normal[0], -normal[1], -normal[2]};
-    furthest_corner(&from, normal, near), furthest_corner(&to, other, far);
-    for (int c = 0; c < 3; c++)
-        gap += normal[c] * (far[c] - near[c]);
-    return gap;
-}
-
 /* The pairs of one configuration, in a row of q; the distance of one that takes coal is not a number. 0, or -1 with an
  * exception. */
-static int near_in_one(const Screen *s, const Machine *m, World *world, const Mat *sense, npy_intp row, double margin,
-                       double *lower, Found *found)
+static int near_in_one(const Screen *s, const Machine *m, const Mat *sense, npy_intp row, double margin, double *lower,
+                       Found *found)
 {
     const npy_intp n = s->factors.columns;
-    memset(world->placed, 0, s->own);
     for (npy_intp pair = 0; pair < s->least.n; pair++) {
         const double needed = AT(s->least, pair) + margin;
         double distance, normal[3], point[3];
@@ -142,16 +89,10 @@ static int near_in_one(const Screen *s, const Machine *m, World *world, const Ma
             lower[pair] = fmax(lower[pair], apart);
         if (lower[pair] > needed)
             continue;
-        const npy_intp b = INDEX(s->second, pair);
-        if (b < s->own || s->box[15 * (b - s->own) + 12] >= 0.0) {
-            lower[pair] = fmax(lower[pair], plane_between(s, m, pair, needed) - ROUNDING);
-            if (lower[pair] > needed)
-                continue;
-        }
-        const int takes_coal = measure_pair(s, m, world, pair, &distance, normal, point) < 0;
+        const int known = measure_pair(s, m, pair, needed, &distance, normal, point), takes_coal = known < 0;
         if (!takes_coal)
-            lower[pair] = distance;
-        if (!takes_coal && distance > needed)
+            lower[pair] = known ? distance : fmax(lower[pair], distance);
+        if (known == 0 || (known > 0 && distance > needed))
             continue;
         if (make_room(found, n) < 0)
             return -1;
@@ -171,7 +112,6 @@ PyObject *distances_within(PyObject *self, PyObject *const *args, Py_ssize_t cou
 {
     Screen s;
     Machine m;
-    World world = {0};
     Vec margin;
     Mat known, sense;
     if (count_is(count, 18, "distances_within") < 0 || read_screen(args + 3, &s) < 0 ||
@@ -184,13 +124,13 @@ PyObject *distances_within(PyObject *self, PyObject *const *args, Py_ssize_t cou
     npy_intp *at, *pair;
     Found found = {0};
     PyObject *parts[5] = {new_mat(rows, pairs, &lower), NULL, NULL, NULL, NULL}, *result = NULL;
-    if (!parts[0] || world_of(&s, &world) < 0)
+    if (!parts[0])
         goto done;
     for (npy_intp row = 0; row < rows; row++) {
         for (npy_intp k = 0; k < pairs; k++)
             lower[pairs * row + k] = AT2(known, row, k);
         place_at(&s, &m, row);
-        if (near_in_one(&s, &m, &world, &sense, row, AT(margin, row), lower + pairs * row, &found) < 0)
+        if (near_in_one(&s, &m, &sense, row, AT(margin, row), lower + pairs * row, &found) < 0)
             goto done;
     }
     if (!(parts[1] = new_ind(found.count, &at)) || !(parts[2] = new_ind(found.count, &pair)) ||
@@ -210,9 +150,5 @@ done:
         Py_XDECREF(parts[part]);
     PyMem_RawFree(found.row), PyMem_RawFree(found.pair), PyMem_RawFree(found.distance), PyMem_RawFree(found.gradient);
     release(&m.room);
-    if (world.point)
-        release(&world.points);
-    if (world.placed)
-        release(&world.marks);
     return result;
 }

@@ -63,18 +63,54 @@ static void turned_back(const Pose *pose, const double *n, double *local)
         local[k] = pose->R[k] * n[0] + pose->R[3 + k] * n[1] + pose->R[6 + k] * n[2];
 }
 
+/* Two numbers side by side, anywhere in memory: processors compute with both at once. */
+typedef double Two __attribute__((vector_size(16), aligned(8), may_alias));
+typedef npy_int64 Flags __attribute__((vector_size(16))); /* of a comparison: all bits are set, or none */
+
+/* Two corners, and how far they are along a direction. */
+typedef struct {
+    Two most;
+    Flags found;
+} Furthest;
+
+static inline void look_at_two(Furthest *so_far, const Corners *corners, const double *n, npy_intp i)
+{
+    const Two along = n[0] * *(const Two *)(corners->x + i) + n[1] * *(const Two *)(corners->y + i) +
+                      n[2] * *(const Two *)(corners->z + i);
+    const Flags is_more = (Flags)(along > so_far->most), here = {i, i + 1};
+    so_far->most = (Two)(((Flags)along & is_more) | ((Flags)so_far->most & ~is_more));
+    so_far->found = (here & is_more) | (so_far->found & ~is_more);
+}
+
+/* The first of the corners that are furthest along a direction in their own frame. */
+static npy_intp furthest_of(const Corners *corners, const double *n)
+{
+    Furthest parts[2] = {{{-INFINITY, -INFINITY}, {0, 0}}, {{-INFINITY, -INFINITY}, {0, 0}}};
+    npy_intp best = 0, i = 0;
+    double furthest = -INFINITY;
+    for (; i + 4 <= corners->count; i += 4)
+        look_at_two(parts, corners, n, i), look_at_two(parts + 1, corners, n, i + 2);
+    for (int k = 0; k < 4; k++) {
+        const double along = parts[k / 2].most[k % 2];
+        const npy_intp found = (npy_intp)parts[k / 2].found[k % 2];
+        if (along > furthest || (along == furthest && found < best))
+            furthest = along, best = found;
+    }
+    for (; i < corners->count; i++) {
+        const double along = n[0] * corners->x[i] + n[1] * corners->y[i] + n[2] * corners->z[i];
+        if (along > furthest)
+            furthest = along, best = i;
+    }
+    return best;
+}
+
 /* The corner that is furthest along a direction, world; a `Support`. */
 void furthest_corner(const void *of, const double *n, double *point)
 {
     const Corners *corners = of;
-    double local[3], most = -INFINITY;
+    double local[3];
     turned_back(corners->pose, n, local);
-    npy_intp found = 0;
-    for (npy_intp i = 0; i < corners->count; i++) {
-        const double along = local[0] * corners->x[i] + local[1] * corners->y[i] + local[2] * corners->z[i];
-        if (along > most)
-            most = along, found = i;
-    }
+    const npy_intp found = furthest_of(corners, local);
     moved(corners->pose, (double[]){corners->x[found], corners->y[found], corners->z[found]}, point);
 }
 
@@ -118,21 +154,52 @@ static Verdict verdict_of(const Corners *from, const Corners *to, double least, 
     return nearer > 0 ? NEARER : nearer == 0 ? APART : UNDECIDED;
 }
 
-Verdict verdict_from_kept(const Screen *s, npy_intp pair, const Corners *from, const Corners *to, double least,
-                          double *normal)
+/* The normal that is kept of a pair, world; left as it is if none is. */
+static void take_kept(const Screen *s, npy_intp pair, const Pose *pose, double *normal)
 {
     double kept[3], size = 0.0;
     for (int k = 0; k < 3; k++)
         kept[k] = AT2(s->normals, pair, k), size += fabs(kept[k]);
     if (size > 0.0)
-        turned(to->pose, kept, normal);
+        turned(pose, kept, normal);
+}
+
+static void keep_normal(const Screen *s, npy_intp pair, const Pose *pose, const double *normal)
+{
+    double kept[3];
+    turned_back(pose, normal, kept);
+    for (int k = 0; k < 3; k++)
+        AT2(s->normals, pair, k) = kept[k];
+}
+
+/* Whether two pieces are `least` apart, by a plane across the normal that proved it last, or the given one where none did;
+ * one that proves it is kept, in the frame of the second. */
+static Verdict verdict_from_kept(const Screen *s, npy_intp pair, const Corners *from, const Corners *to, double least,
+                                 double *normal)
+{
+    take_kept(s, pair, to->pose, normal);
     const Verdict verdict = verdict_of(from, to, least, normal);
-    if (verdict == APART) {
-        turned_back(to->pose, normal, kept);
-        for (int k = 0; k < 3; k++)
-            AT2(s->normals, pair, k) = kept[k];
-    }
+    if (verdict == APART)
+        keep_normal(s, pair, to->pose, normal);
     return verdict;
+}
+
+int distance_from_kept(const Screen *s, npy_intp pair, const Pose *pose, double reach, double *distance, double *normal,
+                       double *point)
+{
+    const Corners from = corners_of(s, INDEX(s->first, pair), pose), to = corners_of(s, INDEX(s->second, pair), pose);
+    double other[3];
+    if (from.count < 1 || to.count < 1)
+        return -1;
+    normal[0] = normal[1] = normal[2] = 0.0;
+    take_kept(s, pair, to.pose, normal);
+    const double radii = from.radius + to.radius;
+    const int found = distance_within(furthest_corner, &from, &to, reach + radii, normal, distance, point, other);
+    if (found >= 0) {
+        *distance -= radii;
+        keep_normal(s, pair, to.pose, normal);
+    }
+    return found;
 }
 
 /* What is known of piece `a`, with its coarse ball at `centre`, and a half-space. */

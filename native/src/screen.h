@@ -44,10 +44,10 @@ void place_at(const Screen *s, Machine *m, npy_intp row); /* where it stands in 
 void moved(const Pose *pose, const double *x, double *into);
 Corners corners_of(const Screen *s, npy_intp piece, const Pose *pose);
 void furthest_corner(const void *of, const double *n, double *point);
-/* Whether two pieces are `least` apart, by a plane across the normal that proved it last, or the given one where none did;
- * one that proves it is kept, in the frame of the second. */
-Verdict verdict_from_kept(const Screen *s, npy_intp pair, const Corners *from, const Corners *to, double least,
-                          double *normal);
+/* As `distance_within` for a pair, with the radii of its pieces, from the normal that was found last, which is kept in the
+ * frame of the second. */
+int distance_from_kept(const Screen *s, npy_intp pair, const Pose *pose, double reach, double *distance, double *normal,
+                       double *point);
 double balls_apart(const Screen *s, npy_intp a, npy_intp b, const double (*ball)[3], const double *rounder);
 
 #endif

@@ -432,7 +432,7 @@ class Descent:
         return there if again is None or again.cost + price * again.missed >= worth else again
 
     def _seen_anew(self, here: Timed, looks: Looks) -> Timed:
-        margins = looks.find_margins(here.curve)
+        margins = looks.find_margins(here.curve, before=here.margins)
         return replace(here, missed=max(-margins.least, 0.0), margins=margins)
 
     def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:

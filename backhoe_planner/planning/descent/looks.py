@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.into_cones import IntoCones
@@ -76,15 +77,28 @@ class Looks:
         """How many places are checked, and at how many the larger reach is used; neither number decreases."""
         return len(self._looked_at), self._widened
 
-    def find_margins(self, curve: JointCurve) -> Margins:
-        """All small margins of a curve."""
-        q = curve.at(self._u[self._looked_at])
-        margins = self._margins_at(q, self._looked_at)
-        noticed = self._notice(curve, q, margins)
-        if not len(noticed):
-            return margins
-        self._looked_at = np.union1d(self._looked_at, noticed)
-        return margins.and_those(self._margins_at(curve.at(self._u[noticed]), noticed))
+    def find_margins(self, curve: JointCurve, *, before: Margins | None = None) -> Margins:
+        """All small margins of a curve.
+
+        Parameters
+        ----------
+        before: those of the same curve, if they were found before other places, or larger reaches, were added; then
+            only those are looked at.
+        """
+        at, reach = self._looked_at, np.full(self.places, -np.inf)
+        q, reach[at] = curve.at(self._u[at]), self._reach[at]
+        if before is None or before.reach is None:
+            is_new = np.ones(len(at), dtype=bool)
+            margins = self._margins_at(q, at)
+        else:
+            is_new = before.reach[at] != reach[at]
+            known = before.some(before.reach[before.place] == reach[before.place])
+            margins = known.and_those(self._margins_at(q[is_new], at[is_new])).in_order()
+        noticed = self._notice(curve, q, margins, is_new[:-1] | is_new[1:])
+        if len(noticed):
+            self._looked_at = np.union1d(at, noticed)
+            margins = margins.and_those(self._margins_at(curve.at(self._u[noticed]), noticed))
+        return replace(margins, reach=reach)
 
     def widen(self, margins: Margins) -> None:
         """Use a larger reach from now on where a curve with these margins goes into an obstacle."""
@@ -99,8 +113,11 @@ class Looks:
             ends=self._ends,
         )  # fmt: skip
 
-    def _notice(self, curve: JointCurve, q: Matrix, margins: Margins) -> Indices:
-        """The first places that are not clear between each two checked ones, at q (K, n) with these `margins`."""
+    def _notice(self, curve: JointCurve, q: Matrix, margins: Margins, intervals: Flags) -> Indices:
+        """The first places that are not clear between two checked ones, at q (K, n) with these `margins`.
+
+        `intervals` (K - 1,) are those between checked places in which others are looked for.
+        """
         travel, at = self._proximity.travel, self._looked_at
         if not len(travel):
             return np.zeros(0, dtype=np.intp)
@@ -111,7 +128,8 @@ class Looks:
         way = np.abs(np.diff(q, axis=0)) @ travel.max(axis=0)
         between: list[range] = []
         before: list[int] = []  # the checked place before each of them
-        for interval in np.flatnonzero(least[:-1] + least[1:] < way).tolist():  # otherwise no link collides between
+        unsure = intervals & (least[:-1] + least[1:] < way)  # in the others no link collides
+        for interval in np.flatnonzero(unsure).tolist():
             a, b = int(at[interval]), int(at[interval + 1])
             step = math.ceil((b - a) / (min(int(way[interval] / _APART), b - a - 1) + 1))
             if a + step < b:

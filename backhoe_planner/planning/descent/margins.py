@@ -24,12 +24,15 @@ class Margins:
     margin: (M,) of clearances [m] and of kept conditions [rad or m], beyond the spare.
     counted: (M,) the same as clearances that are kept or missed [m], see `KeptMargins`.
     gradient: (M, n) of the margins.
+    reach: (places,) below which those at each place were looked for [m]; minus infinity where none were. None if that
+        is not known.
     """
 
     place: Indices
     margin: Vector
     counted: Vector
     gradient: Matrix
+    reach: Vector | None = None
 
     @classmethod
     def none(cls, n: int) -> Margins:
@@ -42,11 +45,15 @@ class Margins:
         return float(self.counted.min(initial=np.inf))
 
     def some(self, which: Flags | Indices) -> Margins:
-        """Those of `which`, flags (M,) or indices."""
+        """Those of `which`, flags (M,) or indices; without their reach."""
         return Margins(self.place[which], self.margin[which], self.counted[which], self.gradient[which])
 
+    def in_order(self) -> Margins:
+        """The same, the places in order; without their reach."""
+        return self.some(np.argsort(self.place, kind="stable"))
+
     def and_those(self, other: Margins) -> Margins:
-        """These, then those of the same curve at other places."""
+        """These, then those of the same curve at other places; without their reach."""
         return Margins(
             np.append(self.place, other.place), np.append(self.margin, other.margin),
             np.append(self.counted, other.counted), np.concatenate((self.gradient, other.gradient)),
