@@ -125,7 +125,9 @@ class NearRows:
         most = np.maximum(self._G, 0.0) @ program.high + np.minimum(self._G, 0.0) @ program.low
         self._near = self._h < _FAR * most
 
-    def solve(self, program: QuadraticProgram, *, most_iterations: int, coupled: int = 0) -> Vector | None:
+    def solve(
+        self, program: QuadraticProgram, *, most_iterations: int, coupled: int = 0, start: Vector | None = None
+    ) -> Vector | None:
         """(n,) the x of least cost with the shared rows and those of the program; None as for `solve_program`.
 
         At the end x keeps every row that was left out, so that it is the x of the program with all rows. A row that it
@@ -135,14 +137,15 @@ class NearRows:
         ----------
         program: it may have more variables, after those of the shared rows; none of its own rows is left out.
         coupled: so many of the first variables are coupled by H, if it is known to be diagonal in the others; else 0.
+        start: as for `solve_program`.
         """
         shared = self._G.shape[1]
         while True:
             some = self._with(program, self._near)
             if coupled and len(program.f) >= _MANY:
-                x = solve_in_unit_metric(some, coupled, most_iterations=most_iterations)
+                x = solve_in_unit_metric(some, coupled, most_iterations=most_iterations, start=start)
             else:
-                found = solve_program(some, most_iterations=most_iterations)
+                found = solve_program(some, most_iterations=most_iterations, start=start)
                 x = None if found is None else found.x
             if x is None:
                 return None
@@ -150,6 +153,7 @@ class NearRows:
             if not missed.any():
                 return x
             self._near |= missed
+            start = x
 
     def all_with(self, program: QuadraticProgram) -> QuadraticProgram:
         """The program with all shared rows and its own."""

@@ -16,9 +16,10 @@ inspect the problem, and a solution can itself tell whether it is right.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from enum import IntEnum
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
@@ -206,22 +207,24 @@ class Solution(NamedTuple):
 
 
 def solve_program(
-    program: QuadraticProgram, *, most_iterations: int = 1000, stacked: StackedRows | None = None
-) -> Solution | None:
+    program: QuadraticProgram, *, most_iterations: int = 1000, stacked: StackedRows | None = None,
+    start: Vector | None = None,
+) -> Solution | None:  # fmt: skip
     """The solution, or None if no x keeps bounds, hard and equal rows.
 
     Parameters
     ----------
     most_iterations: of the solver; if it needs more, the result is None, too.
     stacked: the program's rows, if several programs share them.
+    start: an x (n,) at which nearly the same conditions bind as at the solution, if one is known.
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
     upper, lower = program.high, program.low
     if stacked.total:
         upper, lower = np.concatenate((upper, stacked.high)), np.concatenate((lower, stacked.low))
-    x, _, flag, more = daqp.solve(
-        program.H, program.f, stacked.G, upper, lower, stacked.senses, iter_limit=most_iterations
+    x, flag, more = solve_from(
+        start, program.H, program.f, stacked.G, upper, lower, stacked.senses, most_iterations=most_iterations
     )
     if flag < 1 or not all(map(math.isfinite, x.tolist())):
         return None
@@ -230,6 +233,19 @@ def solve_program(
     if flag == _MISSED and stacked.total > stacked.soft and not _keeps(program, stacked, x):
         return None
     return Solution(program, x, multipliers if len(multipliers) == known else multipliers[:known], more["iterations"])
+
+
+def solve_from(
+    start: Vector | None, H: Matrix, f: Vector, G: Matrix, upper: Vector, lower: Vector, senses: Indices,
+    *, most_iterations: int,
+) -> tuple[Vector, int, Mapping[str, Any]]:  # fmt: skip
+    """The x (n,) of daqp, its flag, and what else it says; from `start` (n,) if that is given and helps."""
+    if start is not None:
+        x, _, flag, more = daqp.solve(H, f, G, upper, lower, senses, iter_limit=most_iterations, primal_start=start)
+        if flag >= 1:
+            return x, flag, more
+    x, _, flag, more = daqp.solve(H, f, G, upper, lower, senses, iter_limit=most_iterations)
+    return x, flag, more
 
 
 def _keeps(program: QuadraticProgram, stacked: StackedRows, x: Vector) -> bool:

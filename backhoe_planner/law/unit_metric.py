@@ -11,27 +11,30 @@ from __future__ import annotations
 
 import math
 
-import daqp
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Vector
-from backhoe_planner.law.qp import UNBOUNDED, Kind, QuadraticProgram
+from backhoe_planner.law.qp import UNBOUNDED, Kind, QuadraticProgram, solve_from
 
 
-def solve_in_unit_metric(program: QuadraticProgram, coupled: int, *, most_iterations: int) -> Vector | None:
+def solve_in_unit_metric(
+    program: QuadraticProgram, coupled: int, *, most_iterations: int, start: Vector | None = None
+) -> Vector | None:
     """(n,) the x of least cost of a program without soft rows; None as for `solve_program`, or if H is not definite.
 
     Parameters
     ----------
     coupled: so many of the first variables are coupled by H; it is diagonal in the others.
+    start: as for `solve_program`.
     """
     alone, own = len(program.f) - coupled, np.diag(program.H)[coupled:]
     if alone and not own.min() > 0.0:
         return None
     try:
-        F = np.linalg.inv(np.linalg.cholesky(program.H[:coupled, :coupled])).T
+        L = np.linalg.cholesky(program.H[:coupled, :coupled])
     except np.linalg.LinAlgError:
         return None
+    F = np.linalg.inv(L).T
     f = 1.0 / np.sqrt(own)
     rows = [row for row in program.rows if len(row.h)]
     count = sum(len(row.h) for row in rows)
@@ -55,7 +58,8 @@ def solve_in_unit_metric(program: QuadraticProgram, coupled: int, *, most_iterat
         if row.kind is Kind.EQUAL:
             lower[bound], senses[bound] = row.h, Kind.EQUAL
     pull = np.concatenate((program.f[coupled:] * f, program.f[:coupled] @ F))
-    z, _, flag, _ = daqp.solve(np.eye(len(pull)), pull, A, upper, lower, senses, iter_limit=most_iterations)
+    z_start = None if start is None else np.concatenate((start[coupled:] / f, start[:coupled] @ L))
+    z, flag, _ = solve_from(z_start, np.eye(len(pull)), pull, A, upper, lower, senses, most_iterations=most_iterations)
     if flag < 1 or not all(map(math.isfinite, z.tolist())):
         return None
     return np.concatenate((F @ z[alone:], z[:alone] * f))

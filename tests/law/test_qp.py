@@ -279,6 +279,15 @@ def test_many_coupled_variables_have_the_same_solution_in_the_metric_of_their_co
     np.testing.assert_allclose(found, plain.x, atol=1e-8)
     assert np.isclose(np.abs(found[:coupled]), 0.2).sum() > 3  # some bounds bind, and some kinks are crossed
     assert (found[coupled:] > 1e-3).sum() > 3
+    assert solve_in_unit_metric(program, coupled, most_iterations=3) is None
+    again, elsewhere = (
+        solve_in_unit_metric(program, coupled, most_iterations=most, start=start)
+        for most, start in ((3, plain.x), (1000, rng.normal(size=n)))
+    )
+    assert again is not None
+    assert elsewhere is not None
+    np.testing.assert_allclose(again, plain.x, atol=1e-8)
+    np.testing.assert_allclose(elsewhere, plain.x, atol=1e-8)
     near = solve_with_near_rows(program, most_iterations=1000, coupled=coupled)
     assert near is not None
     np.testing.assert_allclose(near, plain.x, atol=1e-6)
@@ -311,6 +320,21 @@ def test_programs_that_share_rows_are_solved_with_their_own_variables_and_rows()
         assert found is not None
         assert expected.residual < 1e-6
         np.testing.assert_allclose(found, expected.x, atol=1e-6)
+
+
+def test_a_program_is_solved_in_few_steps_from_its_solution_and_from_elsewhere_too() -> None:
+    rng, n = np.random.default_rng(5), 30
+    rows = Rows("some", rng.normal(size=(40, n)), rng.uniform(0.0, 1.0, 40), Kind.HARD)
+    program = QuadraticProgram(np.eye(n), 3.0 * rng.normal(size=n), np.full(n, -0.5), np.full(n, 0.5), (rows,))
+    plain = solve_program(program)
+    assert plain is not None
+    assert np.count_nonzero(plain.multipliers) > 15
+    assert solve_program(program, most_iterations=3) is None
+    for most, start in ((3, plain.x), (1000, rng.normal(size=n)), (1000, -plain.x)):
+        found = solve_program(program, most_iterations=most, start=start)
+        assert found is not None
+        assert found.residual < 1e-8
+        np.testing.assert_allclose(found.x, plain.x, atol=1e-8)
 
 
 def test_contradictory_near_rows_have_no_solution() -> None:

@@ -134,7 +134,7 @@ def test_kinks_that_a_step_does_not_cross_need_no_variable(planar4: bp.Robot) ->
         value = np.append(rng.normal(size=40), rng.uniform(0.0, 0.1, 20))
         kinks = Kinks(0.2 * rng.normal(size=(60, m)), value, rng.uniform(0.1, 1.0, 60), 0.1)
         root = rng.normal(size=(m, m))
-        slope = kinks.share * kinks.rising() @ kinks.G + 0.1 * rng.normal(size=m)
+        slope = kinks.share * kinks.rising @ kinks.G + 0.1 * rng.normal(size=m)
         bend = Bend(slope, root @ root.T / m, np.zeros((m, m)), kinks)
         program = model.program(1.0, bend=bend)
         expected = solve_program(program)
@@ -160,7 +160,7 @@ def test_a_step_lowers_the_cost_even_if_it_crosses_more_kinks_than_have_variable
         model = LinearModel(problem, curve, 1.0, end_moves=False, box=np.full(planar4.n, 0.3))
         kinks = Kinks(8.0 * rng.normal(size=(60, m)), rng.normal(size=60), np.ones(60), width)
         straight = 30.0 * rng.normal(size=m)
-        bend = Bend(straight + kinks.share * kinks.rising() @ kinks.G, 1e-4 * np.eye(m), np.zeros((m, m)), kinks)
+        bend = Bend(straight + kinks.share * kinks.rising @ kinks.G, 1e-4 * np.eye(m), np.zeros((m, m)), kinks)
         x = model.best_step(1.0, bend=bend, most_iterations=1000)
         assert x is not None
         before, after = (np.maximum(y, 0.0) for y in (kinks.value, kinks.value + kinks.G @ x[:m]))

@@ -9,6 +9,7 @@ was learnt far away would hold back all directions in which no step has gone sin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -62,6 +63,11 @@ class Bend:
         curvature[-1, -1] = _EVEN * moving / duration**2
         length = float(np.sqrt(slope @ np.linalg.solve(curvature, slope)))
         return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))), known, kinks)
+
+    @cached_property
+    def smooth_curvature(self) -> Matrix:
+        """(m, m) without that of the kinks."""
+        return self.curvature + self.known
 
     def after(self, step: Vector, slope: Vector, known: Matrix, kinks: Kinks) -> Bend:
         """The model after a step (m,), with the new slope (m,), known curvature and kinks."""

@@ -157,13 +157,18 @@ def moment_changes(acting: Indices, weights: Array, slopes: Matrix, n: int) -> A
     return np.asarray(found)
 
 
-def spread(acting: Indices, changes: Array, moving: slice, pieces: int) -> Matrix:
-    """(R, m) the same by all control points that are `moving`, one after the other, from `changes` (R, k, n)."""
+def spread(acting: Indices, changes: Array, moving: slice, pieces: int, *, more: int = 0) -> Matrix:
+    """(R, m + more) the same by all control points that are `moving`, one after the other, from `changes` (R, k, n).
+
+    Then `more` columns of zeros, for other variables.
+    """
     count, _, n = changes.shape
-    found = np.zeros((count, pieces + 1, n))
-    found[np.arange(count)[:, None], acting] = changes
-    found = found[:, moving]
-    return found.reshape(count, found.shape[1] * n)
+    of_all = (pieces + 1) * n
+    found = np.zeros((count, of_all + more))
+    found[:, :of_all].reshape(count, pieces + 1, n)[np.arange(count)[:, None], acting] = changes
+    first, last = (n * point for point in moving.indices(pieces + 1)[:2])
+    found[:, last : last + more] = 0.0
+    return found[:, first : last + more]
 
 
 def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:
@@ -227,7 +232,7 @@ def _place(u: Vector, knots: tuple[float, ...]) -> Vector:
 
 def _piece_of(u: Vector, pieces: int) -> NDArray[np.intp]:
     """(K,) the number of the piece that contains each u (K,)."""
-    return np.clip((u * pieces).astype(np.intp), 0, pieces - 1)
+    return np.minimum(np.maximum((u * pieces).astype(np.intp), 0), pieces - 1)
 
 
 def _read(coefficients: Array, u: Vector, derivative: int, knots: tuple[float, ...]) -> Matrix:
@@ -241,10 +246,13 @@ def _read(coefficients: Array, u: Vector, derivative: int, knots: tuple[float, .
     piece = _piece_of(u, pieces)
     part = u * pieces - piece
     x = (part * (pieces * np.diff(knots))[piece] if knots else part)[:, None]
-    found = np.zeros((len(u), coefficients.shape[2]))
-    for power in range(_DEGREE, derivative - 1, -1):
-        found = found * x + math.perm(power, derivative) * coefficients[piece, power]
-    return found * float(pieces) ** derivative
+    own = coefficients[piece]
+    if derivative:
+        own = own * np.array([math.perm(power, derivative) for power in range(_DEGREE + 1)])[:, None]
+    found = own[:, _DEGREE]
+    for power in range(_DEGREE - 1, derivative - 1, -1):
+        found = found * x + own[:, power]
+    return found * float(pieces) ** derivative if derivative else found
 
 
 @lru_cache(maxsize=64)

@@ -8,6 +8,7 @@ cost = sum_k share_k phi(y_k)        y = value + G x        phi(y) = 0 below 0
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +41,18 @@ class Kinks:
         """Those of a cost without kinks."""
         return cls(np.zeros((0, variables)), np.zeros(0), np.zeros(0), 1.0)
 
-    def rising(self, step: Vector | None = None) -> Vector:
-        """(K,) the derivative of phi at each value, after a step (m,); from 0 to 1."""
-        value = self.value if step is None else self.value + self.G @ step
-        return np.clip(value / self.width, 0.0, 1.0)
+    @cached_property
+    def rising(self) -> Vector:
+        """(K,) the derivative of phi at each value, from 0 to 1."""
+        return self._rising_at(self.value)
+
+    def _rising_at(self, value: Vector) -> Vector:
+        return np.minimum(np.maximum(value / self.width, 0.0), 1.0)
 
     def turned(self, step: Vector) -> Vector:
         """(m,) how the slope of the cost changes with a step (m,)."""
-        return np.asarray((self.share * (self.rising(step) - self.rising())) @ self.G)
+        rising = self._rising_at(self.value + self.G @ step)
+        return np.asarray((self.share * (rising - self.rising)) @ self.G)
 
     def over(self, unit: float) -> Kinks:
         """Those of the cost divided by a unit."""
@@ -109,12 +114,13 @@ class NearKinks:
     def slope_of_variables(self) -> Vector:
         """(m,) the part of the cost's slope that comes from those with a variable."""
         rises = self.rises.some(self.rise_crossed)
-        return np.asarray((rises.share * rises.rising()) @ rises.G)
+        return np.asarray((rises.share * rises.rising) @ rises.G)
 
     def curvature(self) -> Matrix:
         """(m, m) the curvature of those that count now and are not crossed."""
         bent = self.rises.some(~self.rise_crossed & (self.rises.value > 0.0))
-        return np.asarray((bent.G.T * (bent.share / bent.width)) @ bent.G)
+        scaled = np.sqrt(bent.share / bent.width)[:, None] * bent.G
+        return np.asarray(scaled.T @ scaled)  # BLAS computes half of a product with itself
 
     def after(self, step: Vector) -> NearKinks:
         """The same with a variable also for those that a step (m,) crosses; itself if there are none."""

@@ -11,13 +11,13 @@ import itertools
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, NearRows, QuadraticProgram, Rows, solve_with_near_rows
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Problem
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
-from backhoe_planner.planning.descent.kinks import NearKinks, rounded
+from backhoe_planner.planning.descent.kinks import Kinks, NearKinks, rounded
 from backhoe_planner.planning.descent.margins import Margins
 
 PLACES_PER_PIECE = 3  # at which limits are linearised; chosen: accelerations are linear on a piece
@@ -72,10 +72,10 @@ class LinearModel:
     def __init__(self, problem: Problem, curve: JointCurve, duration: float, *, end_moves: bool, box: Vector) -> None:
         self._problem, self._curve, self._T = problem, curve, duration
         n, last = curve.control.shape[1], curve.pieces + end_moves
-        self._moving = np.arange(1, last)
-        self._n = n
-        self._steps = n * len(self._moving)  # number of the variables of control points
-        self._box = np.tile(box, len(self._moving))
+        self._moving = slice(1, last)
+        self._n, self._points = n, last - 1
+        self._steps = n * self._points  # number of the variables of control points
+        self._box = np.tile(box, self._points)
         self._places = PLACES_PER_PIECE * curve.pieces + 1
         self._weights = [curve.weights(self._places, derivative) for derivative in range(3)]
         self._at = [weights @ curve.control for weights in self._weights]  # q, q', q''
@@ -100,12 +100,12 @@ class LinearModel:
         change = self._most_change(weights)
         for sign in (1.0, -1.0):
             place, joint = np.nonzero(sign * values + change > _NEAR_LIMIT * most)
-            G = np.zeros((len(place), len(self._moving), self._n))
-            G[np.arange(len(place)), :, joint] = sign * weights[place][:, self._moving]
+            G, of_points = self._no_rows(len(place))
+            of_points[np.arange(len(place)), :, joint] = sign * weights[place, self._moving]
             here = most[joint]
             self._add(
                 name,
-                G.reshape(len(place), self._steps),
+                G,
                 here - sign * values[place, joint],
                 by_duration=-power * here / self._T,
             )
@@ -164,8 +164,7 @@ class LinearModel:
         place, scaled = place[kept], scaled[kept]
         slower = np.sum(scaled[:, n : 2 * n] * self._at[1][place], axis=1)
         slower += 2.0 * np.sum(scaled[:, 2 * n :] * self._at[2][place], axis=1)
-        moving = slice(self._moving[0], self._moving[-1] + 1)
-        G = spread(acting[kept], changes[kept], moving, self._curve.pieces)
+        G = spread(acting[kept], changes[kept], self._moving, self._curve.pieces, more=2)
         self._add("drive", G, 1.0 - use[kept], by_duration=-slower / T)
 
     def keep_clear(self, margins: Margins, places: int, *, after: Vector | None = None) -> None:
@@ -175,12 +174,13 @@ class LinearModel:
         ----------
         after: a step (steps,) of the control points after which these are the margins; None if they are the curve's.
         """
-        weights, margin = self._curve.weights(places)[:, self._moving], margins.margin
-        reach = np.abs(weights).sum(axis=1)[margins.place]
+        weights, margin = self._curve.weights(places)[margins.place, self._moving], margins.margin
+        reach = np.abs(weights).sum(axis=1)
         near = np.flatnonzero(margin < _CURVED * reach * (np.abs(margins.gradient) @ self._box[: self._n]))
-        G = margins.gradient[near, None, :] * weights[margins.place[near], :, None]
-        G = G.reshape(len(near), self._steps)
-        self._add(_CLEARANCE, -G, margin[near] if after is None else margin[near] - G @ after, slack=True)
+        G, of_points = self._no_rows(len(near))
+        np.multiply(-margins.gradient[near, None, :], weights[near, :, None], out=of_points)
+        room = margin[near] if after is None else margin[near] + G[:, : self._steps] @ after
+        self._add(_CLEARANCE, G, room, slack=True)
 
     def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
         """Add rows that keep the end of the curve, with the joints at `end`, on a goal."""
@@ -204,8 +204,8 @@ class LinearModel:
             asked[3] = False
             low, high = target.pitch
             off, half = wrap_angle(end.pitch - 0.5 * (low + high)), 0.5 * (high - low)
-            turn = self._of_end(np.atleast_2d(end.pitch_row))
-            self._add("pitch", np.vstack((turn, -turn)), np.array([half - off, half + off]))
+            turn = np.atleast_2d(end.pitch_row)
+            self._add("pitch", self._of_end(np.vstack((turn, -turn))), np.array([half - off, half + off]))
         self._add("goal", self._of_end(J[asked]), error[asked], kind=Kind.EQUAL)
 
     # --- cost --------------------------------------------------------------------------
@@ -222,17 +222,18 @@ class LinearModel:
         plain = self._plain(slack_price, longest=longest, late=bend is not None)
         if bend is None:
             return plain
-        return NearRows(plain).all_with(self._bent(plain, bend, self._near_kinks(bend).all_crossed()))
+        kinks = self._near_kinks(bend).all_crossed()
+        return NearRows(plain).all_with(_bent(_smooth(plain, bend), kinks, kinks.variables()))
 
     def _plain(self, slack_price: float, *, longest: float, late: bool) -> QuadraticProgram:
         """The program for the duration; T may be `late`, longer than the longest, for another cost."""
         T = self._T
         f = np.zeros(self._steps + 2)
         f[-2], f[-1] = 1.0 / T, slack_price
-        price = np.concatenate((_KEEP_STILL / (self._box**2 * len(self._moving)), [_KEEP_STILL / T**2, 1e-2]))
+        price = np.concatenate((_KEEP_STILL / (self._box**2 * self._points), [_KEEP_STILL / T**2, 1e-2]))
         H = np.diag(price)
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
-        lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
+        lower, upper = (np.tile(bound, self._points) - now for bound in (limits.lower, limits.upper))
         # the price of being late holds only while T is longer than the longest
         least = longest - T if late and longest < T else -0.5 * T
         low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [least, 0.0]))
@@ -253,21 +254,26 @@ class LinearModel:
         if bend is None:
             return solve_with_near_rows(self.program(slack_price, longest=longest), most_iterations=most_iterations)
         plain = self._plain(slack_price, longest=longest, late=True)
-        rows, kinks, best, least = NearRows(plain), self._near_kinks(bend), None, np.inf
-        still = np.zeros(self._steps + 1)
+        rows, smooth, kinks = NearRows(plain), _smooth(plain, bend), self._near_kinks(bend)
+        m, count = self._steps + 1, self._steps + 2
+        best, least, start = None, np.inf, None
         for number in range(_MORE_SOLUTIONS):
-            if number >= _SOLUTIONS and least < self._costs_of_parts(still, bend, slack_price, _NONE)[0]:
+            if number >= _SOLUTIONS and least < self._costs_of_parts(np.zeros(m), bend, slack_price, _NONE)[0]:
                 break
-            bent = self._bent(plain, bend, kinks)
-            x = rows.solve(bent, most_iterations=most_iterations, coupled=self._steps + 2)
+            crossed = kinks.variables()
+            if start is not None:
+                start = np.append(start, np.maximum(crossed.value + crossed.G @ start[:m], 0.0))
+            bent = _bent(smooth, kinks, crossed)
+            x = rows.solve(bent, most_iterations=most_iterations, coupled=count, start=start)
             if x is None:
                 break
-            costs = self._costs_of_parts(x[: self._steps + 1], bend, slack_price, _PARTS)
+            start = x[:count]
+            costs = self._costs_of_parts(x[:m], bend, slack_price, _PARTS)
             found = int(np.argmin(costs))
             if costs[found] < least:
-                best, least = _PARTS[found] * x[: self._steps + 2], costs[found]
+                best, least = _PARTS[found] * x[:count], costs[found]
             known = kinks
-            kinks = known.after(x[: self._steps + 1])
+            kinks = known.after(x[:m])
             if kinks is known:
                 break
         return best
@@ -276,8 +282,8 @@ class LinearModel:
         """(K,) the costs of `parts` (K,) of a step (m,), by the bend, all its kinks, and what the step misses."""
         kinks = bend.kinks
         value, change = kinks.value, kinks.G @ step
-        straight = float(bend.slope @ step - (kinks.share * kinks.rising()) @ change)
-        curved = float(step @ (bend.known + bend.curvature) @ step)
+        straight = float(bend.slope @ step - (kinks.share * kinks.rising) @ change)
+        curved = float(step @ bend.smooth_curvature @ step)
         missed = [np.zeros((1, len(parts)))]
         missed += [
             np.outer(row.G[:, :-1] @ step, parts) - row.h[:, None] for row in self._rows if row.name == _CLEARANCE
@@ -289,27 +295,6 @@ class LinearModel:
     def _near_kinks(self, bend: Bend) -> NearKinks:
         """The kinks of the cost that a step within the box may reach."""
         return bend.kinks.near(np.append(self._box, 0.0))
-
-    def _bent(self, plain: QuadraticProgram, bend: Bend, kinks: NearKinks) -> QuadraticProgram:
-        """The program for another cost than the duration, with one more variable for each kink that is crossed.
-
-        Its rows are those of these kinks alone.
-        """
-        crossed, count = kinks.variables(), len(plain.f)
-        f, low, high = (
-            np.concatenate((part, np.full(len(crossed.value), at)))
-            for part, at in zip((plain.f, plain.low, plain.high), (0.0, 0.0, UNBOUNDED), strict=True)
-        )
-        f[: count - 1] = bend.slope - kinks.slope_of_variables()
-        H = np.zeros((len(f), len(f)))
-        H[:count, :count] = plain.H
-        H[: count - 1, : count - 1] += bend.curvature + bend.known + kinks.curvature()
-        more = np.arange(count, len(f))
-        H[more, more] = crossed.share / crossed.width
-        G = np.zeros((len(more), len(f)))
-        G[:, : count - 1] = crossed.G
-        G[np.arange(len(more)), more] = -1.0
-        return QuadraticProgram(H, f, low, high, (Rows("kinks", G, -crossed.value, Kind.HARD),))
 
     def step(self, x: Vector) -> tuple[Matrix, float]:
         """The curve's control points (L + 1, n) and duration after the step `x`."""
@@ -323,18 +308,54 @@ class LinearModel:
         """(K, n) most change of the joints at K places within the box, by `weights` (K, L + 1) of control points."""
         return np.asarray(np.abs(weights[:, self._moving]) @ self._box.reshape(-1, self._n))
 
+    def _no_rows(self, count: int) -> tuple[Matrix, Array]:
+        """(count, steps + 2) rows of zeros, and a view (count, L, n) of what they have of the control points."""
+        G = np.zeros((count, self._steps + 2))
+        return G, G[:, : self._steps].reshape(count, self._points, self._n)
+
     def _of_end(self, J: Matrix) -> Matrix:
-        """(m, steps) rows J (m, n) applied to the end of the curve."""
-        return np.hstack((np.zeros((len(J), self._steps - self._n)), J))
+        """(m, steps + 2) rows J (m, n) applied to the end of the curve."""
+        G, of_points = self._no_rows(len(J))
+        of_points[:, -1] = J
+        return G
 
     def _add(
         self, name: str, G: Matrix, h: Vector, *, by_duration: Vector | float = 0.0, slack: bool = False,
         kind: Kind = Kind.HARD,
     ) -> None:  # fmt: skip
-        more = np.column_stack((np.broadcast_to(by_duration, len(h)), np.full(len(h), -1.0 if slack else 0.0)))
-        self._rows.append(Rows(name, np.hstack((G, more)), h, kind))
+        """Add rows G (R, steps + 2), whose last two columns are entered here, for the duration and the slack."""
+        G[:, -2], G[:, -1] = by_duration, -1.0 if slack else 0.0
+        self._rows.append(Rows(name, G, h, kind))
 
     def _moments(self) -> tuple[Matrix, Matrix, Matrix]:
         """(K, n) each: q, v and a at all places."""
         q, first, second = self._at
         return q, first / self._T, second / self._T**2
+
+
+def _smooth(plain: QuadraticProgram, bend: Bend) -> QuadraticProgram:
+    """A program for the duration turned into one for another cost, without its kinks and without rows."""
+    m = len(bend.slope)
+    H, f = plain.H.copy(), plain.f.copy()
+    H[:m, :m] += bend.smooth_curvature
+    f[:m] = bend.slope
+    return plain._replace(H=H, f=f, rows=())
+
+
+def _bent(smooth: QuadraticProgram, kinks: NearKinks, crossed: Kinks) -> QuadraticProgram:
+    """The program with `kinks`, and with one more variable for each that is `crossed`. Its rows are those of these."""
+    count, m = len(smooth.f), crossed.G.shape[1]
+    f, low, high = (
+        np.append(part, np.full(len(crossed.value), at))
+        for part, at in zip((smooth.f, smooth.low, smooth.high), (0.0, 0.0, UNBOUNDED), strict=True)
+    )
+    f[:m] -= kinks.slope_of_variables()
+    H = np.zeros((len(f), len(f)))
+    H[:count, :count] = smooth.H
+    H[:m, :m] += kinks.curvature()
+    more = np.arange(count, len(f))
+    H[more, more] = crossed.share / crossed.width
+    G = np.zeros((len(more), len(f)))
+    G[:, :m] = crossed.G
+    G[np.arange(len(more)), more] = -1.0
+    return QuadraticProgram(H, f, low, high, (Rows("kinks", G, -crossed.value, Kind.HARD),))

@@ -106,16 +106,15 @@ class OwnTime:
             return Slope(slope, np.zeros((len(slope), len(slope))), Kinks.none(len(slope)))
         torque, slopes = self.drive.torque_slopes(*moments)
         v, n = moments[1], curve.control.shape[1]
-        of_torque = change.of(slopes.reshape(-1, 3 * n), each=n)
-        of_v = change.of_velocities()
+        of_torque = change.of_each(slopes.reshape(-1, 3 * n), each=n)
         value = (torque * v).ravel()
-        kinks = Kinks(
-            torque.ravel()[:, None] * of_v + v.ravel()[:, None] * of_torque, value, np.repeat(share, n), width
-        )
-        slope = kinks.share * kinks.rising() @ kinks.G
+        of_power = of_torque.times(v.ravel()).plus(change.of_velocities().times(torque.ravel()))
+        kinks = Kinks(change.spread(of_power), value, np.repeat(share, n), width)
+        weight = kinks.share * kinks.rising
+        slope = weight @ kinks.G
         slope[-1] += kinks.share @ rounded(value, width) / duration
         # (torque v)'' = torque' v' + v' torque' + v torque''; the last term is left out
-        crossed = change.velocities_times((kinks.share * kinks.rising())[:, None] * of_torque)
+        crossed = change.velocities_times(change.spread(of_torque.times(weight)))
         return Slope(slope, _convex(crossed + crossed.T), kinks)
 
     def _slope_of_squares(
@@ -202,6 +201,28 @@ class OwnTime:
         return T
 
 
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """How R values change with the control points that act on each, and with T.
+
+    Attributes
+    ----------
+    of_points: (R, k, n) with the k control points.
+    of_duration: (R,).
+    """
+
+    of_points: Array
+    of_duration: Vector
+
+    def times(self, factor: Vector) -> _Changes:
+        """Those of the values times `factor` (R,)."""
+        return _Changes(factor[:, None, None] * self.of_points, factor * self.of_duration)
+
+    def plus(self, other: _Changes) -> _Changes:
+        """Those of the sums with other values, on which the same control points act."""
+        return _Changes(self.of_points + other.of_points, self.of_duration + other.of_duration)
+
+
 class _Change:
     """How the moments of a curve over time t = T s change with its control points `moving`, and with T.
 
@@ -220,22 +241,32 @@ class _Change:
 
     def of(self, slopes: Matrix, each: int = 1) -> Matrix:
         """(K each, m) for values with derivatives `slopes` (K each, 3 n) by q, v, a; `each` values at each moment."""
-        place, n = np.repeat(np.arange(len(self._v)), each), self._v.shape[1]
-        acting = self._acting[place]
-        changes = moment_changes(acting, self._of_acting[:, place], slopes, n)
-        of_T = np.sum(slopes[:, n : 2 * n] * self._v[place] + 2.0 * slopes[:, 2 * n :] * self._a[place], axis=1)
-        return np.column_stack((spread(acting, changes, self._moving, self._pieces), -of_T / self._T))
+        return self.spread(self.of_each(slopes, each))
 
-    def of_velocities(self) -> Matrix:
-        """(K n, m) for all velocities."""
-        (count, points), n = self._of_velocity.shape, self._v.shape[1]
-        steps = np.zeros((count, n, points, n))
+    def of_each(self, slopes: Matrix, each: int) -> _Changes:
+        """The same by the control points that act on each value."""
+        place, n = np.repeat(np.arange(len(self._v)), each), self._v.shape[1]
+        of_points = moment_changes(self._acting[place], self._of_acting[:, place], slopes, n)
+        of_T = np.sum(slopes[:, n : 2 * n] * self._v[place] + 2.0 * slopes[:, 2 * n :] * self._a[place], axis=1)
+        return _Changes(of_points, -of_T / self._T)
+
+    def of_velocities(self) -> _Changes:
+        """Those of all velocities, (K n) values."""
+        count, n = self._v.shape
+        found = np.zeros((count, n, self._acting.shape[1], n))
         joints = np.arange(n)
-        steps[:, joints, :, joints] = self._of_velocity
-        return np.column_stack((steps.reshape(count * n, points * n), -self._v.ravel() / self._T))
+        found[:, joints, :, joints] = self._of_acting[1]
+        return _Changes(found.reshape(count * n, -1, n), -self._v.ravel() / self._T)
+
+    def spread(self, changes: _Changes) -> Matrix:
+        """(K each, m) the same by all control points that are moving, and by T."""
+        acting = np.repeat(self._acting, len(changes.of_duration) // len(self._v), axis=0)
+        found = spread(acting, changes.of_points, self._moving, self._pieces, more=1)
+        found[:, -1] = changes.of_duration
+        return found
 
     def velocities_times(self, values: Matrix) -> Matrix:
-        """(m, m) `of_velocities`, transposed, times values (K n, m)."""
+        """(m, m) the changes of all velocities, transposed, times values (K n, m)."""
         n, width = self._v.shape[1], values.shape[1]
         each = self._of_velocity.T @ values.reshape(-1, n, width).transpose(1, 0, 2)  # (n, points, m)
         return np.vstack((each.transpose(1, 0, 2).reshape(-1, width), -self._v.ravel() @ values / self._T))

@@ -71,8 +71,10 @@ class HullDistances:
         left = np.isnan(found.distance).nonzero()[0]
         if not len(left):
             return found
-        for those in np.split(left, np.diff(found.row[left]).nonzero()[0] + 1):
-            row, pairs = int(found.row[those[0]]), found.pair[those]
+        rows, firsts = np.unique(found.row[left], return_index=True)
+        for row, first, after in zip(rows.tolist(), firsts.tolist(), [*firsts[1:].tolist(), len(left)], strict=True):
+            those = left[first:after]
+            pairs = found.pair[those]
             results, J = self._measure(q[row], pairs)
             found.distance[those] = found.lower[row, pairs] = results[:, 0]
             found.gradient[those] = distance_gradients(results, J) * self._sense[pairs]
