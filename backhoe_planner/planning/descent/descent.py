@@ -272,16 +272,20 @@ class Descent:
                 bend = replace(bend, curvature=self._curved / unit)
         begun, steps, failed, slow = self.rounds, 0, 0, 0
         clear, box_then, bend_then = here, box, bend  # the last clear curve, with box and bend of that round
+        before: Timed | None = None  # the curve before the last step, if `bend` is still that of it
         while self.rounds - begun < most_rounds:
             if is_hopeless(here, steps):
                 if bend is None or here.missed <= looks.allowed or clear.missed > looks.allowed:
                     break
-                here, box = clear, _SHRINK * min(box, box_then)
+                here, box, before = clear, _SHRINK * min(box, box_then), None
                 bend = None if bend_then is None else bend_then.stiffer(1.0 / _SHRINK)
                 continue
             if bend is not None and here.cost <= self._nothing and here.missed <= looks.allowed:
                 break
             self._brake.check()
+            if bend is not None and before is not None:
+                bend, before = self._learnt(bend, before, here, free, unit), None
+                bend_then = bend if clear is here else bend_then
             if bend is not None and self._width > _SOFTEST * self._soft(here):
                 here = self._rounded_off(here)
                 clear = here if clear.missed > looks.allowed or here.missed <= looks.allowed else self._priced(clear)
@@ -322,8 +326,6 @@ class Descent:
                 continue
             if bend is None:
                 there = self._in_its_own_time(there, price, looks)
-            else:
-                bend = bend.after(self._moved(here, there, free), *self._slope(there, free, unit))
             box = min(_GROW * part * box, _LARGEST_BOX)
             if bend is not None:  # a box far beyond the steps that are taken makes the program large
                 box = min(box, max(_AROUND * self._length(here, there), _SMALLEST_BOX))
@@ -331,15 +333,18 @@ class Descent:
                 # so far, going into an obstacle gains more than it costs
                 self._times_missed = min(_MORE_MISSED * self._times_missed, _MOST_MISSED)
                 price = self._times_missed * MISSED_WORTH * unit
-            here, failed = there, 0
+            before, here, failed = here, there, 0
             if here.missed <= looks.allowed:
                 clear, box_then, bend_then = here, box, bend
             slow = slow + 1 if gain < self._enough(bend) * here.cost else 0
             if slow >= (1 if bend is None else _SLOW) and here.missed <= _KEPT:
                 break
         found = clear if here.missed > looks.allowed >= clear.missed else here
-        learnt = bend if found is here else bend_then
-        self._curved = None if learnt is None else learnt.curvature * unit
+        if self._problem.objective.jumps:  # a less soft cost follows
+            if bend is not None and before is not None:
+                bend = self._learnt(bend, before, here, free, unit)
+            learnt = bend if found is here else bend_then
+            self._curved = None if learnt is None else learnt.curvature * unit
         if self._own_time is None:
             return found
         self._width = _LEAST_WIDTH
@@ -446,6 +451,10 @@ class Descent:
         if here.duration > self._longest:
             found.slope[-1] += _LATE * here.cost / self._longest
         return found.slope / unit, found.curvature / unit, found.kinks.over(unit)
+
+    def _learnt(self, bend: Bend, before: Timed, here: Timed, goal: Goal | None, unit: float) -> Bend:
+        """The model at the curve `here` from that at the curve `before`."""
+        return bend.after(self._moved(before, here, goal), *self._slope(here, goal, unit))
 
     def _moved(self, here: Timed, there: Timed, goal: Goal | None) -> Vector:
         """The step from one curve to another, in the variables of `_slope`."""
