@@ -22,7 +22,8 @@ static int measure_pair(const Screen *s, const Machine *m, npy_intp pair, double
         return 1;
     }
     const int found = distance_from_kept(s, pair, m->pose, needed + 2.0 * ROUNDING, distance, normal, point);
-    *distance -= found == 0 ? ROUNDING : 0.0;
+    if (found == 0)
+        *distance -= ROUNDING;
     return found;
 }
 

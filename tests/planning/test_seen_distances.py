@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Indices, Matrix
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.kept_margins import KeptMargins
 from backhoe_planner.planning.descent.looks import Looks
-from backhoe_planner.planning.descent.margins import find_margins
+from backhoe_planner.planning.descent.margins import Margins, find_margins
 from backhoe_planner.planning.descent.seen_distances import SeenDistances
 from backhoe_planner.site import ClearanceScreen
 from validation.habitats import load_machine
@@ -111,3 +111,42 @@ def test_collisions_between_checked_places_are_noticed_the_same_without_known_di
     assert noticed[0] == noticed[1]
     assert noticed[0][1][0] > 9
     assert asked[0] < 0.5 * asked[1]
+
+
+def test_a_curve_is_seen_anew_only_where_that_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After other curves have added places and larger reaches, as if all of it were looked at again."""
+    robot = load_machine("backhoe")
+    problem = build_problem(robot, random_site(robot, SiteKey("backhoe", "narrow", "goal", 1, 5)).scene)
+    start, limits = problem.start_q, robot.limits
+    assert start is not None
+    proximity = bp.Proximity(robot, problem.obstacles)
+    looks = Looks(proximity, ClearanceScreen(proximity, spare=0.0015), None, steps=8, spare=0.003, time=0.0)
+    asked: list[int] = []
+    margins_at = looks._margins_at
+
+    def counting(q: Matrix, places: Indices) -> Margins:
+        asked.append(len(q))
+        return margins_at(q, places)
+
+    monkeypatch.setattr(looks, "_margins_at", counting)
+    rng, again, all_anew, changed = np.random.default_rng(4), 0, 0, 0
+    curve = JointCurve.straight(start, np.clip(start + 0.4, limits.lower, limits.upper), 8)
+    seen = looks.find_margins(curve)
+    for _ in range(6):
+        end = np.clip(start + rng.uniform(-1.5, 1.5, robot.n), limits.lower, limits.upper)
+        known = looks.known
+        looks.widen(looks.find_margins(JointCurve.straight(start, end, 8)))
+        changed += looks.known != known
+        asked.clear()
+        seen = looks.find_margins(curve, before=seen)
+        again += sum(asked)
+        asked.clear()
+        plain = looks.find_margins(curve)
+        all_anew += sum(asked)
+        found = seen.in_order()
+        np.testing.assert_array_equal(found.place, plain.place)
+        np.testing.assert_allclose(found.margin, plain.margin, atol=1e-9)
+        np.testing.assert_allclose(found.gradient, plain.gradient, atol=1e-6)
+        assert seen.least == pytest.approx(plain.least, abs=1e-9)
+    assert changed > 1
+    assert 0 < again < 0.6 * all_anew

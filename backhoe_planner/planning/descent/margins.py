@@ -36,7 +36,7 @@ class Margins:
 
     @classmethod
     def none(cls, n: int) -> Margins:
-        """Those of a curve of n joints that is far from everything."""
+        """Those of a curve of n joints that is not looked at, or far from everything."""
         return cls(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, n)))
 
     @property
