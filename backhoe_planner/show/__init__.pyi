@@ -11,6 +11,7 @@ from .drawing.palette import FAR as FAR
 from .drawing.palette import TIGHT as TIGHT
 from .drawing.palette import margin_rgb as margin_rgb
 from .drawing.scene_graph import SceneGraph as SceneGraph
+from .drawing.site_meshes import mesh_of_many as mesh_of_many
 from .drawing.site_meshes import site_mesh as site_mesh
 from .drawing.solids import facets as facets
 from .drawing.solids import fattened as fattened

@@ -185,10 +185,15 @@ class Scene(FileRecord):
 
     def open_meshes(self) -> dict[str, tuple[str, ...]]:
         """Files of meshes that are not closed, with the obstacles made of each; unreadable files are left out."""
+        is_open: dict[str, bool] = {}
         found: dict[str, tuple[str, ...]] = {}
         for one in self._shapes:
             with contextlib.suppress(InputError):
-                if isinstance(one, Mesh) and one.is_open(self.folder):
+                if not isinstance(one, Mesh):
+                    continue
+                if one.file not in is_open:  # neither place nor scale makes a difference
+                    is_open[one.file] = one.is_open(self.folder)
+                if is_open[one.file]:
                     found[one.file] = (*found.get(one.file, ()), one.name)
         return found
 

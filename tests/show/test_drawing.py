@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -32,6 +33,7 @@ from backhoe_planner.show import (
     kept_axes,
     machine_meshes,
     margin_rgb,
+    mesh_of_many,
     node_name,
     node_names,
     part_behind,
@@ -255,6 +257,76 @@ def test_every_goal_is_drawn_and_a_joint_goal_as_the_tips_frame(backhoe: Robot) 
     assert {f"/task/goal {number}" for number in (1, 2, 3)} <= {path.removesuffix("/<object>") for path in drawn}
     assert {path for path in drawn if path.startswith("/task/goal 3/")} >= {f"/task/goal 3/{axis}" for axis in "xyz"}
     assert any(path.startswith("/task/goal 2/pitch") for path in drawn)
+
+
+def row_of_balls(count: int, **keys: Any) -> list[dict[str, Any]]:
+    """Balls of 0.5 m radius, 3 m apart from 30 m on, along x: out of reach."""
+    balls: list[dict[str, Any]] = [
+        {"name": f"ball {number}", "shape": "sphere", "radius": 0.5, "position": [30.0 + 3.0 * number, 0.0, 0.0]}
+        for number in range(count)
+    ]
+    balls[0] |= keys
+    return balls
+
+
+def site_nodes(robot: Robot, obstacles: list[dict[str, Any]], *, each: bool = False) -> tuple[SceneGraph, set[str]]:
+    """The picture of a site, and the nodes of its obstacles."""
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    display = Display()
+    graph = SceneGraph(
+        display.visualizer(), build_problem(robot, scene_from_dict({**content, "obstacles": obstacles})), each=each
+    )
+    paths = {key[1] for key in display.messages() if key[0] == "set_object"}
+    return graph, {path.split("/")[2] for path in paths if path.startswith("/site/")}
+
+
+def test_many_obstacles_out_of_reach_are_drawn_as_one(backhoe: Robot) -> None:
+    near: dict[str, Any] = {"name": "far away", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [3.0, 3.0, 0.5]}
+    graph, nodes = site_nodes(backhoe, [near, *row_of_balls(51)])
+    assert nodes == {"far away", "far away_"}  # the second is the node of all 51 balls
+    assert graph.drawn_as_one == {f"ball {number}" for number in range(51)}
+    assert set(graph.anchors) == {"far away"}
+    for obstacles, each in (([near, *row_of_balls(51)], True), ([near, *row_of_balls(50)], False)):
+        graph, nodes = site_nodes(backhoe, obstacles, each=each)
+        assert nodes == {one["name"] for one in obstacles}
+        assert not graph.drawn_as_one
+
+
+@pytest.mark.parametrize("keys", [{"velocity": [-1.0, 0.0, 0.0]}, {"appears_at": 2.0}])
+def test_what_moves_or_appears_far_away_has_a_node_of_its_own(backhoe: Robot, keys: dict[str, Any]) -> None:
+    graph, nodes = site_nodes(backhoe, row_of_balls(52, **keys))
+    assert nodes == {"ball 0", "far away"}
+    assert "ball 0" not in graph.drawn_as_one
+
+
+def test_obstacles_drawn_as_one_have_their_places_and_colours(backhoe: Robot) -> None:
+    pole = {"name": "pole", "shape": "cylinder", "radius": 0.1, "length": 4.0, "position": [-40.0, 1.0, 2.0]}
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    scene = scene_from_dict({**content, "obstacles": [*row_of_balls(2), pole]})
+    obstacles = build_obstacles(scene, backhoe)
+    drawn = mesh_of_many(obstacles)
+    assert drawn.rgba is not None
+    for obstacle, low, high in zip(
+        obstacles, ([29.5, -0.5, -0.5], [32.5, -0.5, -0.5], [-40.1, 0.9, 0.0]),
+        ([30.5, 0.5, 0.5], [33.5, 0.5, 0.5], [-39.9, 1.1, 4.0]), strict=True,
+    ):  # fmt: skip
+        own = (np.abs(drawn.vertices[:, 0] - low[0] - 0.5) < 1.1) & (drawn.vertices[:, 0] < high[0] + 0.2)
+        own &= drawn.vertices[:, 0] > low[0] - 0.2
+        np.testing.assert_allclose(drawn.vertices[own].min(axis=0), low, atol=0.05)
+        np.testing.assert_allclose(drawn.vertices[own].max(axis=0), high, atol=0.05)
+        alone = site_mesh(obstacle, scene, centre=np.zeros(3), reach=5.0)
+        np.testing.assert_array_equal(drawn.rgba[own], np.tile(alone.rgba, (own.sum(), 1)))
+
+
+def test_frames_without_an_obstacle_keep_the_margins_to_the_others(backhoe: Robot) -> None:
+    near = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2.9, 0.0, -1.9]}
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    problem = build_problem(backhoe, scene_from_dict({**content, "obstacles": [*row_of_balls(2), near]}))
+    frames = timeline(problem, Trajectory.from_steps(np.array([0.0, 0.1]), np.tile([0.0, 0.4, -1.6, -0.9], (2, 1))))
+    less = frames.without({"ball 0", "ball 1"})
+    assert less.obstacles == ("ball", ITSELF)
+    np.testing.assert_array_equal(less.margins(0), frames.margins(2))
+    assert np.isfinite(less.margins(0)).all()
 
 
 def test_a_timeline_ends_with_the_motion_and_has_the_nearest_points(backhoe: Robot) -> None:

@@ -32,12 +32,30 @@ def solid(obstacle: Obstacle) -> object:
     return obstacle.cluster.solid
 
 
-def test_obstacles_share_a_loaded_file_if_resolution_and_position_are_equal(planar4: Robot, tmp_path: Path) -> None:
+def test_obstacles_share_a_loaded_file_if_resolution_and_origin_are_equal(planar4: Robot, tmp_path: Path) -> None:
     write(tmp_path, 0)
     first = built(planar4, tmp_path)
-    assert solid(built(planar4, tmp_path, name="ground", clearance=0.3, links=["link4"])) is solid(first)
-    for keys in ({"resolution": 0.2}, {"position": [0.0, 0.0, 0.5]}):
+    other = built(planar4, tmp_path, name="ground", clearance=0.3, links=["link4"])
+    assert solid(other) is solid(first)
+    assert solid(built(planar4, tmp_path, position=[0.0, 0.0, 0.5])) is solid(first)
+    for keys in ({"resolution": 0.2}, {"map_origin": [0.0, 0.0, 0.5]}):
         assert solid(built(planar4, tmp_path, **keys)) is not solid(first)
+
+
+def test_a_shared_file_at_another_place_is_as_near_as_one_loaded_there(planar4: Robot, tmp_path: Path) -> None:
+    write(tmp_path, 0)
+    elsewhere = {"position": [0.3, -0.2, 0.7], "rpy": [0.1, 0.2, 1.0]}
+    first = built(planar4, tmp_path)
+    Proximity(planar4, [first]).at(np.zeros(planar4.n))  # builds what the other place will share
+    moved = built(planar4, tmp_path, **elsewhere)
+    assert solid(moved) is solid(first)
+    known_clusters._KNOWN.clear()
+    anew = built(planar4, tmp_path, **elsewhere)
+    assert solid(anew) is not solid(first)
+    rng = np.random.default_rng(4)
+    for q in rng.uniform(-1.5, 1.5, (20, planar4.n)):
+        shared, own = (Proximity(planar4, [one]).at(q, within=5.0) for one in (moved, anew))
+        np.testing.assert_allclose(shared.distance, own.distance, atol=1e-12)
 
 
 def test_a_changed_file_is_read_again(planar4: Robot, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from backhoe_planner import InputError, Robot, build_problem, load_robot, scene_from_dict
 from backhoe_planner.errors import SceneError
+from backhoe_planner.site.schema.obstacle_shapes import Mesh
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 REACH: dict[str, Any] = {"name": "reach", "goal": {"position": [4.0, 0.0, 0.5]}}
@@ -139,3 +140,21 @@ def test_open_meshes_are_named_by_their_file(tmp_path: Path) -> None:
     load = {"name": "load", "file": "crate.obj", **placed}
     content = scene(REACH | {"carries": load}, obstacles=obstacles)
     assert scene_from_dict(content, folder=tmp_path).open_meshes() == {"crate.obj": ("skip", "load")}
+
+
+def test_a_mesh_in_many_places_is_read_once_for_the_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "flap.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3")
+    read = []
+
+    def is_open(mesh: Mesh, folder: Path) -> bool:
+        read.append(mesh.name)
+        return True
+
+    monkeypatch.setattr(Mesh, "is_open", is_open)
+    obstacles = [
+        {"name": f"flap {x}", "shape": "mesh", "file": "flap.obj", "position": [5.0 + x, 0.0, 0.0]} for x in range(3)
+    ]
+    assert scene_from_dict(scene(REACH, obstacles=obstacles), folder=tmp_path).open_meshes() == {
+        "flap.obj": ("flap 0", "flap 1", "flap 2")
+    }
+    assert read == ["flap 0"]

@@ -3,6 +3,7 @@
     machine/<link>              one node per link, moved by one transform
     carried/<load>              what is carried, visible only while it is
     site/<obstacle>
+    site/far away               all obstacles out of reach, if they are many
     clearance/<obstacle>        the surface at its clearance, hidden at first
     task/path, task/goal, task/trace
     kept/axis, kept/cone        an axis of the tip that is kept, moved by one transform, and where it may point
@@ -42,7 +43,7 @@ from backhoe_planner.show.drawing.kept_axes import kept_axes
 from backhoe_planner.show.drawing.loads import load_meshes
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import FAR, GOAL, KEPT, LOAD, PASSED_BY, PATH, TRACE, Rgb, Rgba, margin_rgb
-from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
+from backhoe_planner.show.drawing.site_meshes import SiteMesh, drawn_as_one, is_ground, mesh_of_many, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline
 from backhoe_planner.site import Obstacle, offset_at
@@ -52,6 +53,8 @@ HIDDEN = 1e-5  # scale of hidden nodes: too small to be seen; a scale of 0 would
 _GROUPS = ("machine", "carried", "site", "clearance", "task", "kept", "critical points", "ground")
 _LINE_WIDTH = 0.0011  # radius of path and trace, as part of the distance to the camera; chosen, a few pixels
 _NOWHERE = np.zeros((4, 4))
+_HIDDEN_ROD = np.diag([HIDDEN, HIDDEN, HIDDEN, 1.0])
+_FAR_AWAY = "far away"
 # part of the tip's reach, and m at most, that is as good as level with the ground; chosen: the top of a table before an
 # arm is not
 _SHALLOW, _MOST_SHALLOW = 0.01, 0.05
@@ -69,19 +72,22 @@ class SceneGraph:
     q: (n,) the posture that is drawn first [rad or m]; by default the start, or the middle of the joint ranges.
     apart: names of obstacles that the caller draws; points on them are still shown.
     opening: (k, 2) convex outline of what the caller draws, counterclockwise [m]: no level ground is drawn inside it.
+    each: whether each obstacle has a node of its own, so that it can be moved; otherwise many that are out of reach are
+        one node, without labels and clearance shells.
 
     Attributes
     ----------
     warnings: what could not be drawn as the URDF specifies, in words.
     problem: the problem that is drawn.
     anchors: (3,) position of the label of each obstacle [m], world.
+    drawn_as_one: names of the obstacles that are drawn as one: they are out of reach, and many.
     has_ground: whether level ground is drawn, because no obstacle is the ground.
     has_kept_axis: whether an axis that a `tilt` of `keep` keeps is drawn.
     """
 
     def __init__(
         self, visualizer: Any, problem: Problem, *, q: Vector | None = None, apart: Collection[str] = (),
-        opening: Matrix | None = None,
+        opening: Matrix | None = None, each: bool = False,
     ) -> None:  # fmt: skip
         self._tree = visualizer
         self.problem = problem
@@ -106,7 +112,10 @@ class SceneGraph:
         centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
         # a plane is drawn up to this radius
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
-        self._drawn = tuple(obstacle for obstacle in problem.obstacles if obstacle.name not in apart)
+        given = [obstacle for obstacle in problem.obstacles if obstacle.name not in apart]
+        self._far = () if each else drawn_as_one(given, centre=centre, reach=self._radius)
+        self.drawn_as_one = frozenset(obstacle.name for obstacle in self._far)
+        self._drawn = tuple(obstacle for obstacle in given if obstacle.name not in self.drawn_as_one)
         self._opening = opening
         self.has_ground = not any(is_ground(obstacle) for obstacle in self._drawn)
         self._site = tuple(
@@ -119,6 +128,7 @@ class SceneGraph:
         self._scale = self._width / 0.02
         for group in _GROUPS:
             visualizer[group].delete()
+        self._rods: set[str] = set()
         self._shown_colour: dict[str, tuple[float, ...]] = {}
         self._placed: dict[tuple[str, str], Matrix] = {}
         self._draw_stage(centre)
@@ -126,8 +136,6 @@ class SceneGraph:
         self._draw_site(centre)
         self._draw_task()
         self._draw_kept()
-        for name in self._obstacles:
-            self._draw_critical_point(name)
         self.move(posture, leg=problem.legs[0].name if problem.legs else None)
 
     # --- what does not move ---------------------------------------------------------
@@ -189,6 +197,9 @@ class SceneGraph:
                 )  # fmt: skip
                 continue
             self._draw_solid(node, drawn, order=order)
+        if self._far:
+            node = self._free_node(_FAR_AWAY)
+            draw(self._tree["site"][node], mesh(mesh_of_many(self._far), (1.0, 1.0, 1.0, 1.0)), shadow=False)
         self._tree["clearance"].set_property("visible", False)
 
     def _draw_solid(self, name: str, drawn: SiteMesh, *, order: int) -> None:
@@ -249,13 +260,16 @@ class SceneGraph:
             end = position + length * rotation[:, axis]
             _draw_line(node["xyz"[axis]], np.array([position, end]), 0.05 * length, rgba)
 
-    def _draw_critical_point(self, name: str) -> None:
-        """A rod of length 1, hidden until there is a critical point."""
+    def _draw_rod(self, name: str) -> None:
+        """A rod of length 1 for the critical point to an obstacle, drawn when there is one for the first time."""
+        if name in self._rods:
+            return
+        self._rods.add(name)
         rod = trimesh.creation.cylinder(radius=0.022 * self._scale, height=1.0, sections=12)
         rod.apply_translation([0.0, 0.0, 0.5])
         node = self._tree["critical points"][self._obstacles[name]]
         draw(node, mesh(facets(rod), (*FAR, 1.0), lit=False), shadow=False)
-        self.point(name, None)
+        self._place("critical points", self._obstacles[name], _HIDDEN_ROD)
 
     # --- camera -----------------------------------------------------------------------
 
@@ -366,18 +380,22 @@ class SceneGraph:
     def add(self, obstacle: Obstacle) -> None:
         """Draw a new obstacle."""
         drawn = site_mesh(obstacle, self.problem.scene, centre=np.zeros(3), reach=self._radius)
-        node = node_name(obstacle.name)
-        while node in self._obstacles.values():
-            node += "_"
+        node = self._free_node(node_name(obstacle.name))
         self._obstacles[obstacle.name] = node
         self._draw_solid(node, drawn, order=len(self._obstacles))
-        self._draw_critical_point(obstacle.name)
         self.anchors[obstacle.name] = drawn.anchor
+
+    def _free_node(self, node: str) -> str:
+        """A name of a node that no obstacle has: `node`, or one like it."""
+        while node in self._obstacles.values():
+            node += "_"
+        return node
 
     def remove(self, name: str) -> None:
         """Remove an obstacle from the picture."""
         node = self._obstacles.pop(name)
         del self.anchors[name]
+        self._rods.discard(name)
         self._shown_colour.pop(name, None)
         for group in ("site", "clearance", "critical points"):
             self._tree[group][node].delete()
@@ -423,6 +441,10 @@ class SceneGraph:
 
     def point(self, name: str, nearest: CriticalPoint | None) -> None:
         """Show the critical point to an obstacle, or to the machine itself; None hides it."""
+        if nearest is not None and nearest.margin <= self.problem.scene.influence:
+            self._draw_rod(name)
+        elif name not in self._rods:
+            return
         position, quaternion, scale = self._rod(nearest)
         x, y, z, w = quaternion
         transform = np.eye(4)
@@ -488,6 +510,7 @@ class SceneGraph:
             points = [row[index] for row in timeline.nearest]
             if all(point is None or point.margin > influence for point in points):
                 continue
+            self._draw_rod(name)
             path = f"{self._prefix}/critical points/{self._obstacles[name]}"
             rods = [self._rod(point) for point in points]
             colours = np.array([FAR if point is None else margin_rgb(point.margin, influence) for point in points])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,9 @@ from backhoe_planner.site.schema import obstacle_shapes
 
 _MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded exactly; chosen, each costs milliseconds
 _MOST_TRIANGLES = 40_000  # drawn per obstacle; chosen: some 3 MB of a page
+_MANY_FAR = 50  # obstacles out of reach from which on they are drawn as one; chosen: a picture of 2,000 nodes is slow
+_MOST_FAR = 200_000  # triangles of all that is drawn as one, if the shapes allow it; chosen: some 10 MB of a page
+_FEWEST = 200  # triangles of one of them; chosen, a car is still recognised
 
 # colours, chosen by eye
 _SLATE = (0.45, 0.52, 0.60)
@@ -64,6 +68,41 @@ def is_ground(obstacle: Obstacle) -> bool:
     spec = obstacle.spec
     level = isinstance(spec, obstacle_shapes.HalfSpace) and spec.normal[2] > 0.7
     return obstacle.zone is None and (level or isinstance(spec, obstacle_shapes.HeightMap))
+
+
+def drawn_as_one(obstacles: Sequence[Obstacle], *, centre: Vector, reach: float) -> tuple[Obstacle, ...]:
+    """The obstacles that are far away and stay as they are, if there are so many that they are drawn as one.
+
+    Parameters
+    ----------
+    centre, reach: (3,) middle of the machine, and the radius beyond which an obstacle is far away [m].
+    """
+    found = []
+    for obstacle in obstacles:
+        low, high = obstacle.bounds
+        away = float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
+        stays = not obstacle.moves and obstacle.appears_at == 0.0 and obstacle.spec.legs is None
+        if away > reach and stays and obstacle.zone is None and not is_ground(obstacle):
+            found.append(obstacle)
+    return tuple(found) if len(found) > _MANY_FAR else ()
+
+
+def mesh_of_many(obstacles: Sequence[Obstacle]) -> Facets:
+    """The triangles of many obstacles, in their colours and without shells: simple where they would be too many."""
+    most = max(_MOST_FAR // len(obstacles), _FEWEST)
+    parts = [_simple(obstacle, most) for obstacle in obstacles]
+    colours = np.array([_colour(obstacle, part) for obstacle, part in zip(obstacles, parts, strict=True)])
+    drawn = facets(trimesh.util.concatenate(parts))
+    rgba = np.empty((len(drawn.vertices), 4))
+    rgba[drawn.faces] = np.repeat(colours, [len(part.faces) for part in parts], axis=0)[:, None]
+    return replace(drawn, rgba=rgba)
+
+
+def _simple(obstacle: Obstacle, most: int) -> trimesh.Trimesh:
+    """The surface of an obstacle's pieces or cells, with about `most` triangles at most."""
+    if obstacle.cluster is not None:
+        return trimesh.Trimesh(*obstacle.cluster.drawing(most), process=False)
+    return trimesh.util.concatenate([solid(piece, rough=True) for piece in obstacle.pieces])
 
 
 def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float) -> SiteMesh:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -62,6 +63,15 @@ class Timeline:
     obstacles: tuple[str, ...]
     nearest: tuple[tuple[CriticalPoint | None, ...], ...]
     legs: tuple[str, ...] = ()
+
+    def without(self, names: Collection[str]) -> Timeline:
+        """The same frames without the margins to these obstacles."""
+        kept = [index for index, name in enumerate(self.obstacles) if name not in names]
+        return replace(
+            self,
+            obstacles=tuple(self.obstacles[index] for index in kept),
+            nearest=tuple(tuple(row[index] for index in kept) for row in self.nearest),
+        )
 
     def margins(self, obstacle: int) -> Vector:
         """(F,) margins to the obstacle of this index [m]; NaN where it is far away."""

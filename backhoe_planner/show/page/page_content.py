@@ -34,6 +34,7 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
     visualizer = display.visualizer()
     frames = timeline(problem, plan.trajectory)
     graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
+    frames = frames.without(graph.drawn_as_one)
     graph.draw_trace(frames.tip)
     goal = plan.certificate.goal if problem.goals else None
     if goal is not None:
@@ -108,7 +109,7 @@ def tell_problem(
         }
         for name in obstacles
     }
-    for obstacle in problem.obstacles:
+    for obstacle in (one for one in problem.obstacles if one.name in listed):
         velocity = obstacle.velocity if obstacle.moves else None
         more = {"clearance": obstacle.clearance, "appears_at": obstacle.appears_at, "velocity": velocity}
         listed[obstacle.name].update(more)

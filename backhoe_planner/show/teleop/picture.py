@@ -48,7 +48,7 @@ class Picture:
         self._tree = display.visualizer()
         self._problem = replace(build_problem(session.robot, session.scene), goals=(), path=None, keep=None)
         first = session.snapshot()
-        self._graph = SceneGraph(self._tree, self._problem, q=first.state.q)
+        self._graph = SceneGraph(self._tree, self._problem, q=first.state.q, each=True)
         self.warnings = self._graph.warnings
         rng = np.random.default_rng(0)
         around = [first.state.q + 0.5 * (session.robot.random_q(rng) - first.state.q) for _ in range(_POSTURES)]
