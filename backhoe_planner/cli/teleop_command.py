@@ -58,7 +58,9 @@ def teleop(
         output=output,
         say=ERR.print,
     ) as station:
-        print_warnings((*site.input_warnings(robot, loaded, with_task=False), *station.warnings))
+        print_warnings(site.input_warnings(robot, loaded, with_task=False))
+        print_warnings(site.obstacle_warnings(robot, site.build_obstacles(loaded, robot)))
+        print_warnings(station.warnings)
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
         if station.url_from_elsewhere is not None:
             ERR.print(f"from other computers: {station.url_from_elsewhere}")

@@ -28,6 +28,7 @@ from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 _ALONG = 1e-12  # of a cosine: a normal that leans less is along an axis
 _FAR = 50.0  # times the machine's reach, beyond which an obstacle is probably given in other units; chosen
 _TINY = 1e-3  # times the machine's reach, below which a mesh is probably given in other units; chosen
+_SURVEYS = (obstacle_shapes.HeightMap, obstacle_shapes.PointCloud)
 _SWEPT_BOXES = 4_000  # cells of the grid that replaces a cluster that moves; chosen
 
 
@@ -94,17 +95,23 @@ class Obstacle:
 
 
 def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str, ...]:
-    """Warnings of probable mistakes: obstacles that may be given in other units, and scans with gaps.
+    """Warnings of probable mistakes: obstacles in other units or at another place, and scans with gaps.
 
     Raises
     ------
     InputError: the file of a mesh is gone.
     """
     centre, radius = reach_ball(robot)
-    found = []
+    found, out_of_reach, within_reach = list[str](), list[str](), False
     for obstacle in obstacles:
         low, high = obstacle.bounds
         away = float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
+        if overhead := _ground_overhead(obstacle, centre + np.array([0.0, 0.0, radius])):
+            found.append(overhead)
+            continue
+        if isinstance(obstacle.spec, _SURVEYS):
+            within_reach |= away <= radius
+            out_of_reach += [obstacle.name] if radius < away <= _FAR * radius else []
         if _FAR * radius < away < np.inf:
             found.append(
                 f"{obstacle.name} is {away:,.0f} m away, {away / radius:,.0f} times as far as the machine reaches; "
@@ -119,7 +126,27 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
                 f"and what is between them counts as free; at a resolution of {closed:g} m most touch others; ground "
                 "is better given as a heightmap, which has no gaps"
             )
+    if out_of_reach and not within_reach:
+        found.append(
+            f"the machine reaches nothing of {', '.join(out_of_reach)}: does it stand elsewhere on the survey?"
+        )
     return tuple(found)
+
+
+def _ground_overhead(obstacle: Obstacle, top: Vector) -> str | None:
+    """Words about ground all of which is over the machine's highest point `top` (3,) [m]; None about any other."""
+    spec = obstacle.spec
+    if not isinstance(spec, obstacle_shapes.HeightMap) or spec.placement.rotation[2, 2] <= 0.0:
+        return None
+    low, high = obstacle.bounds
+    if low[2] <= top[2] or (low[:2] > top[:2]).any() or (high[:2] < top[:2]).any():
+        return None
+    x, y, z = spec.position
+    below = f"`position: [{x:g}, {y:g}, {np.floor(z - high[2]):g}]`"
+    return (
+        f"{obstacle.name} ends {low[2] - top[2]:,.0f} m above the machine, and nothing below it is solid: are its "
+        f"heights above the sea? {below} puts its highest point below 0, where the machine stands"
+    )
 
 
 def _odd_size(obstacle: Obstacle, spec: obstacle_shapes.Mesh, radius: float) -> str | None:

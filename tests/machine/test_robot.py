@@ -180,6 +180,15 @@ def test_several_ends_without_a_tip_are_an_error_that_lists_them(tmp_path: Path)
     assert str(tmp_path / "tiny.urdf") in str(caught.value)
 
 
+def test_an_end_that_no_joint_moves_cannot_be_the_tip(tmp_path: Path) -> None:
+    fixed, left = joint("f", "fixed", "a", "plate"), joint("l", "revolute", "a", "left")
+    assert load(tmp_path, fixed, left, links="a plate left").tip == "left"
+    with pytest.raises(RobotError, match=r"several ends.*allowed: left, right \("):
+        load(tmp_path, fixed, left, joint("r", "revolute", "a", "right"), links="a plate left right")
+    with pytest.raises(RobotError, match=r"no joint moves the tip; found plate"):
+        load(tmp_path, fixed, links="a plate")
+
+
 def test_bucket_tip_is_the_default_tip_even_among_several_ends(tmp_path: Path) -> None:
     robot = load(
         tmp_path,

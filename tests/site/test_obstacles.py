@@ -53,6 +53,43 @@ def test_an_obstacle_kilometres_away_gives_a_warning(planar4: Robot, tmp_path: P
     assert "in metres" in found[3][0]
 
 
+def test_ground_with_heights_above_the_sea_gives_a_warning(planar4: Robot, tmp_path: Path) -> None:
+    """The arm reaches 4 m up. Ground is solid down to 50 m below its lowest height, so to 237 m and to -20 m here."""
+    (tmp_path / "ground.csv").write_text("287,287.5\n287,287\n")
+    ground: dict[str, object] = {"shape": "heightmap", "file": "ground.csv", "size": [10.0, 10.0]}
+    low, beside = [1.0, 2.0, -257.0], [20.0, 0.0, 0.0]
+    found = [
+        obstacle_warnings(planar4, [build(planar4, tmp_path, **ground, position=place)])
+        for place in ([1.0, 2.0, 0.0], low, beside)
+    ]
+    assert "ends 233 m above the machine" in found[0][0]
+    assert "`position: [1, 2, -288]`" in found[0][0]
+    assert found[1] == ()
+    assert "sea" not in " ".join(found[2])
+
+
+def test_surveys_out_of_reach_give_one_warning_and_none_beside_one_within_reach(planar4: Robot, tmp_path: Path) -> None:
+    (tmp_path / "wall.xyz").write_text("".join(f"0 {0.1 * step} 0\n" for step in range(20)))
+    scan: dict[str, object] = {"shape": "pointcloud", "file": "wall.xyz", "resolution": 0.2}
+    far, near = ([build(planar4, tmp_path, **scan, position=[x, 0.0, 0.0])] for x in (20.0, 3.0))
+    (warning,) = obstacle_warnings(planar4, far)
+    assert "reaches nothing of thing" in warning
+    assert obstacle_warnings(planar4, [*far, *near]) == ()
+
+
+def test_a_stray_point_far_away_is_told_from_map_coordinates(planar4: Robot, tmp_path: Path) -> None:
+    rows = [f"{x:.3f} {y:.3f} {z:.3f}" for x, y, z in np.random.default_rng(5).uniform(0.0, 30.0, (300, 3))]
+    keys: dict[str, object] = {"shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1}
+    for stray, words in (
+        ("1000000 0 0", "the other 300 are near: leave it out"),
+        ("9000 0 0", "along x, from 0 to 9,000.1 m.*nearly all are from 0.* to 29.* m"),
+    ):
+        (tmp_path / "scan.xyz").write_text("\n".join([*rows, stray]))
+        with pytest.raises(SceneError, match=words) as caught:
+            build(planar4, tmp_path, **keys)
+        assert "map_origin" not in str(caught.value)
+
+
 BLOCK = b"solid block\nendsolid block\n"
 
 FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
@@ -143,7 +180,7 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         "a.xyz",
         b"\n".join(b"%d %d 0" % (1000 * k, 2 * k) for k in range(40)),
         {"resolution": 0.5},
-        r"\(thing\)\.file: .*a\.xyz: is too fine.*found 78001 voxels along an axis.*up to 65000.*coarser resolution",
+        r"\(thing\)\.file: .*a\.xyz: is too fine.*found 78,001 voxels along .*up to 65,000.*coarser resolution",
     ),
 }
 

@@ -130,7 +130,11 @@ def test_fast_reading_of_plain_tables_gives_the_numbers_in_the_file(tmp_path: Pa
     [
         ({"shape": "heightmap", "size": [4.0, 4.0]}, "1,,2\n3,4,5\n", ["row 1, column 2", "found nothing"]),
         ({"shape": "heightmap", "size": [4.0, 4.0]}, "1,2\n3,deep\n", ["row 2, column 2", "found deep"]),
-        ({"shape": "pointcloud", "resolution": 0.1}, "0,0,0\n9000,0,0\n" + "0,0,0.5\n" * 3, ["90001 voxels", "65000"]),
+        (
+            {"shape": "pointcloud", "resolution": 0.1},
+            "0,0,0\n9000,0,0\n" + "0,0,0.5\n" * 3,
+            ["90,001 voxels along x", "65,000"],
+        ),
     ],
 )
 def test_errors_in_surveys_name_file_and_place(

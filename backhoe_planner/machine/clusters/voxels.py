@@ -23,6 +23,8 @@ Keys = NDArray[np.int64]
 """(n, 3) the lowest corner of each voxel, in multiples of its edge."""
 
 _WIDEST = 65_000  # voxels along an axis: coal numbers them with 16 bits
+_MOST_OF_A_SCAN = (0.01, 0.99)  # quantiles between which nearly all voxels are; chosen, strays are fewer
+_NARROW = 0.1  # part of the whole extent within which nearly all voxels are, if a few points are strays; chosen
 _TILE = 4  # voxels along the edge of a tile; chosen, larger ones contain more voxels out of reach
 # part of voxels without neighbours from which on a scan has gaps; chosen: it then covers a sixth of flat ground
 _LONE = 0.2
@@ -61,6 +63,22 @@ def lone_part(keys: Keys) -> float:
     return float(alone.mean())
 
 
+def _too_wide(keys: Keys, edge: float) -> InputError:
+    """The error for voxels (n, 3) with too many from the first to the last along an axis, and what may be the cause."""
+    axis = int(np.ptp(keys, axis=0).argmax())
+    along = keys[:, axis]
+    first, last = int(along.min()), int(along.max()) + 1
+    low, high = np.quantile(along, _MOST_OF_A_SCAN) * edge
+    hint = "use a coarser resolution; are the points in metres?"
+    if high - low < _NARROW * edge * (last - first):
+        hint = f"leave out the points that are far away: nearly all are from {low:,.6g} to {high:,.6g} m"
+    return InputError(
+        "is too fine for how far it reaches",
+        found=f"{last - first:,} voxels along {'xyz'[axis]}, from {edge * first:,.6g} to {edge * last:,.6g} m",
+        allowed=f"up to {_WIDEST:,}", hint=hint,
+    )  # fmt: skip
+
+
 class VoxelSolid:
     """The voxels of a scan, in its own frame; see `Solid`.
 
@@ -86,10 +104,7 @@ class VoxelSolid:
             )  # fmt: skip
         low, high = keys.min(axis=0), keys.max(axis=0) + 1
         if (high - low).max() > _WIDEST:
-            raise InputError(
-                "is too fine for how far it reaches", found=f"{(high - low).max()} voxels along an axis",
-                allowed=f"up to {_WIDEST}", hint="use a coarser resolution, or leave out points that are far away",
-            )  # fmt: skip
+            raise _too_wide(keys, edge)
         self._keys, self._edge = keys, edge
         self.bounds = edge * np.array([low, high], dtype=float)
         self.finest = edge

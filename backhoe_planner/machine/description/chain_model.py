@@ -38,7 +38,7 @@ def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float], base: Ba
     Parameters
     ----------
     urdf: the machine.
-    tip: the link; by default ``bucket_tip``, otherwise the only leaf link.
+    tip: the link; by default ``bucket_tip``, otherwise the only leaf link that a joint moves.
     hold: joints by name, and the positions at which they are held [rad or m].
     base: placement of the root link.
 
@@ -68,13 +68,14 @@ def _find_tip(urdf: Urdf, tip: str | None) -> str:
     if tip is None:
         if "bucket_tip" in links:
             return "bucket_tip"
-        if len(urdf.leaves) == 1:
-            return urdf.leaves[0]
+        ends = [leaf for leaf in urdf.leaves if any(joint.type != "fixed" for joint in urdf.chain(leaf))] or urdf.leaves
+        if len(ends) == 1:
+            return ends[0]
         raise RobotError(
             "the URDF has several ends; say which one is the tip",
             file=urdf.path,
             key="tip",
-            allowed=", ".join(urdf.leaves),
+            allowed=", ".join(ends),
             hint="`tip:` in the scene file, --tip for inspect, tip= in the library",
         )
     if tip not in links:

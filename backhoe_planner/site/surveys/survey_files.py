@@ -35,6 +35,7 @@ _ROUNDING = 1e-6  # of a cell
 _OTHER_CLOUDS = (".rcp", ".rcs", ".fls")
 _MESHES = (".off", ".dae", ".glb", ".gltf", ".3mf")
 _DEGREES_WITHIN = 0.05  # degrees: some kilometres; chosen
+_MOST_STRAYS = 0.01  # part of the points that may be far away by mistake; chosen
 _STEEPEST = 500.0  # times as high as wide: points in metres are not; chosen, flat ground in degrees is steeper
 
 
@@ -225,6 +226,7 @@ def check_near(
     InputError: they do not, or a coordinate is not finite, or of 32 bits and rounded to more than 1 cm.
     """
     origin = np.zeros(3) if map_origin is None else np.array(map_origin)
+    placed = (points - origin) * scale
     largest = float(np.max(np.abs(points), initial=0.0))
     far = f"its numbers go up to {largest:,.0f}, which no map in metres has: they may be feet or millimetres"
     if largest <= FURTHEST:
@@ -238,7 +240,11 @@ def check_near(
         is_single = pcd_has_single_precision if path.suffix.lower() == ".pcd" else has_single_precision
         if map_origin is not None and rounding > 0.0 and is_single(path):
             raise rounded_error(points, rounding, path)
-    _check_size((points - origin) * scale, "a coordinate", path, (what, "coordinate"), far=far)
+    away = int(np.count_nonzero((np.abs(placed) > LARGEST).any(axis=1)))
+    if 0 < away <= _MOST_STRAYS * len(points):
+        those = f"it and {away - 1:,} others" if away > 1 else "it"
+        far = f"the other {len(points) - away:,} are near: leave {those} out"
+    _check_size(placed, "a coordinate", path, (what, "coordinate"), far=far)
 
 
 def _check_size(
